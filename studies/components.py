@@ -20,9 +20,9 @@ from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.output.figures import COLOURS
 from sunspin.philae.rebound import Rebound, make_rebound, scan_grid
-from sunspin.philae.threshold import CONFIDENCE, alike_rebounds, check_confidence
+from sunspin.philae.threshold import CONFIDENCE, simulate_similar_rebounds, threshold_index
 from validation.campaign import command, rows_folder
-from validation.controls import case_of
+from validation.controls import prepare_case
 
 STEP_S = 4.0
 """Between instants of a simulated track, which counts as the time that a component spends in a bin."""
@@ -50,7 +50,7 @@ def scans(rebound: Rebound, coarser: int, twins: int) -> list[dict]:
     """For x, y and z: EMD (n) of each motion of the grid to the file's directions, "emd"; the "factor" of the 90 % set."""
     axes = scan_grid(rebound.case, coarser).values()
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    alike = alike_rebounds(rebound, twins, seed=0)
+    alike = simulate_similar_rebounds(rebound, twins, seed=0)
     hist = histograms(rebound, np.concatenate([grid, [each.omega_B for each in alike]]))
     measured, at, each = rebound.samples["sun_B"].values[rebound.reconstructed], len(grid), []
     for axis in range(3):
@@ -58,7 +58,7 @@ def scans(rebound: Rebound, coarser: int, twins: int) -> list[dict]:
         for k, twin in enumerate(alike):
             emd = distances_to(hist[axis], target_segments(twin.seen_B[:, axis]))
             ratio.append(emd[at + k] / emd[:at].min())
-        factor = np.sort(ratio)[check_confidence(len(ratio), CONFIDENCE)]
+        factor = np.sort(ratio)[threshold_index(len(ratio), CONFIDENCE)]
         emd = distances_to(hist[axis, :at], target_segments(measured[:, axis]))
         each.append({"emd": emd, "factor": float(factor)})
     return each
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--twins", type=int, default=60, help="synthetic rebounds")
     parser.add_argument("--coarser", type=int, default=5, help="every n-th point of the grid only")
     given = parser.parse_args(arguments)
-    out, rebound = rows_folder(given.out), make_rebound(*case_of())
+    out, rebound = rows_folder(given.out), make_rebound(*prepare_case())
     each = scans(rebound, given.coarser, given.twins)
     (out / "components.md").write_text(table_of(each), "utf-8")
     draw(each).savefig(out / "components.png", dpi=150)

@@ -26,7 +26,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS
 from sunspin.philae.data_check import LEAST_DIRECTIONS
-from sunspin.philae.metrics import near_minimum_set, run_grid
+from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
 from sunspin.philae.rebound import (
     LINE_RANGE,
     Options,
@@ -40,10 +40,10 @@ from sunspin.philae.rebound import (
     scan_limits,
     start_states,
 )
-from sunspin.philae.telemetry import CELL_W, drawn_panels, noisy_readings, rebound_times
-from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
+from sunspin.philae.telemetry import CELL_W, add_noise, draw_misaligned_panels, draw_rebound_times
+from sunspin.philae.threshold import CONFIDENCE, emd_of_truths, quantile_threshold, threshold_index
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
-from validation.campaign import command, kept, rows_folder
+from validation.campaign import command, load_or_make, rows_folder
 
 FACTOR = 1.1
 """Of the near-minimum set (paper, eq. 14)."""
@@ -65,7 +65,9 @@ class Grid(NamedTuple):
 
 def make_grid(case: Case, coarser: int) -> Grid:
     """Run every motion of the grid once."""
-    table = run_grid(case, first_sun(case), published_window_s(case), Options(coarser=coarser))
+    table = propagate_grid(
+        case, first_sun(case), published_window_s(case), Options(coarser=coarser)
+    )
     every = table.rows.start.take(np.arange(len(table.hist)))
     back = propagate_back(case, every, first_sample_lead_s(case))
     return Grid(case, table, np.linalg.norm(back, axis=1))
@@ -86,14 +88,14 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
     state = start_states(case, truth, first_sun(case))
     back = propagate_back(case, state, first_sample_lead_s(case))
-    near = near_minimum_set(case, volume, FACTOR, seed=0)
+    near = make_near_minimum_set(case, volume, FACTOR, seed=0)
     angles = [float("nan")] * 4  # too few points for four lines
     if near.lines is not None:
         angles = [apart["angle_rad"] for apart in near.deviation]
     return {
         "truth_touchdown_speed": float(np.linalg.norm(back)),
         "emd_min": smallest,
-        "emd_truth": float(reached(case, state, published_window_s(case), [(z, None)])[0]),
+        "emd_truth": float(emd_of_truths(case, state, published_window_s(case), [(z, None)])[0]),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
         "line_angle": angles,
         "factor_count": count.tolist(),
@@ -113,12 +115,12 @@ def true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarray:
 def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The z components (n) of the directions that the simulated readings of this motion give."""
     vehicle = case.vehicle
-    t = rebound_times(case, rng)
-    tilt, first = drawn_panels(vehicle, first_sun(case), rng)
+    t = draw_rebound_times(case, rng)
+    tilt, first = draw_misaligned_panels(vehicle, first_sun(case), rng)
     run = propagate(vehicle, truth, first, nominal_wheel_speeds(vehicle), t - t[0], rtol=1e-9)
     true = run["sun_B"].values
     exact = CELL_W * vehicle.response_in().power(true, tilt=tilt)
-    power = noisy_readings(vehicle, true, exact, vehicle.require_noise(), rng)
+    power = add_noise(vehicle, true, exact, vehicle.require_noise(), rng)
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 
@@ -146,8 +148,8 @@ def table(rebounds: dict[str, dict[str, np.ndarray]], motions: int) -> str:
         * 9
     )
     for kind, each in rebounds.items():
-        factor, low, high = holding(each["ratio"], CONFIDENCE)
-        on_half = holding(each["ratio"][::2], CONFIDENCE)[0]  # judged by the others
+        factor, low, high = quantile_threshold(each["ratio"], CONFIDENCE)
+        on_half = quantile_threshold(each["ratio"][::2], CONFIDENCE)[0]  # judged by the others
         k = min(int(np.searchsorted(FACTORS, factor)), len(FACTORS) - 1)
         size = np.median(each["factor_count"][:, k]) / motions
         speed = np.quantile(each["factor_speed"][:, k], 0.5, method="higher")
@@ -209,12 +211,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--coarser", type=int, default=1, help="every n-th point of the grid only")
     given = parser.parse_args(arguments)
-    check_confidence(given.twins // 2, CONFIDENCE)
+    threshold_index(given.twins // 2, CONFIDENCE)
     grid, each = make_grid(load_case("philae"), given.coarser), {}
     for kind in KINDS:
         folder = rows_folder(given.out / f"{kind}-seed{given.seed}-coarser{given.coarser}")
         make = [partial(twin, grid, kind, k, given.seed) for k in range(given.twins)]
-        each[kind] = gathered([kept(folder / f"{k}.json", m) for k, m in enumerate(make)])
+        each[kind] = gathered([load_or_make(folder / f"{k}.json", m) for k, m in enumerate(make)])
     text = table(each, len(grid.speed))
     (given.out / "coverage.md").write_text(text + "\n", "utf-8")
     draw(each).savefig(given.out / "coverage.png", dpi=150)

@@ -29,10 +29,10 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, data_check, metrics
-from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
+from sunspin.philae.collision import KERNEL, SIGMA_M_S, event_tdb_s, read_kernel_states
 from sunspin.philae.rebound import Options
 from validation.campaign import command, rows_folder
-from validation.controls import case_of
+from validation.controls import prepare_case
 
 SUN = ("philae_spk", "sun_from_67p_20141112.csv")
 
@@ -107,8 +107,8 @@ def seen_in(case: Case, folder: Path) -> Seen:
         A file that is missing, damaged, or holds no Sun at the time of the collision.
     """
     path = folder.joinpath(*KERNEL)
-    touchdown, before = (tdb_of(case, name) for name in ("first_touchdown", "collision"))
-    states = states_of(path, [np.ceil(touchdown), before, before + 1.0])
+    touchdown, before = (event_tdb_s(case, name) for name in ("first_touchdown", "collision"))
+    states = read_kernel_states(path, [np.ceil(touchdown), before, before + 1.0])
     sun = sun_J2000(folder, before)
     change = velocity_J2000(before + 1.0, states[2]) - velocity_J2000(before, states[1])
     up = comet_from_J2000(touchdown).T @ states[0][:3]
@@ -139,7 +139,7 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
 
 def motions(source: str, seed: int) -> candidates.Chain:
     """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
-    case, sun = case_of()
+    case, sun = prepare_case()
     options = Options(source, seed=seed)
     scan = metrics.scan_telemetry(case, sun, options)
     return candidates.compute(scan, data_check.compute(case, sun, None, seed), options)

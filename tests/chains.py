@@ -17,11 +17,15 @@ def chain_on_the_lines(case: Case) -> candidates.Chain:
         -1, 3
     )
     lines = rb.published_candidates(case)
-    sets = {"set": ("published", lines), "box": ("scan", grid), "recipe": ("scan", lines[::7])}
-    chosen, box, recipe = (
-        candidates.describe(
+    sets = {
+        "set": ("published", lines),
+        "scan_range": ("scan", grid),
+        "near_minimum": ("scan", lines[::7]),
+    }
+    chosen, scan_range, near_minimum = (
+        candidates.make_candidates(
             rebound, rebound.states(points), 0, chain=chain, about=f"{name} of the test"
         )
         for name, (chain, points) in sets.items()
     )
-    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"))
+    return candidates.Chain(case, rebound, chosen, scan_range, near_minimum, None, float("nan"))

@@ -19,7 +19,7 @@ from sunspin.landing.outcomes import own_scenario
 from sunspin.landing.scenario import case_scenario, paper_scenario, scenario_of
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
-from sunspin.philae.candidates import starts
+from sunspin.philae.candidates import select_start_rates
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
 from sunspin.vehicle.changes import Change, apply, changes_of, settings
 from sunspin.vehicle.file import (
@@ -356,7 +356,7 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
         (("wheel.speed_rad_s=833",), ""),
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
-        points, whose = starts(
+        points, whose = select_start_rates(
             opened("philae", changes_of(sets)).craft, [], tmp_path / "scan.nc", 1.1
         )
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)

@@ -9,7 +9,7 @@ import pytest
 import sunspin as ss
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle.file import parse_vehicle
-from validation.border import Told, judge, sunspin
+from validation.border import CommandResult, judge, sunspin
 
 BASE = """
 name = "v"
@@ -190,7 +190,7 @@ def test_a_table_with_one_column_for_two_panels_or_a_line_break_in_quotes(tmp_pa
 
 def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    assert sunspin("init", ".", "--quiet") == CommandResult(0, "", "")
     for axis in ("0,0", "0,-0.0", "0.1,0.2,0.1"):
         told = sunspin(
             "scan",

@@ -20,13 +20,13 @@ CAMPAIGNS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    told = (
+    about = (
         "Campaigns that judge sunspin, most by trying to break it; see docs/records/validation.md."
     )
-    parser = argparse.ArgumentParser(prog="python -m validation", description=told)
+    parser = argparse.ArgumentParser(prog="python -m validation", description=about)
     commands = parser.add_subparsers(dest="campaign", required=True)
-    for name, told in CAMPAIGNS.items():
-        campaign(name).options(commands.add_parser(name, help=told, description=told))
+    for name, about in CAMPAIGNS.items():
+        campaign(name).options(commands.add_parser(name, help=about, description=about))
     options = parser.parse_args(arguments)
     return campaign(options.campaign).main(options)
 

@@ -249,10 +249,10 @@ def _any_posterior(seed: int, i: int) -> Row:
 
 
 def _simulated(seed: int, i: int) -> Row:
-    from validation.posterior_cases import LIMIT_S, cases, limited
+    from validation.posterior_cases import LIMIT_S, cases, run_limited
 
     case = next(case for case in cases(seed) if case.number == i)
-    row = limited(case, LIMIT_S)
+    row = run_limited(case, LIMIT_S)
     outcome = "open" if row["word"] == "did not end" else _of_word(row["word"], row["recalled"])
     return {
         "outcome": outcome,
@@ -565,19 +565,22 @@ def _numbers(value: Any) -> list[float]:
 
 def _control(name: str) -> Row:
     from sunspin.cases import load_case
-    from validation.controls import CONTROLS, NOT_CONCLUDED, chain_of
+    from validation.controls import CONTROLS, NOT_CONCLUDED, run_chain
 
-    looked = chain_of(CONTROLS[name](load_case("philae")))
-    concluded = looked.scan is not None and looked.chain is not None
+    result = run_chain(CONTROLS[name](load_case("philae")))
+    concluded = result.scan is not None and result.chain is not None
     outcome = "wrong" if concluded is (name in NOT_CONCLUDED) else "right"
     if not concluded:
-        return {"outcome": outcome, "says": looked.why}
+        return {"outcome": outcome, "says": result.why}
     measured = {
-        "smallest EMD": looked.scan.smallest,
-        "share of the box": looked.chain.share,
-        "speed at least": looked.chain.chosen.speed_range()[0],
+        "smallest EMD": result.scan.smallest,
+        "share of the box": result.chain.share,
+        "speed at least": result.chain.chosen.speed_range()[0],
     }
-    return {"outcome": outcome, "measured": measured | {"lines": float(looked.scan.lines_found)}}
+    return {
+        "outcome": outcome,
+        "measured": measured | {"lines": float(result.scan.lines_recovered)},
+    }
 
 
 def real(_: str, seed: int) -> Iterator[Task]:
@@ -591,7 +594,7 @@ def real(_: str, seed: int) -> Iterator[Task]:
 
 def _skcube(side: str) -> Row:
     import sunspin as ss
-    from validation.real import SIDES, compared, of_other_days
+    from validation.real import SIDES, compare_with_gyro, fit_gyros
 
     path = Path(os.environ.get("SUNSPIN_DATA", "")) / "skcube" / "skcube_adcs.csv"
     if not os.environ.get("SUNSPIN_DATA") or not path.is_file():
@@ -601,7 +604,7 @@ def _skcube(side: str) -> Row:
     result = ss.rates(craft, data.drop_vars(SIDES[side]), workers=1)
     rows = [
         row
-        for row in compared(craft, data, result, of_other_days(craft, data))
+        for row in compare_with_gyro(craft, data, result, fit_gyros(craft, data))
         if np.isfinite(row.miss).all()
     ]
     free = [row for row in rows if row.free and row.status == "decided"]

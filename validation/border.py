@@ -22,7 +22,7 @@ class Accepted(BaseException):
     """Raised in the place of work that would take long: the input has passed the border."""
 
 
-class Told(NamedTuple):
+class CommandResult(NamedTuple):
     """Exit code (None: nothing was returned), what was printed and complained, what escaped."""
 
     code: int | None
@@ -45,7 +45,7 @@ def _quiet_descriptor():
             os.close(kept)
 
 
-def sunspin(*arguments: str, piped: bytes = b"") -> Told:
+def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
     """The entry point on these arguments. Output is strict UTF-8, warnings are shown each time: as on a terminal, but worse."""
     from sunspin import cli
 
@@ -74,7 +74,7 @@ def sunspin(*arguments: str, piped: bytes = b"") -> Told:
             sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = kept
         below.seek(0)
         said = err.buffer.getvalue() + below.read()
-    return Told(
+    return CommandResult(
         code,
         out.buffer.getvalue().decode("utf-8"),
         said.decode("utf-8", "replace"),
@@ -87,22 +87,22 @@ BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
 """The line by which `rates` says without a terminal that its work has begun, and no error."""
 
 
-def judge(told: Told) -> Verdict:
+def judge(result: CommandResult) -> Verdict:
     """Exit code 0 and silence on stderr, or 2 and one printable sentence there and nothing printed; but for lines of `BEGUN`."""
-    told = told._replace(err=BEGUN.sub("", told.err))
-    if told.escaped:
-        return Verdict("traceback", True, told.escaped)
-    if told.accepted:
-        return Verdict("accepted", bool(told.err), told.err)
-    if told.code == 0:
-        return Verdict("fine") if not told.err else Verdict("noise", True, told.err)
-    if told.code != 2:
-        return Verdict("exit code", True, f"{told.code}: {told.err}")
+    result = result._replace(err=BEGUN.sub("", result.err))
+    if result.escaped:
+        return Verdict("traceback", True, result.escaped)
+    if result.accepted:
+        return Verdict("accepted", bool(result.err), result.err)
+    if result.code == 0:
+        return Verdict("fine") if not result.err else Verdict("noise", True, result.err)
+    if result.code != 2:
+        return Verdict("exit code", True, f"{result.code}: {result.err}")
     one = (
-        told.err.startswith("sunspin: error: ")
-        and told.err.count("\n") == 1
-        and told.err.endswith("\n")
+        result.err.startswith("sunspin: error: ")
+        and result.err.count("\n") == 1
+        and result.err.endswith("\n")
     )
-    if not one or told.out or len(told.err) > LONGEST or not told.err[:-1].isprintable():
-        return Verdict("not one sentence", True, repr((told.out[:200], told.err[:2000])))
-    return Verdict("out of memory" if "not enough memory" in told.err else "refused")
+    if not one or result.out or len(result.err) > LONGEST or not result.err[:-1].isprintable():
+        return Verdict("not one sentence", True, repr((result.out[:200], result.err[:2000])))
+    return Verdict("out of memory" if "not enough memory" in result.err else "refused")

@@ -37,7 +37,7 @@ def rows_folder(folder: Path) -> Path:
     return folder
 
 
-def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def load_or_make(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A row from its JSON file; where there is none it is made, and the file written whole."""
     if not path.is_file():
         text = json.dumps(make())

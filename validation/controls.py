@@ -18,9 +18,9 @@ from sunspin.cases import Case, load_case
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import candidates, data_check, descent, metrics, touchdown
 from sunspin.philae.rebound import Options, nominal_wheel_speeds, read_truth, with_telemetry
-from sunspin.philae.row import Row, settled
-from sunspin.philae.sun_directions import with_own_noise
-from sunspin.philae.telemetry import CELL_W, noisy_readings
+from sunspin.philae.row import Row, settle
+from sunspin.philae.sun_directions import apply_measured_noise
+from sunspin.philae.telemetry import CELL_W, add_noise
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator
 
@@ -29,7 +29,7 @@ TUMBLING = (0.35, -0.2, 0.15)
 """rad/s at the first sample: a motion off the printed lines."""
 
 
-def with_motion(
+def simulate_motion(
     case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int = 0, noise: float | None = None
 ) -> xr.Dataset:
     """The case's telemetry and panels, with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
@@ -43,23 +43,23 @@ def with_motion(
     sun, tilt = run["sun_B"].values, np.array(known["tilt_B_rad"]).reshape(-1, 3)
     exact = CELL_W * case.vehicle.response_in().power(sun, tilt=tilt)
     sigma = case.vehicle.require_noise() if noise is None else noise
-    power = noisy_readings(case.vehicle, sun, exact, sigma, generator(seed, 20))
+    power = add_noise(case.vehicle, sun, exact, sigma, generator(seed, 20))
     data["power_W"].values[inside] = power
     data.attrs.pop("sha256", None)  # no longer the file whose truth ships with the case
     return data
 
 
-def shuffled_panels(case: Case, seed: int = 0) -> xr.Dataset:
+def shuffle_panels(case: Case, seed: int = 0) -> xr.Dataset:
     """Each panel's readings shuffled in time, apart from the others: no Sun is left in any sample."""
-    data, rng = _copy(case), generator(seed, 21)
+    data, rng = _copy_telemetry(case), generator(seed, 21)
     for k in range(data.sizes["panel"]):
         data["power_W"].values[:, k] = rng.permutation(data["power_W"].values[:, k])
     return data
 
 
-def shuffled_samples(case: Case, seed: int = 0) -> xr.Dataset:
+def shuffle_samples(case: Case, seed: int = 0) -> xr.Dataset:
     """Whole samples shuffled within each phase: every sample is right, no motion is left."""
-    data, rng = _copy(case), generator(seed, 22)
+    data, rng = _copy_telemetry(case), generator(seed, 22)
     phase = data["phase"].values
     for name in dict.fromkeys(phase):
         inside = np.flatnonzero(phase == name)
@@ -67,15 +67,15 @@ def shuffled_samples(case: Case, seed: int = 0) -> xr.Dataset:
     return data
 
 
-def exchanged_panels(case: Case, first: str = "1", second: str = "2") -> xr.Dataset:
+def exchange_panels(case: Case, first: str = "1", second: str = "2") -> xr.Dataset:
     """The columns of two panels exchanged."""
-    data, names = _copy(case), list(case.vehicle.panel_names)
+    data, names = _copy_telemetry(case), list(case.vehicle.panel_names)
     pair = [names.index(first), names.index(second)]
     data["power_W"].values[:, pair] = data["power_W"].values[:, pair[::-1]]
     return data
 
 
-def _copy(case: Case) -> xr.Dataset:
+def _copy_telemetry(case: Case) -> xr.Dataset:
     data = case.telemetry.copy(deep=True)
     data.attrs.pop("sha256", None)
     return data
@@ -83,13 +83,13 @@ def _copy(case: Case) -> xr.Dataset:
 
 CONTROLS: dict[str, Callable[[Case], xr.Dataset]] = {
     "as it is": lambda case: case.telemetry,
-    "never tumbled": lambda case: with_motion(case, STILL),
-    "spins about z": lambda case: with_motion(case, (0.0, 0.0, 0.3)),
-    "another motion": lambda case: with_motion(case, TUMBLING),
-    "wheel held": lambda case: with_motion(case, read_truth(case)["omega_B"], "hold"),
-    "each panel shuffled": shuffled_panels,
-    "samples shuffled": shuffled_samples,
-    "panels 1 and 2 exchanged": exchanged_panels,
+    "never tumbled": lambda case: simulate_motion(case, STILL),
+    "spins about z": lambda case: simulate_motion(case, (0.0, 0.0, 0.3)),
+    "another motion": lambda case: simulate_motion(case, TUMBLING),
+    "wheel held": lambda case: simulate_motion(case, read_truth(case)["omega_B"], "hold"),
+    "each panel shuffled": shuffle_panels,
+    "samples shuffled": shuffle_samples,
+    "panels 1 and 2 exchanged": exchange_panels,
 }
 """Name -> telemetry."""
 
@@ -103,11 +103,11 @@ TWINS = 60
 
 
 @dataclass(frozen=True)
-class Found:
+class ControlResult:
     """What the file carries; its scan and its chain of candidates, or why there is none."""
 
     case: Case
-    carries: data_check.DataCheck
+    check: data_check.DataCheck
     scan: metrics.TelemetryScan | None
     chain: candidates.Chain | None
     why: str
@@ -117,34 +117,34 @@ class Found:
         """Rows of the scan and of the touchdown as they count."""
         found = metrics.scan_rows(self.scan) if self.scan else []
         found = found + (touchdown.rows(self.chain) if self.chain else [])
-        return {row.id: settled(row) for row in found}
+        return {row.id: settle(row) for row in found}
 
 
-def case_of(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
+def prepare_case(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
     """The case with this telemetry, the built-in one unless given, and its own noise; its Sun directions."""
     case = load_case("philae")
     case = case if telemetry is None else with_telemetry(case, telemetry)
-    case, _ = with_own_noise(case)
+    case, _ = apply_measured_noise(case)
     return case, sun_directions(case.vehicle, case.telemetry)
 
 
-def chain_of(
+def run_chain(
     telemetry: xr.Dataset | None = None,
     **options: Any,
-) -> Found:
+) -> ControlResult:
     """The chain on a telemetry file, the built-in one unless given."""
-    case, sun = case_of(telemetry)
-    how = Options(**{"coarser": COARSER, "twins": TWINS} | options)
+    case, sun = prepare_case(telemetry)
+    options = Options(**{"coarser": COARSER, "twins": TWINS} | options)
     try:
         fit = descent.compute(case, sun)
     except SunspinError:
         fit = None
-    looked = data_check.compute(case, sun, fit)
+    check = data_check.compute(case, sun, fit)
     scan = chain = None
     why = ""
     try:
-        scan = metrics.scan_telemetry(case, sun, how)
-        chain = candidates.compute(scan, looked, how)
+        scan = metrics.scan_telemetry(case, sun, options)
+        chain = candidates.compute(scan, check, options)
     except SunspinError as error:
         why = str(error)
-    return Found(case, looked, scan, chain, why)
+    return ControlResult(case, check, scan, chain, why)

@@ -38,7 +38,7 @@ FORMATS = (
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
 
-def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+def damage(content: bytes, rng: np.random.Generator) -> bytes:
     """One way or another: what `tests/corrupted.py` does, or numbers of the file's own structure replaced."""
     if rng.random() < 0.5:
         return BYTES[int(rng.integers(len(BYTES) - 1))](content, rng)  # the last one is about text
@@ -55,7 +55,7 @@ class Corrupt(Suite):
 
     def prepare(self) -> None:
         """Good files, and shorter work."""
-        for change in fuzz.cut_short():
+        for change in fuzz.shorten_work():
             self.stack.enter_context(change)
         os.chdir(self.home)
         self.good = make_files(self.home)
@@ -69,24 +69,28 @@ class Corrupt(Suite):
         verdict = getattr(self, "try_" + self.last.replace(".", "_"))(place, rng)
         return verdict._replace(shown=f"{self.last}: {verdict.shown}") if verdict.bad else verdict
 
-    def _bad(self, name: str, place: Path, rng: np.random.Generator) -> Path:
+    def _write_damaged(self, name: str, place: Path, rng: np.random.Generator) -> Path:
         target = place / Path(name).name
-        target.write_bytes(damaged(self.good[name], rng))
+        target.write_bytes(damage(self.good[name], rng))
         return target
 
-    def _told(self, *arguments: object) -> Verdict:
-        self.told = sunspin(*map(str, arguments))
-        return judge(self.told)
+    def _run_command(self, *arguments: object) -> Verdict:
+        self.result = sunspin(*map(str, arguments))
+        return judge(self.result)
 
     def try_telemetry_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.nc", place, rng))
+        return self._run_command(
+            "sun", "stock/vehicle.toml", self._write_damaged("telemetry.nc", place, rng)
+        )
 
     def try_telemetry_parquet(self, place: Path, rng: np.random.Generator) -> Verdict:
-        return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.parquet", place, rng))
+        return self._run_command(
+            "sun", "stock/vehicle.toml", self._write_damaged("telemetry.parquet", place, rng)
+        )
 
     def try_scan_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        bad = self._bad("scan.nc", place, rng)
-        return self._told(
+        bad = self._write_damaged("scan.nc", place, rng)
+        return self._run_command(
             "outcomes",
             "stock/vehicle.toml",
             "--scan",
@@ -97,32 +101,34 @@ class Corrupt(Suite):
         )
 
     def try_kernel_bc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        bad = self._bad("kernel.bc", place, rng)
+        bad = self._write_damaged("kernel.bc", place, rng)
         more = ["kernels/sunspin.tsc", "kernels/sunspin.tf"]
         if rng.random() < 0.3:
             k = int(rng.integers(2))
             text = place / Path(more[k]).name
-            text.write_bytes(damaged(Path(more[k]).read_bytes(), rng))
+            text.write_bytes(damage(Path(more[k]).read_bytes(), rng))
             more[k] = str(text)
         names = ["--frame=SUNSPIN_BODY", "--base=SUNSPIN_LOCAL", "--epoch=2026-01-01T00:00:00Z"]
-        return self._told("compare", "stock/results", bad, *more, *names)
+        return self._run_command("compare", "stock/results", bad, *more, *names)
 
     def try_orbit_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
         from sunspin.cases import load_case
         from sunspin.philae.collision import KERNEL, kernel_facts
 
         (place / KERNEL[0]).mkdir()
-        place.joinpath(*KERNEL).write_bytes(damaged(self.good["orbit.bsp"], rng))
-        return _sentence(lambda: kernel_facts(load_case("philae"), place))
+        place.joinpath(*KERNEL).write_bytes(damage(self.good["orbit.bsp"], rng))
+        return _judge_call(lambda: kernel_facts(load_case("philae"), place))
 
     def try_earth_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
         from sunspin.environment.ephemeris import read_orbit
 
-        bad = self._bad("earth.bsp", place, rng)
-        return _sentence(lambda: read_orbit(bad))
+        bad = self._write_damaged("earth.bsp", place, rng)
+        return _judge_call(lambda: read_orbit(bad))
 
     def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
-        return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
+        return self._run_command(
+            "decode", self._write_damaged("frames.zip", place, rng), "--out", place / "out"
+        )
 
     def try_store(self, place: Path, rng: np.random.Generator) -> Verdict:
         from sunspin.compute.rows import ensemble
@@ -131,10 +137,10 @@ class Corrupt(Suite):
         files = sorted(path for path in (place / "store").rglob("*") if path.is_file())
         for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 4))):
             path.write_bytes(
-                damaged(path.read_bytes(), rng)
+                damage(path.read_bytes(), rng)
             ) if path.stat().st_size else path.write_bytes(b"x")
         found: dict[str, Any] = {}
-        verdict = _sentence(
+        verdict = _judge_call(
             lambda: found.update(
                 ensemble(self.good["rows"], store=place / "store", workers=1, chunk=7)
             )
@@ -176,7 +182,7 @@ def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) 
     return printed.buffer.getvalue()
 
 
-def _sentence(call: Any) -> Verdict:
+def _judge_call(call: Any) -> Verdict:
     """Whether a call returns or says one sentence."""
     from sunspin.base.errors import SunspinError
 
@@ -251,8 +257,8 @@ def write_orbits(home: Path) -> None:
     from sunspin.philae import collision
 
     case = load_case("philae")
-    begin = collision.tdb_of(case, "first_touchdown") - 100
-    end = collision.tdb_of(case, "second_touchdown") + 100
+    begin = collision.event_tdb_s(case, "first_touchdown") - 100
+    end = collision.event_tdb_s(case, "second_touchdown") + 100
     t = np.linspace(begin, end, 200)
     states = np.column_stack(
         [1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t]

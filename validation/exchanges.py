@@ -95,7 +95,7 @@ def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray
     return names, np.array(normals), gains
 
 
-def _moved(
+def _integrate(
     inertia: np.ndarray, wheel: np.ndarray, omega: np.ndarray, sun: np.ndarray, t_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates and Sun directions (n, 3) at times (n), in Runge-Kutta steps of 0.25 s: dH/dt = H x omega, ds/dt = s x omega."""
@@ -119,7 +119,7 @@ def _moved(
     return np.array(rates), np.array(suns)
 
 
-def satellite(seed: int, i: int) -> Satellite:
+def draw_satellite(seed: int, i: int) -> Satellite:
     """Satellite number `i`; every second one has a wheel, every eighth two."""
     for attempt in range(100):
         rng = np.random.default_rng([43, seed, i, attempt])
@@ -144,7 +144,7 @@ def satellite(seed: int, i: int) -> Satellite:
         turn = q * np.sign(np.diag(r))
         real = turn @ np.diag(moments * (1 + 0.01 * rng.normal(size=3))) @ turn.T
         t_s = np.round(np.cumsum(rng.uniform(8.0, 16.0, SAMPLES)), 1)
-        rates, sun = _moved(
+        rates, sun = _integrate(
             real, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0]
         )
         light = gains * (1 + NOISE * rng.normal(size=len(gains))) * np.maximum(sun @ normals.T, 0.0)
@@ -163,7 +163,7 @@ def satellite(seed: int, i: int) -> Satellite:
     raise RuntimeError(f"satellite {i} of seed {seed} could not be drawn")
 
 
-def exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
+def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
     """The pairs of columns that are exchanged, one at a time: any two, and two that are mirror images along an axis."""
     pairs = list(combinations(range(len(normals)), 2))
     drawn = [pairs[k] for k in np.random.default_rng([44, seed, i]).permutation(len(pairs))]
@@ -175,8 +175,8 @@ def exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
     """What `rates` says of a case, and whether it is true."""
     seed, i, which = case
-    made = satellite(seed, i)
-    pair = None if which < 0 else exchanges(seed, i, made.normals)[which]
+    made = draw_satellite(seed, i)
+    pair = None if which < 0 else draw_exchanges(seed, i, made.normals)[which]
     order = np.arange(len(made.names))
     if pair is not None:
         order[list(pair)] = order[list(pair)][::-1]
@@ -211,10 +211,10 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     }
     changes = json.loads(result.attrs.get("columns_changes", "[]"))
     row["named"] = [one["what"] for one in changes]
-    return row | _judged(made, order, pair, result, row)
+    return row | _classify(made, order, pair, result, row)
 
 
-def _judged(
+def _classify(
     made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]
 ) -> dict[str, Any]:
     """The outcome, and of a decided motion its error (sigmas) from the truth and from motions that look the same."""
@@ -259,7 +259,7 @@ def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:
         return []
     u, size, v = np.linalg.svd(stated.T @ true)
     ends = [1.0, -1.0] if size[2] < 0.05 else [1.0]
-    found = []
+    result = []
     for end in ends:
         m = u @ np.diag([1.0, 1.0, end]) @ v
         side = np.linalg.det(m)
@@ -270,5 +270,5 @@ def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:
             continue
         if np.linalg.norm(side * m @ h - h) > ALIKE * max(np.linalg.norm(h), 1e-12):
             continue
-        found.append(m)
-    return found
+        result.append(m)
+    return result

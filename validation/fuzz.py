@@ -53,16 +53,16 @@ class Fuzz(Suite):
         os.environ.pop("SUNSPIN_DATA", None)
         self.stock = self.home / "stock"
         make_stock(self.stock)
-        for change in cut_short():
+        for change in shorten_work():
             self.stack.enter_context(change)
         self.stack.enter_context(
             mock.patch(
-                "sunspin.estimate.rates.motion._runge_kutta", self._while_short(_runge_kutta)
+                "sunspin.estimate.rates.motion._runge_kutta", self._limit_search(_runge_kutta)
             )
         )
         self.commands = command_table()
 
-    def _while_short(self, function: Any) -> Any:
+    def _limit_search(self, function: Any) -> Any:
         def short(*arguments: Any) -> Any:
             if time.process_time() - self.begun > SEARCH_S:
                 raise Accepted
@@ -78,7 +78,7 @@ class Fuzz(Suite):
             return self.with_options(rng)
         choices = ON_VEHICLES if kind == "vehicle" else ON_TABLES
         command = choices[int(rng.integers(len(choices)))]
-        arguments = base(command)
+        arguments = base_arguments(command)
         if kind == "vehicle":
             Path("bad.toml").write_bytes(hostile.vehicle(rng))
             return [("bad.toml" if word == "vehicle.toml" else word) for word in arguments]
@@ -88,7 +88,7 @@ class Fuzz(Suite):
     def with_options(self, rng: np.random.Generator) -> list[str]:
         names = sorted(self.commands)
         command = names[int(rng.integers(len(names)))]
-        arguments = base(command)
+        arguments = base_arguments(command)
         parameters = self.commands[command].params
         for _ in range(int(rng.integers(1, 4))):
             parameter = parameters[int(rng.integers(len(parameters)))]
@@ -116,8 +116,8 @@ class Fuzz(Suite):
         try:
             arguments = self.last = self.arguments(index)
             self.begun = time.process_time()
-            told = self.told = sunspin(*arguments)
-            verdict = judge(told)
+            result = self.result = sunspin(*arguments)
+            verdict = judge(result)
             if verdict.bad:
                 verdict = verdict._replace(
                     shown=f"{[word[:80] for word in arguments]}\n{verdict.shown}"
@@ -145,9 +145,9 @@ def make_stock(folder: Path) -> None:
             str(folder / "results"),
         ),
     ):
-        told = sunspin(*arguments)
-        if told.code != code:
-            raise RuntimeError(f"the stock could not be made: {told}")
+        result = sunspin(*arguments)
+        if result.code != code:
+            raise RuntimeError(f"the stock could not be made: {result}")
     telemetry = folder / "telemetry.csv"
     telemetry.write_text(
         "".join(telemetry.read_text("utf-8").splitlines(keepends=True)[:7]), "utf-8"
@@ -160,33 +160,33 @@ def make_stock(folder: Path) -> None:
         archive.writestr("1500000000_OM3KAA_1", b"\xc0\x00" + bytes(16) + b"\x02" + bytes(80))
 
 
-def cut_short() -> list[Any]:
+def shorten_work() -> list[Any]:
     """What takes long where the input is good ends at its beginning; small ensembles of vehicles known beforehand run."""
     from sunspin.compute.rows import ensemble
     from sunspin.dynamics.ensemble import ahead
 
-    def few(function: Any, **options: Any) -> Any:
+    def run_if_small(function: Any, **options: Any) -> Any:
         if function.n_rows > SMALL_ROWS or options.get("scheduler") is not None:
             raise Accepted
         return ensemble(function, **options)
 
-    def kept(structure: Any) -> Any:
+    def use_if_compiled(structure: Any) -> Any:
         module = ahead.kernel(structure)
         if not ahead.is_kept(Path(str(module.__file__))):
             raise Accepted
         return module
 
-    def begins(*_: Any, **__: Any) -> Any:
+    def raise_accepted(*_: Any, **__: Any) -> Any:
         raise Accepted
 
     return [
-        mock.patch("sunspin.estimate.scan.volume.ensemble", few),
-        mock.patch("sunspin.landing.outcomes.ensemble", few),
-        mock.patch("sunspin.estimate.posterior.modes.ensemble", begins),
-        mock.patch("sunspin.dynamics.ensemble.run.ready_kernel", kept),
+        mock.patch("sunspin.estimate.scan.volume.ensemble", run_if_small),
+        mock.patch("sunspin.landing.outcomes.ensemble", run_if_small),
+        mock.patch("sunspin.estimate.posterior.modes.ensemble", raise_accepted),
+        mock.patch("sunspin.dynamics.ensemble.run.ready_kernel", use_if_compiled),
         mock.patch("sunspin.dynamics.ensemble.ahead.compile_ahead", lambda structures: None),
         mock.patch("sunspin.dynamics.ensemble.run.compile_ahead", lambda structures: None),
-        mock.patch("sunspin.philae.reproduction.compute", begins),
+        mock.patch("sunspin.philae.reproduction.compute", raise_accepted),
     ]
 
 
@@ -198,7 +198,7 @@ def command_table() -> dict[str, click.Command]:
     return {name: cli.get_command(context, name) for name in cli.list_commands(context)}
 
 
-def base(command: str) -> list[str]:
+def base_arguments(command: str) -> list[str]:
     """Arguments with which a command does its work on the stock."""
     grid = ["--omega-x-deg-s=0:1.2:1.2", "--omega-y-deg-s=-1.8:-1.8:60", "--omega-z-deg-s=3:3:60"]
     start = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]

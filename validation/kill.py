@@ -23,10 +23,10 @@ from sunspin.compute.store import LOCK
 
 ROOT = Path(__file__).parents[1]
 TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
-UNALIKE = ("seconds", "processor_s", "command", "folder")
+RUN_DEPENDENT = ("seconds", "processor_s", "command", "folder")
 """Keys of summaries that say how long a run took and where it stood."""
 
-SAME = 1e-9
+RELATIVE_TOLERANCE = 1e-9
 """Numbers of a resumed run and of an undisturbed one differ by no more, relative to their size."""
 
 STORE = "--store=STORE"
@@ -44,7 +44,7 @@ TARGETS = {
 
 
 @dataclass
-class Told:
+class KillReport:
     """What became of one target."""
 
     seconds: float = 0.0
@@ -114,73 +114,75 @@ def differences(folder: Path, other: Path) -> list[str]:
     different = sorted(set(files) ^ set(others))
     for name in set(files) & set(others):
         ours, theirs = content(files[name]), content(others[name])
-        keys = [key for key in {**ours, **theirs} if key.split(":")[-1] not in UNALIKE]
-        if not all(same(ours.get(key), theirs.get(key)) for key in keys):
+        keys = [key for key in {**ours, **theirs} if key.split(":")[-1] not in RUN_DEPENDENT]
+        if not all(agree_to_rounding(ours.get(key), theirs.get(key)) for key in keys):
             different.append(name)
     return different
 
 
-def same(ours: Any, theirs: Any) -> bool:
+def agree_to_rounding(ours: Any, theirs: Any) -> bool:
     """Equal, numbers to `SAME`."""
     if isinstance(ours, dict) and isinstance(theirs, dict):
         return ours.keys() == theirs.keys() and all(
-            same(ours[key], theirs[key]) for key in ours if key not in UNALIKE
+            agree_to_rounding(ours[key], theirs[key]) for key in ours if key not in RUN_DEPENDENT
         )
     if isinstance(ours, list) and isinstance(theirs, list):
-        return len(ours) == len(theirs) and all(map(same, ours, theirs))
+        return len(ours) == len(theirs) and all(map(agree_to_rounding, ours, theirs))
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     if ours.dtype.kind != "f":
         return bool(np.array_equal(ours, theirs))
-    alike = ours.shape == theirs.shape and theirs.dtype.kind in "fi"
-    return alike and np.allclose(ours, theirs, rtol=SAME, atol=SAME, equal_nan=True)
+    numeric = ours.shape == theirs.shape and theirs.dtype.kind in "fi"
+    return numeric and np.allclose(
+        ours, theirs, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE, equal_nan=True
+    )
 
 
 def campaign(
     name: str, kills: int, folder: Path, seed: int, say: Callable[[str], None] = print
-) -> Told:
+) -> KillReport:
     """Kill one target so many times; what was wrong."""
-    told, draw, calm = Told(), random.Random(f"{seed} {name}"), folder / "calm"
+    report, draw, undisturbed = KillReport(), random.Random(f"{seed} {name}"), folder / "calm"
     for _ in range(2):  # the first compiles
-        shutil.rmtree(calm, ignore_errors=True)
-        calm.mkdir(parents=True)
-        begun, process = time.monotonic(), start(command(name, calm))
+        shutil.rmtree(undisturbed, ignore_errors=True)
+        undisturbed.mkdir(parents=True)
+        begun, process = time.monotonic(), start(command(name, undisturbed))
         _, complaint = process.communicate()
         if process.returncode:
             raise RuntimeError(f"{name}: {complaint.decode()}")
-        told.seconds = time.monotonic() - begun
-    say(f"{name}: undisturbed in {told.seconds:.1f} s")
-    while told.kills < kills:
-        place = folder / f"round{told.runs_through}"
-        while not _gets_through(name, place, draw, told):
-            if told.kills > 3 * kills + 20:
-                told.wrong.append("no run gets through")
-                return told
-        told.runs_through += 1
-        if different := differences(place / "out", calm / "out"):
-            told.wrong.append(f"other results after kills: {', '.join(different)}")
+        report.seconds = time.monotonic() - begun
+    say(f"{name}: undisturbed in {report.seconds:.1f} s")
+    while report.kills < kills:
+        place = folder / f"round{report.runs_through}"
+        while not _finishes(name, place, draw, report):
+            if report.kills > 3 * kills + 20:
+                report.wrong.append("no run gets through")
+                return report
+        report.runs_through += 1
+        if different := differences(place / "out", undisturbed / "out"):
+            report.wrong.append(f"other results after kills: {', '.join(different)}")
         if left := [path.name for path in place.rglob("*.part")]:
-            told.wrong.append(f"left behind: {', '.join(left[:3])}")
-    return told
+            report.wrong.append(f"left behind: {', '.join(left[:3])}")
+    return report
 
 
-def _gets_through(name: str, place: Path, draw: random.Random, told: Told) -> bool:
+def _finishes(name: str, place: Path, draw: random.Random, report: KillReport) -> bool:
     """Start and kill at a random moment; whether it got through before."""
     place.mkdir(parents=True, exist_ok=True)
     process = start(command(name, place))
     try:
-        process.communicate(timeout=draw.uniform(0.2, 1.4 * told.seconds))
+        process.communicate(timeout=draw.uniform(0.2, 1.4 * report.seconds))
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        told.kills += 1
+        report.kills += 1
         files = [path for path in (place / "out").rglob("[!.]*") if path.is_file()]
-        told.after_files += bool(files)
+        report.after_files += bool(files)
         half = [path.name for path in files if path.name != LOCK and not is_whole(path)]
         if half:
-            told.wrong.append(f"half written: {', '.join(half)}")
+            report.wrong.append(f"half written: {', '.join(half)}")
         return False
     if process.returncode:
-        told.wrong.append(f"a resumed run ended with {process.returncode}")
+        report.wrong.append(f"a resumed run ended with {process.returncode}")
     return True
 
 
@@ -195,8 +197,8 @@ def main(given: argparse.Namespace) -> int:
     wrong = 0
     for name in TARGETS if given.only is None else (given.only,):
         with tempfile.TemporaryDirectory(prefix="validation-") as folder:
-            told = campaign(name, given.n, Path(folder), given.seed)
-        ended = f"{told.kills} kills, {told.after_files} of them with results in place; {told.runs_through} runs got through"
-        print(f"{name}: {ended}; {'; '.join(told.wrong) or 'the undisturbed result'}", flush=True)
-        wrong += bool(told.wrong)
+            report = campaign(name, given.n, Path(folder), given.seed)
+        ended = f"{report.kills} kills, {report.after_files} of them with results in place; {report.runs_through} runs got through"
+        print(f"{name}: {ended}; {'; '.join(report.wrong) or 'the undisturbed result'}", flush=True)
+        wrong += bool(report.wrong)
     return int(bool(wrong))

@@ -57,7 +57,7 @@ Push = Callable[[float, np.ndarray], np.ndarray]
 """Angular acceleration (3) in body axes at a time and an attitude B_from_N."""
 
 
-class Made(NamedTuple):
+class SimulatedPass(NamedTuple):
     """A vehicle, its telemetry, the true rates (n, 3), and the largest rate that is told."""
 
     vehicle: Vehicle
@@ -107,7 +107,7 @@ def seen(
     rng: np.random.Generator,
     gyro: bool = False,
     max_rate_rad_s: float = 0.15,
-) -> Made:
+) -> SimulatedPass:
     """What panels, and a gyro, see of a motion."""
     names = NAMES if len(normals) == len(NAMES) else tuple(f"p{i}" for i in range(len(normals)))
     panels = tuple(Panel(name, normal, 1.0) for name, normal in zip(names, normals, strict=True))
@@ -129,23 +129,23 @@ def seen(
         read = omega * (1 + GYRO.scale_sigma * rng.normal()) + GYRO.zero_sigma * rng.normal(size=3)
         data["gyro_B"] = (("time", "axis"), read + GYRO.noise_rad_s * rng.normal(size=omega.shape))
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    return Made(
+    return SimulatedPass(
         vehicle, xr.Dataset(data, {"time": t_s, "panel": list(names)}, attrs), omega, max_rate_rad_s
     )
 
 
-def instants(rng: np.random.Generator, count: int, interval_s: float) -> np.ndarray:
+def draw_times(rng: np.random.Generator, count: int, interval_s: float) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(interval_s * rng.uniform(0.8, 1.2, count - 1))])
 
 
-def tumbling(
+def make_tumbling(
     rng: np.random.Generator,
     push: Callable[[np.random.Generator, float], Push] | None = None,
     deg_s: tuple[float, float] = (0.5, 4.0),
     apart_s: tuple[float, float] = (5.0, 15.0),
-) -> Made:
+) -> SimulatedPass:
     """Six faces, 25 to 40 samples so far apart, so fast, noise of 0.5 to 3 %; a gyro on one in four."""
-    t = instants(rng, int(rng.integers(25, 41)), rng.uniform(*apart_s))
+    t = draw_times(rng, int(rng.integers(25, 41)), rng.uniform(*apart_s))
     start = np.radians(rng.uniform(*deg_s)) * unit(rng)
     noise, gyro = 10 ** rng.uniform(-2.3, -1.5), bool(rng.random() < 0.25)
     return seen(
@@ -153,7 +153,7 @@ def tumbling(
     )
 
 
-def steady(
+def steady_torque(
     rng: np.random.Generator, span_s: float, change: float = CHANGE, in_body: bool | None = None
 ) -> Push:
     """A torque that changes the rate by `change`, fixed in the body or in space."""
@@ -162,13 +162,13 @@ def steady(
     return lambda _, attitude: size if in_body else attitude @ size * MOMENTS.mean() / MOMENTS
 
 
-def stepped(rng: np.random.Generator, span_s: float) -> Push:
+def rate_step(rng: np.random.Generator, span_s: float) -> Push:
     """A thruster that changes the rate by `CHANGE` within two seconds."""
     size, at = CHANGE / 2 * unit(rng), rng.uniform(0.2, 0.8) * span_s
     return lambda t, _: size if at <= t < at + 2 else np.zeros(3)
 
 
-def slews(rng: np.random.Generator, span_s: float) -> Push:
+def several_thrusts(rng: np.random.Generator, span_s: float) -> Push:
     """Two to four thrusts of two seconds, each of which changes the rate by half of `CHANGE` to twice that."""
     count = int(rng.integers(2, 5))
     sizes = np.array([CHANGE / 2 * rng.uniform(0.5, 2.0) * unit(rng) for _ in range(count)])
@@ -176,7 +176,7 @@ def slews(rng: np.random.Generator, span_s: float) -> Push:
     return lambda t, _: sizes[(at <= t) & (t < at + 2)].sum(axis=0)
 
 
-def badly_timed(made: Made, rng: np.random.Generator) -> Made:
+def shift_time_tags(made: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
     """The same with every time tag off by a second or two at random, in whole seconds."""
     t = made.telemetry["time"].values
     tags = np.round(t + rng.uniform(0.5, 2.0) * rng.normal(size=len(t)))
@@ -187,9 +187,9 @@ def badly_timed(made: Made, rng: np.random.Generator) -> Made:
     )
 
 
-def given_back(rng: np.random.Generator) -> Made:
+def make_unconstrained(rng: np.random.Generator) -> SimulatedPass:
     """A few samples of much noise close together, and a largest rate that is told and below what they could show."""
-    t = instants(rng, int(rng.integers(4, 8)), rng.uniform(5.0, 12.0))
+    t = draw_times(rng, int(rng.integers(4, 8)), rng.uniform(5.0, 12.0))
     limit = np.radians(rng.uniform(0.2, 0.6))
     return seen(
         FACES,
@@ -202,10 +202,10 @@ def given_back(rng: np.random.Generator) -> Made:
     )
 
 
-def jitter(rng: np.random.Generator) -> Made:
+def make_jitter(rng: np.random.Generator) -> SimulatedPass:
     """Nine panels of much noise, samples 30 to 120 s apart, and wheels that swing the body to and fro within 20 s."""
     normals = np.array([unit(rng) for _ in range(9)])
-    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    t = draw_times(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
     pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(
         size=(int(t[-1]) + 2, 3)
     )  # white, one a second
@@ -235,15 +235,15 @@ def jitter(rng: np.random.Generator) -> Made:
     )
 
 
-def even(rng: np.random.Generator) -> Made:
+def make_even(rng: np.random.Generator) -> SimulatedPass:
     """A body that turns as its moments have it, seen by such panels at such intervals as one that swings."""
     normals = np.array([unit(rng) for _ in range(9)])
-    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    t = draw_times(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
     motion = spin(np.radians(rng.uniform(0.2, 2.5)) * unit(rng), t)
     return seen(normals, *motion, t, rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
 
 
-def exchanged(made: Made, rng: np.random.Generator) -> Made:
+def exchange_columns(made: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
     """The same with the columns of two panels exchanged."""
     a, b = rng.choice(len(FACES), 2, replace=False)
     power = made.telemetry["power_W"].values.copy()
@@ -251,7 +251,7 @@ def exchanged(made: Made, rng: np.random.Generator) -> Made:
     return made._replace(telemetry=made.telemetry.assign(power_W=(("time", "panel"), power)))
 
 
-def slow_in_a_wide_range(rng: np.random.Generator) -> Made:
+def make_slow(rng: np.random.Generator) -> SimulatedPass:
     """A body of 0.05 to 0.3 deg/s that is searched up to 8 deg/s: 24 even samples 10 to 30 s apart, six panels of 1 to 7 % noise,
     principal moments 0.7 to 1.3 of their mean, each stated to 1 %."""
     t = rng.uniform(10.0, 30.0) * np.arange(24)
@@ -264,9 +264,9 @@ def slow_in_a_wide_range(rng: np.random.Generator) -> Made:
     return made._replace(vehicle=replace(made.vehicle, inertia_kg_m2=stated))
 
 
-def few(rng: np.random.Generator) -> Made:
+def make_few_samples(rng: np.random.Generator) -> SimulatedPass:
     """Three to six directions of a Sun sensor, good to 2 to 10 degrees, 10 to 45 s apart; on some a gyro, a magnetometer."""
-    t = instants(rng, int(rng.integers(3, 7)), rng.uniform(10.0, 45.0))
+    t = draw_times(rng, int(rng.integers(3, 7)), rng.uniform(10.0, 45.0))
     omega, attitude = spin(np.radians(rng.uniform(0.3, 3.0)) * unit(rng), t)
     made = seen(FACES, omega, attitude, t, 0.01, rng, bool(rng.random() < 0.3), np.radians(4.0))
     sigma = np.radians(rng.uniform(2.0, 10.0))
@@ -287,7 +287,7 @@ def few(rng: np.random.Generator) -> Made:
     return made._replace(telemetry=data)
 
 
-def misread(made: Made, rng: np.random.Generator) -> Made:
+def rotate_sun_directions(made: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
     """The same with one or two of the Sun's directions off, by two of their sigmas to 70 degrees."""
     sun = made.telemetry["sun_sensor_B"].values.copy()
     sigma = np.sqrt(made.telemetry["sun_sensor_cov_B"].values[0, 0, 0])
@@ -298,7 +298,7 @@ def misread(made: Made, rng: np.random.Generator) -> Made:
     return made._replace(telemetry=made.telemetry.assign(sun_sensor_B=(("time", "axis"), sun)))
 
 
-def stop_and_go(rng: np.random.Generator) -> Made:
+def make_stop_and_go(rng: np.random.Generator) -> SimulatedPass:
     """Turned on the ground about axes of its body, 5 to 20 s at 2 to 6 deg/s, with rests in between; samples 1 s apart."""
     t = np.arange(int(rng.integers(200, 320)), dtype=float)
     omega, at = np.zeros((len(t), 3)), 0
@@ -315,7 +315,7 @@ def stop_and_go(rng: np.random.Generator) -> Made:
     )
 
 
-def make(kind: str, seed: int, i: int) -> Made:
+def make(kind: str, seed: int, i: int) -> SimulatedPass:
     """Pass `i` of a kind; one whose columns are exchanged, or times are off, is that of the right model otherwise."""
     of_others = {
         "columns exchanged": "right model",
@@ -327,32 +327,32 @@ def make(kind: str, seed: int, i: int) -> Made:
         np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i))
     )
     makers = {
-        "right model": tumbling,
-        "steady torque": lambda r: tumbling(r, steady),
-        "step of the rate": lambda r: tumbling(r, stepped),
-        "jitter": jitter,
-        "stop and go": stop_and_go,
-        "prior given back": given_back,
-        "slews": lambda r: tumbling(r, slews),
-        "strong torque in the body": lambda r: tumbling(
-            r, partial(steady, change=STRONG, in_body=True)
+        "right model": make_tumbling,
+        "steady torque": lambda r: make_tumbling(r, steady_torque),
+        "step of the rate": lambda r: make_tumbling(r, rate_step),
+        "jitter": make_jitter,
+        "stop and go": make_stop_and_go,
+        "prior given back": make_unconstrained,
+        "slews": lambda r: make_tumbling(r, several_thrusts),
+        "strong torque in the body": lambda r: make_tumbling(
+            r, partial(steady_torque, change=STRONG, in_body=True)
         ),
-        "strong torque in space": lambda r: tumbling(
-            r, partial(steady, change=STRONG, in_body=False)
+        "strong torque in space": lambda r: make_tumbling(
+            r, partial(steady_torque, change=STRONG, in_body=False)
         ),
-        "few samples": few,
-        "even, sampled as jitter": even,
-        "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
-        "60 s apart": lambda r: tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
-        "slow, wide range": slow_in_a_wide_range,
+        "few samples": make_few_samples,
+        "even, sampled as jitter": make_even,
+        "slow": lambda r: make_tumbling(r, deg_s=(0.02, 0.3)),
+        "60 s apart": lambda r: make_tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
+        "slow, wide range": make_slow,
     }
     made = makers[base](rng)
-    spoilt = {
-        "columns exchanged": exchanged,
-        "time tags": badly_timed,
-        "few samples, bad readings": misread,
+    changes = {
+        "columns exchanged": exchange_columns,
+        "time tags": shift_time_tags,
+        "few samples, bad readings": rotate_sun_directions,
     }
-    return spoilt.get(kind, lambda made, _: made)(made, rng)
+    return changes.get(kind, lambda made, _: made)(made, rng)
 
 
 def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
@@ -371,10 +371,10 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
             "listed": False,
             "why": str(error),
         }
-    return judged(result, made)
+    return compare_with_truth(result, made)
 
 
-def judged(result: Any, made: Made) -> dict[str, Any]:
+def compare_with_truth(result: Any, made: SimulatedPass) -> dict[str, Any]:
     """The first pass against the truth."""
     t = result["time"].values[result["pass_of"].values == 0]
     at = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]

@@ -7,7 +7,7 @@ runs its cases, so that what it opens, compiles and limits stays there.
 from __future__ import annotations
 
 import argparse
-import multiprocessing as mp
+import multiprocessing
 import os
 import resource
 import signal
@@ -114,7 +114,7 @@ class _Worker:
     """A process with a suite in it."""
 
     def __init__(self, suite: Callable[..., Any], options: dict[str, Any], cpu_s: float) -> None:
-        context = mp.get_context("spawn")
+        context = multiprocessing.get_context("spawn")
         self.pipe, there = context.Pipe()
         given = suite, options, there, cpu_s
         self.process = context.Process(target=_serve, args=given, daemon=False)
@@ -210,7 +210,7 @@ def main(suite: type[Suite], given: argparse.Namespace) -> int:
         with suite(memory=None, **about) as case:
             for index in range(given.first, given.first + given.n):
                 begun, verdict = time.process_time(), case(index)
-                shown = verdict.shown or getattr(getattr(case, "told", None), "err", "")
+                shown = verdict.shown or getattr(getattr(case, "result", None), "err", "")
                 took = time.process_time() - begun
                 print(f"case {index}: {verdict.what}, {took:.1f} s: {case.last}\n{shown}")
         return 0

@@ -78,7 +78,7 @@ def cases(seed: int = 0) -> Iterator[Case]:
         yield Case(seed, i, samples, interval, limit, round(rng.uniform(*NOISES), 4), STATED[i % 3])
 
 
-def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
+def simulate(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
     """Telemetry in the form of `read_telemetry`, the rate at the first sample (3), rad/s, and the true noise in W."""
     rng = np.random.default_rng([case.seed, case.number, 1])
     philae = tomllib.loads(
@@ -105,7 +105,7 @@ def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
     size = case.max_rate * rng.random() ** (1 / 3)
     omega = way * (case.rate if np.isfinite(case.rate) else size)
     t = case.interval_s * np.arange(case.samples)
-    seen = directions(
+    seen = simulate_directions(
         inertia, np.array(wheel["axis_B"]["value"]), own, (dry, viscous), (omega, sun, speed), t
     )
     normals = np.array([panel["normal_B"]["value"] for panel in philae["panel"]])
@@ -126,7 +126,7 @@ def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
     )
 
 
-def directions(
+def simulate_directions(
     inertia: np.ndarray,
     axis: np.ndarray,
     own: float,
@@ -169,7 +169,7 @@ def directions(
 
 def run(case: Case) -> dict[str, Any]:
     """What the posterior says of a case, and whether the truth is in its list."""
-    telemetry, omega, noise = simulated(case)
+    telemetry, omega, noise = simulate(case)
     vehicle = load_case("philae").vehicle
     vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, noise=case.stated * noise))
     began = time.process_time()
@@ -196,7 +196,7 @@ def run(case: Case) -> dict[str, Any]:
     }
 
 
-def limited(case: Case, limit_s: float) -> dict[str, Any]:
+def run_limited(case: Case, limit_s: float) -> dict[str, Any]:
     """The row of a case, in a process of its own that ends after so much processor time."""
 
     def work(pipe: Any) -> None:

@@ -32,7 +32,7 @@ class Gyro(NamedTuple):
     zero_sigma: np.ndarray
 
 
-class Compared(NamedTuple):
+class PassComparison(NamedTuple):
     """A pass: when it began, samples, whether the coils were off, what is said of it, mean rate (3) and sigma (3), how far that is
     from the gyro's (3, NaN where there is none) and one sigma of the gyro (3); all deg/s."""
 
@@ -66,32 +66,32 @@ def main(options: Any) -> int:
         return 1
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(Path(options.data) / "skcube" / "skcube_adcs.csv", craft)
-    gyros = of_other_days(craft, data)
-    found = {}
+    gyros = fit_gyros(craft, data)
+    comparisons = {}
     for name, without in SIDES.items():
-        found[name] = compared(
+        comparisons[name] = compare_with_gyro(
             craft, data, ss.rates(craft, data.drop_vars(without), workers=worker_count(None)), gyros
         )
-        print(f"{name}: {len(found[name])} passes", flush=True)
-    options.page.write_text(page(found, gyros), "utf-8")
+        print(f"{name}: {len(comparisons[name])} passes", flush=True)
+    options.page.write_text(page(comparisons, gyros), "utf-8")
     print(f"written: {options.page}")
     return 0
 
 
-def of_other_days(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
+def fit_gyros(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
     """Of each day with a gyro: its scale and zero as the Sun of all other days tells them (`docs/skcube_gyro.py`)."""
     every = pairs(craft, data)
     noise = craft.sensors.disturbance.acceleration_noise
-    found = {}
+    comparisons = {}
     for day in np.unique(every.day):
         value, sigma, _ = fit(every.take(every.day != day), noise)
-        found[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
-    return found
+        comparisons[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
+    return comparisons
 
 
-def compared(
+def compare_with_gyro(
     craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]
-) -> list[Compared]:
+) -> list[PassComparison]:
     """Each pass of a result against the gyro's counts at the same samples."""
     gyro = craft.sensors.gyro
     assert gyro is not None
@@ -110,7 +110,7 @@ def compared(
                 own.scale * own.zero_sigma, read.mean(axis=0) * own.scale_sigma / own.scale
             )
         rows.append(
-            Compared(
+            PassComparison(
                 utc[:16].replace("T", " "),
                 int(at.sum()),
                 bool(result["time"].values[at][0] > FREE_S),
@@ -124,7 +124,7 @@ def compared(
     return rows
 
 
-def figures(rows: list[Compared]) -> str:
+def figures(rows: list[PassComparison]) -> str:
     """Passes, decided, share of components within one and two sigma with the range of nine in ten resamplings of passes, rms and
     largest pull, median sigma and error."""
     rows = [row for row in rows if np.isfinite(row.miss).all()]
@@ -159,10 +159,10 @@ KINDS = {
 }
 
 
-def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
+def page(comparisons: dict[str, list[PassComparison]], gyros: dict[str, Gyro]) -> str:
     """The page, in Markdown."""
     lines = [HEAD, SHORT, "|---" * SHORT.count(" |") + "|"]
-    for name, rows in found.items():
+    for name, rows in comparisons.items():
         for kind, (free, decided) in KINDS.items():
             own = [row for row in rows if row.free == free and (row.status == "decided") == decided]
             lines.append(f"| {name} | {kind} | {figures(own)} |")
@@ -172,20 +172,20 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
             f"{z:.0f} +- {s:.0f}" for z, s in zip(own.zero, own.zero_sigma, strict=True)
         )
         lines.append(f"| {day} | {own.scale:.4f} +- {own.scale_sigma:.4f} | {zero} |")
-    for name, rows in found.items():
+    for name, rows in comparisons.items():
         lines += [f"\n## All passes: {name}\n", ALL, "|---" * ALL.count(" |") + "|"]
         for row in sorted(rows, key=lambda row: -np.nan_to_num(np.abs(row.pull).max(), nan=-1.0)):
             rate, sigma, miss = (
                 ", ".join(f"{v:.2f}" for v in part) for part in (row.rate, row.sigma, row.miss)
             )
-            told = (
+            shown = (
                 (miss, f"{np.abs(row.pull).max():.1f}")
                 if np.isfinite(row.miss).all()
                 else ("no gyro in this file", "")
             )
             coils = "off" if row.free else "driven"
             lines.append(
-                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(told)} |"
+                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(shown)} |"
             )
     return "\n".join(lines) + "\n"
 

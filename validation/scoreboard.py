@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base import atomic_write
-from validation.campaign import kept, rows_folder
+from validation.campaign import load_or_make, rows_folder
 
 ROOT = Path(__file__).parents[1]
 
@@ -53,7 +53,7 @@ class Task:
         return f"{self.area}: {self.kind}"
 
 
-def state_of_package() -> str:
+def package_state() -> str:
     """The commit, and where the tree is not clean a digest of the package's and the campaigns' files behind it."""
     commit = _git("rev-parse", "--short=12", "HEAD")
     if commit and not _git("status", "--porcelain", "--", "src", "validation"):
@@ -70,7 +70,7 @@ def _git(*arguments: str) -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-def rows_of(
+def run_tasks(
     tasks: list[Task], folder: Path, workers: int, say: Callable[[str], None]
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Set -> case -> row; rows that are in `folder` are read. Ctrl-C or a kill loses the cases in progress only."""
@@ -83,7 +83,7 @@ def rows_of(
     # each case in a process that starts afresh: none inherits what another has computed
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-        waiting = {pool.submit(_kept_row, path, paths[path].run): path for path in missing}
+        waiting = {pool.submit(_load_or_run, path, paths[path].run): path for path in missing}
         for count, future in enumerate(as_completed(waiting), 1):
             task, row = paths[waiting[future]], future.result()
             took = time.monotonic() - begin
@@ -109,11 +109,11 @@ def _as_file(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)
 
 
-def _kept_row(path: Path, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    return kept(path, partial(timed, run))
+def _load_or_run(path: Path, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    return load_or_make(path, partial(run_timed, run))
 
 
-def timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def run_timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A row with the processor time that it took; of a case that raises, the error."""
     begin = time.process_time()
     try:
@@ -151,7 +151,7 @@ def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
     return numbers
 
 
-def board(
+def make_board(
     rows: dict[str, dict[str, dict[str, Any]]], state: str, level: str, seeds: Iterable[int]
 ) -> dict[str, Any]:
     """What is written: figures of each set, and the outcome of each case, in a `state` of the package."""
@@ -176,7 +176,7 @@ def board(
     }
 
 
-def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
+def changed_outcomes(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
     """Cases of both boards whose outcome differs: by how many ranks of `OUTCOMES` it got worse, and a sentence; worst first."""
     found = []
     for name, each in now["sets"].items():
@@ -188,7 +188,7 @@ def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
     return sorted(found, key=lambda flip: (-flip[0], flip[1]))
 
 
-def truths_lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+def lost_truths(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """Return a sentence for each case whose truth is in the list of solutions of the earlier board and not in this one's."""
     return [
         f"{name}, case {case}: the truth is no longer listed"
@@ -202,7 +202,7 @@ MOVED = ("contradiction_", "cited_", "last_section", "window_", "trajectory_s", 
 """How the names of cases begin that `studies/contradictions.py` judges now instead of the scoreboard."""
 
 
-def lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+def missing_cases(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """A sentence for each case of the earlier board that this one, of the same level and seeds, has not run; none that moved."""
     if any(before[key] != now[key] for key in ("level", "seeds")):
         return []
@@ -328,14 +328,14 @@ def main(options: argparse.Namespace) -> int:
         for seed in seeds
         for task in AREAS[name](options.level, seed)
     ]
-    state = state_of_package()
+    state = package_state()
     folder = options.rows / state
-    rows = rows_of(tasks, folder, options.workers, lambda text: print(text, flush=True))
+    rows = run_tasks(tasks, folder, options.workers, lambda text: print(text, flush=True))
     if options.before is not None:  # alone on the machine, after all else
         path = folder / f"speed-{options.level}-{options.before}.json"
-        run = partial(speed.row, options.before, options.level, options.rows / "environments")
-        rows["speed: processor time"] = {"commands": kept(path, partial(timed, run))}
-    now = board(rows, state, options.level, seeds)
+        run = partial(speed.make_row, options.before, options.level, options.rows / "environments")
+        rows["speed: processor time"] = {"commands": load_or_make(path, partial(run_timed, run))}
+    now = make_board(rows, state, options.level, seeds)
     text = json.dumps(now, indent=1)
     atomic_write.write_whole(options.out, lambda part: part.write_text(text + "\n", "utf-8"))
     before = None if options.against is None else json.loads(options.against.read_text("utf-8"))
@@ -348,9 +348,9 @@ def main(options: argparse.Namespace) -> int:
                 for outcome in each["cases"].values()
             )
         )
-    turned = flips(before, now)
+    turned = changed_outcomes(before, now)
     print(f"{len(turned)} cases differ from {before['state']}")
     print("\n".join(sentence for _, sentence in turned))
-    missing = lost(before, now) + truths_lost(before, now)
+    missing = missing_cases(before, now) + lost_truths(before, now)
     print("\n".join(missing))
     return int(bool(missing) or any(worse > 0 for worse, _ in turned))

@@ -42,7 +42,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 @cache
-def sizes(source: Path = SOURCE) -> dict[str, Size]:
+def measure_folders(source: Path = SOURCE) -> dict[str, Size]:
     """The size of each folder of the package, its own files as ".", and of the whole as "src"."""
     texts = {path: path.read_text("utf-8") for path in sorted(source.rglob("*.py"))}
     trees = {path: ast.parse(text) for path, text in texts.items()}
@@ -80,7 +80,7 @@ def sizes(source: Path = SOURCE) -> dict[str, Size]:
     }
 
 
-def lines_of(folder: Path) -> int:
+def count_lines(folder: Path) -> int:
     """Lines of Python in a folder beside the package, such as that of the tests."""
     return sum(path.read_text("utf-8").count("\n") for path in folder.rglob("*.py"))
 
@@ -94,14 +94,14 @@ def lines_by_language(source: Path = SOURCE) -> dict[str, int]:
     return lines
 
 
-def counted() -> dict[str, dict[str, int]]:
+def count_everything() -> dict[str, dict[str, int]]:
     """Counts by table: lines of each folder, what is counted of the whole package, lines of other languages."""
-    by_folder = sizes()
+    by_folder = measure_folders()
     whole = by_folder["src"]
     lines = {name: size.lines for name, size in by_folder.items() if name != "."}
-    lines["tests"] = lines_of(ROOT / "tests")
+    lines["tests"] = count_lines(ROOT / "tests")
     lines["validation, studies, bench"] = sum(
-        lines_of(ROOT / name) for name in ("validation", "studies", "bench")
+        count_lines(ROOT / name) for name in ("validation", "studies", "bench")
     )
     package = {
         field.name: getattr(whole, field.name) for field in fields(Size) if field.name != "lines"
@@ -114,10 +114,15 @@ def table() -> str:
     names = [field.name for field in fields(Size)]
     rows = [["folder", *names]]
     rows += [
-        [folder, *(str(getattr(size, name)) for name in names)] for folder, size in sizes().items()
+        [folder, *(str(getattr(size, name)) for name in names)]
+        for folder, size in measure_folders().items()
     ]
     rows += [[], ["counted", "now"]]
-    rows += [[name, str(value)] for values in counted().values() for name, value in values.items()]
+    rows += [
+        [name, str(value)]
+        for values in count_everything().values()
+        for name, value in values.items()
+    ]
     first = max(len(cell) for row in rows for cell in row[:1])
     width = max(len(cell) for row in rows for cell in row[1:])
     return "\n".join(

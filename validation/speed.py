@@ -30,7 +30,7 @@ MOST_RATIO = 1.1
 """Processor time of a command at most, over that of the state before the first deletion."""
 
 
-def environment(commit: str, folder: Path) -> Path:
+def install_commit(commit: str, folder: Path) -> Path:
     """The interpreter of an environment with a commit installed, as its own Makefile makes it; it is made once in `folder`."""
     place = folder / commit
     if not (place / ".venv" / ".ready").is_file():
@@ -46,22 +46,22 @@ def environment(commit: str, folder: Path) -> Path:
     return place / ".venv" / "bin" / "python"
 
 
-def ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
+def measure_ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
     """Processor time of each command now over that before, median of rounds in which the two follow each other; the first run with
     an empty cache of kernels; and the size of the installed package."""
     here = Path(sys.executable)
     names = QUICK if level == "quick" else tuple(COMMANDS)
     numbers = {}
     with tempfile.TemporaryDirectory(prefix="speed-") as home:
-        sunspin(here, Path(home), "init cube")
+        time_command(here, Path(home), "init cube")
         for name in names:
             rounds = [
-                [sunspin(python, Path(home), COMMANDS[name]) for python in (before, here)]
+                [time_command(python, Path(home), COMMANDS[name]) for python in (before, here)]
                 for _ in range(repeats)
             ]
             numbers[f"{name}, now / before"] = statistics.median(now / then for then, now in rounds)
         then, now = (
-            sunspin(python, Path(home), COMMANDS["rates"], cache=f"{home}/{k}")
+            time_command(python, Path(home), COMMANDS["rates"], cache=f"{home}/{k}")
             for k, python in enumerate((before, here))
         )
         numbers[f"{FIRST_RUN}, now / before"] = now / then
@@ -72,7 +72,7 @@ def ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
     }
 
 
-def sunspin(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
+def time_command(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
     """Processor time (s) of one command in a process of its own, with all that it starts."""
     out = tempfile.mkdtemp(dir=home)
     given = arguments.replace("OUT", out + "/results").split()
@@ -102,9 +102,9 @@ def size_MB(python: Path) -> float:
     return sum(f.stat().st_size for f in files if "__pycache__" not in f.parts) / 1e6
 
 
-def row(before: str, level: str, folder: Path) -> dict[str, object]:
+def make_row(before: str, level: str, folder: Path) -> dict[str, object]:
     """A row of the scoreboard."""
-    measured = ratios(environment(before, folder), level)
+    measured = measure_ratios(install_commit(before, folder), level)
     slower = [
         name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO
     ]

@@ -78,11 +78,12 @@ class Case(NamedTuple):
 def cases(seed: int, count: int, whole: bool | None = None) -> list[Case]:
     """Cases drawn from a seed; `whole`: all over a whole orbit (true), all shorter (false), or half of each."""
     return [
-        _case(seed, number, number % 2 == 0 if whole is None else whole) for number in range(count)
+        _draw_case(seed, number, number % 2 == 0 if whole is None else whole)
+        for number in range(count)
     ]
 
 
-def _case(seed: int, number: int, whole: bool) -> Case:
+def _draw_case(seed: int, number: int, whole: bool) -> Case:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     speed = float(10 ** rng.uniform(np.log10(0.2), np.log10(60)))
     steps = [step for step in (1.0, 2.0, 5.0, 10.0) if step * speed < 100]
@@ -125,7 +126,7 @@ class Sky(NamedTuple):
     lit: np.ndarray
 
 
-def elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
+def draw_elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
     """Two lines of a low orbit, their epoch up to three days before the start."""
     inclination, node, perigee, anomaly = rng.uniform([40, 0, 0, 0], [99, 360, 360, 360])
     epoch = start - timedelta(days=float(rng.uniform(0, 3)))
@@ -135,16 +136,18 @@ def elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
     )
     shape = f"{int(rng.uniform(2e3, 2e4)):07d} {perigee:8.4f} {anomaly:8.4f} {rng.uniform(15.0, 15.6):11.8f}"
     second = f"2 99999 {inclination:8.4f} {node:8.4f} {shape}    1"
-    return summed(first), summed(second)
+    return with_checksum(first), with_checksum(second)
 
 
-def summed(line: str) -> str:
+def with_checksum(line: str) -> str:
     """A line of elements with its check digit."""
     return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
 
 
-def with_node_turned(second: str, by_deg: float) -> str:
-    return summed(f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}")
+def rotate_node(second: str, by_deg: float) -> str:
+    return with_checksum(
+        f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}"
+    )
 
 
 def along_orbit(
@@ -256,7 +259,7 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
     ahead_s = float(rng.normal(0, 1.0))
     normals = np.array([FACES[name] for name in case.faces], dtype=float)
     while True:
-        two_lines = elements(rng, start)
+        two_lines = draw_elements(rng, start)
         sky = along_orbit(two_lines, start, t_s, ahead_s)
         rates, body = spin(case, t_s, rng)
         sun_B, field_B = (np.einsum("nij,nj->ni", body, part) for part in (sky.sun, sky.field_nT))
@@ -293,7 +296,7 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
         ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG),
     ):
         (folder / f"{name}.tle").write_text(
-            f"SPINNER\n{two_lines[0]}\n{with_node_turned(two_lines[1], by_deg)}\n", "utf-8"
+            f"SPINNER\n{two_lines[0]}\n{rotate_node(two_lines[1], by_deg)}\n", "utf-8"
         )
     return {
         "t_s": t_s.tolist(),
@@ -352,19 +355,19 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     if done.exit_code:
         defect = done.exception is not None and not isinstance(done.exception, SystemExit)
         return {"defect": defect, "error": (done.stderr or repr(done.exception))[-300:]}
-    said = json.loads(done.stdout)
+    summary = json.loads(done.stdout)
     row: dict[str, Any] = {"defect": False}
-    if "orbit" in said:
-        row["orbit"] = said["orbit"]
+    if "orbit" in summary:
+        row["orbit"] = summary["orbit"]
     if command == "rates":
-        row["passes"] = [_pass(truth, one) for one in said["passes"]]
+        row["passes"] = [_pass(truth, one) for one in summary["passes"]]
     return row
 
 
-def _pass(truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
+def _pass(truth: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:
     """A pass of `rates` compared with the truth at the instant for which it states its rates, deg/s."""
-    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - said["at_s"]).argmin()]
-    solutions = said["solutions"]
+    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - summary["at_s"]).argmin()]
+    solutions = summary["solutions"]
     omega, sigma = (
         np.array([[one[f"{name}_{axis}_deg_s"] for axis in "xyz"] for one in solutions])
         for name in ("omega", "sigma")
@@ -373,7 +376,7 @@ def _pass(truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
     off = omega[0] - true
     rates = np.radians(omega), np.radians(sigma)
     return {
-        "decided": said["decided"],
+        "decided": summary["decided"],
         "off_all": off.tolist(),
         "sigma_all": sigma[0].tolist(),
         "wrong": is_wrong(rates[0][0], rates[1][0], np.radians(true)),

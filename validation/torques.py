@@ -47,13 +47,13 @@ BOX = Vehicle(
 )
 
 
-class Made(NamedTuple):
+class SimulatedCase(NamedTuple):
     telemetry: xr.Dataset
     omega_B: np.ndarray
     priors: dict[str, Any]
 
 
-def make(level: str, seed: int, i: int) -> Made:
+def make(level: str, seed: int, i: int) -> SimulatedCase:
     """Telemetry of a twin, its rate at the first sample (3) rad/s, and the priors that the posterior is told."""
     change, off = LEVELS[level]
     rng = np.random.default_rng(
@@ -82,7 +82,7 @@ def make(level: str, seed: int, i: int) -> Made:
         noise=BOX.require_noise(),
         torques=[steady] if change else [],
     )
-    return Made(
+    return SimulatedCase(
         synthetic_telemetry(body, told, seed=int(rng.integers(2**31))), truth.omega[0], priors
     )
 

@@ -13,12 +13,12 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from validation import border
-from validation.border import Told
+from validation.border import CommandResult
 
 pytestmark = pytest.mark.usefixtures("framed")
 
 
-def sunspin(*arguments, cwd=".", code=0) -> Told:
+def sunspin(*arguments, cwd=".", code=0) -> CommandResult:
     """The entry point in this process, as a shell would call it: to start a process for each would cost more than the work."""
     with contextlib.chdir(cwd):
         told = border.sunspin(*map(str, arguments))

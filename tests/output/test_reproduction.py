@@ -9,7 +9,7 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.cli import cli
 from sunspin.philae import reproduction
-from sunspin.philae.row import tables
+from sunspin.philae.row import read_tables
 
 CASE = ss.load_case("philae")
 
@@ -60,9 +60,9 @@ def test_another_body_takes_the_place_of_philae(tmp_path):
     )
     path = tmp_path / "heavy.toml"
     path.write_text(text, "utf-8")
-    case, _ = reproduction._case(None, path, ())
+    case, _ = reproduction._load_inputs(None, path, ())
     assert case.vehicle.mass_kg == 120.0 and case.telemetry.sizes == CASE.telemetry.sizes
-    assert reproduction._inputs(case, path)[1]["file"] == "heavy.toml"
+    assert reproduction._hash_inputs(case, path)[1]["file"] == "heavy.toml"
 
 
 def test_the_summary_has_the_public_form(summary):
@@ -104,7 +104,7 @@ def test_figures_that_were_put_in_are_told_apart_and_neither_agree_nor_differ(su
         "samples_after_collision",
         "spin_down_coefficients",
     } <= put_in
-    assert put_in == {name for name, about in tables(CASE).items() if "put_in" in about}
+    assert put_in == {name for name, about in read_tables(CASE).items() if "put_in" in about}
     assert all(
         row["agrees"] is None and row["holds"] is not None
         for row in summary["figures"]

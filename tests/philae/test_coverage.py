@@ -19,7 +19,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
-from sunspin.philae.metrics import simulated_z
+from sunspin.philae.metrics import simulate_rz
 
 CASE = load_case("philae")
 COARSE = 25  # 5 x 5 x 2 motions
@@ -42,7 +42,7 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
     z = np.random.default_rng(4).uniform(0.05, 0.95, 16)
     found = table.volume(z)
     for x, y, w in ((-0.2, 0.5, 0.2), (0.3, 0.1, -0.1)):
-        reference = emd(simulated_z(CASE, np.array([x, y, w])), z)
+        reference = emd(simulate_rz(CASE, np.array([x, y, w])), z)
         assert found.sel(omega_x=x, omega_y=y, omega_z=w).item() == pytest.approx(
             reference, abs=2e-3
         )
@@ -71,8 +71,10 @@ def test_rates_at_the_end_follow_a_wheel_that_stops_but_not_back_into_one_that_i
 def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
     states = rb.start_states(CASE, np.array([truth, other]), rb.first_sun(CASE))
-    target = simulated_z(CASE, truth), None
-    own, wrong = threshold.reached(CASE, states, rb.published_window_s(CASE), [target, target])
+    target = simulate_rz(CASE, truth), None
+    own, wrong = threshold.emd_of_truths(
+        CASE, states, rb.published_window_s(CASE), [target, target]
+    )
     assert own < 1e-3 and wrong > 0.02
 
 
@@ -83,9 +85,9 @@ def grid():
 
 def test_too_few_twins_are_refused():
     with pytest.raises(InputError, match="too few twins.*ask for more"):
-        threshold.holding(np.ones(10), 0.95)
+        threshold.quantile_threshold(np.ones(10), 0.95)
     with pytest.raises(InputError, match="between 0 and 1"):
-        threshold.check_confidence(100, 1.0)
+        threshold.threshold_index(100, 1.0)
 
 
 def test_shares_and_the_table_by_hand():

@@ -9,7 +9,7 @@ import xarray as xr
 import sunspin as ss
 from studies import impulse as im
 from studies.impulse import comet_from_J2000
-from sunspin.philae.collision import tdb_of
+from sunspin.philae.collision import event_tdb_s
 
 CASE = ss.load_case("philae")
 SEEN = im.Seen(0.2246, np.radians(18.7), np.radians(-7.0))
@@ -36,13 +36,15 @@ def test_a_collision_weighs_by_as_many_numbers_as_are_asked_for():
 
 def test_the_kernel_is_read_in_space(tmp_path, monkeypatch):
     """States made so that the change of velocity in J2000 stands 40 degrees from a Sun along x, at a place 3 km out."""
-    tdb, landed = tdb_of(CASE, "collision"), tdb_of(CASE, "first_touchdown")
+    tdb, landed = event_tdb_s(CASE, "collision"), event_tdb_s(CASE, "first_touchdown")
     change = 0.2 * np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
     place = comet_from_J2000(tdb) @ [0.0, 3000.0, 0.0]
     before = np.concatenate([place, [0.1, 0.2, -0.1]])
     after = np.concatenate([place, before[3:] + comet_from_J2000(tdb) @ change])
     down = np.concatenate([comet_from_J2000(landed) @ [0.0, 0.0, 2000.0], np.zeros(3)])
-    monkeypatch.setattr(im, "states_of", lambda path, times: np.array([down, before, after]))
+    monkeypatch.setattr(
+        im, "read_kernel_states", lambda path, times: np.array([down, before, after])
+    )
     sun = tmp_path.joinpath(*im.SUN)
     sun.parent.mkdir()
     sun.write_text("utc,et_s,x,y,z,au\n" + "".join(f"t,{tdb + dt},1,0,0,3\n" for dt in (-60, 60)))

@@ -11,7 +11,7 @@ from sunspin.landing.tally import estimate, explained, facts_of, weightings
 from sunspin.philae import collision as co
 from sunspin.philae import strategies as sg
 from sunspin.philae.rebound import published_candidates
-from sunspin.philae.row import settled
+from sunspin.philae.row import settle
 
 PHILAE = ss.load_case("philae")
 
@@ -81,7 +81,7 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
 
 
 def test_weights_prefer_what_the_kernel_shows(collision):
-    found = collision.known
+    found = collision.weighted
     facts, weight = facts_of(found), found["weight"].values
     near = np.hypot(
         found["velocity_change"] - facts["velocity_change"],
@@ -118,7 +118,7 @@ def test_weights_prefer_what_the_kernel_shows(collision):
 
 def test_rows_say_what_is_reproduced_and_what_is_not(collision, strategies):
     every = [*co.rows(collision), *sg.rows(strategies)]
-    rows = {row.id: settled(row) for row in every}
+    rows = {row.id: settle(row) for row in every}
     assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(
         0.559, abs=1e-3
     )
@@ -169,8 +169,8 @@ def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
         assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), (
             name
         )
-    times = [co.tdb_of(case, name) for name in ("first_touchdown", "rest")]
-    begin, end = co.states_of(data_dir.joinpath(*co.KERNEL), times)[:, :3]
+    times = [co.event_tdb_s(case, name) for name in ("first_touchdown", "rest")]
+    begin, end = co.read_kernel_states(data_dir.joinpath(*co.KERNEL), times)[:, :3]
     assert np.linalg.norm(end - begin) == pytest.approx(
         case.published["trajectory_distance"].value, abs=0.5
     )

@@ -12,7 +12,7 @@ import pytest
 
 from sources import nodes_if
 from sunspin.output.folder import results_folder, write_whole
-from validation.kill import environment, is_whole, same
+from validation.kill import agree_to_rounding, environment, is_whole
 
 START = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
 SOURCES = Path(__file__).parents[2] / "src"
@@ -180,4 +180,4 @@ def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
     ],
 )
 def test_results_are_the_same_to_nine_digits(ours, theirs, alike):
-    assert same(ours, theirs) is alike
+    assert agree_to_rounding(ours, theirs) is alike

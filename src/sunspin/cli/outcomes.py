@@ -96,8 +96,8 @@ def outcomes(
     """
     from sunspin.landing.scenario import scenario_of, strategy_of
     from sunspin.landing.strategies import compare, compared
-    from sunspin.philae.candidates import starts
-    from sunspin.philae.collision import against_kernel
+    from sunspin.philae.candidates import select_start_rates
+    from sunspin.philae.collision import compare_with_kernel
 
     opening = opened(vehicle, changes)
     craft, assumed = opening.craft, opening.assumptions
@@ -112,11 +112,13 @@ def outcomes(
     if given.get("collision_speed_m_s") == 0:
         given["collision_speed_m_s"] = None
     scenario = scenario_of(vehicle, craft, given)
-    candidates, whose = starts(craft, omega_B, scan, factor)
+    candidates, whose = select_start_rates(craft, omega_B, scan, factor)
     output.claim()
     how = {"store": store, "workers": workers, "executor": executor, "progress": output.progress}
     table, outcome = compare(craft, candidates, wanted, runs, seed, scenario, **how)
-    weighted = against_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
+    weighted = (
+        compare_with_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
+    )
     tree = opening.mark(compared(table, outcome, weighted))
     about, lines = {"candidates_from": whose}, [f"Candidates: {whose}"]
     output.deliver(tree, opening.file, also=about, lines=lines)
