@@ -1,1 +1,1 @@
-"""Benchmarks of sunspin against what else could do its work: ``python -m bench``. What the numbers mean: docs/records/bench.md."""
+"""Benchmarks of sunspin and of other software: ``python -m bench``. docs/records/bench.md explains the numbers."""

@@ -1,1 +1,1 @@
-"""What else was asked of the paper: each study is `python -m studies.NAME OUT`, its table and picture stand in docs/studies.md."""
+"""Studies beyond the paper. Each runs as `python -m studies.NAME OUT`; docs/studies.md has their tables and pictures."""

@@ -1,4 +1,4 @@
-"""``python -m validation``: one campaign, its figures, and exit code 1 if it found anything."""
+"""Run one campaign with ``python -m validation``: print its figures and return exit code 1 if it has findings."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ CAMPAIGNS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign that is named on the command line and return its exit code."""
     about = (
         "Campaigns that judge sunspin, most by trying to break it; see docs/records/validation.md."
     )
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def campaign(name: str) -> ModuleType:
-    """The module with `options`, which adds those of the command line, and `main`, which gives the exit code."""
+    """Import the module of a campaign. Its `options` adds those of the command line, its `main` returns the exit code."""
     return import_module(f"validation.{name}")
 
 

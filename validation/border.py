@@ -1,4 +1,4 @@
-"""The command line called in this process as a shell would call it, and the rule that everything it says has to obey."""
+"""Run the command line in this process as a shell would, and check the rule that all its output has to obey."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import NamedTuple
 from validation.pool import Verdict
 
 LONGEST = 1500
-"""Characters that one sentence may have."""
+"""Largest number of characters in an error message."""
 
 
 class Accepted(BaseException):
-    """Raised in the place of work that would take long: the input has passed the border."""
+    """Raised instead of long work: the input has passed all checks."""
 
 
 class CommandResult(NamedTuple):
-    """Exit code (None: nothing was returned), what was printed and complained, what escaped."""
+    """Result of a command: exit code (None if nothing was returned), standard output, standard error, escaped traceback."""
 
     code: int | None
     out: str
@@ -34,7 +34,7 @@ class CommandResult(NamedTuple):
 
 @contextmanager
 def _quiet_descriptor():
-    """Standard error of the C libraries below goes to a file."""
+    """Redirect standard error of the C libraries to a file."""
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
         os.dup2(file.fileno(), 2)
@@ -46,7 +46,7 @@ def _quiet_descriptor():
 
 
 def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
-    """The entry point on these arguments. Output is strict UTF-8, warnings are shown each time: as on a terminal, but worse."""
+    """Run the entry point with these arguments. Output is strict UTF-8 and every warning is shown, as on a strict terminal."""
     from sunspin import cli
 
     kept = sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook
@@ -73,22 +73,25 @@ def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
         finally:
             sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = kept
         below.seek(0)
-        said = err.buffer.getvalue() + below.read()
+        errors = err.buffer.getvalue() + below.read()
     return CommandResult(
         code,
         out.buffer.getvalue().decode("utf-8"),
-        said.decode("utf-8", "replace"),
+        errors.decode("utf-8", "replace"),
         escaped,
         accepted,
     )
 
 
 BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
-"""The line by which `rates` says without a terminal that its work has begun, and no error."""
+"""Line by which `rates` announces without a terminal that its work has begun. It is no error."""
 
 
 def judge(result: CommandResult) -> Verdict:
-    """Exit code 0 and silence on stderr, or 2 and one printable sentence there and nothing printed; but for lines of `BEGUN`."""
+    """Return the verdict on a result: exit code 0 without a message, or 2 with one printable sentence on stderr and no output.
+
+    Lines that match `BEGUN` are ignored.
+    """
     result = result._replace(err=BEGUN.sub("", result.err))
     if result.escaped:
         return Verdict("traceback", True, result.escaped)
@@ -98,11 +101,16 @@ def judge(result: CommandResult) -> Verdict:
         return Verdict("fine") if not result.err else Verdict("noise", True, result.err)
     if result.code != 2:
         return Verdict("exit code", True, f"{result.code}: {result.err}")
-    one = (
+    is_sentence = (
         result.err.startswith("sunspin: error: ")
         and result.err.count("\n") == 1
         and result.err.endswith("\n")
     )
-    if not one or result.out or len(result.err) > LONGEST or not result.err[:-1].isprintable():
+    if (
+        not is_sentence
+        or result.out
+        or len(result.err) > LONGEST
+        or not result.err[:-1].isprintable()
+    ):
         return Verdict("not one sentence", True, repr((result.out[:200], result.err[:2000])))
     return Verdict("out of memory" if "not enough memory" in result.err else "refused")

@@ -1,7 +1,6 @@
-"""Telemetry of landers that did something else than Philae, and of files with something wrong: negative controls of `reproduce`.
+"""Negative controls of `reproduce`: telemetry of landers that did not move as Philae did, and files with errors.
 
-Each is the built-in synthetic telemetry with one thing changed, so that whatever a study concludes from it can be held against
-the truth that made it.
+Each is the built-in synthetic telemetry with one change, so that the conclusions of a study can be compared with the truth.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ from sunspin.telemetry.synthetic import generator
 
 STILL = (0.0, 0.0, 0.0)
 TUMBLING = (0.35, -0.2, 0.15)
-"""rad/s at the first sample: a motion off the printed lines."""
+"""Rate at the first sample in rad/s of a motion away from the published lines."""
 
 
 def simulate_motion(
     case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int = 0, noise: float | None = None
 ) -> xr.Dataset:
-    """The case's telemetry and panels, with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
+    """Return the case's telemetry with another first rebound: that of a lander with rate `omega_B` (rad/s) at the first sample."""
     data = case.telemetry.copy(deep=True)
     inside = np.flatnonzero(data["phase"].values == "first_rebound")
     t, known = data["time"].values[inside], read_truth(case)
@@ -50,7 +49,7 @@ def simulate_motion(
 
 
 def shuffle_panels(case: Case, seed: int = 0) -> xr.Dataset:
-    """Each panel's readings shuffled in time, apart from the others: no Sun is left in any sample."""
+    """Return telemetry with the readings of each panel shuffled in time, so that no sample is consistent with sunlight."""
     data, rng = _copy_telemetry(case), generator(seed, 21)
     for k in range(data.sizes["panel"]):
         data["power_W"].values[:, k] = rng.permutation(data["power_W"].values[:, k])
@@ -58,7 +57,7 @@ def shuffle_panels(case: Case, seed: int = 0) -> xr.Dataset:
 
 
 def shuffle_samples(case: Case, seed: int = 0) -> xr.Dataset:
-    """Whole samples shuffled within each phase: every sample is right, no motion is left."""
+    """Return telemetry with the samples shuffled within each phase, so that every sample is right but there is no motion."""
     data, rng = _copy_telemetry(case), generator(seed, 22)
     phase = data["phase"].values
     for name in dict.fromkeys(phase):
@@ -68,7 +67,7 @@ def shuffle_samples(case: Case, seed: int = 0) -> xr.Dataset:
 
 
 def exchange_panels(case: Case, first: str = "1", second: str = "2") -> xr.Dataset:
-    """The columns of two panels exchanged."""
+    """Return telemetry with the columns of two panels exchanged."""
     data, names = _copy_telemetry(case), list(case.vehicle.panel_names)
     pair = [names.index(first), names.index(second)]
     data["power_W"].values[:, pair] = data["power_W"].values[:, pair[::-1]]
@@ -76,6 +75,7 @@ def exchange_panels(case: Case, first: str = "1", second: str = "2") -> xr.Datas
 
 
 def _copy_telemetry(case: Case) -> xr.Dataset:
+    """Return a copy of the case's telemetry without the hash that identifies its truth."""
     data = case.telemetry.copy(deep=True)
     data.attrs.pop("sha256", None)
     return data
@@ -91,20 +91,21 @@ CONTROLS: dict[str, Callable[[Case], xr.Dataset]] = {
     "samples shuffled": shuffle_samples,
     "panels 1 and 2 exchanged": exchange_panels,
 }
-"""Name -> telemetry."""
+"""Telemetry of each control by name."""
 
 NOT_CONCLUDED = ("each panel shuffled", "panels 1 and 2 exchanged")
 """Controls from whose readings nothing may be concluded."""
 
 COARSER = 3
-"""34 x 34 x 14 motions."""
+"""Grid of the scan: every third point, 34 x 34 x 14 motions."""
 
 TWINS = 60
+"""Number of simulated rebounds in the calibration."""
 
 
 @dataclass(frozen=True)
 class ControlResult:
-    """What the file carries; its scan and its chain of candidates, or why there is none."""
+    """Result of a control: data check, scan and candidates, or the reason `why` there are none."""
 
     case: Case
     check: data_check.DataCheck
@@ -114,14 +115,14 @@ class ControlResult:
 
     @property
     def rows(self) -> dict[str, Row]:
-        """Rows of the scan and of the touchdown as they count."""
-        found = metrics.scan_rows(self.scan) if self.scan else []
-        found = found + (touchdown.rows(self.chain) if self.chain else [])
-        return {row.id: settle(row) for row in found}
+        """Rows of scan and touchdown by id, as they are counted."""
+        rows = metrics.scan_rows(self.scan) if self.scan else []
+        rows = rows + (touchdown.rows(self.chain) if self.chain else [])
+        return {row.id: settle(row) for row in rows}
 
 
 def prepare_case(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
-    """The case with this telemetry, the built-in one unless given, and its own noise; its Sun directions."""
+    """Return the case with this telemetry (default: the built-in one) and its measured noise, and its Sun directions."""
     case = load_case("philae")
     case = case if telemetry is None else with_telemetry(case, telemetry)
     case, _ = apply_measured_noise(case)
@@ -132,7 +133,7 @@ def run_chain(
     telemetry: xr.Dataset | None = None,
     **options: Any,
 ) -> ControlResult:
-    """The chain on a telemetry file, the built-in one unless given."""
+    """Run data check, scan and candidates on telemetry (default: the built-in one). `options` are fields of `Options`."""
     case, sun = prepare_case(telemetry)
     options = Options(**{"coarser": COARSER, "twins": TWINS} | options)
     try:

@@ -1,7 +1,7 @@
-"""Hostile vehicle files, telemetry and options through the command line: a result or one sentence, never anything else.
+"""Hostile vehicle files, telemetry and options through the command line: the only answers allowed are a result or one sentence.
 
-Options are read off the commands themselves, so a new one is tried without being named here. Work that takes long where the
-input is good (a scan, the Monte Carlo, the whole study) is cut short at its beginning: what counts is whether it would begin.
+Options are taken from the commands themselves, so that a new one is tried automatically. Work that takes long for good input (a
+scan, the Monte Carlo, the whole study) is ended at its beginning: the question is whether it would begin.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from validation.border import Accepted, judge, sunspin
 from validation.pool import Suite, Verdict
 
 SMALL_ROWS = 64
-"""Scans and Monte Carlos of so few rows are run."""
+"""Largest number of rows of a scan or Monte Carlo that is run."""
 
 SEARCH_S = 2.5
-"""CPU time of a case after which a search of rates that has begun is ended: fast rates and sparse samples may well take longer."""
+"""CPU time of a case after which a search of rates is ended, as fast rates and sparse samples may take longer."""
 
 KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
 """Share of the cases whose vehicle, telemetry or options are hostile."""
@@ -49,7 +49,7 @@ class Fuzz(Suite):
     """Hostile vehicles, telemetry and options."""
 
     def prepare(self) -> None:
-        """The stock of good files, and shorter work."""
+        """Make the stock of good files, and shorten work that would take long."""
         os.environ.pop("SUNSPIN_DATA", None)
         self.stock = self.home / "stock"
         make_stock(self.stock)
@@ -63,6 +63,8 @@ class Fuzz(Suite):
         self.commands = command_table()
 
     def _limit_search(self, function: Any) -> Any:
+        """Wrap a function so that it ends the case once `SEARCH_S` of CPU time are used."""
+
         def short(*arguments: Any) -> Any:
             if time.process_time() - self.begun > SEARCH_S:
                 raise Accepted
@@ -71,7 +73,7 @@ class Fuzz(Suite):
         return short
 
     def arguments(self, index: int) -> list[str]:
-        """The arguments of this case; makes its files in the present folder."""
+        """Return the arguments of this case, and make its files in the current folder."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
         kind = self.only or str(rng.choice(list(KINDS), p=list(KINDS.values())))
         if kind == "options":
@@ -86,6 +88,7 @@ class Fuzz(Suite):
         return [("bad.csv" if word == "telemetry.csv" else word) for word in arguments]
 
     def with_options(self, rng: np.random.Generator) -> list[str]:
+        """Return the arguments of a random command with hostile options."""
         names = sorted(self.commands)
         command = names[int(rng.integers(len(names)))]
         arguments = base_arguments(command)
@@ -129,7 +132,7 @@ class Fuzz(Suite):
 
 
 def make_stock(folder: Path) -> None:
-    """Good files to start from: start files with few samples, results of two commands, a zip, things that are no files."""
+    """Make good files to start from: start files with few samples, results of two commands, a zip, and paths that are no files."""
     import zipfile
 
     for code, *arguments in (
@@ -161,22 +164,25 @@ def make_stock(folder: Path) -> None:
 
 
 def shorten_work() -> list[Any]:
-    """What takes long where the input is good ends at its beginning; small ensembles of vehicles known beforehand run."""
+    """Return patches that end long work at its beginning; small ensembles of vehicles with a compiled kernel run."""
     from sunspin.compute.rows import ensemble
     from sunspin.dynamics.ensemble import ahead
 
     def run_if_small(function: Any, **options: Any) -> Any:
+        """Run a small ensemble."""
         if function.n_rows > SMALL_ROWS or options.get("scheduler") is not None:
             raise Accepted
         return ensemble(function, **options)
 
     def use_if_compiled(structure: Any) -> Any:
+        """Return a compiled kernel."""
         module = ahead.kernel(structure)
         if not ahead.is_kept(Path(str(module.__file__))):
             raise Accepted
         return module
 
     def raise_accepted(*_: Any, **__: Any) -> Any:
+        """End the case in place of long work."""
         raise Accepted
 
     return [
@@ -191,7 +197,7 @@ def shorten_work() -> list[Any]:
 
 
 def command_table() -> dict[str, click.Command]:
-    """Every command by its name."""
+    """Return every command by its name."""
     from sunspin.cli import cli
 
     context = click.Context(cli)
@@ -199,7 +205,7 @@ def command_table() -> dict[str, click.Command]:
 
 
 def base_arguments(command: str) -> list[str]:
-    """Arguments with which a command does its work on the stock."""
+    """Return arguments with which a command works on the stock."""
     grid = ["--omega-x-deg-s=0:1.2:1.2", "--omega-y-deg-s=-1.8:-1.8:60", "--omega-z-deg-s=3:3:60"]
     start = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
     known = {
@@ -246,7 +252,7 @@ PATHS = (
 
 
 def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
-    """A value for an option or argument, mostly of its own kind."""
+    """Return a value for an option or argument, usually of its own kind."""
     kind = parameter.type
     if rng.random() < 0.1:
         pool: Any = hostile.TEXTS + hostile.OPTION_NUMBERS + PATHS
@@ -266,10 +272,11 @@ def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     pool.options(parser)
     parser.add_argument("--only", choices=list(KINDS))
 
 
 def main(given: argparse.Namespace) -> int:
-    """The campaign's figures; 1 if anything was found."""
+    """Print the campaign's figures; return 1 if it has findings."""
     return pool.main(Fuzz, given)

@@ -1,4 +1,4 @@
-"""Hostile vehicle files, tables and values of options, each drawn from a generator that is passed."""
+"""Hostile vehicle files, tables and values of options, each drawn from a generator that the caller passes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ VALUES = NUMBERS + WORDS + ODD
 
 @cache
 def vehicles() -> tuple[str, ...]:
-    """Texts to start from: the template, the template with all its examples made valid, and the built-in ones."""
+    """Return texts to start from: the template, the template with all its examples made valid, and the built-in ones."""
     package = resources.files("sunspin")
     template = package.joinpath("template", "vehicle.toml").read_text("utf-8")
     opened = re.sub(r"^# (?=\[|[a-zA-Z_]+ = )", "", template, flags=re.MULTILINE)
@@ -78,11 +78,12 @@ def vehicles() -> tuple[str, ...]:
 
 
 def _pick(rng: np.random.Generator, things: tuple | list):
+    """Return a random element."""
     return things[int(rng.integers(len(things)))]
 
 
 def vehicle(rng: np.random.Generator) -> bytes:
-    """A vehicle file with one to four wrongs, or a bomb."""
+    """Return a vehicle file with one to four errors, or a bomb."""
     text = _pick(rng, vehicles())
     if rng.random() < 0.06:
         return _pick(rng, BOMBS)(text).encode("utf-8", "surrogatepass")
@@ -94,11 +95,12 @@ def vehicle(rng: np.random.Generator) -> bytes:
 
 
 def _assignments(text: str) -> list[re.Match]:
+    """Return a match for each key and value of a text."""
     return list(re.finditer(r"^([^\s#\[][^=\n]*?)\s*=\s*([^#\n]*)", text, re.MULTILINE))
 
 
 def _replace_value(text: str, rng: np.random.Generator) -> str:
-    """Another value for a key."""
+    """Replace the value of a key."""
     match = _pick(rng, _assignments(text) or [re.match("", text)])
     return (
         text[: match.start()]
@@ -108,17 +110,19 @@ def _replace_value(text: str, rng: np.random.Generator) -> str:
 
 
 def _replace_number(text: str, rng: np.random.Generator) -> str:
-    """Another number somewhere."""
+    """Replace a number."""
     match = _pick(rng, list(re.finditer(r"(?<![\w.])-?\d[\d.eE+-]*", text)) or [re.match("", text)])
     return text[: match.start()] + _pick(rng, NUMBERS) + text[match.end() :]
 
 
 def _replace_word(text: str, rng: np.random.Generator) -> str:
+    """Replace a quoted string."""
     match = _pick(rng, list(re.finditer(r'"[^"\n]*"', text)) or [re.match("", text)])
     return text[: match.start()] + _pick(rng, WORDS) + text[match.end() :]
 
 
 def _delete_line(text: str, rng: np.random.Generator) -> str:
+    """Delete a line."""
     lines = text.splitlines(keepends=True)
     if lines:
         del lines[int(rng.integers(len(lines)))]
@@ -126,12 +130,14 @@ def _delete_line(text: str, rng: np.random.Generator) -> str:
 
 
 def _repeat_line(text: str, rng: np.random.Generator) -> str:
+    """Repeat a line."""
     lines = text.splitlines(keepends=True) or [""]
     at = int(rng.integers(len(lines)))
     return "".join([*lines[:at], lines[at], *lines[at:]])
 
 
 def _insert_line(text: str, rng: np.random.Generator) -> str:
+    """Insert a line."""
     lines = text.splitlines(keepends=True)
     known = [match.group(1) for match in _assignments(text)] or ["x"]
     new = _pick(
@@ -157,6 +163,7 @@ def _insert_line(text: str, rng: np.random.Generator) -> str:
 
 
 def _swap_tables(text: str, rng: np.random.Generator) -> str:
+    """Exchange two tables."""
     parts = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
     i, k = rng.integers(len(parts), size=2)
     parts[i], parts[k] = parts[k], parts[i]
@@ -179,6 +186,8 @@ AXES = ("[1, 0, 0]", "[0, 1, 0]", "[0, 0, 1]", "[0.6, 0.8, 0]", "[0, 0.6, 0.8]",
 def _repeat_table(
     head: str, line: Callable[[int], str], n: int, keep_panels: bool = True
 ) -> Callable[[str], str]:
+    """Return a function that adds `n` tables of a kind to a text."""
+
     def bomb(text: str) -> str:
         if not keep_panels:
             text = "name = 'many'\n[telemetry]\ntime_column = 'time_utc'\n"
@@ -188,6 +197,7 @@ def _repeat_table(
 
 
 def _random_direction(i: int) -> str:
+    """Return direction number `i` as text."""
     v = np.random.default_rng(i).normal(size=3)
     return str((v / np.linalg.norm(v)).tolist())
 
@@ -226,7 +236,7 @@ BOMBS: tuple[Callable[[str], str], ...] = (
 
 
 def table(content: bytes, rng: np.random.Generator) -> bytes:
-    """A CSV with one to three wrongs, or a bomb."""
+    """Return a CSV with one to three errors, or a bomb."""
     if rng.random() < 0.08:
         return _pick(rng, TABLE_BOMBS)(content)
     for _ in range(int(rng.integers(1, 4))):
@@ -255,13 +265,13 @@ TIMES = (
     b"46023.5",
     b"NaT",
 )
-"""Forms that the first column of a row may have, right and wrong ones."""
+"""Forms of time for the first cell of a row, right and wrong ones."""
 
 
 def _map_cells(
     content: bytes, cell: Callable[[int, bytes], bytes], other: bytes | None = None
 ) -> bytes:
-    """The table with `cell` of its number and itself in the first column of each sample, and `other` in the rest of its cells."""
+    """Return the table with `cell` of number and content as the first cell of each sample, and `other` in its remaining cells."""
     lines = content.splitlines()
     head = next((i for i, line in enumerate(lines) if not line.startswith(b"#")), 0) + 1
     rows = [line.split(b",") for line in lines[head:]]
@@ -273,10 +283,12 @@ def _map_cells(
 
 
 def _set_first_time(time: bytes) -> Callable[[bytes], bytes]:
+    """Return a function that replaces the time of the first sample."""
     return lambda content: _map_cells(content, lambda k, cell: time if k == 0 else cell)
 
 
 def _repeat_row(content: bytes, count: int) -> bytes:
+    """Return the table with its first sample `count` times."""
     lines = content.splitlines(keepends=True)
     return b"".join(lines[:2]) + lines[2] * count
 

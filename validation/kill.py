@@ -1,4 +1,4 @@
-"""Runs killed with SIGKILL at random moments, resumed until they get through, and compared with undisturbed ones."""
+"""Kill runs with SIGKILL at random moments, resume them until they finish, and compare them with undisturbed ones."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from sunspin.compute.store import LOCK
 ROOT = Path(__file__).parents[1]
 TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
 RUN_DEPENDENT = ("seconds", "processor_s", "command", "folder")
-"""Keys of summaries that say how long a run took and where it stood."""
+"""Keys of summaries that depend on the duration and the place of a run."""
 
 RELATIVE_TOLERANCE = 1e-9
-"""Numbers of a resumed run and of an undisturbed one differ by no more, relative to their size."""
+"""Largest relative difference between numbers of a resumed and an undisturbed run."""
 
 STORE = "--store=STORE"
-"""The folder of the rows in the arguments of `TARGETS`."""
+"""Folder of the rows in the arguments of `TARGETS`."""
 
 TARGETS = {
     "scan": "scan philae TELEMETRY --from=90 --to=2800 --workers=2 --lines=0 --omega-x-deg-s=-30:60:3 --omega-y-deg-s=-30:60:3 "
@@ -40,12 +40,12 @@ TARGETS = {
     "outcomes": f"outcomes philae --runs=5000 --workers=2 {STORE}",
     "reproduce": "reproduce --coarser=25",
 }
-"""Name -> arguments of a run of half a minute or less."""
+"""Name of each target -> arguments of a run of half a minute or less."""
 
 
 @dataclass
 class KillReport:
-    """What became of one target."""
+    """Result of one target: seconds of an undisturbed run, kills, finished runs, kills after the first results file, errors."""
 
     seconds: float = 0.0
     kills: int = 0
@@ -55,22 +55,24 @@ class KillReport:
 
 
 def command(name: str, folder: Path) -> list[str]:
-    """The command line of a target whose results and rows stand in a folder."""
+    """Return the command line of a target with its results and rows in a folder."""
     given = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
     return [sys.executable, "-m", "sunspin.cli", *given.split(), "--out", f"{folder}/out"]
 
 
 def environment() -> dict[str, str]:
+    """Return the environment of a run, in which the package is imported from this repository."""
     return os.environ | {"PYTHONPATH": str(ROOT / "src")}
 
 
 def start(arguments: list[str]) -> subprocess.Popen:
+    """Start a process in its own group, without output."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     return subprocess.Popen(arguments, env=environment(), start_new_session=True, **quiet)
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a results file is complete, as far as its own form tells."""
+    """Return whether a results file is complete, as far as its format shows."""
     ends: dict[str, Callable[[bytes], bool]] = {
         ".html": lambda data: data.rstrip().endswith(b"</html>"),
         ".svg": lambda data: data.rstrip().endswith(b"</svg>"),
@@ -87,7 +89,7 @@ def is_whole(path: Path) -> bool:
 
 
 def content(path: Path) -> dict[str, Any]:
-    """What a results file holds, durations and the places of the run left out."""
+    """Return the content of a results file by name."""
     import xarray as xr
 
     if path.suffix == ".json":
@@ -101,15 +103,15 @@ def content(path: Path) -> dict[str, Any]:
     return held
 
 
-def differences(folder: Path, other: Path) -> list[str]:
-    """Names of what differs between the results of two folders."""
+def differences(folder: Path, reference: Path) -> list[str]:
+    """Return the names of files that differ between the results of two folders."""
     files, others = (
         {
             str(path.relative_to(at)): path
             for path in at.rglob("*")
             if path.suffix in (".nc", ".json")
         }
-        for at in (folder, other)
+        for at in (folder, reference)
     )
     different = sorted(set(files) ^ set(others))
     for name in set(files) & set(others):
@@ -121,7 +123,7 @@ def differences(folder: Path, other: Path) -> list[str]:
 
 
 def agree_to_rounding(ours: Any, theirs: Any) -> bool:
-    """Equal, numbers to `SAME`."""
+    """Return whether two values are equal, numbers to `RELATIVE_TOLERANCE`."""
     if isinstance(ours, dict) and isinstance(theirs, dict):
         return ours.keys() == theirs.keys() and all(
             agree_to_rounding(ours[key], theirs[key]) for key in ours if key not in RUN_DEPENDENT
@@ -140,7 +142,7 @@ def agree_to_rounding(ours: Any, theirs: Any) -> bool:
 def campaign(
     name: str, kills: int, folder: Path, seed: int, say: Callable[[str], None] = print
 ) -> KillReport:
-    """Kill one target so many times; what was wrong."""
+    """Kill one target `kills` times and return its report."""
     report, draw, undisturbed = KillReport(), random.Random(f"{seed} {name}"), folder / "calm"
     for _ in range(2):  # the first compiles
         shutil.rmtree(undisturbed, ignore_errors=True)
@@ -166,7 +168,7 @@ def campaign(
 
 
 def _finishes(name: str, place: Path, draw: random.Random, report: KillReport) -> bool:
-    """Start and kill at a random moment; whether it got through before."""
+    """Start a run and kill it at a random moment; return whether it finished before."""
     place.mkdir(parents=True, exist_ok=True)
     process = start(command(name, place))
     try:
@@ -187,13 +189,14 @@ def _finishes(name: str, place: Path, draw: random.Random, report: KillReport) -
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     parser.add_argument("--n", type=int, default=12, help="kills of each target")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=list(TARGETS))
 
 
 def main(given: argparse.Namespace) -> int:
-    """Print what became of each target; one if anything was wrong."""
+    """Print the report of each target; return 1 if anything was wrong."""
     wrong = 0
     for name in TARGETS if given.only is None else (given.only,):
         with tempfile.TemporaryDirectory(prefix="validation-") as folder:

@@ -1,4 +1,4 @@
-"""``python -m validation real``: rates of real satellites against what was withheld from them, and the page that says so."""
+"""Compare rates of real satellites with withheld measurements, and write the page on it: ``python -m validation real``."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from sunspin.compute.pool import worker_count
 PAGE = Path(__file__).parents[1] / "docs" / "records" / "real-data.md"
 
 SIDES = {"Sun sensors and magnetometer": ["gyro_B"], "Sun sensors alone": ["gyro_B", "field_B"]}
-"""What `rates` is given, and the variables that are taken away for it."""
+"""Sensors given to `rates`, and the variables that are withheld."""
 
 DRAWS = 4000
-"""Resamplings of passes, behind the range of a share."""
+"""Number of resamplings of passes for the range of a share."""
 
 
 class Gyro(NamedTuple):
-    """Scale (deg/s per count), zero (3) in counts, and one sigma of each."""
+    """Gyro calibration: scale (deg/s per count), zero (3) in counts, and one sigma of each."""
 
     scale: float
     zero: np.ndarray
@@ -33,8 +33,11 @@ class Gyro(NamedTuple):
 
 
 class PassComparison(NamedTuple):
-    """A pass: when it began, samples, whether the coils were off, what is said of it, mean rate (3) and sigma (3), how far that is
-    from the gyro's (3, NaN where there is none) and one sigma of the gyro (3); all deg/s."""
+    """Comparison of a pass with the gyro: begin, number of samples, whether the coils were off (`free`), verdict (`status`).
+
+    In deg/s: mean `rate` (3) and its `sigma` (3), `miss` (3), its difference from the gyro (NaN without one), and one sigma of the
+    gyro (3).
+    """
 
     utc: str
     samples: int
@@ -47,10 +50,12 @@ class PassComparison(NamedTuple):
 
     @property
     def pull(self) -> np.ndarray:
+        """Normalised error: difference over both sigmas together."""
         return self.miss / np.hypot(self.sigma, self.gyro_sigma)
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     parser.add_argument(
         "--data", type=Path, default=os.environ.get("SUNSPIN_DATA"), help="folder of docs/data.md"
     )
@@ -58,7 +63,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: Any) -> int:
-    """Write the page; one if the data are not there."""
+    """Write the page; return 1 if the data are missing."""
     if options.data is None or not (Path(options.data) / "skcube" / "skcube_adcs.csv").is_file():
         print(
             "no skcube/skcube_adcs.csv: name the folder with --data or SUNSPIN_DATA (docs/data.md says what is in it)"
@@ -79,7 +84,7 @@ def main(options: Any) -> int:
 
 
 def fit_gyros(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
-    """Of each day with a gyro: its scale and zero as the Sun of all other days tells them (`docs/skcube_gyro.py`)."""
+    """Return the gyro calibration of each day, fitted to the Sun of all other days (`docs/skcube_gyro.py`)."""
     every = pairs(craft, data)
     noise = craft.sensors.disturbance.acceleration_noise
     comparisons = {}
@@ -92,7 +97,7 @@ def fit_gyros(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
 def compare_with_gyro(
     craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]
 ) -> list[PassComparison]:
-    """Each pass of a result against the gyro's counts at the same samples."""
+    """Return the comparison of each pass of a result with the gyro's counts at the same samples."""
     gyro = craft.sensors.gyro
     assert gyro is not None
     counts = (data["gyro_B"] / gyro.scale_rad_s + gyro.zero).sel(time=result["time"]).values
@@ -125,8 +130,11 @@ def compare_with_gyro(
 
 
 def figures(rows: list[PassComparison]) -> str:
-    """Passes, decided, share of components within one and two sigma with the range of nine in ten resamplings of passes, rms and
-    largest pull, median sigma and error."""
+    """Return the figures of these passes as cells of a table.
+
+    They are passes, decided ones, shares of components within one and two sigma with 90 % ranges over resampled passes, rms and
+    largest normalised error, median sigma and median error.
+    """
     rows = [row for row in rows if np.isfinite(row.miss).all()]
     if not rows:
         return "0 | | | | | | | "
@@ -160,7 +168,7 @@ KINDS = {
 
 
 def page(comparisons: dict[str, list[PassComparison]], gyros: dict[str, Gyro]) -> str:
-    """The page, in Markdown."""
+    """Return the page in Markdown."""
     lines = [HEAD, SHORT, "|---" * SHORT.count(" |") + "|"]
     for name, rows in comparisons.items():
         for kind, (free, decided) in KINDS.items():

@@ -1,4 +1,4 @@
-"""Right files of every form through `check` and `rates`; each accusation is a false alarm."""
+"""Run `check` and `rates` on right files of every form; each accusation is a false alarm."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from validation.passes import unit
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 NAMES = ("+X", "+Y", "+Z", "-X", "-Y", "-Z")
 START_UNIX_S = 1_767_225_600
-"""1 January 2026."""
+"""1 January 2026, in Unix seconds."""
 
 PARTS = ("vector", "gyro", "field", "turn", "mean", "stations", "backward", "clocks")
-"""What half of the files have: other sensors; panels read in turn, or averaged; repeats of a second station, newest rows first, a
-clock on board that begins at nothing."""
+"""Features, each of which half of the files have: sensors; panels read one after the other, or averaged; repeats by a second
+station; newest rows first; an onboard clock that begins at zero.
+"""
 
 ACCUSED = (
     "CHECK THE COLUMNS",
@@ -33,11 +34,11 @@ ACCUSED = (
     "SEEM LATE",
     "NO SOLUTION FITS",
 )
-"""What the verdict of `rates` says only where something is wrong."""
+"""Words in the verdict of `rates` that accuse the file."""
 
 
 def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
-    """Accusations of one file."""
+    """Return the accusations of one file by `check` or `rates`."""
     vehicle, telemetry, form = make(folder, seed, i)
     command = [str(vehicle), str(telemetry), "--json"]
     done = CliRunner().invoke(check if what == "check" else rates, command, catch_exceptions=False)
@@ -60,7 +61,7 @@ def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
 
 
 def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
-    """A vehicle file and JSON lines that are right, and what is in them."""
+    """Write a right vehicle file and telemetry in JSON lines, and return both paths and the features."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     features = {name: bool(rng.random() < 0.5) for name in PARTS}
     normals = (
@@ -120,7 +121,7 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     return (
         folder / "vehicle.toml",
         folder / "telemetry.jsonl",
-        ", ".join(name for name, there in features.items() if there),
+        ", ".join(name for name, present in features.items() if present),
     )
 
 
@@ -132,6 +133,7 @@ def _vehicle(
     averaged: float,
     moments: np.ndarray,
 ) -> str:
+    """Return the text of the vehicle file."""
     lines = ['name = "right"', "[body]", f"inertia_kg_m2 = {np.diag(moments).tolist()}"]
     for name, normal in zip(names, normals, strict=True):
         lines += ["[[panel]]", f'name = "{name}"', f"normal_B = {normal.tolist()}", "gain_W = 7"]
@@ -156,6 +158,7 @@ def _vehicle(
         ]
 
     def columns(name: str) -> str:
+        """Return the line that names the three columns of a sensor."""
         return f'columns = ["{name}.0", "{name}.1", "{name}.2"]'
 
     if features["vector"]:

@@ -1,4 +1,4 @@
-"""Processor time of the commands beside that of an earlier state, each in an environment of its own, in one run."""
+"""Processor time of the commands compared with that of an earlier commit, each in its own environment, in one run."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ COMMANDS = {
     "posterior": "posterior philae --prior max_rate_rad_s=0.33 --workers 1 --quiet --out OUT",
     "reproduce": "reproduce --workers 1 --quiet --out OUT",
 }
-"""Name -> arguments; OUT is a new folder each time."""
+"""Name of each command -> its arguments; OUT is a new folder each time."""
 
 QUICK = ("rates", "scan")
 FIRST_RUN = "first run after installation"
 
 MOST_RATIO = 1.1
-"""Processor time of a command at most, over that of the state before the first deletion."""
+"""Largest ratio of the processor time of a command to that of the earlier commit."""
 
 
 def install_commit(commit: str, folder: Path) -> Path:
-    """The interpreter of an environment with a commit installed, as its own Makefile makes it; it is made once in `folder`."""
+    """Install a commit in its own environment below `folder`, unless that is done, and return its interpreter."""
     place = folder / commit
     if not (place / ".venv" / ".ready").is_file():
         shutil.rmtree(place, ignore_errors=True)
@@ -47,8 +47,11 @@ def install_commit(commit: str, folder: Path) -> Path:
 
 
 def measure_ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
-    """Processor time of each command now over that before, median of rounds in which the two follow each other; the first run with
-    an empty cache of kernels; and the size of the installed package."""
+    """Return the ratio of the processor time of each command to that of the earlier commit, and the sizes of both packages.
+
+    Each ratio is the median over rounds in which the two follow each other. One more is that of the first run with an empty cache
+    of kernels.
+    """
     here = Path(sys.executable)
     names = QUICK if level == "quick" else tuple(COMMANDS)
     numbers = {}
@@ -73,7 +76,7 @@ def measure_ratios(before: Path, level: str, repeats: int = 3) -> dict[str, floa
 
 
 def time_command(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
-    """Processor time (s) of one command in a process of its own, with all that it starts."""
+    """Return the processor time (s) of one command in its own process, with all processes that it starts."""
     out = tempfile.mkdtemp(dir=home)
     given = arguments.replace("OUT", out + "/results").split()
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {
@@ -95,7 +98,7 @@ def time_command(python: Path, home: Path, arguments: str, cache: str | None = N
 
 
 def size_MB(python: Path) -> float:
-    """Size of the package's files that an interpreter imports."""
+    """Return the size in MB of the package that an interpreter imports."""
     code = "import pathlib, sunspin; print(pathlib.Path(sunspin.__file__).parent)"
     printed = subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=True)
     files = [path for path in Path(printed.stdout.strip()).rglob("*") if path.is_file()]
@@ -103,7 +106,7 @@ def size_MB(python: Path) -> float:
 
 
 def make_row(before: str, level: str, folder: Path) -> dict[str, object]:
-    """A row of the scoreboard."""
+    """Return the row of the scoreboard on processor times."""
     measured = measure_ratios(install_commit(before, folder), level)
     slower = [
         name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO

@@ -92,7 +92,7 @@ def test_too_few_twins_are_refused():
 
 def test_shares_and_the_table_by_hand():
     """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
-    assert study.share(np.zeros(10, dtype=bool)) == "0.0% (0.0% to 27.8%)"
+    assert study.format_share(np.zeros(10, dtype=bool)) == "0.0% (0.0% to 27.8%)"
     row = {
         "truth_touchdown_speed": 0.2,
         "emd_min": 0.01,
@@ -102,7 +102,7 @@ def test_shares_and_the_table_by_hand():
         "factor_speed": [0.05] * 80,
     }
     rows = [row | {"emd_truth": 0.01 * (1 + k / 20)} for k in range(1, 21)]
-    text = study.table({"lines": study.gathered(rows)}, 160)
+    text = study.table({"lines": study.collect_values(rows)}, 160)
     at = int(np.searchsorted(study.FACTORS, 1.95)) + 1
     assert "| 20 | 5.0% (0.9% to 23.6%) | 100.0% (83.9% to 100.0%) | 1.95 (" in text
     assert f"| {at / 160:.0%} | 0.050 | 6, 6, 6, 6 |" in text

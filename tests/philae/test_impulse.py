@@ -12,7 +12,7 @@ from studies.impulse import comet_from_J2000
 from sunspin.philae.collision import event_tdb_s
 
 CASE = ss.load_case("philae")
-SEEN = im.Seen(0.2246, np.radians(18.7), np.radians(-7.0))
+SEEN = im.VelocityChange(0.2246, np.radians(18.7), np.radians(-7.0))
 
 
 def collisions(size, to_sun, about):
@@ -48,17 +48,17 @@ def test_the_kernel_is_read_in_space(tmp_path, monkeypatch):
     sun = tmp_path.joinpath(*im.SUN)
     sun.parent.mkdir()
     sun.write_text("utc,et_s,x,y,z,au\n" + "".join(f"t,{tdb + dt},1,0,0,3\n" for dt in (-60, 60)))
-    seen = im.seen_in(CASE, tmp_path)
+    seen = im.read_velocity_change(CASE, tmp_path)
     assert seen.change_m_s == pytest.approx(0.2, abs=1e-4) and np.degrees(
         seen.to_sun_rad
     ) == pytest.approx(40, abs=0.1)
     assert np.degrees(seen.about_sun_rad) == pytest.approx(-90, abs=0.5)  # from z about x
     sun.write_text("utc,et_s,x,y,z,au\nt,1,1,0,0,3\n")
     with pytest.raises(ss.InputError, match="no direction of the Sun at the collision"):
-        im.seen_in(CASE, tmp_path)
+        im.read_velocity_change(CASE, tmp_path)
     sun.unlink()
     with pytest.raises(ss.InputError, match=r"Sun's directions are not there.*docs/data.md"):
-        im.seen_in(CASE, tmp_path)
+        im.read_velocity_change(CASE, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +76,9 @@ def drawn():
 
 
 def test_the_study_writes_table_and_picture(drawn, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(im, "seen_in", lambda case, folder: SEEN)
-    monkeypatch.setattr(im, "motions", lambda source, seed: SimpleNamespace())
-    monkeypatch.setattr(im, "collisions", lambda chain, n, seed: drawn)
+    monkeypatch.setattr(im, "read_velocity_change", lambda case, folder: SEEN)
+    monkeypatch.setattr(im, "load_motions", lambda source, seed: SimpleNamespace())
+    monkeypatch.setattr(im, "simulate_collisions", lambda chain, n, seed: drawn)
     assert im.main([str(tmp_path / "out"), "--data", str(tmp_path)]) == 0
     assert (tmp_path / "out" / "impulse.png").stat().st_size > 10_000
     text = (tmp_path / "out" / "impulse.md").read_text("utf-8")
@@ -94,7 +94,7 @@ def test_without_the_data_it_is_one_sentence(tmp_path, monkeypatch, capsys):
 @pytest.mark.real_data
 def test_the_landing_kernel_s_impulse(data_dir):
     pytest.importorskip("spiceypy")
-    seen = im.seen_in(CASE, data_dir)
+    seen = im.read_velocity_change(CASE, data_dir)
     assert seen.change_m_s == pytest.approx(
         CASE.published["kernel_velocity_change"].value, abs=2e-4
     )

@@ -58,7 +58,7 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
     apart = np.abs(distances_to(hist[2], target_segments(REBOUND.z)) - table.distances(REBOUND.z))
     assert np.median(apart) < 5e-3 and apart.max() < 0.03
     scans = [{"emd": np.array([0.01, 0.02, 0.05]), "factor": factor} for factor in (9.0, 4.0, 1.5)]
-    lines = components.table_of(scans).splitlines()[2:]
+    lines = components.make_table(scans).splitlines()[2:]
     assert [line.split("|")[-2].strip() for line in lines] == ["100.0%", "66.7%", "33.3%"]
 
 

@@ -76,9 +76,8 @@ def propagate_landing(rebound: Rebound, start: Rows, about: str, seed: int) -> x
         state: State, duration_s: float, sign: int = 1, wheel_mode: Any = "coast"
     ) -> xr.Dataset:
         """Return the motion from a state, every second; `sign` -1 runs backward in time."""
-        t = sign * np.arange(
-            0.0, duration_s + 1e-6, 1.0
-        )  # the fastest motion rotates by half a radian per step
+        # the fastest motion rotates by half a radian in a step of 1 s
+        t = sign * np.arange(0.0, duration_s + 1e-6, 1.0)
         return propagate(case.vehicle, *state[1:], t, wheel_mode=wheel_mode, rtol=1e-9)
 
     back = run(state, rebound.lead_s, -1, mode_before(start.wheel_speed_rad_s))

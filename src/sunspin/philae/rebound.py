@@ -165,7 +165,7 @@ def motion_and_panel_parameters(vehicle: Vehicle) -> list[Any]:
 
 
 def momentum_angles(vehicle: Vehicle, rows: Rows) -> MomentumAngles:
-    """Return two angles of the angular momentum H, from z and from the Sun, and its size.
+    """Return the angles theta (from z) and alpha (from the Sun) of the angular momentum H, and |H|.
 
     The angle alpha is constant in free flight. The angle theta is constant for a body that is symmetric about z, and varies by some
     degrees for Philae.

@@ -86,7 +86,7 @@ def reproduce(
     vehicle : path, optional
         A vehicle file for another body with one wheel and legs; default: Philae's.
     candidates : str or path
-        Source of the motions for touchdown, collision and landing. "scan" is the 90 % confidence set of the
+        Source of the motions for touchdown, collision and landing. With "scan" it is the 90 % confidence set of the
         scan, "posterior" draws of the posterior (takes minutes), "published" the paper's lines for any telemetry. A file is a
         table with columns omega_x, omega_y, omega_z in rad/s.
     calibrate : int, optional
