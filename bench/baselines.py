@@ -74,6 +74,7 @@ class TaylorBatch:
 
         # heyoka copies its callbacks deeply, and only a plain function comes out of that as itself
         def note(ta: Any, time: float, sign: int, lane: int) -> None:
+            """Store the time and the state of the stop of a motion."""
             if lane not in stops:
                 stops[lane] = (time, ta.update_d_output(time)[:, lane].copy())
 
@@ -96,6 +97,7 @@ class TaylorBatch:
         )
 
     def _batch(self, starts: np.ndarray) -> End:
+        """Propagate one batch of at most `size` motions."""
         n, free, stuck = len(starts), self.free, self.stuck
         full = np.concatenate([starts, np.repeat(starts[-1:], self.size - n, axis=0)])
         self.stops.clear()
@@ -141,6 +143,7 @@ class DormandPrince:
 
     def __call__(self, starts: np.ndarray) -> End:
         def stop(t: float, y: np.ndarray, p: gyrostat.Parameters) -> float:
+            """Return the wheel speed, whose zero ends the run."""
             values = y.tolist()
             return gyrostat.wheel_speed(
                 values[3], gyrostat.body_rate(values[:3], values[3:4], p), p.wheels[0]
@@ -167,6 +170,7 @@ def on_cores(
     parts = [starts[number == k] for k in range(len(contestants))]
 
     def work() -> None:
+        """Propagate all rows."""
         with ThreadPoolExecutor(len(contestants)) as pool:
             list(pool.map(lambda pair: pair[0](pair[1]), zip(contestants, parts, strict=True)))
 

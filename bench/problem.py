@@ -25,6 +25,7 @@ class Problem:
 
     @property
     def vehicle(self) -> ss.Vehicle:
+        """Vehicle of the case."""
         return self.case.vehicle
 
     @cached_property

@@ -8,7 +8,7 @@ posterior is given. Telemetry of "swapped" and "wheel_off" follows another model
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -53,9 +53,18 @@ def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
     return State(omega, sun, u)
 
 
+class SimulatedCase(NamedTuple):
+    """Telemetry of a case, its true state, the model it was drawn from, and the priors for the posterior."""
+
+    telemetry: xr.Dataset
+    truth: State
+    unknown: Model
+    priors: dict[str, Any]
+
+
 def make(
     vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int
-) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
+) -> SimulatedCase:
     """Return telemetry of case i, its truth, the model it was drawn from, and the priors that the posterior is given.
 
     No torque acts, and the priors say so; `validation/torques.py` covers torques.
@@ -84,7 +93,7 @@ def make(
         value = telemetry["power_W" if "power_W" in telemetry else "current_A"].values
         a, b = rng.choice(value.shape[1], 2, replace=False)
         value[:, [a, b]] = value[:, [b, a]]
-    return telemetry, truth, unknown, priors
+    return SimulatedCase(telemetry, truth, unknown, priors)
 
 
 def judge(

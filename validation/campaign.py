@@ -17,6 +17,7 @@ def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
 
     @wraps(work)
     def main(arguments: list[str] | None = None) -> int:
+        """Run `work` and return its exit code."""
         try:
             work(arguments)
         except KeyboardInterrupt:

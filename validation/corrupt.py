@@ -180,7 +180,7 @@ class Unguarded(Corrupt):
 
 def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:  # noqa: ARG001
     """Run a script in this process instead of another one, with the interface of `sunspin.base.untrusted.elsewhere`."""
-    import spiceypy as sp
+    import spiceypy
 
     given, printed = (SimpleNamespace(buffer=io.BytesIO(text)) for text in (content, b""))
     with mock.patch.multiple(sys, argv=[str(script), *arguments], stdin=given, stdout=printed):
@@ -189,7 +189,7 @@ def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) 
         except (Exception, SystemExit) as error:
             raise Elsewhere(" ".join(str(error).split())[:200]) from None
         finally:
-            sp.kclear()
+            spiceypy.kclear()
     return printed.buffer.getvalue()
 
 
@@ -263,7 +263,7 @@ def write_parquet(path: str, columns: dict[str, np.ndarray]) -> None:
 
 def write_orbits(home: Path) -> None:
     """Write a made-up trajectory of the lander with the ids and times of the case's kernel, and an orbit of the Earth."""
-    import spiceypy as sp
+    import spiceypy
 
     from sunspin.cases import load_case
     from sunspin.philae import collision
@@ -283,9 +283,9 @@ def write_orbits(home: Path) -> None:
         ("orbit.bsp", -226800, 1000012, states),
         ("earth.bsp", -99, 399, orbit),
     ):
-        handle = sp.spkopn(str(home / name), "made up", 0)
-        sp.spkw09(handle, body, centre, "J2000", begin, end, "made up", 3, len(t), table, t)
-        sp.spkcls(handle)
+        handle = spiceypy.spkopn(str(home / name), "made up", 0)
+        spiceypy.spkw09(handle, body, centre, "J2000", begin, end, "made up", 3, len(t), table, t)
+        spiceypy.spkcls(handle)
 
 
 def options(parser: argparse.ArgumentParser) -> None:

@@ -107,6 +107,7 @@ def _integrate(
     inverse = np.linalg.inv(inertia)
 
     def slope(y: np.ndarray) -> np.ndarray:
+        """Return the derivatives of H and s."""
         turning = inverse @ (y[0] - wheel)
         return np.stack([np.cross(y[0], turning), np.cross(y[1], turning)])
 

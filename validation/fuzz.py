@@ -66,6 +66,7 @@ class Fuzz(Suite):
         """Wrap a function so that it ends the case once `SEARCH_S` of CPU time are used."""
 
         def short(*arguments: Any) -> Any:
+            """Call the function while CPU time is left."""
             if time.process_time() - self.begun > SEARCH_S:
                 raise Accepted
             return function(*arguments)

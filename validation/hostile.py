@@ -189,6 +189,7 @@ def _repeat_table(
     """Return a function that adds `n` tables of a kind to a text."""
 
     def bomb(text: str) -> str:
+        """Return the text, or a short one without panels, with the tables added."""
         if not keep_panels:
             text = "name = 'many'\n[telemetry]\ntime_column = 'time_utc'\n"
         return text + "\n" + "".join(f"[[{head}]]\nname = 'n{i}'\n{line(i)}" for i in range(n))

@@ -16,7 +16,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -80,7 +80,15 @@ def cases(seed: int = 0) -> Iterator[Case]:
         yield Case(seed, i, samples, interval, limit, round(rng.uniform(*NOISES), 4), STATED[i % 3])
 
 
-def simulate(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
+class Simulation(NamedTuple):
+    """Telemetry of a case, its true rate (3) at the first sample in rad/s, and the true noise in W."""
+
+    telemetry: xr.Dataset
+    omega_B: np.ndarray
+    noise_W: float
+
+
+def simulate(case: Case) -> Simulation:
     """Return telemetry in the form of `read_telemetry`, the rate (3) at the first sample in rad/s, and the true noise in W."""
     rng = np.random.default_rng([case.seed, case.number, 1])
     philae = tomllib.loads(
@@ -121,11 +129,8 @@ def simulate(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
         "flag": ("time", np.zeros(len(t), np.uint8)),
     }
     attrs = {"epoch_utc": "2014-11-12T15:34:04Z", "synthetic": 1, "quantity": "power_W"}
-    return (
-        xr.Dataset(data, {"time": ("time", t, {"units": "s"}), "panel": names}, attrs),
-        omega,
-        noise,
-    )
+    coords = {"time": ("time", t, {"units": "s"}), "panel": names}
+    return Simulation(xr.Dataset(data, coords, attrs), omega, noise)
 
 
 def simulate_directions(
@@ -208,6 +213,7 @@ def run_limited(case: Case, limit_s: float) -> dict[str, Any]:
     """Run a case in its own process, which ends after `limit_s` of processor time."""
 
     def work(pipe: Any) -> None:
+        """Run the case in the new process and send its row."""
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s), int(limit_s) + 5))
         pipe.send(json.dumps(run(case)))
 

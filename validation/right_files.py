@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from click.testing import CliRunner
@@ -60,7 +60,15 @@ def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
     }
 
 
-def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
+class RightFile(NamedTuple):
+    """Paths of a vehicle file and of its telemetry, and their features in words."""
+
+    vehicle: Path
+    telemetry: Path
+    features: str
+
+
+def make(folder: Path, seed: int, i: int) -> RightFile:
     """Write a right vehicle file and telemetry in JSON lines, and return both paths and the features."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     features = {name: bool(rng.random() < 0.5) for name in PARTS}
@@ -118,11 +126,8 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     (folder / "telemetry.jsonl").write_text(
         "".join(json.dumps(row) + "\n" for row in rows), "utf-8"
     )
-    return (
-        folder / "vehicle.toml",
-        folder / "telemetry.jsonl",
-        ", ".join(name for name, present in features.items() if present),
-    )
+    about = ", ".join(name for name, present in features.items() if present)
+    return RightFile(folder / "vehicle.toml", folder / "telemetry.jsonl", about)
 
 
 def _vehicle(

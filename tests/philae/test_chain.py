@@ -112,7 +112,7 @@ def test_readings_of_no_sun_conclude_nothing(found):
     ("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")]
 )
 def test_any_two_exchanged_panels_are_noticed(first, second):
-    case = rb.with_telemetry(CASE, controls.exchanged_panels(CASE, first, second))
+    case = rb.with_telemetry(CASE, controls.exchange_panels(CASE, first, second))
     assert not data_check.compute(
         case, ss.sun_directions(case.vehicle, case.telemetry), None
     ).consistent_with_sun
@@ -132,7 +132,7 @@ def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
 @pytest.mark.long
 def test_a_telemetry_that_no_motion_makes_is_refused(quick):
     """The Sun stands high at the first sample and low ever after, as in no free motion: the smallest EMD is far beyond noise."""
-    data = controls.with_motion(CASE, controls.STILL)
+    data = controls.simulate_motion(CASE, controls.STILL)
     later = np.flatnonzero(data["phase"].values == "first_rebound")[1:]
     low = np.array([0.8, 0.5, 0.2])
     power = 0.02 * ss.panel_power(CASE.vehicle, low / np.linalg.norm(low))

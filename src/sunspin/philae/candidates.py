@@ -170,6 +170,7 @@ class Chain:
 
     @property
     def name(self) -> str:
+        """Source of the chosen candidates."""
         return self.chosen.chain
 
 

@@ -86,6 +86,7 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     """
 
     def simulate(motions: Candidates, strategy: str, count: int, scenario: Scenario) -> xr.Dataset:
+        """Simulate collisions of a set of candidates."""
         settings = dict[str, Any](seed=seed, scenario=scenario, **options)
         runs = outcomes(case.vehicle, motions.dataset(), strategy, max(count, 1), **settings)
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
@@ -138,7 +139,8 @@ def rows(collision: AfterCollision) -> list[Row]:
     texts |= {"often": OFTEN, "period": 2 * np.pi / slowest}
     row_of = partial(make_row, case, **texts)
 
-    def share(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
+    def judge(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
+        """Return the row of the share of runs, or of time, in which `quantity` happens."""
         by_set = {of_set: tallies[strategy][quantity] for of_set, tallies in shares.items()}
         unjudged = row_of(id, by_set["near_minimum"].value)
         return judge_share(unjudged, name, by_set["chosen"], by_set["scan_range"], agrees)
@@ -156,8 +158,8 @@ def rows(collision: AfterCollision) -> list[Row]:
     return [
         judge_range(wheel_off, name, *whole),
         judge_range(wheel_held, name, *minima),
-        share("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
-        share("rz_often_negative", "off", "rz_time_below_0", often),
+        judge("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
+        judge("rz_often_negative", "off", "rz_time_below_0", often),
         row_of("rz_density_area", areas, chain=name),
         row_of("collision_runs", n, chain=name),
         judge_range(rate, name, *rates),

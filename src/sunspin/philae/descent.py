@@ -112,17 +112,10 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
 
 def rows(descent: Descent) -> list[Row]:
     """Return the published figures of section 3.1 compared with ours."""
-    case, fit, t, n = (
-        descent.case,
-        descent.fit,
-        descent.sun["time"].values,
-        descent.sun["sun_B"].values,
-    )
+    case, fit, sun = descent.case, descent.fit, descent.sun
+    t, n, seen = sun["time"].values, sun["sun_B"].values, is_reconstructed(sun["status"])
+    synthetic = bool(sun.attrs.get("synthetic"))
     paper = {key: figure.value for key, figure in case.published.items()}
-    seen, synthetic = (
-        is_reconstructed(descent.sun["status"]),
-        bool(descent.sun.attrs.get("synthetic")),
-    )
     row_of = partial(make_row, case)
 
     # E is the mean of sin^2(angle / 2), so the rms angle is about 2 sqrt(E)

@@ -11,17 +11,17 @@ import numpy as np
 
 def main() -> None:
     """Write the states of the kernel in `sys.argv` to standard output, or exit with the reason why not."""
-    import spiceypy as sp
+    import spiceypy
 
     times = np.frombuffer(sys.stdin.buffer.read(), dtype=np.float64)
     try:
-        handle = sp.spklef(sys.argv[1])
-        sp.dafbfs(handle)
-        if not sp.daffna():
+        handle = spiceypy.spklef(sys.argv[1])
+        spiceypy.dafbfs(handle)
+        if not spiceypy.daffna():
             sys.exit("it has no segments")
-        summary = sp.dafgs(5)
-        states = np.array([sp.spkpvn(handle, summary, t)[1] for t in times], dtype=np.float64)
-    except sp.exceptions.SpiceyError as error:
+        summary = spiceypy.dafgs(5)
+        states = np.array([spiceypy.spkpvn(handle, summary, t)[1] for t in times], dtype=np.float64)
+    except spiceypy.exceptions.SpiceyError as error:
         sys.exit(f"SPICE says {type(error).__name__}")
     sys.stdout.buffer.write(states.tobytes())
 

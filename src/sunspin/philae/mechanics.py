@@ -105,11 +105,8 @@ def sun_tracks_figure(runs: list[xr.Dataset]) -> Figure:
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
     components = lower.subplots(3, len(runs), sharex=True, sharey=True, squeeze=False)
     for k, run in enumerate(runs):
-        r, minutes, axes = (
-            run["sun_B"].values,
-            run["time"].values / 60,
-            sphere_axes(upper, len(runs), k),
-        )
+        r, minutes = run["sun_B"].values, run["time"].values / 60
+        axes = sphere_axes(upper, len(runs), k)
         axes.plot(*r.T, lw=0.4, color=COLOURS[0])
         axes.set_title(_initial_rate(run), fontsize=9)
         for i, name in enumerate("xyz"):

@@ -17,7 +17,7 @@ from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.estimate.scan.metrics import emd
 from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import paper_scenario
+from sunspin.landing.scenario import Scenario, paper_scenario
 from sunspin.landing.tally import lowest_rz, tally
 from sunspin.output.figures import COLOURS
 from sunspin.philae.collision import RARELY, rz_range
@@ -103,6 +103,7 @@ def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options)
     else:
         table = propagate_grid(case, first, window, options)
 
+    # distribution of r_z of each line, their common distribution, and near-minimum sets of the scan of the latter
     starts = points_on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
     pooled = [np.concatenate([simulate_rz(case, omega) for omega in line]) for line in starts]
     common = np.concatenate(pooled)
@@ -118,6 +119,7 @@ def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options)
         for factor, near in sets.items()
     ]
 
+    # back to the touchdown: smallest speeds for three times of the first sample and two assumptions on the wheel
     nominal = nominal_wheel_speeds(case.vehicle)[0]
     on_lines = points_on_lines(lines, np.linspace(*LINE_RANGE, LINE_POINTS))
     slowest = [
@@ -129,21 +131,22 @@ def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options)
     scenario, motions = paper_scenario(case), published_candidates(case)
     slow = replace(scenario, collision_speed_m_s=case.published["landing_speed"].value)
 
-    def collisions(strategy: str, scenario: Any) -> xr.Dataset:
-        how: dict[str, Any] = {"scenario": scenario, "workers": options.workers}
-        return outcomes(case.vehicle, motions, strategy, runs, options.seed, **how)
+    def simulate(strategy: str, scenario: Scenario) -> xr.Dataset:
+        """Simulate collisions of the motions on the lines."""
+        settings: dict[str, Any] = {"scenario": scenario, "workers": options.workers}
+        return outcomes(case.vehicle, motions, strategy, runs, options.seed, **settings)
 
     return PublishedLines(
         case,
-        pooled,
-        max(emd(z, common) for z in pooled),
-        sets[FACTOR],
-        thresholds,
-        rates_at_touchdown(case, sets[FACTOR].points, nominal),
-        rates_at_touchdown(case, on_lines, nominal),
-        slowest,
-        {strategy: collisions(strategy, scenario) for strategy in ("off", "held")},
-        collisions("held", slow),
+        pooled=pooled,
+        spread=max(emd(z, common) for z in pooled),
+        clean=sets[FACTOR],
+        thresholds=thresholds,
+        near_touchdown=rates_at_touchdown(case, sets[FACTOR].points, nominal),
+        on_lines_touchdown=rates_at_touchdown(case, on_lines, nominal),
+        slowest=slowest,
+        runs={strategy: simulate(strategy, scenario) for strategy in ("off", "held")},
+        slow=simulate("held", slow),
     )
 
 

@@ -169,19 +169,19 @@ def rows(landing: Phases) -> list[Row]:
 
     They are Delta, n_z with the legs folded, lit patterns and sampling.
     """
-    case, vehicle, health, phases = (
-        landing.case,
-        landing.case.vehicle,
-        landing.health,
-        landing.phases,
-    )
-    status, delta, n_lit = (landing.sun[name].values for name in ("status", "delta", "n_lit"))
-    time, seen = landing.sun["time"].values, is_reconstructed(status)
-    paper = {key: figure.value for key, figure in case.published.items()}
-    row_of, result = partial(make_row, case, attrs=landing.sun.attrs), []
+    return [*_delta_rows(landing), *_pattern_rows(landing), *_sampling_rows(landing)]
 
-    # Delta outside the shadowed phases; with exactly three lit panels it is zero and checks nothing
-    kept = seen & unshadowed_samples(case, landing.sun)
+
+def _delta_rows(landing: Phases) -> list[Row]:
+    """Return the rows on Delta outside and inside the shadowed phases, and on n_z with the legs folded."""
+    case, sun, phases = landing.case, landing.sun, landing.phases
+    status, delta, n_lit = (sun[name].values for name in ("status", "delta", "n_lit"))
+    seen = is_reconstructed(status)
+    paper = {key: figure.value for key, figure in case.published.items()}
+    row_of, result = partial(make_row, case, attrs=sun.attrs), []
+
+    # outside the shadowed phases; with exactly three lit panels Delta is zero and checks nothing
+    kept = seen & unshadowed_samples(case, sun)
     checked, directions = delta[kept & (n_lit > 3)], int(kept.sum())
     if directions:
         mean, error = float(delta[kept].mean()), float(delta[kept].std() / np.sqrt(directions))
@@ -199,70 +199,99 @@ def rows(landing: Phases) -> list[Row]:
             row_of("delta_max", largest, low=low, high=high, checked=checked.size, **verdict)
         )
 
-    # Delta in the shadowed phases. Direction and scale fit any two panels, so an impossible pattern has a misfit from three on.
+    # by phase; direction and scale fit any two panels, so an impossible pattern has a misfit only from three lit panels on
     fits = (status == SunStatus.OK) | (landing.impossible & (n_lit >= 3))
     by_phase = {name: delta[inside & fits] for name, inside in phases.items()}
     by_phase = {name: values for name, values in by_phase.items() if values.size}
     shadowed = ("deployment", "rest")  # phases in which Delta is large according to the paper
     large = np.concatenate([[], *(by_phase[name] for name in shadowed if name in by_phase)])
     least, most = paper["delta_shadowed"]
-    inside = float(np.mean((large >= least) & (large <= most))) if large.size else 0.0
-    each, others = [], []
-    for name, d in by_phase.items():
+    share = float(np.mean((large >= least) & (large <= most))) if large.size else 0.0
+    ranges, means = [], []
+    for name, values in by_phase.items():
         if name in shadowed:
-            each.append(f"{name} {d.min():.3f} to {d.max():.3f} ({d.size})")
+            ranges.append(f"{name} {values.min():.3f} to {values.max():.3f} ({values.size})")
         else:
-            others.append(f"{name} mean {d.mean():.4f}, largest {d.max():.3f} ({d.size})")
+            mean, largest = values.mean(), values.max()
+            means.append(f"{name} mean {mean:.4f}, largest {largest:.3f} ({values.size})")
     ours = [float(large.min()), float(large.max())] if large.size else None
-    texts = {"each": "; ".join(each), "others": "; ".join(others).replace("_", " ")}
-    result.append(row_of("delta_shadowed", ours, agrees=inside >= 0.9, inside=inside, **texts))
+    texts = {"each": "; ".join(ranges), "others": "; ".join(means).replace("_", " ")}
+    result.append(row_of("delta_shadowed", ours, agrees=share >= 0.9, inside=share, **texts))
+
     folded = phases.get("deployment", np.zeros(len(status), dtype=bool))
-    z = landing.sun["sun_B"].values[folded & seen, 2]
+    z = sun["sun_B"].values[folded & seen, 2]
     if z.size:
         result.append(row_of("nz_folded", float(z.mean()), z=z, least=z.min(), most=z.max()))
+    return result
 
-    # impossible lit patterns, the panels whose loss explains them, and the probability that noise made them
-    second = event_seconds(case, landing.sun, "second_touchdown")
-    early, impossible = time < second, health["impossible"]
-    counts = [f"{name} {np.count_nonzero(s & landing.impossible)}" for name, s in phases.items()]
+
+def _pattern_rows(landing: Phases) -> list[Row]:
+    """Return the rows on impossible lit patterns, the panels whose loss explains them, and noise as their cause."""
+    case, vehicle, health = landing.case, landing.case.vehicle, landing.health
+    early = landing.sun["time"].values < event_seconds(case, landing.sun, "second_touchdown")
+    row_of = partial(make_row, case, attrs=landing.sun.attrs)
+
+    counts = [
+        f"{name} {np.count_nonzero(inside & landing.impossible)}"
+        for name, inside in landing.phases.items()
+    ]
     before = {"samples": int(early.sum()), "phases": ", ".join(counts).replace("_", " ")}
+
+    # the smallest sets of panels that explain all impossible patterns, and pairs that explain them without such a panel
+    impossible = health["impossible"]  # pattern -> number of samples
     explained = [list(panels) for panels in health["explanations"]]
     single = {panel for panels in explained for panel in panels}
     pairs = explanations(vehicle, list(impossible), size=2)
-    others = ["-".join(pair) for pair in pairs if not single & {*pair}]
+    alternatives = ["-".join(pair) for pair in pairs if not single & {*pair}]
     allowed = ["-".join(pattern) for pattern in health["allowed"]]
-    verdicts = health["noise"]
+
+    # probability that noise made the impossible patterns
+    noise_verdicts = health["noise"]
     by_pattern = "; ".join(
-        f"({'-'.join(p)}) {impossible[p]} samples, the likeliest {v.largest:.2g}, all 1e{v.log10_together:.0f}"
-        for p, v in verdicts.items()
+        f"({'-'.join(pattern)}) {impossible[pattern]} samples, the likeliest {verdict.largest:.2g}, all "
+        f"1e{verdict.log10_together:.0f}"
+        for pattern, verdict in noise_verdicts.items()
     )
-    noise = float(sum(v.log10_together for v in verdicts.values())) if verdicts else None
-    at_rest = sorted(sorted(map(str, pattern)) for pattern in paper["lit_patterns_at_rest"])
-    missed = {*map(frozenset, at_rest)} - {*map(frozenset, impossible)}
+    log10_noise = None
+    if noise_verdicts:
+        log10_noise = float(sum(verdict.log10_together for verdict in noise_verdicts.values()))
+
+    at_rest = sorted(
+        sorted(map(str, pattern)) for pattern in case.published["lit_patterns_at_rest"].value
+    )
+    missing = {*map(frozenset, at_rest)} - {*map(frozenset, impossible)}
     # was it a risk to rotate panel 1 to the Sun? Number of samples that only its loss explains
-    panel_1 = sum(n for p, n in impossible.items() if explanations(vehicle, [p]) == [("1",)])
-    patterns: dict[str, Any] = {"published": at_rest, "agrees": not missed}
+    panel_1 = sum(
+        count
+        for pattern, count in impossible.items()
+        if explanations(vehicle, [pattern]) == [("1",)]
+    )
+    patterns: dict[str, Any] = {"published": at_rest, "agrees": not missing}
     lost: dict[str, Any] = {"published": [["1"]], "agrees": explained == [["1"]]}
-    result += [
+    return [
         row_of("lit_patterns_allowed", len(allowed), patterns="; ".join(allowed)),
         row_of("lit_patterns_before", np.count_nonzero(landing.impossible & early), **before),
-        row_of("shadowed_panel_alternatives", ", ".join(others) or "none"),
-        row_of("lit_patterns_noise", noise, each=by_pattern),
+        row_of("shadowed_panel_alternatives", ", ".join(alternatives) or "none"),
+        row_of("lit_patterns_noise", log10_noise, each=by_pattern),
         row_of("lit_patterns_at_rest", sorted(map(sorted, impossible)), **patterns),
         row_of("shadowed_panel", explained, **lost),
         row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0),
     ]
 
-    # sampling interval before the collision, number of samples after it
-    collision = event_seconds(case, landing.sun, "collision")
-    flight = time[
-        (time >= event_seconds(case, landing.sun, "first_touchdown")) & (time < collision)
-    ]
+
+def _sampling_rows(landing: Phases) -> list[Row]:
+    """Return the rows on the sampling interval before the collision, and on the number of samples after it."""
+    case, sun = landing.case, landing.sun
+    row_of, time = partial(make_row, case, attrs=sun.attrs), sun["time"].values
+    first, collision, second = (
+        event_seconds(case, sun, name)
+        for name in ("first_touchdown", "collision", "second_touchdown")
+    )
+    flight = time[(time >= first) & (time < collision)]
     step = float(np.median(np.diff(flight))) / 60 if flight.size > 1 else None
     unjudged: dict[str, Any] = {"tolerance": None} if step is None else {}
     after = int(np.count_nonzero((time >= collision) & (time < second)))
     return [
-        *result,
         row_of("sampling_interval", step, **unjudged),
         row_of("samples_after_collision", after),
     ]

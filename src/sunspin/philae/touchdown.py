@@ -41,6 +41,7 @@ def rows(chain: Chain) -> list[Row]:
     texts["prior_low"] = possible[0]
 
     def judge(shown: Row, ours: Any, possible: Any) -> Row:
+        """Return the row judged by its ranges over chosen candidates and scan range."""
         return judge_range(shown, chain.name, ours, possible)
 
     # the paper's recipe for the smallest speed, then our lower bound, then our largest speed
