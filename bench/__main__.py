@@ -1,4 +1,4 @@
-"""``python -m bench``: run the four benchmarks, or those that are named, and print their tables."""
+"""Run the four benchmarks, or those that are named, and print their tables: ``python -m bench``."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ LIBRARIES = ("numpy", "scipy", "numba", "heyoka")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the machine, the versions of the libraries and the tables of the benchmarks."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small sizes and few repeats")
     parser.add_argument("--only", choices=NAMES, action="append", help="repeatable")

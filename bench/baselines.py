@@ -1,8 +1,8 @@
-"""The contestants: heyoka in batches, SciPy. All integrate `sunspin.dynamics.gyrostat.rhs`.
+"""Competing integrators: heyoka in batches, and SciPy. Both integrate `sunspin.dynamics.gyrostat.rhs`.
 
-Each propagates states (n, 7) over the window with the wheel's stop found on the way, and does nothing else: no mask, no
-distribution, no distance. The stopped wheel is taken to stay stuck, which it does for every motion of the grid; the direction
-errors in the table would show it otherwise.
+Each propagates states (n, 7) over the window, detects the stop of the wheel, and does nothing else: no mask, no distribution, no
+distance. A stopped wheel is assumed to stay stuck, which it does for every motion of the grid; otherwise the direction errors in
+the table would show it.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from bench.problem import Problem
-from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics import gyrostat
 from sunspin.dynamics.friction import spin_down_time
 
 LOOK_AHEAD_S = 4.0
-"""Stops of the members of a batch lie this close together, about: the free motion is followed in pieces of this length."""
+"""Length (s) of the pieces in which free motion is propagated. The stops of a batch are about this close together."""
 
 N_STATE = 7
+"""Components of a state: momentum (3), momentum of the wheel, Sun direction (3)."""
 
 
 class End(NamedTuple):
-    """Directions to the Sun (n, 3) at the end of the window, and when the wheel stopped (n) in s."""
+    """Sun directions (n, 3) at the end of the window, and times (n) in s at which the wheel stopped."""
 
     sun_B: np.ndarray
     stop_s: np.ndarray
@@ -35,34 +36,37 @@ class End(NamedTuple):
 Contestant = Callable[[np.ndarray], End]
 
 
-def sun(r: Any) -> g.Directions:
-    """The one direction of these motions, as the equations take it."""
-    return {"sun": g.Direction(r)}
+def sun(r: Any) -> gyrostat.Directions:
+    """Return the single direction of these motions in the form of the equations."""
+    return {"sun": gyrostat.Direction(r)}
 
 
 def free_system(problem: Problem) -> tuple[list, Any]:
-    """heyoka's system of (H, h, r) while the wheel turns, and the wheel's speed. Numbers are constants: heyoka folds zeros."""
+    """Return heyoka's system of (H, h, r) while the wheel turns, and the wheel's speed.
+
+    Parameters enter as numbers, as heyoka folds zeros.
+    """
     variables = hk.make_vars("Hx", "Hy", "Hz", "h", "rx", "ry", "rz")
     H, h, r = variables[:3], variables[3:4], variables[4:]
     p = problem.parameters(True)
-    dH, dh, dr = g.rhs(H, h, sun(r), p)
-    speed = g.wheel_speed(h[0], g.body_rate(H, h, p), p.wheels[0])
+    dH, dh, dr = gyrostat.rhs(H, h, sun(r), p)
+    speed = gyrostat.wheel_speed(h[0], gyrostat.body_rate(H, h, p), p.wheels[0])
     return list(zip(variables, [*dH, *dh, *dr], strict=True)), speed
 
 
 def stuck_system(problem: Problem) -> list:
-    """heyoka's system of (H, r) once the wheel has stopped: its momentum is no variable any more."""
+    """Return heyoka's system of (H, r) after the wheel has stopped, when its momentum is no variable."""
     variables = hk.make_vars("Hx", "Hy", "Hz", "rx", "ry", "rz")
-    dH, _, dr = g.rhs(variables[:3], [0.0], sun(variables[3:]), problem.parameters(False))
+    dH, _, dr = gyrostat.rhs(variables[:3], [0.0], sun(variables[3:]), problem.parameters(False))
     return list(zip(variables, [*dH, *dr], strict=True))
 
 
 class TaylorBatch:
     """heyoka's batch integrator, `size` motions at once.
 
-    A terminal event would halt a whole batch at the stop of its first wheel. So the stop is watched with an event that does
-    not end the run, the state there is taken from the dense output, and the batch runs on until all of its wheels have
-    stopped; from the stops on, each at its own time, a system of six variables takes over.
+    A terminal event would halt a whole batch at the stop of its first wheel. So the stop is detected by an event that does not end
+    the run, and the state there is taken from the dense output. The batch continues until all of its wheels have stopped. From the
+    stops on, each at its own time, a system of six variables takes over.
     """
 
     def __init__(self, problem: Problem, tol: float, size: int) -> None:
@@ -70,6 +74,7 @@ class TaylorBatch:
 
         # heyoka copies its callbacks deeply, and only a plain function comes out of that as itself
         def note(ta: Any, time: float, sign: int, lane: int) -> None:
+            """Store the time and the state of the stop of a motion."""
             if lane not in stops:
                 stops[lane] = (time, ta.update_d_output(time)[:, lane].copy())
 
@@ -92,6 +97,7 @@ class TaylorBatch:
         )
 
     def _batch(self, starts: np.ndarray) -> End:
+        """Propagate one batch of at most `size` motions."""
         n, free, stuck = len(starts), self.free, self.stuck
         full = np.concatenate([starts, np.repeat(starts[-1:], self.size - n, axis=0)])
         self.stops.clear()
@@ -111,27 +117,37 @@ class TaylorBatch:
 
 
 class DormandPrince:
-    """SciPy's DOP853, the stop a terminal event. On lists of floats: for seven components faster than on arrays."""
+    """SciPy's DOP853 with the stop as a terminal event.
+
+    It uses lists of floats, which are faster than arrays for seven components.
+    """
 
     def __init__(self, problem: Problem, rtol: float) -> None:
         self.window_s, self.rtol = problem.window_s, rtol
         self.free, self.stuck = problem.parameters(True), problem.parameters(False)
 
-    def _rate(self, t: float, y: np.ndarray, p: g.Parameters) -> list[float]:
+    def _rate(self, t: float, y: np.ndarray, p: gyrostat.Parameters) -> list[float]:
+        """Return the derivative of a state."""
         values = y.tolist()
-        dH, dh, dr = g.rhs(values[:3], values[3:4], sun(values[4:]), p)
+        dH, dh, dr = gyrostat.rhs(values[:3], values[3:4], sun(values[4:]), p)
         return [*dH, *dh, *dr]
 
-    def _piece(self, start: float, y: np.ndarray, p: g.Parameters, events: list | None) -> Any:
+    def _piece(
+        self, start: float, y: np.ndarray, p: gyrostat.Parameters, events: list | None
+    ) -> Any:
+        """Integrate from a time to the end of the window or to an event."""
         span = (start, self.window_s)
         return solve_ivp(
             self._rate, span, y, "DOP853", args=(p,), rtol=self.rtol, atol=self.rtol, events=events
         )
 
     def __call__(self, starts: np.ndarray) -> End:
-        def stop(t: float, y: np.ndarray, p: g.Parameters) -> float:
+        def stop(t: float, y: np.ndarray, p: gyrostat.Parameters) -> float:
+            """Return the wheel speed, whose zero ends the run."""
             values = y.tolist()
-            return g.wheel_speed(values[3], g.body_rate(values[:3], values[3:4], p), p.wheels[0])
+            return gyrostat.wheel_speed(
+                values[3], gyrostat.body_rate(values[:3], values[3:4], p), p.wheels[0]
+            )
 
         stop.terminal, stop.direction = True, -1.0
         sun, when = np.empty((len(starts), 3)), np.empty(len(starts))
@@ -145,14 +161,16 @@ class DormandPrince:
 def on_cores(
     contestants: list[Contestant], starts: np.ndarray, block: int = 1
 ) -> Callable[[], None]:
-    """Work for as many threads as there are contestants: neighbouring blocks of rows in turn, so that all have as much to do.
+    """Return a function that divides the work among as many threads as there are contestants.
 
-    heyoka releases the interpreter while it integrates. A thread that has its rows done waits for the others.
+    Blocks of rows are assigned in turn, so that all threads have equal work. heyoka releases the interpreter while it integrates. A
+    thread that has finished its rows waits for the others.
     """
     number = np.arange(len(starts)) // block % len(contestants)
     parts = [starts[number == k] for k in range(len(contestants))]
 
     def work() -> None:
+        """Propagate all rows."""
         with ThreadPoolExecutor(len(contestants)) as pool:
             list(pool.map(lambda pair: pair[0](pair[1]), zip(contestants, parts, strict=True)))
 

@@ -1,4 +1,4 @@
-"""The distance between two samples of r_z: ss.emd, SciPy and POT on what one motion of the scan gives."""
+"""Distance between two samples of r_z: ss.emd, SciPy and POT on as many values as one motion of the scan gives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FUSED = "ss.scan on one core, the motion included"
 
 
 def run(quick: bool) -> Table:
-    """Distances per second, one core."""
+    """Measure the time of a distance on one core."""
     rng = np.random.default_rng(4)
     z, target = rng.uniform(-1, 1, SAMPLES), rng.uniform(0, 1, TARGET)
     table = Table(

@@ -1,4 +1,4 @@
-"""The problem that all contestants solve: Philae between its first touchdown and its collision, the wheel stopping on the way."""
+"""The problem that all integrators solve: Philae between its first touchdown and its collision, with the stop of its wheel."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import sunspin as ss
-from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics import gyrostat
 from sunspin.philae import rebound
 from sunspin.solve.linear import symmetric_inverse
 
@@ -25,33 +25,34 @@ class Problem:
 
     @property
     def vehicle(self) -> ss.Vehicle:
+        """Vehicle of the case."""
         return self.case.vehicle
 
     @cached_property
     def sun_B(self) -> np.ndarray:
-        """Direction to the Sun (3) at the start."""
+        """Sun direction (3) at the start."""
         return rebound.first_sun(self.case)
 
     @cached_property
     def wheel_speed_rad_s(self) -> np.ndarray:
         """Wheel speeds (1) at the start."""
-        return np.array(rebound.nominal_speed(self.vehicle))
+        return np.array(rebound.nominal_wheel_speeds(self.vehicle))
 
     @cached_property
     def window_s(self) -> float:
-        """Length of the runs."""
-        return rebound.window_s(self.case)
+        """Duration of the runs in s."""
+        return rebound.published_window_s(self.case)
 
     @cached_property
     def target_z(self) -> np.ndarray:
-        """The measured r_z that the scan compares with."""
+        """Measured r_z that the scan compares with."""
         sun = ss.sun_directions(self.vehicle, self.case.telemetry)
-        z = rebound.rebound_samples(self.case, sun)["sun_B"].values[:, 2]
+        z = rebound.select_rebound(self.case, sun)["sun_B"].values[:, 2]
         return z[np.isfinite(z)]
 
     def axes(self, *counts: int) -> dict[str, np.ndarray]:
-        """A regular grid of `counts` initial rates over the ranges of the paper's."""
-        full = rebound.grid(self.case)
+        """Return a regular grid of `counts` initial rates over the paper's ranges."""
+        full = rebound.scan_grid(self.case)
         return {
             name: np.linspace(full[name][0], full[name][-1], n)
             for name, n in zip(AXES, counts, strict=True)
@@ -63,7 +64,7 @@ class Problem:
         workers: int | None = None,
         direction_error: float | None = None,
     ) -> xr.DataArray:
-        """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3."""
+        """Run sunspin's scan of a grid: for an EMD good to 1e-3, or for a `direction_error` (rad)."""
         return ss.scan(
             self.vehicle,
             self.target_z,
@@ -76,35 +77,39 @@ class Problem:
         )
 
     def starts(self, omega_B: np.ndarray) -> np.ndarray:
-        """States (n, 7) = (H, h, r) of motions with rates (n, 3), slow ones first.
+        """Return states (n, 7) = (H, h, r) of motions with rates (n, 3), slow ones first.
 
-        The order favours contestants that run in batches: a batch lasts as long as its fastest member needs.
+        The order favours integrators that run in batches: a batch takes as long as its fastest member.
         """
         n = len(omega_B)
         speeds = np.tile(self.wheel_speed_rad_s, (n, 1))
-        momentum = g.total_momentum(self.vehicle, omega_B, speeds)
+        momentum = gyrostat.total_momentum(self.vehicle, omega_B, speeds)
         states = np.concatenate(
-            [momentum, g.axial_momenta(self.vehicle, omega_B, speeds), np.tile(self.sun_B, (n, 1))],
+            [
+                momentum,
+                gyrostat.axial_momenta(self.vehicle, omega_B, speeds),
+                np.tile(self.sun_B, (n, 1)),
+            ],
             axis=1,
         )
         return states[np.argsort(np.linalg.norm(momentum, axis=1), kind="stable")]
 
     def rates(self, starts: np.ndarray) -> np.ndarray:
-        """Body rates (n, 3) of states, the inverse of `starts`."""
-        return np.array([g.body_rate(y[:3], y[3:4], self.parameters(True)) for y in starts])
+        """Return body rates (n, 3) of states, the inverse of `starts`."""
+        return np.array([gyrostat.body_rate(y[:3], y[3:4], self.parameters(True)) for y in starts])
 
-    def parameters(self, free: bool) -> g.Parameters:
-        """What the equations of motion need while the wheel turns freely, or once it has stopped."""
+    def parameters(self, free: bool) -> gyrostat.Parameters:
+        """Return the parameters of the equations of motion while the wheel turns freely, or after it has stopped."""
         (wheel,) = self.vehicle.wheels
-        turning = g.WheelParameters(
+        turning = gyrostat.WheelParameters(
             tuple(wheel.axis_B.tolist()),
             1.0 / wheel.inertia_kg_m2,
             float(free),
             wheel.friction.coulomb_N_m,
             wheel.friction.viscous_N_m_s,
         )
-        return g.Parameters(
-            tuple(symmetric_inverse(g.free_inertia(self.vehicle, [free])).tolist()),
+        return gyrostat.Parameters(
+            tuple(symmetric_inverse(gyrostat.free_inertia(self.vehicle, [free])).tolist()),
             (0.0, 0.0, 0.0),
             (turning,),
         )
@@ -112,12 +117,12 @@ class Problem:
 
 @cache
 def philae() -> Problem:
-    """The Philae case, loaded once."""
+    """Return the Philae case, loaded once."""
     return Problem(ss.load_case("philae"))
 
 
 def grid_sample(axes: dict[str, np.ndarray], n: int, seed: int = SEED) -> np.ndarray:
-    """Rates (n, 3) of random points of a grid, without repeats where it has as many."""
+    """Return rates (n, 3) of random grid points, without repeats if the grid has as many."""
     shape = tuple(len(axes[name]) for name in AXES)
     size = int(np.prod(shape))
     index = np.random.default_rng(seed).choice(size, n, replace=n > size)

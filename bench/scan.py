@@ -1,13 +1,14 @@
-"""The scan against integrating its rows with heyoka and SciPy, and how far its distances are from the reference's.
+"""The scan compared with integrating its rows by heyoka and SciPy, and its EMD compared with that of the reference integrator.
 
-The contestants only propagate. The scan also asks at each step whether the Sun can be reconstructed, and forms distribution and
-distance, which favours the contestants.
+The other integrators only propagate. The scan also checks at each step whether the Sun can be reconstructed, and computes
+distribution and distance, which favours the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import heyoka as hk
 import numpy as np
@@ -18,11 +19,11 @@ from bench.accuracy import last_sun, states
 from bench.baselines import Contestant, DormandPrince, TaylorBatch, on_cores
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.timing import Table, cores, timings
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import run_rows
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 
 TOLERANCES = (1e-5, 1e-6, 1e-9)
-"""heyoka's, per step: about what an EMD can bear, what directions good to 1e-3 need, and tight."""
+"""heyoka's tolerances per step: about what an EMD needs, what directions good to 1e-3 need, and a tight one."""
 
 SCIPY_RTOL = 1e-6
 REFERENCE_STEP_S = 0.1
@@ -39,28 +40,31 @@ COLUMNS = (
 )
 
 
+class Entry(NamedTuple):
+    """An integrator in the table: function that makes it, states that it propagates, rows in a block, numbers of threads."""
+
+    make: Callable[[], Contestant]
+    starts: np.ndarray
+    block: int
+    teams: tuple[int, ...]
+
+
 def run(quick: bool) -> Table:
-    """Time of a row, and the largest error of the Sun's direction at the end of the window."""
+    """Measure the time of a row, and the largest error of the Sun direction at the end of the window."""
     problem, repeats, judged = philae(), 1 if quick else 5, 8 if quick else 48
     axes = problem.axes(*((24, 24, 29) if quick else (51, 51, 21)))
     many = problem.starts(grid_sample(axes, 512 if quick else 2048))
     lanes = hk.recommended_simd_size()
     teams = tuple(sorted({cores(), 1}, reverse=True))
-    entries: dict[str, tuple[Callable[[], Contestant], np.ndarray, int, tuple[int, ...]]] = {
-        f"heyoka {tol:g}, batches of {lanes}": (
-            partial(TaylorBatch, problem, tol, lanes),
-            many,
-            lanes,
-            teams,
+    entries = {
+        f"heyoka {tol:g}, batches of {lanes}": Entry(
+            partial(TaylorBatch, problem, tol, lanes), many, lanes, teams
         )
         for tol in TOLERANCES
     }
     few = problem.starts(grid_sample(axes, 1 if quick else 4))
-    entries[f"SciPy DOP853 {SCIPY_RTOL:g}"] = (
-        partial(DormandPrince, problem, SCIPY_RTOL),
-        few,
-        1,
-        (1,),
+    entries[f"SciPy DOP853 {SCIPY_RTOL:g}"] = Entry(
+        partial(DormandPrince, problem, SCIPY_RTOL), few, 1, (1,)
     )
 
     work: dict[tuple[str, int], Callable] = {}
@@ -71,12 +75,15 @@ def run(quick: bool) -> Table:
         work[OURS, n] = partial(problem.scan, axes, n)
         work[OURS_DIRECTIONS, n] = partial(problem.scan, axes, n, DIRECTION_ERROR)
     errors = {OURS_DIRECTIONS: our_direction_error(problem, axes, judged)}
-    for name, (make, starts, block, its_teams) in entries.items():
-        rows[name] = len(starts)
-        work |= {(name, n): on_cores([make() for _ in range(n)], starts, block) for n in its_teams}
-        some = problem.starts(grid_sample(axes, min(judged, len(starts)), seed=2))
-        reference = last_suns(problem, problem.rates(some))
-        errors[name] = float(np.linalg.norm(make()(some).sun_B - reference, axis=1).max())
+    for name, entry in entries.items():
+        rows[name] = len(entry.starts)
+        for n in entry.teams:
+            team = [entry.make() for _ in range(n)]
+            work[name, n] = on_cores(team, entry.starts, entry.block)
+        sample = problem.starts(grid_sample(axes, min(judged, len(entry.starts)), seed=2))
+        reference = last_suns(problem, problem.rates(sample))
+        error = np.linalg.norm(entry.make()(sample).sun_B - reference, axis=1)
+        errors[name] = float(error.max())
 
     times = timings(work, repeats)
     table = Table("scan: initial rates of Philae followed over 45 minutes", COLUMNS)
@@ -96,16 +103,16 @@ def run(quick: bool) -> Table:
 
 
 def our_direction_error(problem: Problem, axes: dict[str, np.ndarray], n: int) -> float:
-    """Largest error (rad) of the kernel's last direction over n random rows, asked for DIRECTION_ERROR."""
+    """Return the largest error (rad) of the kernel's last direction over n random rows, for a requested DIRECTION_ERROR."""
     rates = grid_sample(axes, n, seed=2)
     rows = states(problem.sun_B, rates, problem.wheel_speed_rad_s)
-    ends = k.run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR)
+    ends = run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR)
     error = ends.sun_B[:, 0] - last_suns(problem, rates)
     return float(np.linalg.norm(error, axis=1).max())
 
 
 def last_suns(problem: Problem, omega_B: np.ndarray) -> np.ndarray:
-    """The reference's directions to the Sun (n, 3) at the end of the window, from rates (n, 3)."""
+    """Return the reference's Sun directions (n, 3) at the end of the window, from rates (n, 3)."""
     rows = states(problem.sun_B, omega_B, problem.wheel_speed_rad_s)
     return np.array(
         [last_sun(problem.vehicle, rows, i, problem.window_s) for i in range(len(rows))]
@@ -113,12 +120,12 @@ def last_suns(problem: Problem, omega_B: np.ndarray) -> np.ndarray:
 
 
 def scanned_emd(problem: Problem, omega_B: np.ndarray) -> float:
-    """The scan's distance of one motion."""
+    """Return the scan's EMD of one motion."""
     return problem.scan(dict(zip(AXES, omega_B[:, None], strict=True)), workers=1).item()
 
 
 def reference_emd(problem: Problem, omega_B: np.ndarray) -> float:
-    """The same the long way: a densely sampled track, the mask as numpy, SciPy's distance."""
+    """Return the EMD of one motion from a densely sampled track, with numpy's mask and SciPy's distance."""
     times = np.linspace(0.0, problem.window_s, round(problem.window_s / REFERENCE_STEP_S) + 1)
     start = problem.vehicle, omega_B, problem.sun_B, problem.wheel_speed_rad_s
     track = ss.propagate(*start, times, rtol=1e-9)["sun_B"].values

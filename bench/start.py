@@ -1,4 +1,4 @@
-"""How long it takes to start: the command line, the import, the first scan with and without compiled kernels."""
+"""Time to start: the command line, the import, the first scan with and without compiled kernels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCAN = ("-c", "from bench.problem import philae; philae().scan(philae().axes(2, 
 
 
 def run(quick: bool) -> Table:
-    """Wall times of fresh processes."""
+    """Measure wall times of new processes."""
     repeats = 3 if quick else 5
     table = Table("start: wall time of fresh processes", ("what", "s", "processes"))
     for name, arguments in CHEAP.items():
@@ -40,7 +40,7 @@ def run(quick: bool) -> Table:
 
 
 def call(arguments: tuple[str, ...], cache: str | None = None) -> float:
-    """Wall time (s) of ``python ARGUMENTS``, with the kernels' cache in a folder of its own if named."""
+    """Return the wall time (s) of ``python ARGUMENTS``; `cache` is a folder for the kernels, if given."""
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"PYTHONPATH": path} | ({"SUNSPIN_CACHE": cache} if cache else {})
     start = time.perf_counter()
@@ -49,6 +49,6 @@ def call(arguments: tuple[str, ...], cache: str | None = None) -> float:
 
 
 def compiled(folder: str) -> dict[str, tuple[int, int]]:
-    """Size and time of change of each file of compiled code."""
+    """Return the size and the modification time of each file of compiled code."""
     files = (path for path in Path(folder).rglob("*") if path.is_file())
     return {str(path): (path.stat().st_size, path.stat().st_mtime_ns) for path in files}

@@ -1,4 +1,4 @@
-"""Times of competing pieces of work, taken in turn so that a machine that slows down slows all of them; tables of them."""
+"""Times of competing functions, and tables of them. Rounds alternate, so that a machine that slows down slows all of them."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ Name = TypeVar("Name", bound=Hashable)
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass
 class Timing:
-    """Wall times (s) of one piece of work, round by round, and the processor's time in each (all threads together)."""
+    """Wall times (s) of one function, round by round, and the processor times (s) of all its threads."""
 
     wall: list[float] = field(default_factory=list)
     processor: list[float] = field(default_factory=list)
 
     def take(self, call: Work) -> None:
-        """Time one call."""
+        """Measure one call."""
         start, used = time.perf_counter(), time.process_time()
         call()
         self.wall.append(time.perf_counter() - start)
@@ -34,22 +34,23 @@ class Timing:
 
     @property
     def median(self) -> float:
+        """Median wall time in s."""
         return statistics.median(self.wall)
 
     @property
     def cores_used(self) -> float:
-        """Less than the threads at work where one of them had nothing to do, or where other people's work took the core."""
+        """Mean number of cores in use: less than the threads if one of them was idle, or if other work took the core."""
         return sum(self.processor) / sum(self.wall)
 
     def against(self, other: Timing) -> float:
-        """Median over the rounds of this time by the other's in the same round."""
+        """Return the median over the rounds of this time divided by the other's in the same round."""
         return statistics.median(a / b for a, b in zip(self.wall, other.wall, strict=True))
 
 
 def timings(work: Mapping[Name, Work], repeats: int) -> dict[Name, Timing]:
-    """Times of each piece of work over `repeats` rounds; a round runs every piece once.
+    """Return the times of each function over `repeats` rounds; a round calls every function once.
 
-    A round that does not count comes first: compilation, caches and first touches of memory.
+    A first round is not counted: it compiles, and fills caches and memory.
     """
     for call in work.values():
         call()
@@ -61,13 +62,13 @@ def timings(work: Mapping[Name, Work], repeats: int) -> dict[Name, Timing]:
 
 
 def medians(work: Mapping[Name, Work], repeats: int) -> dict[Name, float]:
-    """Median wall time in s of each piece of work."""
+    """Return the median wall time in s of each function."""
     return {name: timing.median for name, timing in timings(work, repeats).items()}
 
 
 @dataclass
 class Table:
-    """Rows of a benchmark, a cell for each column, and the sentences without which they would mislead."""
+    """Rows of a benchmark with a cell for each column, and notes for their interpretation."""
 
     title: str
     columns: tuple[str, ...]
@@ -75,7 +76,7 @@ class Table:
     notes: list[str] = field(default_factory=list)
 
     def text(self) -> str:
-        """The table in Markdown: three digits, a dash for what was not measured."""
+        """Return the table in Markdown, with three digits, and a dash for values that were not measured."""
         lines = [self.columns, ("---",) * len(self.columns), *self.rows]
         cells = [[_shown(cell) for cell in line] for line in lines]
         return "\n".join(
@@ -84,6 +85,7 @@ class Table:
 
 
 def _shown(cell: str | float | None) -> str:
+    """Return a cell as text."""
     if cell is None or isinstance(cell, str):
         return cell or "-"
     return f"{cell:,.0f}" if abs(cell) >= 1000 else f"{cell:.3g}"

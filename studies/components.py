@@ -1,9 +1,9 @@
-"""How much the components of the Sun's direction say: the paper keeps r_z and finds little in r_x and r_y (section 2.3).
+"""Information in each component of the Sun direction: the paper keeps r_z and finds little in r_x and r_y (section 2.3).
 
-    python -m studies.components OUT
+Run `python -m studies.components OUT`.
 
 The scan of the built-in telemetry is repeated with the distribution of each component, on every fifth grid point. The threshold of
-each 90 % set is calibrated on the same synthetic rebounds. A component says much if its set is a small part of the scanned box.
+each 90 % set is calibrated on the same simulated rebounds. A component is informative if its set is a small part of the scan range.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ from sunspin.dynamics.ensemble import run_rows
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
-from sunspin.philae.threshold import CONFIDENCE, alike_rebounds, check_confidence
+from sunspin.philae.rebound import Rebound, make_rebound, scan_grid
+from sunspin.philae.threshold import CONFIDENCE, simulate_similar_rebounds, threshold_index
 from validation.campaign import command, rows_folder, study_parser
-from validation.controls import case_of
+from validation.controls import prepare_case
 
 STEP_S = 4.0
-"""Between instants of a simulated track, which counts as the time that a component spends in a bin."""
+"""Interval (s) between instants of a simulated track; it counts as the time that a component spends in a bin."""
 
 DIRECTION_ERROR, CHUNK = 1e-2, 256
-"""Of the directions (rad), less than a bin; motions whose tracks are in memory at once, 8 MB for 45 minutes."""
+"""Largest error of the directions (rad), less than a bin, and number of motions whose tracks are in memory at once (8 MB for 45
+min).
+"""
 
 
-def histograms(rebound: rb.Rebound, omega_B: np.ndarray) -> np.ndarray:
-    """Histograms (3, n, BINS) of the reconstructible r_x, r_y, r_z of motions with the rates omega_B (n, 3) in rad/s."""
+def histograms(rebound: Rebound, omega_B: np.ndarray) -> np.ndarray:
+    """Return histograms (3, n, BINS) of r_x, r_y, r_z in view of the panels, for motions with rates omega_B (n, 3) in rad/s."""
     vehicle, states = rebound.case.vehicle, rebound.states(omega_B)
     t = np.arange(STEP_S, rebound.window_s + STEP_S / 2, STEP_S)
     hist, mask = np.zeros((3, len(states), BINS), dtype=np.float32), reconstructible_mask(vehicle)
@@ -45,40 +47,40 @@ def histograms(rebound: rb.Rebound, omega_B: np.ndarray) -> np.ndarray:
     return hist
 
 
-def scans(rebound: rb.Rebound, coarser: int, twins: int) -> list[dict]:
-    """For x, y and z: EMD (n) of each motion of the grid to the file's directions, "emd"; the "factor" of the 90 % set."""
-    axes = rb.grid(rebound.case, coarser).values()
+def calibrate_scans(rebound: Rebound, coarser: int, twins: int) -> list[dict]:
+    """Return for x, y and z the EMD (n) of each motion of the grid, "emd", and the calibrated "factor" of the 90 % set."""
+    axes = scan_grid(rebound.case, coarser).values()
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    alike = alike_rebounds(rebound, twins, seed=0)
-    hist = histograms(rebound, np.concatenate([grid, [each.omega_B for each in alike]]))
-    measured, at, each = rebound.samples["sun_B"].values[rebound.reconstructed], len(grid), []
+    rebounds = simulate_similar_rebounds(rebound, twins, seed=0)
+    hist = histograms(rebound, np.concatenate([grid, [scans.omega_B for scans in rebounds]]))
+    measured, at, scans = rebound.samples["sun_B"].values[rebound.reconstructed], len(grid), []
     for axis in range(3):
         ratio = []
-        for k, twin in enumerate(alike):
+        for k, twin in enumerate(rebounds):
             emd = distances_to(hist[axis], target_segments(twin.seen_B[:, axis]))
             ratio.append(emd[at + k] / emd[:at].min())
-        factor = np.sort(ratio)[check_confidence(len(ratio), CONFIDENCE)]
+        factor = np.sort(ratio)[threshold_index(len(ratio), CONFIDENCE)]
         emd = distances_to(hist[axis, :at], target_segments(measured[:, axis]))
-        each.append({"emd": emd, "factor": float(factor)})
-    return each
+        scans.append({"emd": emd, "factor": float(factor)})
+    return scans
 
 
-def table_of(each: list[dict]) -> str:
-    """The results in Markdown, a line for each component."""
+def make_table(scans: list[dict]) -> str:
+    """Return the results in Markdown, a line for each component."""
     text = "| component | smallest EMD | factor of the 90 % set | its share of the scanned box |\n"
     text += "|---|---|---|---|\n"
-    for name, scan in zip("xyz", each, strict=True):
+    for name, scan in zip("xyz", scans, strict=True):
         emd, least = scan["emd"], scan["emd"].min()
         share = np.mean(emd < scan["factor"] * least)
         text += f"| r_{name} | {least:.4f} | {scan['factor']:.2f} | {share:.1%} |\n"
     return text
 
 
-def draw(each: list[dict]) -> Figure:
-    """Share of the scanned box against the factor on the smallest EMD, with each 90 % set as a dot."""
+def shares_figure(scans: list[dict]) -> Figure:
+    """Draw the share of the scan range against the factor on the smallest EMD, with each 90 % set as a dot."""
     figure = Figure(figsize=(6.0, 4.2), layout="constrained")
     axes, factors = figure.subplots(), np.geomspace(1.0, 30.0, 200)
-    for name, colour, scan in zip("xyz", COLOURS, each, strict=False):
+    for name, colour, scan in zip("xyz", COLOURS, scans, strict=False):
         ratio, factor = scan["emd"] / scan["emd"].min(), scan["factor"]
         share = (ratio[:, None] < factors).mean(axis=0)
         axes.semilogx(factors, share, color=colour, label=f"r_{name}")
@@ -90,16 +92,17 @@ def draw(each: list[dict]) -> Figure:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
+    """Run the study and write its table and figure."""
     parser = study_parser("components", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     parser.add_argument("--twins", type=int, default=60, help="synthetic rebounds")
     parser.add_argument("--coarser", type=int, default=5, help="every n-th point of the grid only")
-    given = parser.parse_args(arguments)
-    out, rebound = rows_folder(given.out), rb.rebound_of(*case_of())
-    each = scans(rebound, given.coarser, given.twins)
-    (out / "components.md").write_text(table_of(each), "utf-8")
-    draw(each).savefig(out / "components.png", dpi=150)
-    print(table_of(each))
+    options = parser.parse_args(arguments)
+    out, rebound = rows_folder(options.out), make_rebound(*prepare_case())
+    scans = calibrate_scans(rebound, options.coarser, options.twins)
+    (out / "components.md").write_text(make_table(scans), "utf-8")
+    shares_figure(scans).savefig(out / "components.png", dpi=150)
+    print(make_table(scans))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""How often the paper's method finds the truth: it is repeated on simulated rebounds whose rates are known.
+"""Coverage of the paper's method: it is repeated on simulated rebounds whose rates are known.
 
-    python -m studies.coverage OUT
+Run `python -m studies.coverage OUT`.
 
 The direction at the first sample is the published one; sample times, noise and panel misalignments are drawn as for the synthetic
 telemetry of the case. Each rebound is scanned on the paper's grid. OUT keeps a file for each rebound, so that the same command
@@ -24,26 +24,38 @@ from sunspin.dynamics.ensemble import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import LEAST_DIRECTIONS
-from sunspin.philae.metrics import near_minimum_set, run_grid
-from sunspin.philae.telemetry import CELL_W, drawn_panels, noisy_readings, rebound_times
-from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
+from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    Options,
+    first_sample_lead_s,
+    first_sun,
+    nominal_wheel_speeds,
+    points_on_lines,
+    propagate_back,
+    published_lines,
+    published_window_s,
+    scan_limits,
+    start_states,
+)
+from sunspin.philae.telemetry import CELL_W, add_noise, draw_misaligned_panels, draw_rebound_times
+from sunspin.philae.threshold import CONFIDENCE, emd_of_truths, quantile_threshold, threshold_index
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
-from validation.campaign import command, kept, rows_folder, study_parser
+from validation.campaign import command, load_or_make, rows_folder, study_parser
 
 FACTOR = 1.1
-"""Of the near-minimum set (paper, eq. 14)."""
+"""Factor of the near-minimum set (paper, eq. 14)."""
 
 FACTORS = np.round(np.geomspace(1.05, 12.0, 80), 4)
-"""Multiples of the smallest EMD at which the size of the set and its smallest speed are kept."""
+"""Factors on the smallest EMD for which the size of the set and its smallest speed are kept."""
 
 KINDS = {"lines": "truth on the published lines", "grid": "truth anywhere in the scanned box"}
-"""Where true rates are drawn: omega_z even over `rebound.LINE_RANGE` on a published line, or even over the scanned box."""
+"""Distributions of the true rates: omega_z even over `rebound.LINE_RANGE` on a published line, or even over the scan range."""
 
 
 class Grid(NamedTuple):
-    """The scan that all rebounds share, and the speed (n) in rad/s of each of its motions at the touchdown."""
+    """Scan that all rebounds share, and the speed (n) in rad/s of each of its motions at the touchdown."""
 
     case: Case
     table: Table
@@ -51,36 +63,38 @@ class Grid(NamedTuple):
 
 
 def make_grid(case: Case, coarser: int) -> Grid:
-    """Run every motion of the grid once."""
-    table = run_grid(case, rb.first_sun(case), rb.window_s(case), rb.Options(coarser=coarser))
+    """Propagate every motion of the grid once."""
+    table = propagate_grid(
+        case, first_sun(case), published_window_s(case), Options(coarser=coarser)
+    )
     every = table.rows.start.take(np.arange(len(table.hist)))
-    back = rb.run_back(case, every, rb.after_touchdown_s(case))
+    back = propagate_back(case, every, first_sample_lead_s(case))
     return Grid(case, table, np.linalg.norm(back, axis=1))
 
 
-def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
-    """A simulated rebound of this kind, its scan, and what the method concludes from it. Speeds in rad/s at the touchdown."""
+def simulate_rebound(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
+    """Simulate a rebound of this kind, scan it, and return what the method concludes. Speeds are in rad/s at the touchdown."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     case, z = grid.case, np.array([])
     while z.size < LEAST_DIRECTIONS:
-        truth = true_rate(case, kind, rng)
-        z = measured_z(case, truth, rng)
+        truth = draw_true_rate(case, kind, rng)
+        z = simulate_measured_z(case, truth, rng)
     volume = grid.table.volume(z)
     emd = np.where(grid.table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
     smallest = float(emd.min())
     order = np.argsort(emd, kind="stable")
     slowest = np.minimum.accumulate(grid.speed[order])
     count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
-    state = rb.start_states(case, truth, rb.first_sun(case))
-    back = rb.run_back(case, state, rb.after_touchdown_s(case))
-    near = near_minimum_set(case, volume, FACTOR, seed=0)
+    state = start_states(case, truth, first_sun(case))
+    back = propagate_back(case, state, first_sample_lead_s(case))
+    near = make_near_minimum_set(case, volume, FACTOR, seed=0)
     angles = [float("nan")] * 4  # too few points for four lines
     if near.lines is not None:
         angles = [apart["angle_rad"] for apart in near.deviation]
     return {
         "truth_touchdown_speed": float(np.linalg.norm(back)),
         "emd_min": smallest,
-        "emd_truth": float(reached(case, state, rb.window_s(case), [(z, None)])[0]),
+        "emd_truth": float(emd_of_truths(case, state, published_window_s(case), [(z, None)])[0]),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
         "line_angle": angles,
         "factor_count": count.tolist(),
@@ -88,43 +102,43 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     }
 
 
-def true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """A rate (3) in rad/s at the first sample."""
+def draw_true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarray:
+    """Draw a true rate (3) in rad/s at the first sample."""
     if kind == "grid":
-        return rng.uniform(*rb.grid_ends(case).T)
-    published = rb.published_lines(case)
+        return rng.uniform(*scan_limits(case).T)
+    published = published_lines(case)
     line = published[int(rng.integers(len(published)))]
-    return rb.on_lines([line], [rng.uniform(*rb.LINE_RANGE)])[0, 0]
+    return points_on_lines([line], [rng.uniform(*LINE_RANGE)])[0, 0]
 
 
-def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The z components (n) of the directions that the simulated readings of this motion give."""
+def simulate_measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return r_z (n) of the directions from the simulated readings of a motion."""
     vehicle = case.vehicle
-    t = rebound_times(case, rng)
-    tilt, first = drawn_panels(vehicle, rb.first_sun(case), rng)
-    run = propagate(vehicle, truth, first, rb.nominal_speed(vehicle), t - t[0], rtol=1e-9)
+    t = draw_rebound_times(case, rng)
+    tilt, first = draw_misaligned_panels(vehicle, first_sun(case), rng)
+    run = propagate(vehicle, truth, first, nominal_wheel_speeds(vehicle), t - t[0], rtol=1e-9)
     true = run["sun_B"].values
     exact = CELL_W * vehicle.response_in().power(true, tilt=tilt)
-    power = noisy_readings(vehicle, true, exact, vehicle.require_noise(), rng)
+    power = add_noise(vehicle, true, exact, vehicle.require_noise(), rng)
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 
 
-def gathered(rebounds: list[dict[str, Any]]) -> dict[str, np.ndarray]:
-    """The rebounds of a kind, one array for each value; "ratio" is the true motion's EMD over the smallest of the scan."""
-    each = {name: np.array([row[name] for row in rebounds]) for name in rebounds[0]}
-    return each | {"ratio": each["emd_truth"] / each["emd_min"]}
+def collect_values(rebounds: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    """Return the values of all rebounds of a kind by name; "ratio" is the EMD of the true motion over the smallest of the scan."""
+    values = {name: np.array([row[name] for row in rebounds]) for name in rebounds[0]}
+    return values | {"ratio": values["emd_truth"] / values["emd_min"]}
 
 
-def share(true: np.ndarray) -> str:
-    """How often it is true, with the 95 % interval (Wilson's)."""
+def format_share(true: np.ndarray) -> str:
+    """Return the share of true values as text, with the 95 % interval (Wilson's)."""
     test = binomtest(int(true.sum()), true.size)
     interval = test.proportion_ci(method="wilson")
     return f"{test.statistic:.1%} ({interval.low:.1%} to {interval.high:.1%})"
 
 
 def table(rebounds: dict[str, dict[str, np.ndarray]], motions: int) -> str:
-    """The results in Markdown, a line for each kind of truth; `motions` of the grid."""
+    """Return the results in Markdown, a line for each kind of truth; `motions` is the number of grid points."""
     limit = f"{FACTOR:g} EMD_min"
     text = (
         f"| | rebounds | truth below {limit} | speed bound of the set below {limit} holds | factor of the 90 % set "
@@ -132,34 +146,35 @@ def table(rebounds: dict[str, dict[str, np.ndarray]], motions: int) -> str:
         + "|---"
         * 9
     )
-    for kind, each in rebounds.items():
-        factor, low, high = holding(each["ratio"], CONFIDENCE)
-        on_half = holding(each["ratio"][::2], CONFIDENCE)[0]  # judged by the others
+    for kind, values in rebounds.items():
+        factor, low, high = quantile_threshold(values["ratio"], CONFIDENCE)
+        # calibrated on every second rebound and judged by the others
+        half_threshold = quantile_threshold(values["ratio"][::2], CONFIDENCE).value
         k = min(int(np.searchsorted(FACTORS, factor)), len(FACTORS) - 1)
-        size = np.median(each["factor_count"][:, k]) / motions
-        speed = np.quantile(each["factor_speed"][:, k], 0.5, method="higher")
-        fitted = each["line_angle"][np.isfinite(each["line_angle"][:, 0])]
+        size = np.median(values["factor_count"][:, k]) / motions
+        speed = np.quantile(values["factor_speed"][:, k], 0.5, method="higher")
+        fitted = values["line_angle"][np.isfinite(values["line_angle"][:, 0])]
         angles = np.degrees(np.median(fitted, axis=0)) if len(fitted) else []
         text += (
-            f"|\n| {KINDS[kind]} | {len(each['ratio'])} | {share(each['ratio'] < FACTOR)} "
-            f"| {share(each['bound_set'] <= each['truth_touchdown_speed'])} | {factor:.2f} ({low:.2f} to {high:.2f}) "
-            f"| {share(each['ratio'][1::2] < on_half)} | {size:.0%} | {speed:.3f} "
+            f"|\n| {KINDS[kind]} | {len(values['ratio'])} | {format_share(values['ratio'] < FACTOR)} "
+            f"| {format_share(values['bound_set'] <= values['truth_touchdown_speed'])} | {factor:.2f} ({low:.2f} to {high:.2f}) "
+            f"| {format_share(values['ratio'][1::2] < half_threshold)} | {size:.0%} | {speed:.3f} "
             f"| {', '.join(f'{angle:.0f}' for angle in angles) or 'none fitted'} "
         )
     return text + "|"
 
 
-def draw(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
-    """EMD of the truth against the smallest, how often a set contains the truth, and how far the fitted lines turn."""
+def coverage_figure(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
+    """Draw the EMD of the truth against the smallest, how often a set contains the truth, and the angles of the fitted lines."""
     figure = Figure(figsize=(13.0, 4.4), layout="constrained")
     scatter, cover, turned = figure.subplots(1, 3)
     at = np.geomspace(1.0, 10.0, 200)
-    for k, (kind, each) in enumerate(rebounds.items()):
+    for k, (kind, values) in enumerate(rebounds.items()):
         style = {"color": COLOURS[k], "label": KINDS[kind]}
         scatter.loglog(
-            each["emd_min"], each["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, **style
+            values["emd_min"], values["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, **style
         )
-        cover.semilogx(at, (each["ratio"][:, None] < at).mean(axis=0), ("-", "--")[k], **style)
+        cover.semilogx(at, (values["ratio"][:, None] < at).mean(axis=0), ("-", "--")[k], **style)
     ends = np.array(scatter.get_xlim())
     limit = {"ls": "--", "lw": 1, "color": COLOURS[6], "label": f"{FACTOR:g} times the smallest"}
     scatter.loglog(ends, FACTOR * ends, **limit)
@@ -190,21 +205,26 @@ def draw(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
+    """Run the study and write its table and figure."""
     parser = study_parser("coverage", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     parser.add_argument("--twins", type=int, default=300, help="simulated rebounds of each kind")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--coarser", type=int, default=1, help="every n-th point of the grid only")
-    given = parser.parse_args(arguments)
-    check_confidence(given.twins // 2, CONFIDENCE)
-    grid, each = make_grid(load_case("philae"), given.coarser), {}
+    options = parser.parse_args(arguments)
+    threshold_index(options.twins // 2, CONFIDENCE)
+    grid, values = make_grid(load_case("philae"), options.coarser), {}
     for kind in KINDS:
-        folder = rows_folder(given.out / f"{kind}-seed{given.seed}-coarser{given.coarser}")
-        make = [partial(twin, grid, kind, k, given.seed) for k in range(given.twins)]
-        each[kind] = gathered([kept(folder / f"{k}.json", m) for k, m in enumerate(make)])
-    text = table(each, len(grid.speed))
-    (given.out / "coverage.md").write_text(text + "\n", "utf-8")
-    draw(each).savefig(given.out / "coverage.png", dpi=150)
+        folder = rows_folder(options.out / f"{kind}-seed{options.seed}-coarser{options.coarser}")
+        make = [
+            partial(simulate_rebound, grid, kind, k, options.seed) for k in range(options.twins)
+        ]
+        values[kind] = collect_values(
+            [load_or_make(folder / f"{k}.json", m) for k, m in enumerate(make)]
+        )
+    text = table(values, len(grid.speed))
+    (options.out / "coverage.md").write_text(text + "\n", "utf-8")
+    coverage_figure(values).savefig(options.out / "coverage.png", dpi=150)
     print(text)
 
 

@@ -1,11 +1,11 @@
-"""The collision's impulse as evidence, beyond the paper: the landing kernel's change of velocity against simulated collisions.
+"""The collision's impulse as evidence, beyond the paper: the landing kernel's change of velocity and simulated collisions.
 
-    python -m studies.impulse OUT --data FOLDER
+Run `python -m studies.impulse OUT --data FOLDER`.
 
-The Sun is the only direction that body and comet axes share. So the change of velocity gives two numbers: its size and its angle to
-the Sun. A third, the angle about the Sun, follows only if the vertical at the first touchdown points up through the lander's body
-within a stated cone. Each simulated collision is weighted by how well it gives these numbers. The time of the collision is free, as
-the lander turned once in seconds.
+The Sun is the only direction known in both body and comet axes. So the change of velocity gives two numbers: its size and its angle
+to the Sun. A third is the angle about the Sun direction. It follows only if the vertical at the first touchdown points up through
+the lander's body within a stated cone. Each simulated collision is weighted by its likelihood for these numbers. The time of the
+collision is free, as the lander made a revolution in seconds.
 """
 
 from __future__ import annotations
@@ -28,39 +28,43 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, data_check, metrics
-from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
+from sunspin.philae.collision import KERNEL, SIGMA_M_S, event_tdb_s, read_kernel_states
 from sunspin.philae.rebound import Options
 from validation.campaign import command, rows_folder, study_parser
-from validation.controls import case_of
+from validation.controls import prepare_case
 
 SUN = ("philae_spk", "sun_from_67p_20141112.csv")
+"""Path of the table of Sun directions below the data folder."""
 
 POLE_DEG, MERIDIAN_DEG, DEG_PER_DAY = (69.54, 64.11), 114.69, 696.543884683
-"""Axes of comet 67P: right ascension and declination of its pole (J2000); the prime meridian's angle at J2000 from the node of the
-comet's equator, and its growth. Archinal et al., Celest. Mech. Dyn. Astr. 130, 22 (2018), Table 3, of March to September 2014."""
+"""Axes of comet 67P: right ascension and declination of its pole (J2000); angle of the prime meridian at J2000 from the node of the
+comet's equator, and its rate per day. Archinal et al., Celest. Mech. Dyn. Astr. 130, 22 (2018), Table 3, of March to September
+2014.
+"""
 
 SPIN_COMET = np.array([0.0, 0.0, np.radians(DEG_PER_DAY) / 86400.0])
-"""rad/s, in comet axes."""
+"""Rotation rate of the comet (3) in rad/s, in comet axes."""
 
 AXES_SIGMA_RAD = float(np.radians(2.0))
-"""One sigma of directions in November 2014: the constants end in September, published spins differ by 0.01 degrees a day, and the
-landing kernel's axes may be those of a shape model that is a degree off."""
+"""One sigma of directions in November 2014. The constants end in September, and published spins differ by 0.01 degrees a day. The
+landing kernel's axes may be those of a shape model that is a degree off.
+"""
 
 FREE_S, INSTANTS = 60.0, 8
-"""The collision may have come this long before or after its time in the timeline; instants tried."""
+"""Largest shift (s) of the collision from its time in the timeline, and number of instants that are tried."""
 
 CONE_RAD = float(np.radians(30.0))
-"""Half angle of the cone about upright in which the vertical at the touchdown lies, for the third number."""
+"""Half angle of the cone about the body's z axis in which the vertical at the touchdown lies, for the third number."""
 
 LEAST_RUNS = 25.0
-"""Effective collisions below which a weighted mean is not given."""
+"""Least effective number of collisions for a weighted mean."""
 
 SOURCES = {"scan": "90 % set of the built-in telemetry", "published": "printed lines"}
-"""Where the motions come from (`sunspin reproduce --candidates`)."""
+"""Sources of the motions (`sunspin reproduce --candidates`)."""
 
 
 def comet_from_J2000(tdb_s: float) -> np.ndarray:
-    """Matrix (3, 3) from components in J2000 to those in comet axes, at TDB seconds past J2000; z is the pole, x the meridian."""
+    """Return the matrix (3, 3) from J2000 to comet axes at TDB seconds past J2000; z is the pole, x the meridian."""
     right_ascension, declination = POLE_DEG
     meridian = (MERIDIAN_DEG + DEG_PER_DAY * tdb_s / 86400.0) % 360.0
     angles = [90.0 + right_ascension, 90.0 - declination, meridian]
@@ -68,13 +72,13 @@ def comet_from_J2000(tdb_s: float) -> np.ndarray:
 
 
 def velocity_J2000(tdb_s: float, state: np.ndarray) -> np.ndarray:
-    """Velocity (3) m/s in J2000 of a position and velocity (6), m and m/s, over the turning comet: v + w x r."""
+    """Return the velocity (3) in m/s in J2000 of a position and velocity (6), m and m/s, in rotating comet axes: v + w x r."""
     return comet_from_J2000(tdb_s).T @ (state[3:] + np.cross(SPIN_COMET, state[:3]))
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The change of velocity: its size (m/s), its angle to the Sun, and about it from the vertical of the touchdown (rad)."""
+class VelocityChange:
+    """Change of velocity: its size (m/s), its angle to the Sun, and the angle about the Sun from the touchdown's vertical (rad)."""
 
     change_m_s: float
     to_sun_rad: float
@@ -82,11 +86,14 @@ class Seen:
 
     @property
     def direction_sigma_rad(self) -> float:
-        """Of its direction in space."""
+        """Standard error of its direction in space, rad."""
         return float(np.hypot(SIGMA_M_S / self.change_m_s, AXES_SIGMA_RAD))
 
     def weights(self, runs: xr.Dataset, numbers: int = 2) -> np.ndarray:
-        """Likelihood (n) of simulated collisions by the first of size, angle to the Sun, angle about it; 1 where they are exact."""
+        """Return the likelihood (n) of simulated collisions for the first `numbers` of size, angle to the Sun and angle about it.
+
+        It is 1 if these are exact.
+        """
         about = runs["change_about_sun"].values - self.about_sun_rad
         about = np.remainder(about + np.pi, 2 * np.pi) - np.pi
         off = [
@@ -97,17 +104,17 @@ class Seen:
         return np.nan_to_num(np.exp(-0.5 * np.sum(np.square(off[:numbers]), axis=0)), nan=0.0)
 
 
-def seen_in(case: Case, folder: Path) -> Seen:
-    """What the kernel and the Sun's directions in the data folder say.
+def read_velocity_change(case: Case, folder: Path) -> VelocityChange:
+    """Read the change of velocity from the kernel and the Sun directions in the data folder.
 
     Raises
     ------
     InputError
-        A file that is missing, damaged, or holds no Sun at the time of the collision.
+        A file is missing or damaged, or has no Sun direction at the time of the collision.
     """
     path = folder.joinpath(*KERNEL)
-    touchdown, before = (tdb_of(case, name) for name in ("first_touchdown", "collision"))
-    states = states_of(path, [np.ceil(touchdown), before, before + 1.0])
+    touchdown, before = (event_tdb_s(case, name) for name in ("first_touchdown", "collision"))
+    states = read_kernel_states(path, [np.ceil(touchdown), before, before + 1.0])
     sun = sun_J2000(folder, before)
     change = velocity_J2000(before + 1.0, states[2]) - velocity_J2000(before, states[1])
     up = comet_from_J2000(touchdown).T @ states[0][:3]
@@ -116,11 +123,11 @@ def seen_in(case: Case, folder: Path) -> Seen:
         what = "the trajectory kernel holds no collision"
         raise InputError(what, do="download it again", where=str(path))
     to_sun, about = (float(x[0]) for x in angle_about(change[None], sun[None], up[None]))
-    return Seen(size, to_sun, about)
+    return VelocityChange(size, to_sun, about)
 
 
 def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
-    """Direction (3) to the Sun in J2000, from the data folder; an `InputError` where it has none at that time."""
+    """Read the Sun direction (3) in J2000 from the data folder; raise `InputError` if there is none at that time."""
     path = folder.joinpath(*SUN)
     if not path.is_file():
         do = "docs/data.md says where they come from"
@@ -136,18 +143,18 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
     return sun / np.linalg.norm(sun)
 
 
-def motions(source: str, seed: int) -> candidates.Chain:
-    """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
-    case, sun = case_of()
+def load_motions(source: str, seed: int) -> candidates.Chain:
+    """Return the motions of the built-in telemetry, as `sunspin reproduce --candidates` selects them."""
+    case, sun = prepare_case()
     options = Options(source, seed=seed)
     scan = metrics.scan_telemetry(case, sun, options)
     return candidates.compute(scan, data_check.compute(case, sun, None, seed), options)
 
 
-def collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:
-    """Some `n` simulated collisions of the motions at free times, with `speed_touchdown` (rad/s) of each motion.
+def simulate_collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:
+    """Simulate about `n` collisions of the motions at free times, with `speed_touchdown` (rad/s) of each motion.
 
-    Nothing after the blow matters, so that the flight ends a second later.
+    Nothing after the impact matters, so the flight ends a second later.
     """
     (_, real), starts = chain.rebound.scenarios(), chain.chosen.dataset()
     each = []
@@ -161,8 +168,8 @@ def collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:
     return runs.assign(speed_touchdown=("run", speed))
 
 
-def rates(runs: xr.Dataset) -> dict[str, np.ndarray]:
-    """Angular speeds (n) in rad/s at three instants."""
+def angular_speeds(runs: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the angular speeds (n) in rad/s at three instants."""
     before, after = (
         np.linalg.norm(runs[f"omega_{name}_B"].values, axis=1) for name in ("before", "after")
     )
@@ -173,69 +180,80 @@ def rates(runs: xr.Dataset) -> dict[str, np.ndarray]:
     }
 
 
-def table_of(name: str, runs: xr.Dataset, seen: Seen) -> str:
-    """Mean rates in Markdown, by no number of the impulse and by one, two and three."""
-    weights = [np.ones(runs.sizes["run"]), *(seen.weights(runs, numbers) for numbers in (1, 2, 3))]
+def make_table(name: str, runs: xr.Dataset, change: VelocityChange) -> str:
+    """Return the mean rates in Markdown: without the impulse, and with one, two and three of its numbers."""
+    weights = [
+        np.ones(runs.sizes["run"]),
+        *(change.weights(runs, numbers) for numbers in (1, 2, 3)),
+    ]
     effective = [effective_runs(weight) for weight in weights]
     text = (
         f"| {name}: mean angular speed, rad/s | without | size | size and angle | with the third "
     )
     text += "number |\n|---|---|---|---|---|\n"
-    for instant, values in rates(runs).items():
+    for instant, values in angular_speeds(runs).items():
         cells = [
-            str(estimate(values, weight)) if worth >= LEAST_RUNS else "not known"
-            for weight, worth in zip(weights, effective, strict=True)
+            str(estimate(values, weight)) if size >= LEAST_RUNS else "not known"
+            for weight, size in zip(weights, effective, strict=True)
         ]
         text += "| " + " | ".join([instant, *cells]) + " |\n"
-    counts = [f"{worth:,.0f}" for worth in effective]
+    counts = [f"{size:,.0f}" for size in effective]
     return text + "| " + " | ".join(["effective number of collisions", *counts]) + " |\n"
 
 
-def draw(each: dict[str, xr.Dataset], seen: Seen) -> Figure:
-    """Size and direction of the simulated blows beside the kernel's, and what their weights do to the rate after."""
+def impulse_figure(each: dict[str, xr.Dataset], change: VelocityChange) -> Figure:
+    """Draw size and direction of the simulated impulses with the kernel's, and the rate after the collision with and without
+    weights.
+    """
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
-    blows, after = figure.subplots(1, 2)
+    impacts, after = figure.subplots(1, 2)
     runs = each["scan"]
     angle = np.degrees(runs["change_to_sun"].values[::20])
-    blows.plot(runs["velocity_change"].values[::20], angle, ".", ms=2, color=COLOURS[5])
-    sigma = np.degrees(seen.direction_sigma_rad)
-    kernel = seen.change_m_s, np.degrees(seen.to_sun_rad), sigma, SIGMA_M_S
-    blows.errorbar(*kernel, fmt="o", ms=4, capsize=3, color=COLOURS[1], label="landing kernel")
-    blows.plot([], [], ".", color=COLOURS[5], label="simulated collisions, every 20th")
-    blows.set(xlabel="change of velocity (m/s)", ylabel="angle to the Sun (deg)")
+    impacts.plot(runs["velocity_change"].values[::20], angle, ".", ms=2, color=COLOURS[5])
+    sigma = np.degrees(change.direction_sigma_rad)
+    kernel = change.change_m_s, np.degrees(change.to_sun_rad), sigma, SIGMA_M_S
+    impacts.errorbar(*kernel, fmt="o", ms=4, capsize=3, color=COLOURS[1], label="landing kernel")
+    impacts.plot([], [], ".", color=COLOURS[5], label="simulated collisions, every 20th")
+    impacts.set(xlabel="change of velocity (m/s)", ylabel="angle to the Sun (deg)")
     bins = np.linspace(0.0, 1.5, 46)
     for k, (source, simulated) in enumerate(each.items()):
-        speed = rates(simulated)["just after the collision"]
-        for weight, line, what in ((None, ":", "without"), (seen.weights(simulated), "-", "with")):
+        speed = angular_speeds(simulated)["just after the collision"]
+        for weight, line, what in (
+            (None, ":", "without"),
+            (change.weights(simulated), "-", "with"),
+        ):
             style = {"histtype": "step", "density": True, "color": COLOURS[k], "ls": line}
             after.hist(speed, bins, weights=weight, label=f"{SOURCES[source]}, {what}", **style)
     after.set(xlabel="angular speed just after the collision (rad/s)", ylabel="density (s/rad)")
-    for axes in (blows, after):
+    for axes in (impacts, after):
         axes.legend(fontsize=8)
     return figure
 
 
 @command
 def main(arguments: list[str] | None = None) -> None:
+    """Run the study and write its table and figure."""
     parser = study_parser("impulse", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     data = os.environ.get("SUNSPIN_DATA")
     parser.add_argument("--data", type=Path, default=data, help="default: SUNSPIN_DATA")
     parser.add_argument("--runs", type=int, default=40_000, help="simulated collisions")
     parser.add_argument("--seed", type=int, default=0)
-    given, case = parser.parse_args(arguments), load_case("philae")
-    if given.data is None:
+    options, case = parser.parse_args(arguments), load_case("philae")
+    if options.data is None:
         do = "give --data, or set SUNSPIN_DATA (docs/data.md)"
         raise InputError("the landing kernel is not in this repository", do=do)
-    seen, out = seen_in(case, Path(given.data)), rows_folder(given.out)
+    change, out = read_velocity_change(case, Path(options.data)), rows_folder(options.out)
     each = {}
     for source in SOURCES:
-        each[source] = collisions(motions(source, given.seed), given.runs, given.seed)
-    text = f"Change of velocity {seen.change_m_s:.4f} m/s, {np.degrees(seen.to_sun_rad):.1f} deg from the Sun.\n"
+        each[source] = simulate_collisions(
+            load_motions(source, options.seed), options.runs, options.seed
+        )
+    text = f"Change of velocity {change.change_m_s:.4f} m/s, {np.degrees(change.to_sun_rad):.1f} deg from the Sun.\n"
     for source, runs in each.items():
-        text += "\n" + table_of(SOURCES[source], runs, seen)
+        text += "\n" + make_table(SOURCES[source], runs, change)
     (out / "impulse.md").write_text(text, "utf-8")
-    draw(each, seen).savefig(out / "impulse.png", dpi=150)
+    impulse_figure(each, change).savefig(out / "impulse.png", dpi=150)
     print(text)
 
 

@@ -1,4 +1,4 @@
-"""The numbers of `studies.contradictions`: what the paper's own figures, the equations and public facts give for its statements.
+"""Numbers of `studies.contradictions`: results of the paper's own figures, the equations and public facts for its statements.
 
 Each number has a name that the texts in `contradictions.toml` use. Rates are in rad/s.
 """
@@ -15,67 +15,87 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import error_of_rate, turned
 from sunspin.landing.strategies import wheel_stop_at_rest
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    first_sample_lead_s,
+    first_sun,
+    line_in_scan_range,
+    momentum_angles,
+    nominal_wheel_speeds,
+    points_on_lines,
+    published_lines,
+    published_window_s,
+    smallest_touchdown_speed,
+    start_states,
+    wheel_speed_at_first_sample,
+)
 
 LINE_POINTS = 13
-"""Motions on each of the published lines."""
+"""Number of motions on each published line."""
 
 ENERGY_AT_MOST_J = 55.0
-"""What the published 50 J may stand for if they are rounded to tens."""
+"""Largest energy that the published 50 J may stand for if they are rounded to tens."""
 
 SAMPLE_TIME_UNCERTAINTY_S = 30.0
-"""The time of the first sample after the touchdown follows from "45 min", so it is known to half a minute."""
+"""Uncertainty of the time of the first sample after the touchdown, which follows from "45 min"."""
 
 ALIASES = 100
-"""Regular samples on which three rates are shown to fit equally well."""
+"""Number of regular samples on which three rates are shown to fit equally well."""
 
 HALF_DIGITS = (0.5e-5, 0.5e-11, 0.5e-15, 0.5e-20)
 """Half a unit of the last printed digit of omega_0 to omega_3 (rad/s, rad/s2, rad/s3, rad/s4)."""
 
 
 class Lines(NamedTuple):
-    """Motions that begin on the published lines: angular speed (n) in rad/s just before the collision, by the rule by which points
-    are taken; angle (4, n) in degrees between the angular momentum and the z axis at points of each line, along `omega_z`."""
+    """Motions that begin on the published lines.
+
+    `at_collision`: angular speed (n) in rad/s just before the collision, by the rule that selects the points. `nutation_deg` (4,
+    n): angle between the angular momentum and the z axis at points of each line, along `omega_z`.
+    """
 
     at_collision: dict[str, np.ndarray]
     nutation_deg: np.ndarray
     omega_z: np.ndarray
 
 
-def motions_on_lines(case: Case) -> Lines:
-    """Run points of the lines to the collision, even in omega_z over the compared range, or even along them in the box."""
-    omega_z, printed = np.linspace(*rb.LINE_RANGE, LINE_POINTS), rb.published_lines(case)
+def simulate_lines(case: Case) -> Lines:
+    """Propagate points of the lines to the collision: even in omega_z over `LINE_RANGE`, and even along the lines in the scan
+    range.
+    """
+    omega_z, printed = np.linspace(*LINE_RANGE, LINE_POINTS), published_lines(case)
     even, inside = (
-        rb.on_lines(printed, omega_z),
-        [rb.within_grid(case, line, LINE_POINTS) for line in printed],
+        points_on_lines(printed, omega_z),
+        [line_in_scan_range(case, line, LINE_POINTS) for line in printed],
     )
     starts = {
-        f"evenly in omega_z over {list(rb.LINE_RANGE)}": even.reshape(-1, 3),
+        f"evenly in omega_z over {list(LINE_RANGE)}": even.reshape(-1, 3),
         "evenly along the lines within the scanned box": np.concatenate(inside),
     }
     at_collision = {
         rule: np.array([speed_at_collision(case, omega) for omega in omegas])
         for rule, omegas in starts.items()
     }
-    nutation = rb.momentum_angles(case.vehicle, rb.start_states(case, even, rb.first_sun(case)))[0]
+    nutation = momentum_angles(case.vehicle, start_states(case, even, first_sun(case)))[0]
     return Lines(at_collision, np.degrees(nutation.reshape(len(even), -1)), omega_z)
 
 
 def speed_at_collision(case: Case, omega_B: np.ndarray) -> float:
-    """Angular speed (rad/s) just before the collision of a motion with this rate at the first sample."""
-    first, speeds = rb.first_sun(case), rb.nominal_speed(case.vehicle)
-    run = propagate(case.vehicle, omega_B, first, speeds, [0.0, rb.window_s(case)], rtol=1e-8)
+    """Return the angular speed (rad/s) just before the collision of a motion with this rate at the first sample."""
+    first, speeds = first_sun(case), nominal_wheel_speeds(case.vehicle)
+    run = propagate(
+        case.vehicle, omega_B, first, speeds, [0.0, published_window_s(case)], rtol=1e-8
+    )
     return float(np.linalg.norm(run["omega_B"].values[-1]))
 
 
-def of_descent(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
-    """Numbers on measured directions, times and the descent (sections 1, 2.1, 2.3 and 3.1)."""
+def descent_numbers(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
+    """Return the numbers on measured directions, times and the descent (sections 1, 2.1, 2.3 and 3.1)."""
     between, (number, last) = case.require_timeline().seconds, paper["descent_samples"]
-    quoted, first = np.array(paper["first_sun_E_study"]), rb.first_sun(case)
+    quoted, first = np.array(paper["first_sun_E_study"]), first_sun(case)
     length = np.linalg.norm(quoted)
-    other = np.array([*quoted[:2], np.sqrt(1 - quoted[:2] @ quoted[:2])])
-    cosines = np.array([first @ quoted / length, first @ other]) / np.linalg.norm(first)
-    apart, still = np.degrees(np.arccos(cosines))
+    unit_length = np.array([*quoted[:2], np.sqrt(1 - quoted[:2] @ quoted[:2])])
+    cosines = np.array([first @ quoted / length, first @ unit_length]) / np.linalg.norm(first)
+    angle, still = np.degrees(np.arccos(cosines))
 
     span, interval = 3600.0 * paper["descent_span"], 60.0 * paper["sampling_interval"]
     spacing, early = span / (last - number) / 60, between("descent_fit_begins", "unfolding_ends")
@@ -95,9 +115,9 @@ def of_descent(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
     seen = turned(start, axis, cubic[0] * regular)
     return {
         "length": length,
-        "apart_deg": apart,
+        "apart_deg": angle,
         "still_apart_deg": still,
-        "other_z": other[2],
+        "other_z": unit_length[2],
         "E_bound": (1 - length) / 2,
         "rms_deg": np.degrees(2 * np.arcsin(np.sqrt(paper["descent_E"]))),
         "delta_deg": np.degrees(paper["delta_mean"]),
@@ -124,26 +144,26 @@ def of_descent(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]:
-    """Numbers on the wheel, the motion before the collision, the collision and rest (sections 2.2, 3.2, 3.3 and 4)."""
-    wheel, since = case.vehicle.wheels[0], rb.after_touchdown_s(case)
+def motion_numbers(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]:
+    """Return the numbers on wheel, motion before the collision, collision and rest (sections 2.2, 3.2, 3.3 and 4)."""
+    wheel, since = case.vehicle.wheels[0], first_sample_lead_s(case)
     ratio = wheel.friction.coulomb_N_m / wheel.friction.viscous_N_m_s
     decay = wheel.friction.viscous_N_m_s / wheel.inertia_kg_m2
     # of a wheel that coasts on a body at rest
     speed = wheel.speed_rad_s
     ends = since + SAMPLE_TIME_UNCERTAINTY_S * np.array([-1, 1])
     before, *later = (speed + ratio) * np.exp(-decay * np.array([-since, *ends])) - ratio
-    now, printed = rb.speed_at_first_sample(case), rb.published_lines(case)
+    now, printed = wheel_speed_at_first_sample(case), published_lines(case)
     _, c2, c3 = paper["spin_down_coefficients"]
 
-    points = rb.start_states(case, np.array([point for point, _ in printed]), rb.first_sun(case))
-    nutation, to_sun = np.degrees(rb.momentum_angles(case.vehicle, points)[:2])
+    points = start_states(case, np.array([point for point, _ in printed]), first_sun(case))
+    nutation, to_sun = np.degrees(momentum_angles(case.vehicle, points)[:2])
     wide, narrow = 2 * lines.nutation_deg[:2], 2 * lines.nutation_deg[2:]
     left = case.vehicle.require_mass() * paper["trajectory_speed_after_touchdown"] ** 2 / 2
     absorbed = 100 * (1 - left / np.array([paper["touchdown_energy_before"], ENERGY_AT_MOST_J]))
 
     rate, speeds = paper["rate_at_collision"], list(lines.at_collision.values())
-    turn = 2 * np.pi / paper["romap_period_before"]
+    spin_rate = 2 * np.pi / paper["romap_period_before"]
     longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     means = np.array([each.mean() for each in speeds])
     inertia_z = case.vehicle.require_inertia()[2, 2]
@@ -156,7 +176,7 @@ def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]
         "speed_before": before,
         "losses": speed - np.array(later),
         "stop_min": spin_down_time(wheel.friction, wheel.inertia_kg_m2, before) / 60,
-        "least_rates": [rb.smallest_on_lines(case, start) for start in (speed, now)],
+        "least_rates": [smallest_touchdown_speed(case, start) for start in (speed, now)],
         "wrong_sign": decay * (speed + ratio),
         "slowing": c2 * (speed - c3),
         "swing_deg": 2 * nutation,
@@ -171,14 +191,14 @@ def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]
         "tip_slow": paper["landing_speed"] + longest * rate,
         "tip_fast": paper["collision_speed"] + longest * rate,
         "tip_kernel": paper["kernel_speed_before"] + longest * rate,
-        "tip_spun": paper["collision_speed"] + longest * turn,
+        "tip_spun": paper["collision_speed"] + longest * spin_rate,
         "rates_at_collision": means,
         "rules": "; ".join(lines.at_collision),
         "slower_percent": [100 * np.mean(each < rate) for each in speeds],
         "fastest": max(each.max() for each in speeds),
         "from_rest": speed_at_collision(case, np.zeros(3)),
         "passed": wheel.inertia_kg_m2 * speed / inertia_z,
-        "turn": turn,
+        "turn": spin_rate,
         "faster": [means.min() / rate, means.max() / rate],
         "rest": rest,
         "rest_torque": rest["torque_N_m"],

@@ -19,7 +19,7 @@ from sunspin.landing.outcomes import default_scenario
 from sunspin.landing.scenario import build_scenario, case_scenario, paper_scenario
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
-from sunspin.philae.candidates import starts
+from sunspin.philae.candidates import select_start_rates
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
 from sunspin.vehicle.changes import Change, apply_changes, list_settings, parse_changes
 from sunspin.vehicle.file import (
@@ -206,29 +206,29 @@ def test_assumptions_follow_into_the_study():
     )
     usual = ss.load_case("philae")
     sun = ss.sun_directions(usual.vehicle, usual.telemetry)
-    mine, theirs = rb.rebound_of(case, sun), rb.rebound_of(usual, sun)
+    mine, theirs = rb.make_rebound(case, sun), rb.make_rebound(usual, sun)
     assert (
         mine.lead_s == 30
         and theirs.lead_s == pytest.approx(56.02)
-        and rb.after_touchdown_s(case) == 30
+        and rb.first_sample_lead_s(case) == 30
     )
     assert theirs.weights is None and mine.weights.sum() == pytest.approx(
         np.ptp(mine.t_s[mine.reconstructed])
     )
-    assert rb.counted(case) is None and rb.counted(usual) is not None
+    assert rb.direction_mask(case) is None and rb.direction_mask(usual) is not None
     assert len(case.changes) == 3 and usual.assumptions == read_assumptions()
 
 
 def test_a_change_of_a_wheel_makes_another_body_and_one_of_a_leg_does_not():
     """The published lines hold for the case as it is; legs do not enter them."""
     case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
-    own = rb.moving_and_seeing(OWN)
-    assert rb.moving_and_seeing(case.vehicle) != own
-    assert rb.moving_and_seeing(with_changes("leg[2].tip_B_m[0]+=0.1")) == own
+    own = rb.motion_and_panel_parameters(OWN)
+    assert rb.motion_and_panel_parameters(case.vehicle) != own
+    assert rb.motion_and_panel_parameters(with_changes("leg[2].tip_B_m[0]+=0.1")) == own
     surer = replace(
         OWN, facts={key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")}
     )
-    assert rb.moving_and_seeing(surer) == own
+    assert rb.motion_and_panel_parameters(surer) == own
 
 
 def command(*words):
@@ -360,7 +360,7 @@ def test_outcomes_name_the_vehicle_of_the_motions_of_a_scan(tmp_path):
         (("wheel.speed_rad_s=833",), ""),
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
-        points, whose = starts(
+        points, whose = select_start_rates(
             load_inputs("philae", parse_changes(sets)).craft, [], tmp_path / "scan.nc", 1.1
         )
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)

@@ -9,7 +9,7 @@ import pytest
 import sunspin as ss
 from sunspin.estimate.posterior.data import readings
 from sunspin.output.check.samples import noise_lines
-from sunspin.philae.sun_directions import with_own_noise
+from sunspin.philae.sun_directions import apply_measured_noise
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.health import noise_alone
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -98,7 +98,7 @@ def test_synthetic_data_have_the_noise_of_each_panel():
     panels = [replace(x, noise=0.02 * s) for x, s in zip(case.vehicle.panels, shape, strict=True)]
     own = replace(case, vehicle=replace(case.vehicle, panels=tuple(panels)))
     own.__dict__["telemetry"] = case.telemetry
-    scaled, noise = with_own_noise(own)
+    scaled, noise = apply_measured_noise(own)
     ratio = scaled.vehicle.input_noise / np.median(shape)
     np.testing.assert_allclose(ratio / shape * np.median(shape) ** 2, noise.lit, rtol=1e-9)
 

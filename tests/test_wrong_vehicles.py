@@ -9,7 +9,7 @@ import pytest
 import sunspin as ss
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle.file import parse_vehicle
-from validation.border import Told, judge, sunspin
+from validation.border import CommandResult, judge, sunspin
 
 BASE = """
 name = "v"
@@ -190,7 +190,7 @@ def test_tables_with_a_shared_column_or_a_quoted_line_break_are_refused(tmp_path
 
 def test_a_grid_with_repeated_rates_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    assert sunspin("init", ".", "--quiet") == CommandResult(0, "", "")
     for axis in ("0,0", "0,-0.0", "0.1,0.2,0.1"):
         told = sunspin(
             "scan",

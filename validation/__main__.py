@@ -1,4 +1,4 @@
-"""``python -m validation``: one campaign, its figures, and exit code 1 if it found anything."""
+"""Run one campaign with ``python -m validation``: print its figures and return exit code 1 if it has findings."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ CAMPAIGNS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    told = "Campaigns that judge sunspin, most by trying to break it; results: docs/accuracy.md."
-    parser = argparse.ArgumentParser(prog="python -m validation", description=told)
+    """Run the campaign that is named on the command line and return its exit code."""
+    about = "Campaigns that judge sunspin, most by trying to break it; results: docs/accuracy.md."
+    parser = argparse.ArgumentParser(prog="python -m validation", description=about)
     commands = parser.add_subparsers(dest="campaign", required=True)
-    for name, told in CAMPAIGNS.items():
-        campaign(name).options(commands.add_parser(name, help=told, description=told))
+    for name, about in CAMPAIGNS.items():
+        campaign(name).options(commands.add_parser(name, help=about, description=about))
     options = parser.parse_args(arguments)
     return campaign(options.campaign).main(options)
 
 
 def campaign(name: str) -> ModuleType:
-    """The module with `options`, which adds those of the command line, and `main`, which gives the exit code."""
+    """Import the module of a campaign. Its `options` adds those of the command line, its `main` returns the exit code."""
     return import_module(f"validation.{name}")
 
 

@@ -1,7 +1,7 @@
-"""The cases of the scoreboard: each area draws its tasks for a level ("quick", "full") and a seed.
+"""Cases of the scoreboard: each area yields its tasks for a level ("quick", "full") and a seed.
 
-What judges a case stands in the campaigns' own modules; here an outcome of :data:`validation.scoreboard.OUTCOMES` is made of it.
-They are imported where they are called: every case is run in a process of its own, which should not load all of them.
+The criteria are in the modules of the campaigns; here their result becomes an outcome of :data:`validation.scoreboard.OUTCOMES`.
+Those modules are imported inside functions: every case runs in its own process, which should not load all of them.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from validation.truths import WRONG_SIGMAS
 Row = dict[str, Any]
 
 CONFIDENT = ("unique", "aliases", "line")
-"""Words of a posterior's verdict that name a motion, or few."""
+"""Words of a posterior's verdict that name one or a few solutions."""
 
 
 def passes(level: str, seed: int) -> Iterator[Task]:
-    """`rates`: simulated passes of every kind; without the package's own dynamics and light."""
+    """Yield tasks of `rates`: simulated passes of every kind, made without the package's own dynamics and panel model."""
     from validation.passes import KINDS
 
     for kind, count in KINDS.items():
@@ -39,6 +39,7 @@ def passes(level: str, seed: int) -> Iterator[Task]:
 
 
 def _pass(kind: str, seed: int, i: int) -> Row:
+    """Run and judge simulated pass `i` of a kind."""
     from validation.passes import judge
 
     row = judge(kind, seed, i)
@@ -65,6 +66,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
 
 
 def _any_vehicle(seed: int, i: int) -> Row:
+    """Run and judge `rates` on random vehicle `i`."""
     from sunspin.estimate.rates.result import DECIDED
     from tests.support.any_vehicle import judge_rates
 
@@ -86,7 +88,7 @@ def _any_vehicle(seed: int, i: int) -> Row:
 
 
 def orbiting(level: str, seed: int) -> Iterator[Task]:
-    """`rates`: CubeSats with a dipole, clouds and real elements, with and without a magnetometer and the orbit."""
+    """Yield tasks of `rates`: CubeSats with a dipole, clouds and real elements, with and without a magnetometer and the orbit."""
     for i in range(1 if level == "quick" else 8):
         yield Task("rates", "in orbit", f"{seed}/{i}", partial(_orbiting, seed, i))
     for i in range(1 if level == "quick" else 6):
@@ -99,6 +101,7 @@ def orbiting(level: str, seed: int) -> Iterator[Task]:
 
 
 def _orbiting(seed: int, i: int) -> Row:
+    """Run and judge `rates` on satellite `i` in orbit, without elements, with the right ones, and with the magnetic field alone."""
     from tests.support.orbit_cases import judge_rates
 
     row = judge_rates(seed, i)
@@ -110,6 +113,7 @@ def _orbiting(seed: int, i: int) -> Row:
 
 
 def _sparse(seed: int, i: int) -> Row:
+    """Run and judge `rates` on sparse samples of satellite `i` in orbit, several revolutions apart."""
     import sunspin as ss
     from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rates_case
 
@@ -123,7 +127,7 @@ def _sparse(seed: int, i: int) -> Row:
 
 
 def _of_passes(passes: list[Row], off: str, sigma: str) -> Row:
-    """The row of a file with several passes: their keys `off` and `sigma` hold errors and sigmas, of each component."""
+    """Return the row of a file with several passes, whose keys `off` and `sigma` hold errors and sigmas of each component."""
     decided = [each for each in passes if each["decided"]]
     if any(each["wrong"] for each in decided):
         outcome = "wrong"
@@ -141,7 +145,7 @@ def _of_passes(passes: list[Row], off: str, sigma: str) -> Row:
 
 
 def posteriors(level: str, seed: int) -> Iterator[Task]:
-    """`posterior`: right models, torques and moments that nobody told of, panels that are turned, models that are wrong."""
+    """Yield tasks of `posterior`: right models, unmodelled torques, wrong moments, misaligned panels, wrong models."""
     from validation.torques import LEVELS
 
     for kind in LEVELS:
@@ -174,6 +178,7 @@ _KINDS_OF_TORQUE = {"0": "right model", "inertia": "moments off by 5 %"}
 
 
 def _torque(kind: str, seed: int, i: int) -> Row:
+    """Run and judge the posterior of box `i` with a torque of this level."""
     from validation.torques import judge
 
     row = judge(kind, seed, i)
@@ -192,7 +197,7 @@ def _torque(kind: str, seed: int, i: int) -> Row:
 
 
 def _of_word(word: str, near: bool) -> str:
-    """Of a file whose model is right: the truth is `near` what is told, or is not."""
+    """Return the outcome for a file whose model is right; `near` says whether a listed solution is the truth."""
     if word in CONFIDENT:
         return "right" if near else "wrong"
     return "wrong" if word == "not explained" else "undecided" if near else "open"
@@ -201,6 +206,7 @@ def _of_word(word: str, near: bool) -> str:
 def _twin(
     kind: str, seed: int, i: int, max_rate: float = 0.25, samples: int = 16, apart_s: float = 20.0
 ) -> Row:
+    """Run and judge the posterior of simulated Philae case `i` of a kind."""
     from sunspin.cases import load_case
     from validation.calibrate import judge, make
 
@@ -231,6 +237,7 @@ def _twin(
 
 
 def _any_posterior(seed: int, i: int) -> Row:
+    """Run and judge the posterior of random vehicle `i`."""
     from tests.support.any_vehicle import judge_posterior, posterior_case
     from validation.calibrate import NEAR_SIGMAS
 
@@ -248,10 +255,11 @@ def _any_posterior(seed: int, i: int) -> Row:
 
 
 def _simulated(seed: int, i: int) -> Row:
-    from validation.posterior_cases import LIMIT_S, cases, limited
+    """Run and judge the posterior of Philae case `i` that was simulated without the package."""
+    from validation.posterior_cases import LIMIT_S, cases, run_limited
 
     case = next(case for case in cases(seed) if case.number == i)
-    row = limited(case, LIMIT_S)
+    row = run_limited(case, LIMIT_S)
     outcome = "open" if row["word"] == "did not end" else _of_word(row["word"], row["recalled"])
     return {
         "outcome": outcome,
@@ -262,7 +270,7 @@ def _simulated(seed: int, i: int) -> Row:
 
 
 def spinners(level: str, seed: int) -> Iterator[Task]:
-    """A spinner with a magnetometer: verdicts on right and wrong elements of whole orbits, and rates with and without."""
+    """Yield tasks on a spinner with a magnetometer: verdicts on right and wrong elements, and rates with and without elements."""
     from validation.spinners import cases
 
     for case in cases(seed, 4 if level == "quick" else 20, whole=True):
@@ -282,6 +290,7 @@ def spinners(level: str, seed: int) -> Iterator[Task]:
 
 
 def _spinner(seed: int, number: int, elements: str) -> Row:
+    """Run and judge `check` on a spinner with right or wrong elements."""
     from validation.spinners import cases, run
 
     with tempfile.TemporaryDirectory() as folder:
@@ -295,12 +304,14 @@ def _spinner(seed: int, number: int, elements: str) -> Row:
 
 
 def _of_orbit(verdict: str, right: bool) -> str:
+    """Return the outcome of a verdict on elements that are `right` or not."""
     if verdict == "undecided":
         return "undecided" if right else "open"
     return "right" if (verdict == "fits") is right else "wrong"
 
 
 def _spinning(seed: int, number: int, elements: str) -> Row:
+    """Run and judge `rates` on a spinner with these elements."""
     from validation.spinners import cases, run
 
     with tempfile.TemporaryDirectory() as folder:
@@ -311,7 +322,7 @@ def _spinning(seed: int, number: int, elements: str) -> Row:
 
 
 def elements(level: str, seed: int) -> Iterator[Task]:
-    """`check --tle`: right elements, a node that is off, a clock that is an hour behind."""
+    """Yield tasks of `check --tle`: right elements, a node that is off, a clock that is an hour behind."""
     for i in range(3 if level == "quick" else 10):
         yield Task(
             "orbit",
@@ -322,6 +333,7 @@ def elements(level: str, seed: int) -> Iterator[Task]:
 
 
 def _elements(seed: int, i: int) -> Row:
+    """Run and judge `check --tle` on CubeSat `i` with right and wrong elements; the worst outcome counts."""
     from tests.support.orbit_cases import judge_check
 
     row = judge_check(seed, i)
@@ -338,13 +350,14 @@ def _elements(seed: int, i: int) -> Row:
 
 
 def calibration(level: str, seed: int) -> Iterator[Task]:
-    """`calibrate-sensors`: sensors that are off by known errors, or by none."""
+    """Yield tasks of `calibrate-sensors`: sensors with known errors, or with none."""
     for i in range(2 if level == "quick" else 16):
         kind = "sensors as stated" if i % 2 else "sensors off"
         yield Task("calibrate-sensors", kind, f"{seed}/{i}", partial(_calibration, seed, i))
 
 
 def _calibration(seed: int, i: int) -> Row:
+    """Run and judge the calibration of sensors of file `i`."""
     from tests.support.calibration_cases import judge_calibration
 
     (row,) = judge_calibration(seed, i).values()
@@ -359,7 +372,7 @@ def _calibration(seed: int, i: int) -> Row:
 
 
 def exchanges(level: str, seed: int) -> Iterator[Task]:
-    """`rates`: two panel columns exchanged, on satellites with wings and wheels, and their right files."""
+    """Yield tasks of `rates` on satellites with wings and wheels: two panel columns exchanged, and the right files."""
     from validation.exchanges import QUICK
 
     for satellite in QUICK[:2] if level == "quick" else QUICK:
@@ -384,9 +397,11 @@ _EXCHANGES = {
     "decided wrongly": "wrong",
     "refused": "defect",
 }
+"""Outcomes of the campaign `exchanges` as outcomes of the scoreboard."""
 
 
 def _exchange(seed: int, satellite: int, which: int) -> Row:
+    """Run and judge exchange `which` of a satellite; -1 is the right file."""
     from validation.exchanges import run
 
     row = run((seed, satellite, which))
@@ -394,7 +409,7 @@ def _exchange(seed: int, satellite: int, which: int) -> Row:
 
 
 def files(level: str, seed: int) -> Iterator[Task]:
-    """`check`, `rates`: right files of every form; `check`: files in which a panel is dead or reads in another unit."""
+    """Yield tasks of `check` and `rates` on right files of every form, and of `check` on files with a fault."""
     for command, few, many in (("check", 10, 100), ("rates", 1, 15)):
         for i in range(few if level == "quick" else many):
             yield Task(command, "right file", f"{seed}/{i}", partial(_right_file, command, seed, i))
@@ -404,6 +419,7 @@ def files(level: str, seed: int) -> Iterator[Task]:
 
 
 def _right_file(command: str, seed: int, i: int) -> Row:
+    """Run a command on right file `i`; every accusation is wrong."""
     from validation.right_files import judge
 
     with tempfile.TemporaryDirectory() as folder:
@@ -412,7 +428,7 @@ def _right_file(command: str, seed: int, i: int) -> Row:
 
 
 def _dead(rows: list[Row]) -> None:
-    """The panel that gave most gives nothing."""
+    """Set the readings of the brightest panel to zero."""
     panels = [key for key in rows[0] if key.startswith("i.")]
     brightest = max(panels, key=lambda name: sum(row[name] for row in rows))
     for row in rows:
@@ -420,7 +436,7 @@ def _dead(rows: list[Row]) -> None:
 
 
 def _weak(rows: list[Row]) -> None:
-    """The panel that gave most gives 15 % less."""
+    """Reduce the readings of the brightest panel by 15 %."""
     panels = [key for key in rows[0] if key.startswith("i.")]
     brightest = max(panels, key=lambda name: sum(row[name] for row in rows))
     for row in rows:
@@ -428,20 +444,20 @@ def _weak(rows: list[Row]) -> None:
 
 
 def _milli(rows: list[Row]) -> None:
-    """All panels in a thousandth of the unit."""
+    """Convert all panels to a thousandth of the unit."""
     for row in rows:
         row |= {key: 1e3 * value for key, value in row.items() if key.startswith("i.")}
 
 
 def _turned(rows: list[Row]) -> None:
-    """A Sun vector along other axes."""
+    """Rotate the axes of the Sun vector."""
     for row in rows:
         x, y, z = row["vector"]
         row["vector"] = [y, -x, z]
 
 
 def _no_gyro(rows: list[Row]) -> None:
-    """The gyro's columns are missing."""
+    """Delete the gyro's columns."""
     for row in rows:
         del row["gyro"]
 
@@ -453,10 +469,11 @@ FAULTS: dict[str, tuple[str, str, Callable[[list[Row]], None]]] = {
     "Sun vector along other axes": ("vector", "wrong_axes", _turned),
     "columns of the gyro missing": ("gyro", "missing_sensors", _no_gyro),
 }
-"""Fault -> the sensor that the file needs for it, what `check --json` has to name, and what the fault does to rows."""
+"""Each fault -> the sensor that it needs, the key of `check --json` that has to name it, and the change of the rows."""
 
 
 def _fault(fault: str, seed: int, i: int) -> Row:
+    """Run `check` on file `i` with a fault; the outcome is right if the fault is named or the file is refused."""
     from sunspin.cli.check import check
     from validation.right_files import make
 
@@ -478,7 +495,7 @@ def _fault(fault: str, seed: int, i: int) -> Row:
 
 
 def exact(level: str, seed: int) -> Iterator[Task]:
-    """What others say of the same physics, and distances of the scan against the reference integrator."""
+    """Yield tasks on exact physics: comparisons with other software, EMDs of the scan and of the reference integrator."""
     from validation.witnesses import WITNESSES
 
     if seed == 0:
@@ -491,6 +508,7 @@ def exact(level: str, seed: int) -> Iterator[Task]:
 
 
 def _witness(name: str) -> Row:
+    """Run one witness of :mod:`validation.witnesses`."""
     from validation import witnesses
 
     rows = list(getattr(witnesses, name)())
@@ -503,13 +521,14 @@ def _witness(name: str) -> Row:
 
 
 def _emd_bound() -> float:
-    """What a histogram of r_z may be off by: each sample by half a bin, of which the paper's distance is half."""
+    """Return the largest error of an EMD from histograms: half a bin for each sample, halved in the paper's distance."""
     from sunspin.estimate.scan.rows import BINS
 
     return 2.0 / BINS / 4
 
 
 def _distances(seed: int, block: int) -> Row:
+    """Compare the EMD of 50 random motions with that of the reference integrator."""
     from bench.problem import philae
     from bench.scan import reference_emd, scanned_emd
 
@@ -524,7 +543,7 @@ def _distances(seed: int, block: int) -> Row:
 
 
 def study(level: str, seed: int) -> Iterator[Task]:
-    """`reproduce`: every row of the paper with its verdict, and telemetry from which something else has to follow."""
+    """Yield tasks of `reproduce`: every row of the paper with its verdict, and negative controls."""
     from validation.controls import CONTROLS
 
     if seed:
@@ -540,6 +559,7 @@ def study(level: str, seed: int) -> Iterator[Task]:
 
 
 def _reproduced(coarser: int) -> Row:
+    """Run `reproduce` on a grid `coarser` than the paper's and return a case for each of its rows."""
     import sunspin as ss
 
     with tempfile.TemporaryDirectory() as folder:
@@ -555,7 +575,7 @@ def _reproduced(coarser: int) -> Row:
 
 
 def _numbers(value: Any) -> list[float]:
-    """Numbers in nested lists, in their order."""
+    """Return the numbers in nested lists, in their order."""
     if isinstance(value, list | dict):
         inside = value.values() if isinstance(value, dict) else value
         return [number for each in inside for number in _numbers(each)]
@@ -563,24 +583,28 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _control(name: str) -> Row:
+    """Run a negative control and judge whether anything was concluded from it."""
     from sunspin.cases import load_case
-    from validation.controls import CONTROLS, NOT_CONCLUDED, chain_of
+    from validation.controls import CONTROLS, NOT_CONCLUDED, run_chain
 
-    looked = chain_of(CONTROLS[name](load_case("philae")))
-    concluded = looked.scan is not None and looked.chain is not None
+    result = run_chain(CONTROLS[name](load_case("philae")))
+    concluded = result.scan is not None and result.chain is not None
     outcome = "wrong" if concluded is (name in NOT_CONCLUDED) else "right"
     if not concluded:
-        return {"outcome": outcome, "says": looked.why}
+        return {"outcome": outcome, "says": result.why}
     measured = {
-        "smallest EMD": looked.scan.smallest,
-        "share of the box": looked.chain.share,
-        "speed at least": looked.chain.chosen.speed_range()[0],
+        "smallest EMD": result.scan.smallest,
+        "share of the box": result.chain.share,
+        "speed at least": result.chain.chosen.speed_range()[0],
     }
-    return {"outcome": outcome, "measured": measured | {"lines": float(looked.scan.lines_found)}}
+    return {
+        "outcome": outcome,
+        "measured": measured | {"lines": float(result.scan.lines_recovered)},
+    }
 
 
 def real(_: str, seed: int) -> Iterator[Task]:
-    """`rates` of skCUBE against its gyro, where the data are."""
+    """Yield tasks on real data: rates of skCUBE compared with its gyro, if the data are there."""
     from validation.real import SIDES
 
     if seed == 0:
@@ -589,8 +613,9 @@ def real(_: str, seed: int) -> Iterator[Task]:
 
 
 def _skcube(side: str) -> Row:
+    """Estimate skCUBE's rates without its gyro, and judge them by the gyro."""
     import sunspin as ss
-    from validation.real import SIDES, compared, of_other_days
+    from validation.real import SIDES, compare_with_gyro, fit_gyros
 
     path = Path(os.environ.get("SUNSPIN_DATA", "")) / "skcube" / "skcube_adcs.csv"
     if not os.environ.get("SUNSPIN_DATA") or not path.is_file():
@@ -600,7 +625,7 @@ def _skcube(side: str) -> Row:
     result = ss.rates(craft, data.drop_vars(SIDES[side]), workers=1)
     rows = [
         row
-        for row in compared(craft, data, result, of_other_days(craft, data))
+        for row in compare_with_gyro(craft, data, result, fit_gyros(craft, data))
         if np.isfinite(row.miss).all()
     ]
     free = [row for row in rows if row.free and row.status == "decided"]
@@ -620,11 +645,11 @@ def _skcube(side: str) -> Row:
 
 
 HOSTILE = 20
-"""Hostile inputs of one task."""
+"""Number of hostile inputs of one task."""
 
 
 def hostile(level: str, seed: int) -> Iterator[Task]:
-    """Hostile files and options: a result or a sentence."""
+    """Yield tasks on hostile files and options: a result or an error message is right."""
     for block in range(3 if level == "quick" else 13):
         yield Task(
             "hostile", f"{HOSTILE} inputs", f"{seed}/{block}", partial(_hostile, seed, block)
@@ -632,6 +657,7 @@ def hostile(level: str, seed: int) -> Iterator[Task]:
 
 
 def _hostile(seed: int, block: int) -> Row:
+    """Run a block of hostile inputs."""
     from validation import pool
     from validation.fuzz import Fuzz
 
@@ -656,4 +682,4 @@ AREAS: dict[str, Callable[[str, int], Iterator[Task]]] = {
     "files": files,
     "hostile": hostile,
 }
-"""Those whose cases take longest first, so that no core waits for a last long one."""
+"""Areas by name, those whose cases take longest first, so that no core waits for a last long one."""

@@ -1,4 +1,4 @@
-"""The command line called in this process as a shell would call it, and the rule that everything it says has to obey."""
+"""Run the command line in this process as a shell would, and check the rule that all its output has to obey."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import NamedTuple
 from validation.pool import Verdict
 
 LONGEST = 1500
-"""Characters that one sentence may have."""
+"""Largest number of characters in an error message."""
 
 
 class Accepted(BaseException):
-    """Raised in the place of work that would take long: the input has passed the border."""
+    """Raised instead of long work: the input has passed all checks."""
 
 
-class Told(NamedTuple):
-    """Exit code (None: nothing was returned), what was printed and complained, what escaped."""
+class CommandResult(NamedTuple):
+    """Result of a command: exit code (None if nothing was returned), standard output, standard error, escaped traceback."""
 
     code: int | None
     out: str
@@ -34,7 +34,7 @@ class Told(NamedTuple):
 
 @contextmanager
 def _quiet_descriptor():
-    """Standard error of the C libraries below goes to a file."""
+    """Redirect standard error of the C libraries to a file."""
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
         os.dup2(file.fileno(), 2)
@@ -45,8 +45,8 @@ def _quiet_descriptor():
             os.close(kept)
 
 
-def sunspin(*arguments: str, piped: bytes = b"") -> Told:
-    """The entry point on these arguments. Output is strict UTF-8, warnings are shown each time: as on a terminal, but worse."""
+def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
+    """Run the entry point with these arguments. Output is strict UTF-8 and every warning is shown, as on a strict terminal."""
     from sunspin import cli
 
     kept = sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook
@@ -73,36 +73,44 @@ def sunspin(*arguments: str, piped: bytes = b"") -> Told:
         finally:
             sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = kept
         below.seek(0)
-        said = err.buffer.getvalue() + below.read()
-    return Told(
+        errors = err.buffer.getvalue() + below.read()
+    return CommandResult(
         code,
         out.buffer.getvalue().decode("utf-8"),
-        said.decode("utf-8", "replace"),
+        errors.decode("utf-8", "replace"),
         escaped,
         accepted,
     )
 
 
 BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
-"""The line by which `rates` says without a terminal that its work has begun, and no error."""
+"""Line by which `rates` announces without a terminal that its work has begun. It is no error."""
 
 
-def judge(told: Told) -> Verdict:
-    """Exit code 0 and silence on stderr, or 2 and one printable sentence there and nothing printed; but for lines of `BEGUN`."""
-    told = told._replace(err=BEGUN.sub("", told.err))
-    if told.escaped:
-        return Verdict("traceback", True, told.escaped)
-    if told.accepted:
-        return Verdict("accepted", bool(told.err), told.err)
-    if told.code == 0:
-        return Verdict("fine") if not told.err else Verdict("noise", True, told.err)
-    if told.code != 2:
-        return Verdict("exit code", True, f"{told.code}: {told.err}")
-    one = (
-        told.err.startswith("sunspin: error: ")
-        and told.err.count("\n") == 1
-        and told.err.endswith("\n")
+def judge(result: CommandResult) -> Verdict:
+    """Return the verdict on a result: exit code 0 without a message, or 2 with one printable sentence on stderr and no output.
+
+    Lines that match `BEGUN` are ignored.
+    """
+    result = result._replace(err=BEGUN.sub("", result.err))
+    if result.escaped:
+        return Verdict("traceback", True, result.escaped)
+    if result.accepted:
+        return Verdict("accepted", bool(result.err), result.err)
+    if result.code == 0:
+        return Verdict("fine") if not result.err else Verdict("noise", True, result.err)
+    if result.code != 2:
+        return Verdict("exit code", True, f"{result.code}: {result.err}")
+    is_sentence = (
+        result.err.startswith("sunspin: error: ")
+        and result.err.count("\n") == 1
+        and result.err.endswith("\n")
     )
-    if not one or told.out or len(told.err) > LONGEST or not told.err[:-1].isprintable():
-        return Verdict("not one sentence", True, repr((told.out[:200], told.err[:2000])))
-    return Verdict("out of memory" if "not enough memory" in told.err else "refused")
+    if (
+        not is_sentence
+        or result.out
+        or len(result.err) > LONGEST
+        or not result.err[:-1].isprintable()
+    ):
+        return Verdict("not one sentence", True, repr((result.out[:200], result.err[:2000])))
+    return Verdict("out of memory" if "not enough memory" in result.err else "refused")

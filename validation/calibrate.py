@@ -1,13 +1,14 @@
-"""Is the posterior right? Twins drawn from its own prior, and how much of the posterior is likelier than the truth.
+"""Calibration of the posterior: simulated cases drawn from its own prior, and the share of the posterior that is likelier than the
+truth.
 
-Twin i depends on seed and i alone. Kinds: "known", "unknown" and, with misaligned panels, "turned" are drawn from the prior that
-the posterior is given; "swapped" and "wheel_off" are telemetry of another model, which the predictive check has to refuse.
+Case i depends on seed and i alone. The kinds "known", "unknown" and "turned" (misaligned panels) are drawn from the prior that the
+posterior is given. Telemetry of "swapped" and "wheel_off" follows another model, which the predictive check has to refuse.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -22,42 +23,51 @@ from sunspin.vehicle import Vehicle
 from validation.truths import is_in_solutions
 
 KINDS = {"known": 0, "unknown": 1, "swapped": 5, "wheel_off": 6, "turned": 8}
-"""Kind -> the number that seeds its draws."""
+"""Kinds of cases, each with the number that seeds its draws."""
 
 KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
 
 AS_DRAWN = {"tilt": 0.0, "tilt_common": 0.0}
 TURNED = {"tilt": float(np.radians(1.0)), "tilt_common": float(np.radians(5.0))}
-"""Sigmas of the misalignment: none, or those that make E and Delta of Philae's descent as published."""
+"""Sigmas of panel misalignment in rad that give E and Delta of Philae's descent as published; `AS_DRAWN` has none."""
 
 JITTER_S = 6.0
-"""Sample times are irregular by up to this."""
+"""Largest irregularity of sample times in s."""
 
 NEAR_SIGMAS = 4.5
-"""A mode counts as the true one within this many sigmas of its rates."""
+"""Largest distance of a solution from the truth, in sigmas of its rates, at which it counts as the true one."""
 
 
 def rate_and_direction(max_rate: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A draw of the prior of rates, (1, 3), uniform in the ball of `max_rate`, and of directions, (1, 3), uniform on the sphere."""
+    """Draw a rate (1, 3), uniform for |omega| < `max_rate`, and a direction (1, 3), uniform on the sphere."""
     direction = rng.standard_normal((2, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return max_rate * rng.random() ** (1 / 3) * direction[:1], direction[1:]
 
 
 def prior_truth(unknown: Model, rng: np.random.Generator) -> State:
-    """One draw of the prior, at the first sample; the scale is left at its centre, as its prior is all but flat."""
+    """Draw a state from the prior at the first sample. The scale stays at its centre, as its prior is nearly flat."""
     omega, sun = rate_and_direction(unknown.max_rate, rng)
     u = rng.standard_normal((1, len(unknown.unknowns)))
     u[:, unknown.where("scale")] = 0.0
     return State(omega, sun, u)
 
 
+class SimulatedCase(NamedTuple):
+    """Telemetry of a case, its true state, the model it was drawn from, and the priors for the posterior."""
+
+    telemetry: xr.Dataset
+    truth: State
+    unknown: Model
+    priors: dict[str, Any]
+
+
 def make(
     vehicle: Vehicle, kind: str, max_rate: float, samples: int, interval_s: float, seed: int, i: int
-) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
-    """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told.
+) -> SimulatedCase:
+    """Return telemetry of case i, its truth, the model it was drawn from, and the priors that the posterior is given.
 
-    No torque acts, and the posterior is told so: `validation/torques.py` is about those.
+    No torque acts, and the priors say so; `validation/torques.py` covers torques.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS[kind])))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate, "steady_torque": 0.0} | (
@@ -73,15 +83,17 @@ def make(
     noise = vehicle.require_noise() * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
     off = 0.0 if unknown.turns is None else np.tensordot(truth.u[0], unknown.turns, axes=1)
-    told = Truth(truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise, tilt_B_rad=off)
+    truth_of_case = Truth(
+        truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise, tilt_B_rad=off
+    )
     telemetry = synthetic_telemetry(
-        unknown.bodies(truth.u).vehicle(vehicle, 0), told, seed=int(rng.integers(2**31))
+        unknown.bodies(truth.u).vehicle(vehicle, 0), truth_of_case, seed=int(rng.integers(2**31))
     )
     if kind == "swapped":
         value = telemetry["power_W" if "power_W" in telemetry else "current_A"].values
         a, b = rng.choice(value.shape[1], 2, replace=False)
         value[:, [a, b]] = value[:, [b, a]]
-    return telemetry, truth, unknown, priors
+    return SimulatedCase(telemetry, truth, unknown, priors)
 
 
 def judge(
@@ -92,7 +104,9 @@ def judge(
     priors: dict[str, Any],
     seed: int,
 ) -> dict[str, Any]:
-    """Run the posterior on a twin and compare it with the truth; "level": how much of it has a higher density than the truth."""
+    """Run the posterior on a case and compare it with the truth; "level" is the share of draws with a higher density than the
+    truth.
+    """
     tree = posterior(vehicle, telemetry, priors, seed, workers=1)
     draws, modes = group(tree, "posterior"), group(tree, "solutions")
     # u of the draws, in the order of the model that knows the scale's centre
@@ -127,6 +141,7 @@ def judge(
 
 
 def _value(draws: xr.Dataset, name: str) -> np.ndarray:
+    """Return the draws of an unknown by its name."""
     return (
         draws["wheel_speed_rad_s"].values[0][:, 0]
         if name.startswith("wheel_speed")

@@ -1,4 +1,4 @@
-"""What studies and campaigns share: errors as one sentence, and rows that are kept as files."""
+"""Shared functions of studies and campaigns: errors as one sentence, and results that are kept as files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from sunspin.base.atomic_write import remove_abandoned, write_atomically
 
 
 def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
-    """A `main` whose errors become one sentence on stderr and exit code 2, an interruption 130."""
+    """Make a `main` that prints an error as one sentence and returns exit code 2, or 130 if it is interrupted."""
 
     @wraps(work)
     def main(arguments: list[str] | None = None) -> int:
+        """Run `work` and return its exit code."""
         try:
             work(arguments)
         except KeyboardInterrupt:
@@ -46,14 +47,14 @@ def study_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
 
 
 def rows_folder(folder: Path) -> Path:
-    """Make a folder of rows, without what killed runs had begun to write there."""
+    """Create a folder of results and delete the unfinished files that killed runs left there."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_abandoned(folder)
     return folder
 
 
-def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """A row from its JSON file; where there is none it is made, and the file written whole."""
+def load_or_make(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return a row of results from its JSON file; if there is none, make it and write the file."""
     if not path.is_file():
         text = json.dumps(make())
         write_atomically(path, lambda new: new.write_text(text, "utf-8"))

@@ -1,6 +1,6 @@
-"""Binary files damaged in many ways and opened: NetCDF, Parquet, stores of rows, SPICE kernels, zip archives.
+"""Open binary files damaged in many ways: NetCDF, Parquet, stores of rows, SPICE kernels, zip archives.
 
-Their readers are other people's C; a case runs in a worker of :mod:`validation.pool`, so a crash there is seen and counted.
+Their readers are C libraries of other projects. A case runs in a worker of :mod:`validation.pool`, so that a crash is counted.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ FORMATS = (
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
 
-def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """One way or another: what `tests/support/corruptions.py` does, or numbers of the file's own structure replaced."""
+def damage(content: bytes, rng: np.random.Generator) -> bytes:
+    """Return damaged content: by a method of `tests/support/corruptions.py`, or with numbers of the file's structure replaced."""
     if rng.random() < 0.5:
         return BYTES[int(rng.integers(len(BYTES) - 1))](content, rng)  # the last one is about text
     data = bytearray(content)
@@ -54,8 +54,8 @@ class Corrupt(Suite):
     """Damaged files of every format that is read."""
 
     def prepare(self) -> None:
-        """Good files, and shorter work."""
-        for change in fuzz.cut_short():
+        """Make good files, and shorten work that would take long."""
+        for change in fuzz.shorten_work():
             self.stack.enter_context(change)
         os.chdir(self.home)
         self.good = make_files(self.home)
@@ -69,24 +69,33 @@ class Corrupt(Suite):
         verdict = getattr(self, "try_" + self.last.replace(".", "_"))(place, rng)
         return verdict._replace(shown=f"{self.last}: {verdict.shown}") if verdict.bad else verdict
 
-    def _bad(self, name: str, place: Path, rng: np.random.Generator) -> Path:
+    def _write_damaged(self, name: str, place: Path, rng: np.random.Generator) -> Path:
+        """Write a damaged copy of a good file into a folder."""
         target = place / Path(name).name
-        target.write_bytes(damaged(self.good[name], rng))
+        target.write_bytes(damage(self.good[name], rng))
         return target
 
-    def _told(self, *arguments: object) -> Verdict:
-        self.told = sunspin(*map(str, arguments))
-        return judge(self.told)
+    def _run_command(self, *arguments: object) -> Verdict:
+        """Run the command line and judge the result."""
+        self.result = sunspin(*map(str, arguments))
+        return judge(self.result)
 
     def try_telemetry_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.nc", place, rng))
+        """Read a damaged NetCDF file as telemetry."""
+        return self._run_command(
+            "sun", "stock/vehicle.toml", self._write_damaged("telemetry.nc", place, rng)
+        )
 
     def try_telemetry_parquet(self, place: Path, rng: np.random.Generator) -> Verdict:
-        return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.parquet", place, rng))
+        """Read a damaged Parquet file as telemetry."""
+        return self._run_command(
+            "sun", "stock/vehicle.toml", self._write_damaged("telemetry.parquet", place, rng)
+        )
 
     def try_scan_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        bad = self._bad("scan.nc", place, rng)
-        return self._told(
+        """Read a damaged scan."""
+        bad = self._write_damaged("scan.nc", place, rng)
+        return self._run_command(
             "outcomes",
             "stock/vehicle.toml",
             "--scan",
@@ -97,50 +106,57 @@ class Corrupt(Suite):
         )
 
     def try_kernel_bc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        bad = self._bad("kernel.bc", place, rng)
-        more = ["kernels/sunspin.tsc", "kernels/sunspin.tf"]
+        """Compare results with a damaged attitude kernel; sometimes its text kernels are damaged too."""
+        bad = self._write_damaged("kernel.bc", place, rng)
+        text_kernels = ["kernels/sunspin.tsc", "kernels/sunspin.tf"]
         if rng.random() < 0.3:
             k = int(rng.integers(2))
-            text = place / Path(more[k]).name
-            text.write_bytes(damaged(Path(more[k]).read_bytes(), rng))
-            more[k] = str(text)
+            text = place / Path(text_kernels[k]).name
+            text.write_bytes(damage(Path(text_kernels[k]).read_bytes(), rng))
+            text_kernels[k] = str(text)
         names = ["--frame=SUNSPIN_BODY", "--base=SUNSPIN_LOCAL", "--epoch=2026-01-01T00:00:00Z"]
-        return self._told("compare", "stock/results", bad, *more, *names)
+        return self._run_command("compare", "stock/results", bad, *text_kernels, *names)
 
     def try_orbit_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """Read a damaged trajectory kernel of the rebound."""
         from sunspin.cases import load_case
         from sunspin.philae.collision import KERNEL, kernel_facts
 
         (place / KERNEL[0]).mkdir()
-        place.joinpath(*KERNEL).write_bytes(damaged(self.good["orbit.bsp"], rng))
-        return _sentence(lambda: kernel_facts(load_case("philae"), place))
+        place.joinpath(*KERNEL).write_bytes(damage(self.good["orbit.bsp"], rng))
+        return _judge_call(lambda: kernel_facts(load_case("philae"), place))
 
     def try_earth_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """Read a damaged kernel as an orbit."""
         from sunspin.environment.ephemeris import read_orbit
 
-        bad = self._bad("earth.bsp", place, rng)
-        return _sentence(lambda: read_orbit(bad))
+        bad = self._write_damaged("earth.bsp", place, rng)
+        return _judge_call(lambda: read_orbit(bad))
 
     def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
-        return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
+        """Decode a damaged archive of frames."""
+        return self._run_command(
+            "decode", self._write_damaged("frames.zip", place, rng), "--out", place / "out"
+        )
 
     def try_store(self, place: Path, rng: np.random.Generator) -> Verdict:
+        """Resume from a damaged store of rows; the result must be that of good rows."""
         from sunspin.compute.rows import ensemble
 
         shutil.copytree("store", place / "store")
         files = sorted(path for path in (place / "store").rglob("*") if path.is_file())
         for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 4))):
             path.write_bytes(
-                damaged(path.read_bytes(), rng)
+                damage(path.read_bytes(), rng)
             ) if path.stat().st_size else path.write_bytes(b"x")
-        found: dict[str, Any] = {}
-        verdict = _sentence(
-            lambda: found.update(
+        resumed: dict[str, Any] = {}
+        verdict = _judge_call(
+            lambda: resumed.update(
                 ensemble(self.good["rows"], store=place / "store", workers=1, chunk=7)
             )
         )
         if verdict.what == "fine" and any(
-            not np.allclose(found[k], v, rtol=1e-9, equal_nan=True)
+            not np.allclose(resumed[k], v, rtol=1e-9, equal_nan=True)
             for k, v in self.good["result"].items()
         ):
             return Verdict("wrong result", True, "damage passed unseen")
@@ -148,9 +164,10 @@ class Corrupt(Suite):
 
 
 class Unguarded(Corrupt):
-    """The same with everything read in this process, which counts what the processes apart are for."""
+    """The same with everything read in this process, which counts the crashes that the separate processes prevent."""
 
     def prepare(self) -> None:
+        """Replace reading in another process by reading in this one."""
         super().prepare()
         for place, read in (
             ("base.netcdf.run_isolated", lambda *_, **__: b""),
@@ -162,8 +179,8 @@ class Unguarded(Corrupt):
 
 
 def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:  # noqa: ARG001
-    """What `sunspin.base.untrusted.run_isolated` does, without another process."""
-    import spiceypy as sp
+    """Run a script in this process instead of another one, with the interface of `sunspin.base.untrusted.run_isolated`."""
+    import spiceypy
 
     given, printed = (SimpleNamespace(buffer=io.BytesIO(text)) for text in (content, b""))
     with mock.patch.multiple(sys, argv=[str(script), *arguments], stdin=given, stdout=printed):
@@ -172,15 +189,15 @@ def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) 
         except (Exception, SystemExit) as error:
             raise IsolatedRunError(" ".join(str(error).split())[:200]) from None
         finally:
-            sp.kclear()
+            spiceypy.kclear()
     return printed.buffer.getvalue()
 
 
-def _sentence(call: Any) -> Verdict:
-    """Whether a call returns or says one sentence."""
+def _judge_call(call: Any) -> Verdict:
+    """Return the verdict on a function call: it must return or raise one printable sentence, without warnings."""
     from sunspin.base.errors import SunspinError
 
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RuntimeWarning)
         try:
             call()
@@ -188,12 +205,12 @@ def _sentence(call: Any) -> Verdict:
             return Verdict("refused", not str(error).isprintable(), repr(str(error)))
         except Exception as error:
             return Verdict("traceback", True, f"{type(error).__name__}: {error}")
-    noise = [str(w.message) for w in said if issubclass(w.category, RuntimeWarning)]
+    noise = [str(w.message) for w in caught if issubclass(w.category, RuntimeWarning)]
     return Verdict("noise", True, "; ".join(noise)) if noise else Verdict("fine")
 
 
 def make_files(home: Path) -> dict[str, Any]:
-    """One good file of each kind, in the present folder; contents by name."""
+    """Make one good file of each format in the current folder, and return their contents by name."""
     import xarray as xr
 
     from sunspin.compute.rows import ensemble
@@ -219,11 +236,11 @@ def make_files(home: Path) -> dict[str, Any]:
     volume.assign_coords(outcome=(dims, np.zeros((2, 2, 2), dtype=np.int8))).to_dataset().to_netcdf(
         "scan.nc", engine="h5netcdf"
     )
-    made = sunspin(
+    exported = sunspin(
         "export", "stock/results", "--epoch=2026-01-01T00:00:00Z", "--format=ck", "--out=kernels"
     )
-    if made.code != 0:
-        raise RuntimeError(made.err)
+    if exported.code != 0:
+        raise RuntimeError(exported.err)
     write_orbits(home)
     function = Waves(n_rows=ROWS)
     result = ensemble(function, store="store", chunk=7, workers=1)
@@ -237,6 +254,7 @@ def make_files(home: Path) -> dict[str, Any]:
 
 
 def write_parquet(path: str, columns: dict[str, np.ndarray]) -> None:
+    """Write columns as a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -244,15 +262,15 @@ def write_parquet(path: str, columns: dict[str, np.ndarray]) -> None:
 
 
 def write_orbits(home: Path) -> None:
-    """A made-up trajectory of the lander where the case's kernel would be, with its ids and times, and an orbit of the Earth."""
-    import spiceypy as sp
+    """Write a made-up trajectory of the lander with the ids and times of the case's kernel, and an orbit of the Earth."""
+    import spiceypy
 
     from sunspin.cases import load_case
     from sunspin.philae import collision
 
     case = load_case("philae")
-    begin = collision.tdb_of(case, "first_touchdown") - 100
-    end = collision.tdb_of(case, "second_touchdown") + 100
+    begin = collision.event_tdb_s(case, "first_touchdown") - 100
+    end = collision.event_tdb_s(case, "second_touchdown") + 100
     t = np.linspace(begin, end, 200)
     states = np.column_stack(
         [1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t]
@@ -265,12 +283,13 @@ def write_orbits(home: Path) -> None:
         ("orbit.bsp", -226800, 1000012, states),
         ("earth.bsp", -99, 399, orbit),
     ):
-        handle = sp.spkopn(str(home / name), "made up", 0)
-        sp.spkw09(handle, body, centre, "J2000", begin, end, "made up", 3, len(t), table, t)
-        sp.spkcls(handle)
+        handle = spiceypy.spkopn(str(home / name), "made up", 0)
+        spiceypy.spkw09(handle, body, centre, "J2000", begin, end, "made up", 3, len(t), table, t)
+        spiceypy.spkcls(handle)
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     pool.options(parser)
     parser.add_argument("--only", choices=FORMATS)
     about = "read in the same process what sunspin reads in another, and count crashes and hangs"
@@ -278,5 +297,5 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(given: argparse.Namespace) -> int:
-    """The campaign's figures; 1 if anything was found."""
+    """Print the campaign's figures; return 1 if it has findings."""
     return pool.main(Unguarded if given.unguarded else Corrupt, given)

@@ -1,7 +1,7 @@
-"""Satellites with wings, cants and wheels whose file has two panel columns exchanged: what `rates` says of them.
+"""Verdicts of `rates` on satellites with wings, cants and wheels whose file has two panel columns exchanged.
 
-The simulator shares no code with the package: its own Runge-Kutta integration of a rigid body with wheels of constant speed, and
-flat panels of cosine response. Each satellite is also estimated with its columns as they are: there nothing may be accused.
+The simulator shares no code with the package: it has its own Runge-Kutta integration of a rigid body with wheels of constant speed,
+and flat panels of cosine response. Each satellite is also estimated with its right columns; then nothing may be accused.
 """
 
 from __future__ import annotations
@@ -19,27 +19,31 @@ from sunspin.vehicle import TelemetryForm
 from validation.truths import is_wrong
 
 EXCHANGES, SAMPLES = 2, 32
-"""Exchanges drawn for each satellite, samples of each file."""
+"""Number of exchanges drawn for each satellite, and of samples in each file."""
 
 QUICK = tuple(range(0, 60, 5))
-"""A dozen satellites, of which the first exchange stands for the rest."""
+"""A dozen satellites for a quick run."""
 
 NOISE = 0.01
-"""One sigma of a reading, of the full signal of a panel of gain one; gains are as far off."""
+"""One sigma of a reading, as a part of the full signal of a panel of gain one; also the relative error of the gains."""
 
 ALIKE = 0.02
-"""Normals (unit vectors), moments and wheels (as shares) that differ by less are taken as equal in the judgement."""
+"""Largest difference of normals (unit vectors), moments and wheels (relative) that are judged as equal."""
 
 LIT = 0.08
-"""Share of full Sun above which a column counts as lit in the judgement."""
+"""Least reading, as a part of full Sun, of a column that is judged as lit."""
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 NAMES = ("+X", "+Y", "+Z", "-X", "-Y", "-Z")
 
 
 class Satellite(NamedTuple):
-    """Names, normals (n_panel, 3) and gains (n_panel) of the panels; inertia (3, 3) of the file, kg m2; momenta of the wheels
-    (n_wheel, 3), N m s; times (n), s; readings (n, n_panel) of the panels in the file's order; true rates (n, 3), rad/s."""
+    """A simulated satellite: `names`, `normals` (n_panel, 3) and `gains` (n_panel) of the panels; `inertia` (3, 3) of the file, kg
+    m2.
+
+    `momenta` (n_wheel, 3) of the wheels, N m s; times `t_s` (n), s; `readings` (n, n_panel) of the panels in the file's order; true
+    rates `omega` (n, 3), rad/s.
+    """
 
     names: tuple[str, ...]
     normals: np.ndarray
@@ -52,11 +56,12 @@ class Satellite(NamedTuple):
 
 
 def _unit(vector: Any) -> np.ndarray:
+    """Return the unit vector along a vector."""
     return np.asarray(vector, dtype=float) / np.linalg.norm(vector)
 
 
 def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """4 to 9 panels: faces, of which some are missing, some canted, and wings in pairs that mirror each other."""
+    """Draw 4 to 9 panels: sides, of which some are missing and some canted, and wings in mirrored pairs."""
     wings = int(rng.choice([0, 0, 1, 2]))
     count = int(rng.integers(max(4, 3 + 2 * wings), 10))
     kept = np.sort(rng.permutation(6)[: min(count - 2 * wings, 6)])
@@ -95,13 +100,14 @@ def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray
     return names, np.array(normals), gains
 
 
-def _moved(
+def _integrate(
     inertia: np.ndarray, wheel: np.ndarray, omega: np.ndarray, sun: np.ndarray, t_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rates and Sun directions (n, 3) at times (n), in Runge-Kutta steps of 0.25 s: dH/dt = H x omega, ds/dt = s x omega."""
+    """Return rates and Sun directions (n, 3) at times (n), in Runge-Kutta steps of 0.25 s: dH/dt = H x omega, ds/dt = s x omega."""
     inverse = np.linalg.inv(inertia)
 
     def slope(y: np.ndarray) -> np.ndarray:
+        """Return the derivatives of H and s."""
         turning = inverse @ (y[0] - wheel)
         return np.stack([np.cross(y[0], turning), np.cross(y[1], turning)])
 
@@ -119,8 +125,8 @@ def _moved(
     return np.array(rates), np.array(suns)
 
 
-def satellite(seed: int, i: int) -> Satellite:
-    """Satellite number `i`; every second one has a wheel, every eighth two."""
+def draw_satellite(seed: int, i: int) -> Satellite:
+    """Draw satellite number `i`; every second one has a wheel, every eighth two."""
     for attempt in range(100):
         rng = np.random.default_rng([43, seed, i, attempt])
         names, normals, gains = _panels(rng)
@@ -144,7 +150,7 @@ def satellite(seed: int, i: int) -> Satellite:
         turn = q * np.sign(np.diag(r))
         real = turn @ np.diag(moments * (1 + 0.01 * rng.normal(size=3))) @ turn.T
         t_s = np.round(np.cumsum(rng.uniform(8.0, 16.0, SAMPLES)), 1)
-        rates, sun = _moved(
+        rates, sun = _integrate(
             real, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0]
         )
         light = gains * (1 + NOISE * rng.normal(size=len(gains))) * np.maximum(sun @ normals.T, 0.0)
@@ -163,8 +169,8 @@ def satellite(seed: int, i: int) -> Satellite:
     raise RuntimeError(f"satellite {i} of seed {seed} could not be drawn")
 
 
-def exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
-    """The pairs of columns that are exchanged, one at a time: any two, and two that are mirror images along an axis."""
+def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
+    """Draw two pairs of columns, exchanged one at a time: any two, and two that are mirror images along an axis."""
     pairs = list(combinations(range(len(normals)), 2))
     drawn = [pairs[k] for k in np.random.default_rng([44, seed, i]).permutation(len(pairs))]
     mirrored = [p for p in drawn if (np.abs(normals[p[0]] - normals[p[1]]) > ALIKE).sum() == 1]
@@ -173,33 +179,35 @@ def exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
 
 
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
-    """What `rates` says of a case, and whether it is true."""
+    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true."""
     seed, i, which = case
-    made = satellite(seed, i)
-    pair = None if which < 0 else exchanges(seed, i, made.normals)[which]
-    order = np.arange(len(made.names))
+    craft = draw_satellite(seed, i)
+    pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
+    order = np.arange(len(craft.names))
     if pair is not None:
         order[list(pair)] = order[list(pair)][::-1]
     vehicle = ss.Vehicle(
         f"satellite {i}",
-        inertia_kg_m2=made.inertia,
+        inertia_kg_m2=craft.inertia,
         gain_unit="W",
-        panels=[ss.Panel(*one) for one in zip(made.names, made.normals, made.gains, strict=True)],
+        panels=[
+            ss.Panel(*panel) for panel in zip(craft.names, craft.normals, craft.gains, strict=True)
+        ],
         wheels=[
             ss.Wheel(f"wheel {k}", _unit(h), 1e-4, float(np.linalg.norm(h)) / 1e-4)
-            for k, h in enumerate(made.momenta)
+            for k, h in enumerate(craft.momenta)
         ],
         telemetry=TelemetryForm(noise=NOISE),
     )
     data = xr.Dataset(
         {
-            "power_W": (("time", "panel"), made.readings[:, order], {"units": "W"}),
+            "power_W": (("time", "panel"), craft.readings[:, order], {"units": "W"}),
             "flag": ("time", np.zeros(SAMPLES, dtype=int)),
         },
-        {"time": made.t_s, "panel": list(made.names)},
+        {"time": craft.t_s, "panel": list(craft.names)},
         {"synthetic": 1},
     )
-    row: dict[str, Any] = {"pair": None if pair is None else [made.names[k] for k in pair]}
+    row: dict[str, Any] = {"pair": None if pair is None else [craft.names[k] for k in pair]}
     try:
         result = ss.rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
     except SunspinError as error:
@@ -210,28 +218,28 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
         "decided": bool(result["decided"].values[0]),
     }
     changes = json.loads(result.attrs.get("columns_changes", "[]"))
-    row["named"] = [one["what"] for one in changes]
-    return row | _judged(made, order, pair, result, row)
+    row["named"] = [change["what"] for change in changes]
+    return row | _classify(craft, order, pair, result, row)
 
 
-def _judged(
-    made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]
+def _classify(
+    craft: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]
 ) -> dict[str, Any]:
-    """The outcome, and of a decided motion its error (sigmas) from the truth and from motions that look the same."""
+    """Return the outcome, and the error in sigmas of a decided motion from the truth and from equivalent motions."""
     omega, sigma = (
         np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
         for name in ("omega", "sigma")
     )
     t = result["time"].values[result["pass_of"].values == 0]
-    at = int(np.argmin(np.abs(made.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
-    alike = equivalents(made, order)
-    motions = [made.omega[at], *(np.linalg.det(m) * m @ made.omega[at] for m in alike)]
+    at = int(np.argmin(np.abs(craft.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
+    alike = equivalents(craft, order)
+    motions = [craft.omega[at], *(np.linalg.det(m) * m @ craft.omega[at] for m in alike)]
     off = [is_wrong(omega, sigma, motion) for motion in motions]
-    pulls = [float((np.abs(omega - one) / sigma).max()) for one in motions]
+    pulls = [float((np.abs(omega - motion) / sigma).max()) for motion in motions]
     truth = (
         None
         if pair is None
-        else f"the columns of panels {made.names[pair[0]]} and {made.names[pair[1]]} exchanged"
+        else f"the columns of panels {craft.names[pair[0]]} and {craft.names[pair[1]]} exchanged"
     )
     named, accused = row["named"], "CHECK" in row["verdict"]
     if row["decided"] and all(off):
@@ -250,25 +258,30 @@ def _judged(
     return {"outcome": outcome, "pull": min(pulls)}
 
 
-def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:
-    """Rotations and mirrors that turn the true satellite into what the file makes of it: column k reads panel `order[k]` and the
-    file takes it for panel k."""
-    lit = (made.readings[:, order] > LIT * made.gains[order]).any(axis=0)
-    true, stated = made.normals[order][lit], made.normals[lit]
-    if np.abs(made.gains[order][lit] / made.gains[lit] - 1).max() > 0.15:
+def equivalents(craft: Satellite, order: np.ndarray) -> list[np.ndarray]:
+    """Return rotations and mirrors (3, 3) that make the true satellite look like the one that the file describes.
+
+    Column k reads panel `order[k]`, and the file takes it for panel k.
+    """
+    lit = (craft.readings[:, order] > LIT * craft.gains[order]).any(axis=0)
+    true, stated = craft.normals[order][lit], craft.normals[lit]
+    if np.abs(craft.gains[order][lit] / craft.gains[lit] - 1).max() > 0.15:
         return []
     u, size, v = np.linalg.svd(stated.T @ true)
     ends = [1.0, -1.0] if size[2] < 0.05 else [1.0]
-    found = []
+    result = []
     for end in ends:
         m = u @ np.diag([1.0, 1.0, end]) @ v
         side = np.linalg.det(m)
-        h = made.momenta.sum(axis=0)
+        h = craft.momenta.sum(axis=0)
         if np.abs(true @ m.T - stated).max() > ALIKE:
             continue
-        if np.abs(m @ made.inertia @ m.T - made.inertia).max() > 0.03 * np.trace(made.inertia) / 3:
+        if (
+            np.abs(m @ craft.inertia @ m.T - craft.inertia).max()
+            > 0.03 * np.trace(craft.inertia) / 3
+        ):
             continue
         if np.linalg.norm(side * m @ h - h) > ALIKE * max(np.linalg.norm(h), 1e-12):
             continue
-        found.append(m)
-    return found
+        result.append(m)
+    return result

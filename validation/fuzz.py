@@ -1,7 +1,7 @@
-"""Hostile vehicle files, telemetry and options through the command line: a result or one sentence, never anything else.
+"""Hostile vehicle files, telemetry and options through the command line: the only answers allowed are a result or one sentence.
 
-Options are read off the commands themselves, so a new one is tried without being named here. Work that takes long where the
-input is good (a scan, the Monte Carlo, the whole study) is cut short at its beginning: what counts is whether it would begin.
+Options are taken from the commands themselves, so that a new one is tried automatically. Work that takes long for good input (a
+scan, the Monte Carlo, the whole study) is ended at its beginning: the question is whether it would begin.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from validation.border import Accepted, judge, sunspin
 from validation.pool import Suite, Verdict
 
 SMALL_ROWS = 64
-"""Scans and Monte Carlos of so few rows are run."""
+"""Largest number of rows of a scan or Monte Carlo that is run."""
 
 SEARCH_S = 2.5
-"""CPU time of a case after which a search of rates that has begun is ended: fast rates and sparse samples may well take longer."""
+"""CPU time of a case after which a search of rates is ended, as fast rates and sparse samples may take longer."""
 
 KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
 """Share of the cases whose vehicle, telemetry or options are hostile."""
@@ -49,21 +49,24 @@ class Fuzz(Suite):
     """Hostile vehicles, telemetry and options."""
 
     def prepare(self) -> None:
-        """The stock of good files, and shorter work."""
+        """Make the stock of good files, and shorten work that would take long."""
         os.environ.pop("SUNSPIN_DATA", None)
         self.stock = self.home / "stock"
         make_stock(self.stock)
-        for change in cut_short():
+        for change in shorten_work():
             self.stack.enter_context(change)
         self.stack.enter_context(
             mock.patch(
-                "sunspin.estimate.rates.motion._runge_kutta", self._while_short(_runge_kutta)
+                "sunspin.estimate.rates.motion._runge_kutta", self._limit_search(_runge_kutta)
             )
         )
         self.commands = command_table()
 
-    def _while_short(self, function: Any) -> Any:
+    def _limit_search(self, function: Any) -> Any:
+        """Wrap a function so that it ends the case once `SEARCH_S` of CPU time are used."""
+
         def short(*arguments: Any) -> Any:
+            """Call the function while CPU time is left."""
             if time.process_time() - self.begun > SEARCH_S:
                 raise Accepted
             return function(*arguments)
@@ -71,14 +74,14 @@ class Fuzz(Suite):
         return short
 
     def arguments(self, index: int) -> list[str]:
-        """The arguments of this case; makes its files in the present folder."""
+        """Return the arguments of this case, and make its files in the current folder."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
         kind = self.only or str(rng.choice(list(KINDS), p=list(KINDS.values())))
         if kind == "options":
             return self.with_options(rng)
         choices = ON_VEHICLES if kind == "vehicle" else ON_TABLES
         command = choices[int(rng.integers(len(choices)))]
-        arguments = base(command)
+        arguments = base_arguments(command)
         if kind == "vehicle":
             Path("bad.toml").write_bytes(hostile.vehicle(rng))
             return [("bad.toml" if word == "vehicle.toml" else word) for word in arguments]
@@ -86,9 +89,10 @@ class Fuzz(Suite):
         return [("bad.csv" if word == "telemetry.csv" else word) for word in arguments]
 
     def with_options(self, rng: np.random.Generator) -> list[str]:
+        """Return the arguments of a random command with hostile options."""
         names = sorted(self.commands)
         command = names[int(rng.integers(len(names)))]
-        arguments = base(command)
+        arguments = base_arguments(command)
         parameters = self.commands[command].params
         for _ in range(int(rng.integers(1, 4))):
             parameter = parameters[int(rng.integers(len(parameters)))]
@@ -116,8 +120,8 @@ class Fuzz(Suite):
         try:
             arguments = self.last = self.arguments(index)
             self.begun = time.process_time()
-            told = self.told = sunspin(*arguments)
-            verdict = judge(told)
+            result = self.result = sunspin(*arguments)
+            verdict = judge(result)
             if verdict.bad:
                 verdict = verdict._replace(
                     shown=f"{[word[:80] for word in arguments]}\n{verdict.shown}"
@@ -129,7 +133,7 @@ class Fuzz(Suite):
 
 
 def make_stock(folder: Path) -> None:
-    """Good files to start from: start files with few samples, results of two commands, a zip, things that are no files."""
+    """Make good files to start from: start files with few samples, results of two commands, a zip, and paths that are no files."""
     import zipfile
 
     for code, *arguments in (
@@ -145,9 +149,9 @@ def make_stock(folder: Path) -> None:
             str(folder / "results"),
         ),
     ):
-        told = sunspin(*arguments)
-        if told.code != code:
-            raise RuntimeError(f"the stock could not be made: {told}")
+        result = sunspin(*arguments)
+        if result.code != code:
+            raise RuntimeError(f"the stock could not be made: {result}")
     telemetry = folder / "telemetry.csv"
     telemetry.write_text(
         "".join(telemetry.read_text("utf-8").splitlines(keepends=True)[:7]), "utf-8"
@@ -160,46 +164,49 @@ def make_stock(folder: Path) -> None:
         archive.writestr("1500000000_OM3KAA_1", b"\xc0\x00" + bytes(16) + b"\x02" + bytes(80))
 
 
-def cut_short() -> list[Any]:
-    """What takes long where the input is good ends at its beginning; small ensembles of vehicles known beforehand run."""
+def shorten_work() -> list[Any]:
+    """Return patches that end long work at its beginning; small ensembles of vehicles with a compiled kernel run."""
     from sunspin.compute.rows import ensemble
     from sunspin.dynamics.ensemble import ahead
 
-    def few(function: Any, **options: Any) -> Any:
+    def run_if_small(function: Any, **options: Any) -> Any:
+        """Run a small ensemble."""
         if function.n_rows > SMALL_ROWS or options.get("scheduler") is not None:
             raise Accepted
         return ensemble(function, **options)
 
-    def kept(structure: Any) -> Any:
+    def use_if_compiled(structure: Any) -> Any:
+        """Return a compiled kernel."""
         module = ahead.kernel(structure)
         if not ahead.is_kept(Path(str(module.__file__))):
             raise Accepted
         return module
 
-    def begins(*_: Any, **__: Any) -> Any:
+    def raise_accepted(*_: Any, **__: Any) -> Any:
+        """End the case in place of long work."""
         raise Accepted
 
     return [
-        mock.patch("sunspin.estimate.scan.volume.ensemble", few),
-        mock.patch("sunspin.landing.outcomes.ensemble", few),
-        mock.patch("sunspin.estimate.posterior.modes.ensemble", begins),
-        mock.patch("sunspin.dynamics.ensemble.run.ready_kernel", kept),
+        mock.patch("sunspin.estimate.scan.volume.ensemble", run_if_small),
+        mock.patch("sunspin.landing.outcomes.ensemble", run_if_small),
+        mock.patch("sunspin.estimate.posterior.modes.ensemble", raise_accepted),
+        mock.patch("sunspin.dynamics.ensemble.run.ready_kernel", use_if_compiled),
         mock.patch("sunspin.dynamics.ensemble.ahead.compile_ahead", lambda structures: None),
         mock.patch("sunspin.dynamics.ensemble.run.compile_ahead", lambda structures: None),
-        mock.patch("sunspin.philae.reproduction.compute", begins),
+        mock.patch("sunspin.philae.reproduction.compute", raise_accepted),
     ]
 
 
 def command_table() -> dict[str, click.Command]:
-    """Every command by its name."""
+    """Return every command by its name."""
     from sunspin.cli import cli
 
     context = click.Context(cli)
     return {name: cli.get_command(context, name) for name in cli.list_commands(context)}
 
 
-def base(command: str) -> list[str]:
-    """Arguments with which a command does its work on the stock."""
+def base_arguments(command: str) -> list[str]:
+    """Return arguments with which a command works on the stock."""
     grid = ["--omega-x-deg-s=0:1.2:1.2", "--omega-y-deg-s=-1.8:-1.8:60", "--omega-z-deg-s=3:3:60"]
     start = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
     known = {
@@ -246,7 +253,7 @@ PATHS = (
 
 
 def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
-    """A value for an option or argument, mostly of its own kind."""
+    """Return a value for an option or argument, usually of its own kind."""
     kind = parameter.type
     if rng.random() < 0.1:
         pool: Any = hostile.TEXTS + hostile.OPTION_NUMBERS + PATHS
@@ -266,10 +273,11 @@ def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     pool.options(parser)
     parser.add_argument("--only", choices=list(KINDS))
 
 
 def main(given: argparse.Namespace) -> int:
-    """The campaign's figures; 1 if anything was found."""
+    """Print the campaign's figures; return 1 if it has findings."""
     return pool.main(Fuzz, given)

@@ -1,4 +1,4 @@
-"""Hostile vehicle files, tables and values of options, each drawn from a generator that is passed."""
+"""Hostile vehicle files, tables and values of options, each drawn from a generator that the caller passes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ VALUES = NUMBERS + WORDS + ODD
 
 @cache
 def vehicles() -> tuple[str, ...]:
-    """Texts to start from: the template, the template with all its examples made valid, and the built-in ones."""
+    """Return texts to start from: the template, the template with all its examples made valid, and the built-in ones."""
     package = resources.files("sunspin")
     template = package.joinpath("template", "vehicle.toml").read_text("utf-8")
     opened = re.sub(r"^# (?=\[|[a-zA-Z_]+ = )", "", template, flags=re.MULTILINE)
@@ -78,11 +78,12 @@ def vehicles() -> tuple[str, ...]:
 
 
 def _pick(rng: np.random.Generator, things: tuple | list):
+    """Return a random element."""
     return things[int(rng.integers(len(things)))]
 
 
 def vehicle(rng: np.random.Generator) -> bytes:
-    """A vehicle file with one to four wrongs, or a bomb."""
+    """Return a vehicle file with one to four errors, or a bomb."""
     text = _pick(rng, vehicles())
     if rng.random() < 0.06:
         return _pick(rng, BOMBS)(text).encode("utf-8", "surrogatepass")
@@ -94,46 +95,51 @@ def vehicle(rng: np.random.Generator) -> bytes:
 
 
 def _assignments(text: str) -> list[re.Match]:
+    """Return a match for each key and value of a text."""
     return list(re.finditer(r"^([^\s#\[][^=\n]*?)\s*=\s*([^#\n]*)", text, re.MULTILINE))
 
 
-def _value(text: str, rng: np.random.Generator) -> str:
-    """Another value for a key."""
-    found = _pick(rng, _assignments(text) or [re.match("", text)])
+def _replace_value(text: str, rng: np.random.Generator) -> str:
+    """Replace the value of a key."""
+    match = _pick(rng, _assignments(text) or [re.match("", text)])
     return (
-        text[: found.start()]
-        + f"{found.group(1) if found.lastindex else 'x'} = {_pick(rng, VALUES)} "
-        + text[found.end() :]
+        text[: match.start()]
+        + f"{match.group(1) if match.lastindex else 'x'} = {_pick(rng, VALUES)} "
+        + text[match.end() :]
     )
 
 
-def _number(text: str, rng: np.random.Generator) -> str:
-    """Another number somewhere."""
-    found = _pick(rng, list(re.finditer(r"(?<![\w.])-?\d[\d.eE+-]*", text)) or [re.match("", text)])
-    return text[: found.start()] + _pick(rng, NUMBERS) + text[found.end() :]
+def _replace_number(text: str, rng: np.random.Generator) -> str:
+    """Replace a number."""
+    match = _pick(rng, list(re.finditer(r"(?<![\w.])-?\d[\d.eE+-]*", text)) or [re.match("", text)])
+    return text[: match.start()] + _pick(rng, NUMBERS) + text[match.end() :]
 
 
-def _word(text: str, rng: np.random.Generator) -> str:
-    found = _pick(rng, list(re.finditer(r'"[^"\n]*"', text)) or [re.match("", text)])
-    return text[: found.start()] + _pick(rng, WORDS) + text[found.end() :]
+def _replace_word(text: str, rng: np.random.Generator) -> str:
+    """Replace a quoted string."""
+    match = _pick(rng, list(re.finditer(r'"[^"\n]*"', text)) or [re.match("", text)])
+    return text[: match.start()] + _pick(rng, WORDS) + text[match.end() :]
 
 
-def _line_gone(text: str, rng: np.random.Generator) -> str:
+def _delete_line(text: str, rng: np.random.Generator) -> str:
+    """Delete a line."""
     lines = text.splitlines(keepends=True)
     if lines:
         del lines[int(rng.integers(len(lines)))]
     return "".join(lines)
 
 
-def _line_twice(text: str, rng: np.random.Generator) -> str:
+def _repeat_line(text: str, rng: np.random.Generator) -> str:
+    """Repeat a line."""
     lines = text.splitlines(keepends=True) or [""]
     at = int(rng.integers(len(lines)))
     return "".join([*lines[:at], lines[at], *lines[at:]])
 
 
-def _line_new(text: str, rng: np.random.Generator) -> str:
+def _insert_line(text: str, rng: np.random.Generator) -> str:
+    """Insert a line."""
     lines = text.splitlines(keepends=True)
-    known = [found.group(1) for found in _assignments(text)] or ["x"]
+    known = [match.group(1) for match in _assignments(text)] or ["x"]
     new = _pick(
         rng,
         [
@@ -156,22 +162,34 @@ def _line_new(text: str, rng: np.random.Generator) -> str:
     return "".join([*lines[:at], new, *lines[at:]])
 
 
-def _table_moved(text: str, rng: np.random.Generator) -> str:
+def _swap_tables(text: str, rng: np.random.Generator) -> str:
+    """Exchange two tables."""
     parts = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
     i, k = rng.integers(len(parts), size=2)
     parts[i], parts[k] = parts[k], parts[i]
     return "".join(parts)
 
 
-EDITS = (*[_value] * 3, *[_number] * 3, _word, _line_gone, _line_twice, _line_new, _table_moved)
+EDITS = (
+    *[_replace_value] * 3,
+    *[_replace_number] * 3,
+    _replace_word,
+    _delete_line,
+    _repeat_line,
+    _insert_line,
+    _swap_tables,
+)
 
 AXES = ("[1, 0, 0]", "[0, 1, 0]", "[0, 0, 1]", "[0.6, 0.8, 0]", "[0, 0.6, 0.8]", "[-0.6, 0, 0.8]")
 
 
-def _many(
+def _repeat_table(
     head: str, line: Callable[[int], str], n: int, keep_panels: bool = True
 ) -> Callable[[str], str]:
+    """Return a function that adds `n` tables of a kind to a text."""
+
     def bomb(text: str) -> str:
+        """Return the text, or a short one without panels, with the tables added."""
         if not keep_panels:
             text = "name = 'many'\n[telemetry]\ntime_column = 'time_utc'\n"
         return text + "\n" + "".join(f"[[{head}]]\nname = 'n{i}'\n{line(i)}" for i in range(n))
@@ -179,18 +197,28 @@ def _many(
     return bomb
 
 
-def _spread(i: int) -> str:
+def _random_direction(i: int) -> str:
+    """Return direction number `i` as text."""
     v = np.random.default_rng(i).normal(size=3)
     return str((v / np.linalg.norm(v)).tolist())
 
 
 BOMBS: tuple[Callable[[str], str], ...] = (
-    _many("panel", lambda i: f"cells = 1\nnormal_B = {_spread(i)}\n", 60, keep_panels=False),
-    _many("panel", lambda i: f"cells = 1\nnormal_B = {_spread(i)}\n", 4000, keep_panels=False),
-    _many("panel", lambda i: f"cells = 1\nnormal_B = {AXES[i % 6]}\n", 3000, keep_panels=False),
-    _many("wheel", lambda i: f"inertia_kg_m2 = 1e-7\naxis_B = {AXES[i % 6]}\n", 40),
-    _many("wheel", lambda i: f"inertia_kg_m2 = 1e-9\naxis_B = {AXES[i % 6]}\n", 3000),
-    _many("leg", lambda i: f"tip_B_m = {_spread(i)}\n", 8000),
+    _repeat_table(
+        "panel", lambda i: f"cells = 1\nnormal_B = {_random_direction(i)}\n", 60, keep_panels=False
+    ),
+    _repeat_table(
+        "panel",
+        lambda i: f"cells = 1\nnormal_B = {_random_direction(i)}\n",
+        4000,
+        keep_panels=False,
+    ),
+    _repeat_table(
+        "panel", lambda i: f"cells = 1\nnormal_B = {AXES[i % 6]}\n", 3000, keep_panels=False
+    ),
+    _repeat_table("wheel", lambda i: f"inertia_kg_m2 = 1e-7\naxis_B = {AXES[i % 6]}\n", 40),
+    _repeat_table("wheel", lambda i: f"inertia_kg_m2 = 1e-9\naxis_B = {AXES[i % 6]}\n", 3000),
+    _repeat_table("leg", lambda i: f"tip_B_m = {_random_direction(i)}\n", 8000),
     lambda text: text + "\n[[hull]]\nname = 'h'\npoints_B_m = [" + "[0.1,0.2,0.3]," * 60000 + "]\n",
     lambda text: "x = " + "[" * 200_000,
     lambda text: "a." * 200_000 + "a = 1",
@@ -209,7 +237,7 @@ BOMBS: tuple[Callable[[str], str], ...] = (
 
 
 def table(content: bytes, rng: np.random.Generator) -> bytes:
-    """A CSV with one to three wrongs, or a bomb."""
+    """Return a CSV with one to three errors, or a bomb."""
     if rng.random() < 0.08:
         return _pick(rng, TABLE_BOMBS)(content)
     for _ in range(int(rng.integers(1, 4))):
@@ -238,28 +266,30 @@ TIMES = (
     b"46023.5",
     b"NaT",
 )
-"""Forms that the first column of a row may have, right and wrong ones."""
+"""Forms of time for the first cell of a row, right and wrong ones."""
 
 
-def _columns(
+def _map_cells(
     content: bytes, cell: Callable[[int, bytes], bytes], other: bytes | None = None
 ) -> bytes:
-    """The table with `cell` of its number and itself in the first column of each sample, and `other` in the rest of its cells."""
+    """Return the table with `cell` of number and content as the first cell of each sample, and `other` in its remaining cells."""
     lines = content.splitlines()
     head = next((i for i, line in enumerate(lines) if not line.startswith(b"#")), 0) + 1
     rows = [line.split(b",") for line in lines[head:]]
-    made = [
+    lines_out = [
         b",".join([cell(k, row[0]), *(row[1:] if other is None else [other] * (len(row) - 1))])
         for k, row in enumerate(rows)
     ]
-    return b"\n".join([*lines[:head], *made]) + b"\n"
+    return b"\n".join([*lines[:head], *lines_out]) + b"\n"
 
 
-def _form(time: bytes) -> Callable[[bytes], bytes]:
-    return lambda content: _columns(content, lambda k, cell: time if k == 0 else cell)
+def _set_first_time(time: bytes) -> Callable[[bytes], bytes]:
+    """Return a function that replaces the time of the first sample."""
+    return lambda content: _map_cells(content, lambda k, cell: time if k == 0 else cell)
 
 
-def _rows(content: bytes, count: int) -> bytes:
+def _repeat_row(content: bytes, count: int) -> bytes:
+    """Return the table with its first sample `count` times."""
     lines = content.splitlines(keepends=True)
     return b"".join(lines[:2]) + lines[2] * count
 
@@ -276,7 +306,7 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
     ),
     lambda content: b'"' + content,
     lambda content: content + b'"\n' * 1000,
-    lambda content: _rows(content, 30_000),
+    lambda content: _repeat_row(content, 30_000),
     lambda content: b"#" * 2_000_000 + b"\n" + content,
     lambda content: b"# x\n" * 200_000 + content,
     lambda content: content.replace(b"\n", b"\r"),
@@ -293,9 +323,9 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
     lambda content: content.decode("utf-8", "replace").encode("utf-16"),
     lambda content: content.decode("utf-8", "replace").encode("cp500", "replace"),
     lambda content: b"".join(content.splitlines(keepends=True)[2:]),
-    *(_form(time) for time in TIMES),
+    *(_set_first_time(time) for time in TIMES),
     *(
-        partial(_columns, cell=lambda _, cell: cell, other=value)
+        partial(_map_cells, cell=lambda _, cell: cell, other=value)
         for value in (b"0", b"1e-300", b"1e-20", b"1e29", b"1_0", b"")
     ),
 )

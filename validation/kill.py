@@ -1,4 +1,4 @@
-"""Runs killed with SIGKILL at random moments, resumed until they get through, and compared with undisturbed ones."""
+"""Kill runs with SIGKILL at random moments, resume them until they finish, and compare them with undisturbed ones."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from sunspin.compute.store import LOCK
 
 ROOT = Path(__file__).parents[1]
 TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
-UNALIKE = ("seconds", "processor_s", "command", "folder")
-"""Keys of summaries that say how long a run took and where it stood."""
+RUN_DEPENDENT = ("seconds", "processor_s", "command", "folder")
+"""Keys of summaries that depend on the duration and the place of a run."""
 
-SAME = 1e-9
-"""Numbers of a resumed run and of an undisturbed one differ by no more, relative to their size."""
+RELATIVE_TOLERANCE = 1e-9
+"""Largest relative difference between numbers of a resumed and an undisturbed run."""
 
 STORE = "--store=STORE"
-"""The folder of the rows in the arguments of `TARGETS`."""
+"""Folder of the rows in the arguments of `TARGETS`."""
 
 TARGETS = {
     "scan": "scan philae TELEMETRY --from=90 --to=2800 --workers=2 --lines=0 --omega-x-deg-s=-30:60:3 --omega-y-deg-s=-30:60:3 "
@@ -40,12 +40,12 @@ TARGETS = {
     "outcomes": f"outcomes philae --runs=5000 --workers=2 {STORE}",
     "reproduce": "reproduce --coarser=25",
 }
-"""Name -> arguments of a run of half a minute or less."""
+"""Name of each target -> arguments of a run of half a minute or less."""
 
 
 @dataclass
-class Told:
-    """What became of one target."""
+class KillReport:
+    """Result of one target: seconds of an undisturbed run, kills, finished runs, kills after the first results file, errors."""
 
     seconds: float = 0.0
     kills: int = 0
@@ -55,22 +55,24 @@ class Told:
 
 
 def command(name: str, folder: Path) -> list[str]:
-    """The command line of a target whose results and rows stand in a folder."""
+    """Return the command line of a target with its results and rows in a folder."""
     given = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
     return [sys.executable, "-m", "sunspin.cli", *given.split(), "--out", f"{folder}/out"]
 
 
 def environment() -> dict[str, str]:
+    """Return the environment of a run, in which the package is imported from this repository."""
     return os.environ | {"PYTHONPATH": str(ROOT / "src")}
 
 
 def start(arguments: list[str]) -> subprocess.Popen:
+    """Start a process in its own group, without output."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     return subprocess.Popen(arguments, env=environment(), start_new_session=True, **quiet)
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a results file is complete, as far as its own form tells."""
+    """Return whether a results file is complete, as far as its format shows."""
     ends: dict[str, Callable[[bytes], bool]] = {
         ".html": lambda data: data.rstrip().endswith(b"</html>"),
         ".svg": lambda data: data.rstrip().endswith(b"</svg>"),
@@ -87,7 +89,7 @@ def is_whole(path: Path) -> bool:
 
 
 def content(path: Path) -> dict[str, Any]:
-    """What a results file holds, durations and the places of the run left out."""
+    """Return the content of a results file by name."""
     import xarray as xr
 
     if path.suffix == ".json":
@@ -101,102 +103,105 @@ def content(path: Path) -> dict[str, Any]:
     return held
 
 
-def differences(folder: Path, other: Path) -> list[str]:
-    """Names of what differs between the results of two folders."""
+def differences(folder: Path, reference: Path) -> list[str]:
+    """Return the names of files that differ between the results of two folders."""
     files, others = (
         {
             str(path.relative_to(at)): path
             for path in at.rglob("*")
             if path.suffix in (".nc", ".json")
         }
-        for at in (folder, other)
+        for at in (folder, reference)
     )
     different = sorted(set(files) ^ set(others))
     for name in set(files) & set(others):
         ours, theirs = content(files[name]), content(others[name])
-        keys = [key for key in {**ours, **theirs} if key.split(":")[-1] not in UNALIKE]
-        if not all(same(ours.get(key), theirs.get(key)) for key in keys):
+        keys = [key for key in {**ours, **theirs} if key.split(":")[-1] not in RUN_DEPENDENT]
+        if not all(agree_to_rounding(ours.get(key), theirs.get(key)) for key in keys):
             different.append(name)
     return different
 
 
-def same(ours: Any, theirs: Any) -> bool:
-    """Equal, numbers to `SAME`."""
+def agree_to_rounding(ours: Any, theirs: Any) -> bool:
+    """Return whether two values are equal, numbers to `RELATIVE_TOLERANCE`."""
     if isinstance(ours, dict) and isinstance(theirs, dict):
         return ours.keys() == theirs.keys() and all(
-            same(ours[key], theirs[key]) for key in ours if key not in UNALIKE
+            agree_to_rounding(ours[key], theirs[key]) for key in ours if key not in RUN_DEPENDENT
         )
     if isinstance(ours, list) and isinstance(theirs, list):
-        return len(ours) == len(theirs) and all(map(same, ours, theirs))
+        return len(ours) == len(theirs) and all(map(agree_to_rounding, ours, theirs))
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     if ours.dtype.kind != "f":
         return bool(np.array_equal(ours, theirs))
-    alike = ours.shape == theirs.shape and theirs.dtype.kind in "fi"
-    return alike and np.allclose(ours, theirs, rtol=SAME, atol=SAME, equal_nan=True)
+    numeric = ours.shape == theirs.shape and theirs.dtype.kind in "fi"
+    return numeric and np.allclose(
+        ours, theirs, rtol=RELATIVE_TOLERANCE, atol=RELATIVE_TOLERANCE, equal_nan=True
+    )
 
 
 def campaign(
     name: str, kills: int, folder: Path, seed: int, say: Callable[[str], None] = print
-) -> Told:
-    """Kill one target so many times; what was wrong."""
-    told, draw, calm = Told(), random.Random(f"{seed} {name}"), folder / "calm"
+) -> KillReport:
+    """Kill one target `kills` times and return its report."""
+    report, draw, undisturbed = KillReport(), random.Random(f"{seed} {name}"), folder / "calm"
     for _ in range(2):  # the first compiles
-        shutil.rmtree(calm, ignore_errors=True)
-        calm.mkdir(parents=True)
-        begun, process = time.monotonic(), start(command(name, calm))
+        shutil.rmtree(undisturbed, ignore_errors=True)
+        undisturbed.mkdir(parents=True)
+        begun, process = time.monotonic(), start(command(name, undisturbed))
         _, complaint = process.communicate()
         if process.returncode:
             raise RuntimeError(f"{name}: {complaint.decode()}")
-        told.seconds = time.monotonic() - begun
-    say(f"{name}: undisturbed in {told.seconds:.1f} s")
-    while told.kills < kills:
-        place = folder / f"round{told.runs_through}"
-        while not _gets_through(name, place, draw, told):
-            if told.kills > 3 * kills + 20:
-                told.wrong.append("no run gets through")
-                return told
-        told.runs_through += 1
-        if different := differences(place / "out", calm / "out"):
-            told.wrong.append(f"other results after kills: {', '.join(different)}")
+        report.seconds = time.monotonic() - begun
+    say(f"{name}: undisturbed in {report.seconds:.1f} s")
+    while report.kills < kills:
+        place = folder / f"round{report.runs_through}"
+        while not _finishes(name, place, draw, report):
+            if report.kills > 3 * kills + 20:
+                report.wrong.append("no run gets through")
+                return report
+        report.runs_through += 1
+        if different := differences(place / "out", undisturbed / "out"):
+            report.wrong.append(f"other results after kills: {', '.join(different)}")
         if left := [path.name for path in place.rglob("*.part")]:
-            told.wrong.append(f"left behind: {', '.join(left[:3])}")
-    return told
+            report.wrong.append(f"left behind: {', '.join(left[:3])}")
+    return report
 
 
-def _gets_through(name: str, place: Path, draw: random.Random, told: Told) -> bool:
-    """Start and kill at a random moment; whether it got through before."""
+def _finishes(name: str, place: Path, draw: random.Random, report: KillReport) -> bool:
+    """Start a run and kill it at a random moment; return whether it finished before."""
     place.mkdir(parents=True, exist_ok=True)
     process = start(command(name, place))
     try:
-        process.communicate(timeout=draw.uniform(0.2, 1.4 * told.seconds))
+        process.communicate(timeout=draw.uniform(0.2, 1.4 * report.seconds))
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        told.kills += 1
+        report.kills += 1
         files = [path for path in (place / "out").rglob("[!.]*") if path.is_file()]
-        told.after_files += bool(files)
+        report.after_files += bool(files)
         half = [path.name for path in files if path.name != LOCK and not is_whole(path)]
         if half:
-            told.wrong.append(f"half written: {', '.join(half)}")
+            report.wrong.append(f"half written: {', '.join(half)}")
         return False
     if process.returncode:
-        told.wrong.append(f"a resumed run ended with {process.returncode}")
+        report.wrong.append(f"a resumed run ended with {process.returncode}")
     return True
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     parser.add_argument("--n", type=int, default=12, help="kills of each target")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=list(TARGETS))
 
 
 def main(given: argparse.Namespace) -> int:
-    """Print what became of each target; one if anything was wrong."""
+    """Print the report of each target; return 1 if anything was wrong."""
     wrong = 0
     for name in TARGETS if given.only is None else (given.only,):
         with tempfile.TemporaryDirectory(prefix="validation-") as folder:
-            told = campaign(name, given.n, Path(folder), given.seed)
-        ended = f"{told.kills} kills, {told.after_files} of them with results in place; {told.runs_through} runs got through"
-        print(f"{name}: {ended}; {'; '.join(told.wrong) or 'the undisturbed result'}", flush=True)
-        wrong += bool(told.wrong)
+            report = campaign(name, given.n, Path(folder), given.seed)
+        ended = f"{report.kills} kills, {report.after_files} of them with results in place; {report.runs_through} runs got through"
+        print(f"{name}: {ended}; {'; '.join(report.wrong) or 'the undisturbed result'}", flush=True)
+        wrong += bool(report.wrong)
     return int(bool(wrong))

@@ -1,6 +1,7 @@
-"""Simulated passes whose motion is known, of every kind for which a verdict of `rates` may be wrong. All telemetry is synthetic.
+"""Simulated passes with known motion, of every kind for which a verdict of `rates` may be wrong. All telemetry is synthetic.
 
-Nothing of the package's own dynamics makes them: Euler's equations with a torque by Runge and Kutta, light as gain times cosine.
+They are made without the package's own dynamics: Euler's equations with a torque are integrated by a Runge-Kutta method, and the
+light on a panel is gain times cosine.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ GYRO = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3, zero_sigma=np.full(3, 2e-3)
 STEP_S = 0.25
 
 CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
-"""rad/s by which a torque or a step changes the rate over a pass, and a strong torque."""
+"""Change of the rate by a torque or a step over a pass in rad/s, and that by a strong torque."""
 
 KINDS = {
     "right model": 24,
@@ -51,14 +52,14 @@ KINDS = {
     "even, sampled as jitter": 12,
     "slow, wide range": 120,
 }
-"""Kind of pass -> how many."""
+"""Number of passes of each kind."""
 
 Push = Callable[[float, np.ndarray], np.ndarray]
-"""Angular acceleration (3) in body axes at a time and an attitude B_from_N."""
+"""Function from time and attitude B_from_N to an angular acceleration (3) in body axes."""
 
 
-class Made(NamedTuple):
-    """A vehicle, its telemetry, the true rates (n, 3), and the largest rate that is told."""
+class SimulatedPass(NamedTuple):
+    """A vehicle, its telemetry, the true rates (n, 3) in rad/s, and the largest rate that is stated."""
 
     vehicle: Vehicle
     telemetry: xr.Dataset
@@ -67,6 +68,7 @@ class Made(NamedTuple):
 
 
 def unit(rng: np.random.Generator) -> np.ndarray:
+    """Draw a direction (3), uniform on the sphere."""
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
 
@@ -77,9 +79,10 @@ def spin(
     push: Push | None = None,
     moments: np.ndarray = MOMENTS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rates (n, 3) and attitudes (n, 3, 3) of the body with these principal moments (3) at times (n)."""
+    """Return rates (n, 3) and attitudes (n, 3, 3) of a body with these principal moments (3) at times (n)."""
 
     def change(w: np.ndarray, t: float, attitude: np.ndarray) -> np.ndarray:
+        """Return dw/dt of Euler's equations in principal axes."""
         return np.cross(moments * w, w) / moments + (0.0 if push is None else push(t, attitude))
 
     rates, attitudes, w, attitude, now = [], [], np.array(omega), np.eye(3), float(t_s[0])
@@ -98,7 +101,7 @@ def spin(
     return np.array(rates), np.array(attitudes)
 
 
-def seen(
+def observe(
     normals: np.ndarray,
     omega: np.ndarray,
     attitude: np.ndarray,
@@ -107,8 +110,8 @@ def seen(
     rng: np.random.Generator,
     gyro: bool = False,
     max_rate_rad_s: float = 0.15,
-) -> Made:
-    """What panels, and a gyro, see of a motion."""
+) -> SimulatedPass:
+    """Return the readings of panels with these normals (n_panel, 3), and of a gyro if there is one, during a motion."""
     names = NAMES if len(normals) == len(NAMES) else tuple(f"p{i}" for i in range(len(normals)))
     panels = tuple(Panel(name, normal, 1.0) for name, normal in zip(names, normals, strict=True))
     vehicle = Vehicle(
@@ -129,69 +132,73 @@ def seen(
         read = omega * (1 + GYRO.scale_sigma * rng.normal()) + GYRO.zero_sigma * rng.normal(size=3)
         data["gyro_B"] = (("time", "axis"), read + GYRO.noise_rad_s * rng.normal(size=omega.shape))
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    return Made(
+    return SimulatedPass(
         vehicle, xr.Dataset(data, {"time": t_s, "panel": list(names)}, attrs), omega, max_rate_rad_s
     )
 
 
-def instants(rng: np.random.Generator, count: int, interval_s: float) -> np.ndarray:
+def draw_times(rng: np.random.Generator, count: int, interval_s: float) -> np.ndarray:
+    """Draw `count` times in s with intervals that vary by 20 %."""
     return np.concatenate([[0.0], np.cumsum(interval_s * rng.uniform(0.8, 1.2, count - 1))])
 
 
-def tumbling(
+def make_tumbling(
     rng: np.random.Generator,
     push: Callable[[np.random.Generator, float], Push] | None = None,
     deg_s: tuple[float, float] = (0.5, 4.0),
     apart_s: tuple[float, float] = (5.0, 15.0),
-) -> Made:
-    """Six faces, 25 to 40 samples so far apart, so fast, noise of 0.5 to 3 %; a gyro on one in four."""
-    t = instants(rng, int(rng.integers(25, 41)), rng.uniform(*apart_s))
+) -> SimulatedPass:
+    """Make a pass of six panels, 25 to 40 samples, noise of 0.5 to 3 %, with a gyro in one of four.
+
+    Speed (deg/s) and interval (s) are drawn from the ranges given; `push` draws an angular acceleration.
+    """
+    t = draw_times(rng, int(rng.integers(25, 41)), rng.uniform(*apart_s))
     start = np.radians(rng.uniform(*deg_s)) * unit(rng)
     noise, gyro = 10 ** rng.uniform(-2.3, -1.5), bool(rng.random() < 0.25)
-    return seen(
+    return observe(
         FACES, *spin(start, t, None if push is None else push(rng, t[-1])), t, noise, rng, gyro
     )
 
 
-def steady(
+def steady_torque(
     rng: np.random.Generator, span_s: float, change: float = CHANGE, in_body: bool | None = None
 ) -> Push:
-    """A torque that changes the rate by `change`, fixed in the body or in space."""
+    """Draw a torque that changes the rate by `change` over the pass, fixed in the body or in space."""
     size = change / span_s * unit(rng)
     in_body = rng.random() < 0.5 if in_body is None else in_body
     return lambda _, attitude: size if in_body else attitude @ size * MOMENTS.mean() / MOMENTS
 
 
-def stepped(rng: np.random.Generator, span_s: float) -> Push:
-    """A thruster that changes the rate by `CHANGE` within two seconds."""
+def rate_step(rng: np.random.Generator, span_s: float) -> Push:
+    """Draw a thrust of two seconds that changes the rate by `CHANGE`."""
     size, at = CHANGE / 2 * unit(rng), rng.uniform(0.2, 0.8) * span_s
     return lambda t, _: size if at <= t < at + 2 else np.zeros(3)
 
 
-def slews(rng: np.random.Generator, span_s: float) -> Push:
-    """Two to four thrusts of two seconds, each of which changes the rate by half of `CHANGE` to twice that."""
+def several_thrusts(rng: np.random.Generator, span_s: float) -> Push:
+    """Draw two to four thrusts of two seconds, each of which changes the rate by half of `CHANGE` to twice that."""
     count = int(rng.integers(2, 5))
     sizes = np.array([CHANGE / 2 * rng.uniform(0.5, 2.0) * unit(rng) for _ in range(count)])
     at = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / count * span_s
     return lambda t, _: sizes[(at <= t) & (t < at + 2)].sum(axis=0)
 
 
-def badly_timed(made: Made, rng: np.random.Generator) -> Made:
-    """The same with every time tag off by a second or two at random, in whole seconds."""
-    t = made.telemetry["time"].values
+def shift_time_tags(simulated: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
+    """Return the pass with every time tag off by a second or two at random, in whole seconds."""
+    t = simulated.telemetry["time"].values
     tags = np.round(t + rng.uniform(0.5, 2.0) * rng.normal(size=len(t)))
-    return made._replace(
-        telemetry=made.telemetry.assign_coords(
+    return simulated._replace(
+        telemetry=simulated.telemetry.assign_coords(
             time=np.maximum.accumulate(tags + 1e-3 * np.arange(len(t)))
         )
     )
 
 
-def given_back(rng: np.random.Generator) -> Made:
-    """A few samples of much noise close together, and a largest rate that is told and below what they could show."""
-    t = instants(rng, int(rng.integers(4, 8)), rng.uniform(5.0, 12.0))
+def make_unconstrained(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of few noisy samples close together, whose stated largest rate is below what they could constrain."""
+    t = draw_times(rng, int(rng.integers(4, 8)), rng.uniform(5.0, 12.0))
     limit = np.radians(rng.uniform(0.2, 0.6))
-    return seen(
+    return observe(
         FACES,
         *spin(rng.uniform(0.0, 0.9) * limit * unit(rng), t),
         t,
@@ -202,13 +209,12 @@ def given_back(rng: np.random.Generator) -> Made:
     )
 
 
-def jitter(rng: np.random.Generator) -> Made:
-    """Nine panels of much noise, samples 30 to 120 s apart, and wheels that swing the body to and fro within 20 s."""
+def make_jitter(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of nine noisy panels, 30 to 120 s between samples, with oscillations by wheels within 20 s."""
     normals = np.array([unit(rng) for _ in range(9)])
-    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
-    pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(
-        size=(int(t[-1]) + 2, 3)
-    )  # white, one a second
+    t = draw_times(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    # white noise of angular acceleration, one value a second
+    pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(size=(int(t[-1]) + 2, 3))
     drag = 0.05  # 1/s, so that the rates stay as small as those of a body under control
     rates = np.zeros_like(pushes)
     for k in range(1, len(pushes)):
@@ -217,13 +223,13 @@ def jitter(rng: np.random.Generator) -> Made:
         list(
             accumulate(
                 rates,
-                lambda one, rate: Rotation.from_rotvec(-rate).as_matrix() @ one,
+                lambda before, rate: Rotation.from_rotvec(-rate).as_matrix() @ before,
                 initial=np.eye(3),
             )
         )
     )
     at = t.astype(int)
-    return seen(
+    return observe(
         normals,
         rates[at],
         attitude[at],
@@ -235,43 +241,53 @@ def jitter(rng: np.random.Generator) -> Made:
     )
 
 
-def even(rng: np.random.Generator) -> Made:
-    """A body that turns as its moments have it, seen by such panels at such intervals as one that swings."""
+def make_even(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of a free body with the panels and intervals of `make_jitter`."""
     normals = np.array([unit(rng) for _ in range(9)])
-    t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
+    t = draw_times(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
     motion = spin(np.radians(rng.uniform(0.2, 2.5)) * unit(rng), t)
-    return seen(normals, *motion, t, rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
+    return observe(normals, *motion, t, rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
 
 
-def exchanged(made: Made, rng: np.random.Generator) -> Made:
-    """The same with the columns of two panels exchanged."""
+def exchange_columns(simulated: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
+    """Return the pass with the columns of two panels exchanged."""
     a, b = rng.choice(len(FACES), 2, replace=False)
-    power = made.telemetry["power_W"].values.copy()
+    power = simulated.telemetry["power_W"].values.copy()
     power[:, [a, b]] = power[:, [b, a]]
-    return made._replace(telemetry=made.telemetry.assign(power_W=(("time", "panel"), power)))
+    return simulated._replace(
+        telemetry=simulated.telemetry.assign(power_W=(("time", "panel"), power))
+    )
 
 
-def slow_in_a_wide_range(rng: np.random.Generator) -> Made:
-    """A body of 0.05 to 0.3 deg/s that is searched up to 8 deg/s: 24 even samples 10 to 30 s apart, six panels of 1 to 7 % noise,
-    principal moments 0.7 to 1.3 of their mean, each stated to 1 %."""
+def make_slow(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of a body at 0.05 to 0.3 deg/s that is searched up to 8 deg/s.
+
+    It has 24 even samples 10 to 30 s apart and six panels of 1 to 7 % noise. Principal moments are 0.7 to 1.3 of their mean and are
+    stated to 1 %.
+    """
     t = rng.uniform(10.0, 30.0) * np.arange(24)
     moments = MOMENTS.mean() * rng.uniform(0.7, 1.3, 3)
     start = np.radians(rng.uniform(0.05, 0.3)) * unit(rng)
     motion = spin(start, t, moments=moments)
     noise = rng.uniform(0.01, 0.07)
-    made = seen(FACES, *motion, t, noise, rng, False, np.radians(8.0))
+    simulated = observe(FACES, *motion, t, noise, rng, False, np.radians(8.0))
     stated = np.diag(moments * (1 + 0.01 * rng.normal(size=3)))
-    return made._replace(vehicle=replace(made.vehicle, inertia_kg_m2=stated))
+    return simulated._replace(vehicle=replace(simulated.vehicle, inertia_kg_m2=stated))
 
 
-def few(rng: np.random.Generator) -> Made:
-    """Three to six directions of a Sun sensor, good to 2 to 10 degrees, 10 to 45 s apart; on some a gyro, a magnetometer."""
-    t = instants(rng, int(rng.integers(3, 7)), rng.uniform(10.0, 45.0))
+def make_few_samples(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of three to six directions of a Sun sensor, good to 2 to 10 degrees, 10 to 45 s apart.
+
+    Some have a gyro or a magnetometer too.
+    """
+    t = draw_times(rng, int(rng.integers(3, 7)), rng.uniform(10.0, 45.0))
     omega, attitude = spin(np.radians(rng.uniform(0.3, 3.0)) * unit(rng), t)
-    made = seen(FACES, omega, attitude, t, 0.01, rng, bool(rng.random() < 0.3), np.radians(4.0))
+    simulated = observe(
+        FACES, omega, attitude, t, 0.01, rng, bool(rng.random() < 0.3), np.radians(4.0)
+    )
     sigma = np.radians(rng.uniform(2.0, 10.0))
     sun = attitude @ unit(rng) + sigma * rng.normal(size=(len(t), 3))
-    data = made.telemetry.drop_vars("power_W").assign(
+    data = simulated.telemetry.drop_vars("power_W").assign(
         sun_sensor_B=(("time", "axis"), sun / np.linalg.norm(sun, axis=1, keepdims=True)),
         sun_sensor_cov_B=(("time", "axis", "axis2"), np.tile(sigma**2 * np.eye(3), (len(t), 1, 1))),
     )
@@ -281,25 +297,32 @@ def few(rng: np.random.Generator) -> Made:
             attitude @ unit(rng) + 0.03 * rng.normal(size=(len(t), 3)),
         )
         part = Magnetometer(("x", "y", "z"), np.zeros(3), 0.03)
-        made = made._replace(
-            vehicle=replace(made.vehicle, sensors=replace(made.vehicle.sensors, magnetometer=part))
+        simulated = simulated._replace(
+            vehicle=replace(
+                simulated.vehicle, sensors=replace(simulated.vehicle.sensors, magnetometer=part)
+            )
         )
-    return made._replace(telemetry=data)
+    return simulated._replace(telemetry=data)
 
 
-def misread(made: Made, rng: np.random.Generator) -> Made:
-    """The same with one or two of the Sun's directions off, by two of their sigmas to 70 degrees."""
-    sun = made.telemetry["sun_sensor_B"].values.copy()
-    sigma = np.sqrt(made.telemetry["sun_sensor_cov_B"].values[0, 0, 0])
+def rotate_sun_directions(simulated: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
+    """Return the pass with one or two of its Sun directions off, by two of their sigmas to 70 degrees."""
+    sun = simulated.telemetry["sun_sensor_B"].values.copy()
+    sigma = np.sqrt(simulated.telemetry["sun_sensor_cov_B"].values[0, 0, 0])
     for k in rng.choice(len(sun), int(rng.integers(1, 3)), replace=False):
         about = np.cross(sun[k], unit(rng))
         off = np.exp(rng.uniform(np.log(2 * sigma), np.log(np.radians(70.0))))
         sun[k] = Rotation.from_rotvec(off * about / np.linalg.norm(about)).apply(sun[k])
-    return made._replace(telemetry=made.telemetry.assign(sun_sensor_B=(("time", "axis"), sun)))
+    return simulated._replace(
+        telemetry=simulated.telemetry.assign(sun_sensor_B=(("time", "axis"), sun))
+    )
 
 
-def stop_and_go(rng: np.random.Generator) -> Made:
-    """Turned on the ground about axes of its body, 5 to 20 s at 2 to 6 deg/s, with rests in between; samples 1 s apart."""
+def make_stop_and_go(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of a body that is rotated on the ground about its own axes, 5 to 20 s at 2 to 6 deg/s, with rests in between.
+
+    Samples are 1 s apart.
+    """
     t = np.arange(int(rng.integers(200, 320)), dtype=float)
     omega, at = np.zeros((len(t), 3)), 0
     while at < len(t):
@@ -310,13 +333,16 @@ def stop_and_go(rng: np.random.Generator) -> Made:
     attitude = [np.eye(3)]
     for rate in omega[:-1]:
         attitude.append(Rotation.from_rotvec(-rate).as_matrix() @ attitude[-1])
-    return seen(
+    return observe(
         FACES, omega, np.array(attitude), t, rng.uniform(0.02, 0.1), rng, bool(rng.random() < 0.5)
     )
 
 
-def make(kind: str, seed: int, i: int) -> Made:
-    """Pass `i` of a kind; one whose columns are exchanged, or times are off, is that of the right model otherwise."""
+def make(kind: str, seed: int, i: int) -> SimulatedPass:
+    """Return pass `i` of a kind.
+
+    Passes with exchanged columns, wrong time tags or bad readings are passes of another kind with that change.
+    """
     of_others = {
         "columns exchanged": "right model",
         "time tags": "right model",
@@ -327,40 +353,44 @@ def make(kind: str, seed: int, i: int) -> Made:
         np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i))
     )
     makers = {
-        "right model": tumbling,
-        "steady torque": lambda r: tumbling(r, steady),
-        "step of the rate": lambda r: tumbling(r, stepped),
-        "jitter": jitter,
-        "stop and go": stop_and_go,
-        "prior given back": given_back,
-        "slews": lambda r: tumbling(r, slews),
-        "strong torque in the body": lambda r: tumbling(
-            r, partial(steady, change=STRONG, in_body=True)
+        "right model": make_tumbling,
+        "steady torque": lambda r: make_tumbling(r, steady_torque),
+        "step of the rate": lambda r: make_tumbling(r, rate_step),
+        "jitter": make_jitter,
+        "stop and go": make_stop_and_go,
+        "prior given back": make_unconstrained,
+        "slews": lambda r: make_tumbling(r, several_thrusts),
+        "strong torque in the body": lambda r: make_tumbling(
+            r, partial(steady_torque, change=STRONG, in_body=True)
         ),
-        "strong torque in space": lambda r: tumbling(
-            r, partial(steady, change=STRONG, in_body=False)
+        "strong torque in space": lambda r: make_tumbling(
+            r, partial(steady_torque, change=STRONG, in_body=False)
         ),
-        "few samples": few,
-        "even, sampled as jitter": even,
-        "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
-        "60 s apart": lambda r: tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
-        "slow, wide range": slow_in_a_wide_range,
+        "few samples": make_few_samples,
+        "even, sampled as jitter": make_even,
+        "slow": lambda r: make_tumbling(r, deg_s=(0.02, 0.3)),
+        "60 s apart": lambda r: make_tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
+        "slow, wide range": make_slow,
     }
-    made = makers[base](rng)
-    spoilt = {
-        "columns exchanged": exchanged,
-        "time tags": badly_timed,
-        "few samples, bad readings": misread,
+    simulated = makers[base](rng)
+    changes = {
+        "columns exchanged": exchange_columns,
+        "time tags": shift_time_tags,
+        "few samples, bad readings": rotate_sun_directions,
     }
-    return spoilt.get(kind, lambda made, _: made)(made, rng)
+    return changes.get(kind, lambda simulated, _: simulated)(simulated, rng)
 
 
 def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
-    """What is said of a simulated pass, and whether it is true; of one that is not decided, whether its best motion `leads`:
-    holds the probability that is asked for, fits, and has a speed above its error."""
-    made = make(kind, seed, i)
+    """Run `rates` on a simulated pass and return its verdict and whether that is true.
+
+    `leads` says of an undecided pass whether its best solution has the required probability, fits, and has a constrained speed.
+    """
+    simulated = make(kind, seed, i)
     try:
-        result = rates(made.vehicle, made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
+        result = rates(
+            simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s
+        )
     except SunspinError as error:
         return {
             "decided": False,
@@ -371,14 +401,14 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
             "listed": False,
             "why": str(error),
         }
-    return judged(result, made)
+    return compare_with_truth(result, simulated)
 
 
-def judged(result: Any, made: Made) -> dict[str, Any]:
-    """The first pass against the truth."""
+def compare_with_truth(result: Any, simulated: SimulatedPass) -> dict[str, Any]:
+    """Return the comparison of the first pass of a result with the truth."""
     t = result["time"].values[result["pass_of"].values == 0]
     at = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
-    truth = made.omega[np.argmin(np.abs(made.telemetry["time"].values - at))]
+    truth = simulated.omega[np.argmin(np.abs(simulated.telemetry["time"].values - at))]
     omegas, sigmas = (
         np.stack([result[f"{name}_{axis}"].values[0] for axis in "xyz"], axis=1)
         for name in ("omega", "sigma")
@@ -390,10 +420,10 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
         not is_wrong(omega, sigma, (2 * keep - 1) * truth) for keep in np.eye(3)
     )
     fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
-    told = result["constrained_speed"].values[0]  # else an upper limit is the right answer
+    constrained = result["constrained_speed"].values[0]  # else an upper limit is the right answer
     return {
         "decided": bool(result["decided"].values[0]),
-        "leads": bool(result["probability"].values[0, 0] >= DECIDED and fitted and told),
+        "leads": bool(result["probability"].values[0, 0] >= DECIDED and fitted and constrained),
         "wrong": wrong and not mirrored,
         "mirrored": mirrored,
         "listed": is_listed(omegas, sigmas, result["probability"].values[0], truth),

@@ -1,13 +1,13 @@
-"""Cases in other processes under limits of time and memory: one that hangs or crashes is a finding, and the others go on.
+"""Run cases in other processes under limits of time and memory: a hang or a crash is a finding, and the other cases continue.
 
-A suite turns a case number into a verdict; the number and the seed alone decide what the case is. It is built in the process that
-runs its cases, so that what it opens, compiles and limits stays there.
+A suite turns a case number into a verdict; number and seed alone determine the case. The suite is built in the process that runs
+its cases, so that everything it opens, compiles and limits stays there.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing as mp
+import multiprocessing
 import os
 import resource
 import signal
@@ -23,17 +23,17 @@ from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, Self
 
 CPU_S = 5.0
-"""A case that computes for longer hangs."""
+"""CPU time (s) after which a case counts as hanging."""
 
 WALL_S = 60.0
-"""A case that waits for longer hangs: a shorter time would blame the case for a busy machine."""
+"""Wall time (s) after which a case counts as hanging: a shorter time would blame the case for a busy machine."""
 
 MORE_MEMORY = 2 * 1024**3
-"""Bytes of address space that a case may take beyond what the imports took."""
+"""Address space (bytes) that a case may use in addition to that of the imports."""
 
 
 class Verdict(NamedTuple):
-    """How a case ended ("fine", "refused", ...), whether that is a finding, and what to show of it."""
+    """Result of a case: one word ("fine", "refused", ...), whether that is a finding, and a text to show."""
 
     what: str
     bad: bool = False
@@ -41,7 +41,7 @@ class Verdict(NamedTuple):
 
 
 class Suite:
-    """Case number -> verdict. A context, as it makes files; `last` says what the last case was."""
+    """Function from case number to verdict. A context manager, as it makes files; `last` describes the last case."""
 
     last: object = ""
 
@@ -66,7 +66,7 @@ class Suite:
         self.stack.close()
 
     def prepare(self) -> None:
-        """Make what all cases share; undone by `stack`."""
+        """Make everything that all cases share; `stack` undoes it."""
         raise NotImplementedError
 
     def __call__(self, index: int) -> Verdict:
@@ -76,7 +76,7 @@ class Suite:
 
 @dataclass
 class Report:
-    """What became of all cases."""
+    """Results of all cases."""
 
     n: int
     counts: Counter = field(default_factory=Counter)
@@ -87,6 +87,7 @@ class Report:
     seconds: float = 0.0
 
     def take(self, index: int, verdict: Verdict, cpu_s: float, peak_MB: float) -> None:
+        """Add the result of a case."""
         self.counts[verdict.what] += 1
         if verdict.bad:
             self.findings.append((index, verdict))
@@ -96,7 +97,7 @@ class Report:
 
 
 def _serve(suite: Callable[..., Any], options: dict[str, Any], pipe: Any, cpu_s: float) -> None:
-    """Run the cases whose numbers come through the pipe; the kernel ends this process if one computes for too long."""
+    """Run the cases whose numbers come through the pipe. The kernel ends this process if one computes for too long."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.setsid()  # what it starts is ended with it
     with suite(**options) as case:
@@ -111,15 +112,15 @@ def _serve(suite: Callable[..., Any], options: dict[str, Any], pipe: Any, cpu_s:
 
 
 class _Worker:
-    """A process with a suite in it."""
+    """A process that runs a suite."""
 
     def __init__(self, suite: Callable[..., Any], options: dict[str, Any], cpu_s: float) -> None:
-        context = mp.get_context("spawn")
-        self.pipe, there = context.Pipe()
-        given = suite, options, there, cpu_s
-        self.process = context.Process(target=_serve, args=given, daemon=False)
+        context = multiprocessing.get_context("spawn")
+        self.pipe, child = context.Pipe()
+        arguments = suite, options, child, cpu_s
+        self.process = context.Process(target=_serve, args=arguments, daemon=False)
         self.process.start()
-        there.close()
+        child.close()
         try:
             self.pipe.recv()
         except EOFError:
@@ -129,7 +130,7 @@ class _Worker:
             ) from None
 
     def run(self, index: int) -> tuple[Verdict, float, float] | None:
-        """Verdict, processor time (s) and peak (MB) of a case; None if the process did not survive it, see `end`."""
+        """Return verdict, processor time (s) and peak memory (MB) of a case; None if the process did not survive it, see `end`."""
         try:
             self.pipe.send(index)
             if self.pipe.poll(WALL_S):
@@ -140,7 +141,7 @@ class _Worker:
         return None
 
     def end(self) -> Verdict:
-        """Kill the process, and what became of it before."""
+        """Kill the process if it still runs, and return the verdict on its case."""
         self.process.join(0.5)
         code = self.process.exitcode
         if code is None:
@@ -162,12 +163,13 @@ def run(
     say: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Report:
-    """All cases first .. first + n - 1 of a suite; `say` hears of findings as they come."""
+    """Run cases first .. first + n - 1 of a suite; `say` is called with each finding."""
     report, numbers, begun = Report(n), SimpleQueue[int](), time.monotonic()
     for index in range(first, first + n):
         numbers.put(index)
 
     def work() -> None:
+        """Run cases in a worker until there are no more."""
         worker = None
         try:
             while True:
@@ -193,7 +195,7 @@ def run(
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """Options that campaigns of cases share."""
+    """Add the options that campaigns of cases share."""
     parser.add_argument("--n", type=int, default=1000, help="cases")
     parser.add_argument("--seed", type=int, default=0)
     first = "number of the first case: --first I --n 1 repeats one"
@@ -203,19 +205,19 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--here", action="store_true", help=here)
 
 
-def main(suite: type[Suite], given: argparse.Namespace) -> int:
-    """The cases that were asked for, in other processes or here; 1 if anything was found."""
-    about = {"seed": given.seed, "only": given.only}
-    if given.here:
+def main(suite: type[Suite], arguments: argparse.Namespace) -> int:
+    """Run the requested cases, in other processes or in this one; return 1 if there are findings."""
+    about = {"seed": arguments.seed, "only": arguments.only}
+    if arguments.here:
         with suite(memory=None, **about) as case:
-            for index in range(given.first, given.first + given.n):
+            for index in range(arguments.first, arguments.first + arguments.n):
                 begun, verdict = time.process_time(), case(index)
-                shown = verdict.shown or getattr(getattr(case, "told", None), "err", "")
+                shown = verdict.shown or getattr(getattr(case, "result", None), "err", "")
                 took = time.process_time() - begun
                 print(f"case {index}: {verdict.what}, {took:.1f} s: {case.last}\n{shown}")
         return 0
-    about |= {"first": given.first, "workers": given.workers, "say": print}
-    report = run(suite, given.n, **about)
+    about |= {"first": arguments.first, "workers": arguments.workers, "say": print}
+    report = run(suite, arguments.n, **about)
     counts = ", ".join(f"{n} {what}" for what, n in report.counts.most_common())
     print(f"{report.n} cases in {report.seconds:.0f} s: {counts}")
     slowest = f"slowest {report.slowest_s:.1f} s of CPU (case {report.slowest})"

@@ -1,9 +1,9 @@
-"""Philae as its file draws it, simulated without the package: what the posterior says.
+"""Posterior of Philae with panels as drawn, simulated without the package.
 
-Nothing of the simulator is the package's: the vehicle file is read as text, the gyrostat is integrated here, panels are cosines.
-The panels are not turned, the wheel coasts, moments, friction and the wheel's speed are off by the posterior's own sigmas, every
-reading has noise and those below zero are clipped; the noise that the vehicle states is right or 15 % off. Case i depends on seed
-and i alone. The first three are fixed in all but the draws: such cases were lost, did not end or took five minutes.
+The vehicle file is read as text, the gyrostat is integrated here, panels are cosines. The panels are not misaligned and the wheel
+coasts. Moments, friction and wheel speed differ from the file by the posterior's own sigmas. Every reading has noise and negative
+ones are clipped. The noise that the vehicle states is right or 15 % off. Case i depends on seed and i alone. The first three are
+fixed in all but the draws: cases like these were lost, did not end or took five minutes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -30,27 +30,29 @@ from validation.truths import is_in_solutions
 CASES = 24
 
 SAMPLES, INTERVALS_S, MAX_RATES, MOST_TURNS = (13, 21), (30.0, 120.0), (0.2, 0.45), 4.5
-"""Ranges of samples, seconds between them and largest rates given (rad/s), and turns at the largest rate between two samples."""
+"""Ranges of the number of samples, of their intervals (s) and of the stated largest rates (rad/s), and largest number of
+revolutions between two samples.
+"""
 
 NOISES, STATED = (0.015, 0.04), (1.0, 0.85, 1.15)
-"""Noise as a part of the largest panel's full power, and what the vehicle file states of it, times the truth, in turn."""
+"""Range of the noise, as a part of the largest panel's full power, and ratios of the stated noise to the true one, in turn."""
 
 MOMENTS, FRICTION, SPEED = 0.01, 0.05, 0.005
-"""Relative sigmas by which the body is not as the file says."""
+"""Relative sigmas of moments, friction and wheel speed about the values of the file."""
 
 FULL_W = 2.5
-"""Power of the largest panel at normal incidence."""
+"""Power (W) of the largest panel at normal incidence."""
 
 NEAR_SIGMAS = 4.5
-"""A region is the truth's within this many sigmas of its rates, as in the calibration."""
+"""Largest distance of a solution from the truth, in sigmas of its rates, as in the calibration."""
 
 LIMIT_S = 400.0
-"""Processor time of a case at most."""
+"""Largest processor time (s) of a case."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """`rate` rad/s at the first sample, or nan where it is drawn from the ball; `noise` as a part of the largest panel's power."""
+    """Parameters of a case. `rate`: rad/s at the first sample, NaN to draw it; `noise`: part of the largest panel's power."""
 
     seed: int
     number: int
@@ -63,7 +65,7 @@ class Case:
 
 
 def cases(seed: int = 0) -> Iterator[Case]:
-    """The cases of a seed."""
+    """Yield the cases of a seed."""
     yield Case(seed, 0, 13, 60.0, 0.261, 0.036, 0.85, float(np.radians(14.6)))
     yield Case(seed, 1, 15, 120.0, 0.236, 0.03, 1.0)
     yield Case(seed, 2, 17, 30.0, 0.45, 0.03, 1.15)
@@ -78,8 +80,16 @@ def cases(seed: int = 0) -> Iterator[Case]:
         yield Case(seed, i, samples, interval, limit, round(rng.uniform(*NOISES), 4), STATED[i % 3])
 
 
-def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
-    """Telemetry in the form of `read_telemetry`, the rate at the first sample (3), rad/s, and the true noise in W."""
+class Simulation(NamedTuple):
+    """Telemetry of a case, its true rate (3) at the first sample in rad/s, and the true noise in W."""
+
+    telemetry: xr.Dataset
+    omega_B: np.ndarray
+    noise_W: float
+
+
+def simulate(case: Case) -> Simulation:
+    """Return telemetry in the form of `read_telemetry`, the rate (3) at the first sample in rad/s, and the true noise in W."""
     rng = np.random.default_rng([case.seed, case.number, 1])
     philae = tomllib.loads(
         files("sunspin").joinpath("cases/philae/vehicle.toml").read_text("utf-8")
@@ -105,7 +115,7 @@ def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
     size = case.max_rate * rng.random() ** (1 / 3)
     omega = way * (case.rate if np.isfinite(case.rate) else size)
     t = case.interval_s * np.arange(case.samples)
-    seen = directions(
+    seen = simulate_directions(
         inertia, np.array(wheel["axis_B"]["value"]), own, (dry, viscous), (omega, sun, speed), t
     )
     normals = np.array([panel["normal_B"]["value"] for panel in philae["panel"]])
@@ -119,14 +129,11 @@ def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
         "flag": ("time", np.zeros(len(t), np.uint8)),
     }
     attrs = {"epoch_utc": "2014-11-12T15:34:04Z", "synthetic": 1, "quantity": "power_W"}
-    return (
-        xr.Dataset(data, {"time": ("time", t, {"units": "s"}), "panel": names}, attrs),
-        omega,
-        noise,
-    )
+    coords = {"time": ("time", t, {"units": "s"}), "panel": names}
+    return Simulation(xr.Dataset(data, coords, attrs), omega, noise)
 
 
-def directions(
+def simulate_directions(
     inertia: np.ndarray,
     axis: np.ndarray,
     own: float,
@@ -134,15 +141,17 @@ def directions(
     start: tuple[np.ndarray, np.ndarray, float],
     t: np.ndarray,
 ) -> np.ndarray:
-    """Sun (n, 3) in the body at times `t` (n) of a gyrostat whose wheel coasts and, once it stands, turns with the body.
+    """Return Sun directions (n, 3) in body axes at times `t` (n) of a gyrostat whose wheel coasts and then sticks to the body.
 
-    `own`: the wheel's moment, `friction`: dry (N m) and viscous (N m s), `start`: rate, Sun, the wheel's speed at ``t[0]``. Total
-    momentum H and the wheel's own h in body axes: dH/dt = H x omega, dh/dt = M(W), dr/dt = r x omega, omega = A^-1 (H - h u).
+    `own`: the wheel's moment, `friction`: dry (N m) and viscous (N m s), `start`: rate, Sun, the wheel's speed at ``t[0]``. The
+    state is total momentum H, Sun r and the wheel's own momentum h in body axes: dH/dt = H x omega, dh/dt = M(W), dr/dt = r x
+    omega, omega = A^-1 (H - h u).
     """
     omega, sun, speed = start
     free, whole = np.linalg.inv(inertia - own * np.outer(axis, axis)), np.linalg.inv(inertia)
 
     def turning(_, y, coasting):
+        """Return the derivative of (H, r, h)."""
         momentum, seen, spin = y[:3], y[3:6], y[6]
         rate = free @ (momentum - spin * axis) if coasting else whole @ momentum
         w = spin / own - axis @ rate
@@ -150,6 +159,7 @@ def directions(
         return np.concatenate([np.cross(momentum, rate), np.cross(seen, rate), [torque]])
 
     def stands(_, y, coasting):
+        """Return the speed of the wheel relative to the body, whose zero is the stop."""
         return y[6] / own - axis @ (free @ (y[:3] - y[6] * axis)) if coasting else 1.0
 
     stands.terminal = True  # ty: ignore[unresolved-attribute]
@@ -168,8 +178,8 @@ def directions(
 
 
 def run(case: Case) -> dict[str, Any]:
-    """What the posterior says of a case, and whether the truth is in its list."""
-    telemetry, omega, noise = simulated(case)
+    """Run the posterior on a case and return its verdict and whether the truth is listed."""
+    telemetry, omega, noise = simulate(case)
     vehicle = load_case("philae").vehicle
     vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, noise=case.stated * noise))
     began = time.process_time()
@@ -184,32 +194,36 @@ def run(case: Case) -> dict[str, Any]:
             "listed": False,
             "processor_s": took,
         }
-    modes = tree["solutions"]
-    off, spread = omega - modes["omega_B"].values, modes["omega_cov_B"].values + 1e-14 * np.eye(3)
+    solutions = tree["solutions"]
+    off, spread = (
+        omega - solutions["omega_B"].values,
+        solutions["omega_cov_B"].values + 1e-14 * np.eye(3),
+    )
     far = [np.sqrt(o @ np.linalg.solve(c, o)) for o, c in zip(off, spread, strict=True)]
     return {
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],
         "recalled": bool(min(far) < NEAR_SIGMAS),
-        "listed": is_in_solutions(modes.to_dataset(), omega),
+        "listed": is_in_solutions(solutions.to_dataset(), omega),
         "processor_s": time.process_time() - began,
     }
 
 
-def limited(case: Case, limit_s: float) -> dict[str, Any]:
-    """The row of a case, in a process of its own that ends after so much processor time."""
+def run_limited(case: Case, limit_s: float) -> dict[str, Any]:
+    """Run a case in its own process, which ends after `limit_s` of processor time."""
 
     def work(pipe: Any) -> None:
+        """Run the case in the new process and send its row."""
         resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s), int(limit_s) + 5))
         pipe.send(json.dumps(run(case)))
 
     context = multiprocessing.get_context("fork")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=work, args=(there,))
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(sender,))
     process.start()
-    there.close()
+    sender.close()
     try:
-        row = json.loads(here.recv())
+        row = json.loads(receiver.recv())
     except EOFError:
         row = {
             "word": "did not end",

@@ -1,4 +1,4 @@
-"""``python -m validation real``: rates of real satellites against a sensor that was not used, as a page in Markdown."""
+"""Compare rates of real satellites with withheld measurements, and write the page on it: ``python -m validation real``."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ PAGE = Path(__file__).parents[1] / "build" / "real-data.md"
 """Where the page is written, unless `--page` names another place; its main figures are in `docs/accuracy.md`."""
 
 SIDES = {"Sun sensors and magnetometer": ["gyro_B"], "Sun sensors alone": ["gyro_B", "field_B"]}
-"""What `rates` is given, and the variables that are taken away for it."""
+"""Sensors given to `rates`, and the variables that are withheld."""
 
 DRAWS = 4000
-"""Resamplings of passes, behind the range of a share."""
+"""Number of resamplings of passes for the range of a share."""
 
 
 class Gyro(NamedTuple):
-    """Scale (deg/s per count), zero (3) in counts, and one sigma of each."""
+    """Gyro calibration: scale (deg/s per count), zero (3) in counts, and one sigma of each."""
 
     scale: float
     zero: np.ndarray
@@ -34,9 +34,12 @@ class Gyro(NamedTuple):
     zero_sigma: np.ndarray
 
 
-class Compared(NamedTuple):
-    """A pass: when it began, samples, whether the coils were off, what is said of it, mean rate (3) and sigma (3), how far that is
-    from the gyro's (3, NaN where there is none) and one sigma of the gyro (3); all deg/s."""
+class PassComparison(NamedTuple):
+    """Comparison of a pass with the gyro: begin, number of samples, whether the coils were off (`free`), verdict (`status`).
+
+    In deg/s: mean `rate` (3) and its `sigma` (3), `miss` (3), its difference from the gyro (NaN without one), and one sigma of the
+    gyro (3).
+    """
 
     utc: str
     samples: int
@@ -49,10 +52,12 @@ class Compared(NamedTuple):
 
     @property
     def pull(self) -> np.ndarray:
+        """Normalised error: difference over both sigmas together."""
         return self.miss / np.hypot(self.sigma, self.gyro_sigma)
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     parser.add_argument(
         "--data", type=Path, default=os.environ.get("SUNSPIN_DATA"), help="folder of docs/data.md"
     )
@@ -60,7 +65,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: Any) -> int:
-    """Write the page; one if the data are not there."""
+    """Write the page; return 1 if the data are missing."""
     if options.data is None or not (Path(options.data) / "skcube" / "skcube_adcs.csv").is_file():
         print(
             "no skcube/skcube_adcs.csv: name the folder with --data or SUNSPIN_DATA (docs/data.md says what is in it)"
@@ -68,34 +73,34 @@ def main(options: Any) -> int:
         return 1
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(Path(options.data) / "skcube" / "skcube_adcs.csv", craft)
-    gyros = of_other_days(craft, data)
-    found = {}
+    gyros = fit_gyros(craft, data)
+    comparisons = {}
     for name, without in SIDES.items():
-        found[name] = compared(
+        comparisons[name] = compare_with_gyro(
             craft, data, ss.rates(craft, data.drop_vars(without), workers=worker_count(None)), gyros
         )
-        print(f"{name}: {len(found[name])} passes", flush=True)
+        print(f"{name}: {len(comparisons[name])} passes", flush=True)
     options.page.parent.mkdir(parents=True, exist_ok=True)
-    options.page.write_text(page(found, gyros), "utf-8")
+    options.page.write_text(page(comparisons, gyros), "utf-8")
     print(f"written: {options.page}")
     return 0
 
 
-def of_other_days(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
+def fit_gyros(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
     """Return, for each day with a gyro, its scale and zero as fitted to the Sun sensors of all other days."""
     every = neighbouring_beacons(craft, data)
     noise = craft.sensors.disturbance.acceleration_noise
-    found = {}
+    comparisons = {}
     for day in np.unique(every.day):
         value, sigma, _ = fit(every.take(every.day != day), noise)
-        found[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
-    return found
+        comparisons[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
+    return comparisons
 
 
-def compared(
+def compare_with_gyro(
     craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]
-) -> list[Compared]:
-    """Each pass of a result against the gyro's counts at the same samples."""
+) -> list[PassComparison]:
+    """Return the comparison of each pass of a result with the gyro's counts at the same samples."""
     gyro = craft.sensors.gyro
     assert gyro is not None
     counts = (data["gyro_B"] / gyro.scale_rad_s + gyro.zero).sel(time=result["time"]).values
@@ -113,7 +118,7 @@ def compared(
                 own.scale * own.zero_sigma, read.mean(axis=0) * own.scale_sigma / own.scale
             )
         rows.append(
-            Compared(
+            PassComparison(
                 utc[:16].replace("T", " "),
                 int(at.sum()),
                 bool(result["time"].values[at][0] > FREE_S),
@@ -127,9 +132,12 @@ def compared(
     return rows
 
 
-def figures(rows: list[Compared]) -> str:
-    """Passes, decided, share of components within one and two sigma with the range of nine in ten resamplings of passes, rms and
-    largest pull, median sigma and error."""
+def figures(rows: list[PassComparison]) -> str:
+    """Return the figures of these passes as cells of a table.
+
+    They are passes, decided ones, shares of components within one and two sigma with 90 % ranges over resampled passes, rms and
+    largest normalised error, median sigma and median error.
+    """
     rows = [row for row in rows if np.isfinite(row.miss).all()]
     if not rows:
         return "0 | | | | | | | "
@@ -162,10 +170,10 @@ KINDS = {
 }
 
 
-def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
-    """The page, in Markdown."""
+def page(comparisons: dict[str, list[PassComparison]], gyros: dict[str, Gyro]) -> str:
+    """Return the page in Markdown."""
     lines = [HEAD, SHORT, "|---" * SHORT.count(" |") + "|"]
-    for name, rows in found.items():
+    for name, rows in comparisons.items():
         for kind, (free, decided) in KINDS.items():
             own = [row for row in rows if row.free == free and (row.status == "decided") == decided]
             lines.append(f"| {name} | {kind} | {figures(own)} |")
@@ -175,20 +183,20 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
             f"{z:.0f} +- {s:.0f}" for z, s in zip(own.zero, own.zero_sigma, strict=True)
         )
         lines.append(f"| {day} | {own.scale:.4f} +- {own.scale_sigma:.4f} | {zero} |")
-    for name, rows in found.items():
+    for name, rows in comparisons.items():
         lines += [f"\n## All passes: {name}\n", ALL, "|---" * ALL.count(" |") + "|"]
         for row in sorted(rows, key=lambda row: -np.nan_to_num(np.abs(row.pull).max(), nan=-1.0)):
             rate, sigma, miss = (
                 ", ".join(f"{v:.2f}" for v in part) for part in (row.rate, row.sigma, row.miss)
             )
-            told = (
+            shown = (
                 (miss, f"{np.abs(row.pull).max():.1f}")
                 if np.isfinite(row.miss).all()
                 else ("no gyro in this file", "")
             )
             coils = "off" if row.free else "driven"
             lines.append(
-                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(told)} |"
+                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(shown)} |"
             )
     return "\n".join(lines) + "\n"
 

@@ -1,10 +1,10 @@
-"""Right files of every form through `check` and `rates`; each accusation is a false alarm."""
+"""Run `check` and `rates` on right files of every form; each accusation is a false alarm."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from click.testing import CliRunner
@@ -20,11 +20,12 @@ from validation.passes import unit
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 NAMES = ("+X", "+Y", "+Z", "-X", "-Y", "-Z")
 START_UNIX_S = 1_767_225_600
-"""1 January 2026."""
+"""1 January 2026, in Unix seconds."""
 
 PARTS = ("vector", "gyro", "field", "turn", "mean", "stations", "backward", "clocks")
-"""What half of the files have: other sensors; panels read in turn, or averaged; repeats of a second station, newest rows first, a
-clock on board that begins at nothing."""
+"""Features, each of which half of the files have: sensors; panels read one after the other, or averaged; repeats by a second
+station; newest rows first; an onboard clock that begins at zero.
+"""
 
 ACCUSED = (
     "CHECK THE COLUMNS",
@@ -33,18 +34,18 @@ ACCUSED = (
     "SEEM LATE",
     "NO SOLUTION FITS",
 )
-"""What the verdict of `rates` says only where something is wrong."""
+"""Words in the verdict of `rates` that accuse the file."""
 
 
 def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
-    """Accusations of one file."""
+    """Return the accusations of one file by `check` or `rates`."""
     vehicle, telemetry, form = make(folder, seed, i)
     command = [str(vehicle), str(telemetry), "--json"]
     done = CliRunner().invoke(check if what == "check" else rates, command, catch_exceptions=False)
-    told = json.loads(done.stdout)
+    report = json.loads(done.stdout)
     if what == "rates":
-        return {"form": form, "accused": [words for words in ACCUSED if words in told["verdict"]]}
-    about = told["telemetry"]
+        return {"form": form, "accused": [words for words in ACCUSED if words in report["verdict"]]}
+    about = report["telemetry"]
     kinds = (
         "wrong_units",
         "wrong_axes",
@@ -59,20 +60,28 @@ def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
     }
 
 
-def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
-    """A vehicle file and JSON lines that are right, and what is in them."""
+class RightFile(NamedTuple):
+    """Paths of a vehicle file and of its telemetry, and their features in words."""
+
+    vehicle: Path
+    telemetry: Path
+    features: str
+
+
+def make(folder: Path, seed: int, i: int) -> RightFile:
+    """Write a right vehicle file and telemetry in JSON lines, and return both paths and the features."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
-    some = {name: bool(rng.random() < 0.5) for name in PARTS}
+    features = {name: bool(rng.random() < 0.5) for name in PARTS}
     normals = (
         FACES
         if rng.random() < 0.6
         else np.vstack([FACES[:5], [unit(rng) for _ in range(rng.integers(1, 4))]])
     )
     names = [*NAMES, "p6", "p7", "p8"][: len(normals)]
-    offset = np.round(rng.uniform(0, 2, len(normals)), 1) * some["turn"]
-    averaged = round(float(rng.uniform(0.5, 2.0)), 1) * some["mean"]
+    offset = np.round(rng.uniform(0, 2, len(normals)), 1) * features["turn"]
+    averaged = round(float(rng.uniform(0.5, 2.0)), 1) * features["mean"]
     moments = np.array([0.04, 0.045, 0.02]) * rng.uniform(0.9, 1.1, 3)
-    text = _vehicle(some, names, normals, offset, averaged, moments)
+    text = _vehicle(features, names, normals, offset, averaged, moments)
     craft = parse_vehicle(text, "right")
     n, apart = int(rng.integers(15, 41)), rng.uniform(5, 15)
     t = np.round(np.cumsum(apart * rng.uniform(0.8, 1.2, n)), 2)
@@ -95,7 +104,7 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
         {
             "rx": START_UNIX_S + 1000 + s + rng.uniform(0, 1),
             "station": "A",
-            "time": s if some["clocks"] else START_UNIX_S + s,
+            "time": s if features["clocks"] else START_UNIX_S + s,
         }
         | {f"i.{name}": round(float(p), 4) for name, p in zip(names, each, strict=True)}
         for s, each in zip(t.tolist(), power, strict=True)
@@ -107,33 +116,31 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     vector = 400 * (sun + 0.02 * rng.normal(size=(n, 3)))
     for name, value in (("vector", vector), ("gyro", gyro), ("field", field)):
         for row, each in zip(rows, value, strict=True):
-            row |= {name: [round(float(x), 5) for x in each]} if some[name] else {}
-    if some["stations"]:
+            row |= {name: [round(float(x), 5) for x in each]} if features[name] else {}
+    if features["stations"]:
         rows += [
             row | {"station": "B", "rx": row["rx"] + 0.5}
             for row in rows[:: int(rng.integers(2, 5))]
         ]
-    rows = rows[::-1] if some["backward"] else rows
+    rows = rows[::-1] if features["backward"] else rows
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "vehicle.toml").write_text(text, "utf-8")
     (folder / "telemetry.jsonl").write_text(
         "".join(json.dumps(row) + "\n" for row in rows), "utf-8"
     )
-    return (
-        folder / "vehicle.toml",
-        folder / "telemetry.jsonl",
-        ", ".join(name for name, there in some.items() if there),
-    )
+    about = ", ".join(name for name, present in features.items() if present)
+    return RightFile(folder / "vehicle.toml", folder / "telemetry.jsonl", about)
 
 
 def _vehicle(
-    some: dict[str, bool],
+    features: dict[str, bool],
     names: list[str],
     normals: np.ndarray,
     offset: np.ndarray,
     averaged: float,
     moments: np.ndarray,
 ) -> str:
+    """Return the text of the vehicle file."""
     lines = ['name = "right"', "[body]", f"inertia_kg_m2 = {np.diag(moments).tolist()}"]
     for name, normal in zip(names, normals, strict=True):
         lines += ["[[panel]]", f'name = "{name}"', f"normal_B = {normal.tolist()}", "gain_W = 7"]
@@ -149,20 +156,21 @@ def _vehicle(
         'receive_time_column = "rx"',
         'receive_time_format = "unix"',
     ]
-    lines += clocks if some["clocks"] else ['time_format = "unix"']
+    lines += clocks if features["clocks"] else ['time_format = "unix"']
     lines += ["[telemetry.columns]", *(f'"{name}" = "i.{name}"' for name in names)]
-    if some["turn"]:
+    if features["turn"]:
         lines += [
             "[telemetry.offset_s]",
             *(f'"{name}" = {late}' for name, late in zip(names, offset, strict=True)),
         ]
 
     def columns(name: str) -> str:
+        """Return the line that names the three columns of a sensor."""
         return f'columns = ["{name}.0", "{name}.1", "{name}.2"]'
 
-    if some["vector"]:
+    if features["vector"]:
         lines += ["[sun_vector]", columns("vector"), "sigma_rad = 0.02"]
-    if some["gyro"]:
+    if features["gyro"]:
         lines += [
             "[gyro]",
             columns("gyro"),
@@ -170,7 +178,7 @@ def _vehicle(
             "noise_rad_s = 1e-3",
             "zero = { value = [0, 0, 0], sigma = 0.06 }",
         ]
-    if some["field"]:
+    if features["field"]:
         lines += ["[magnetometer]", columns("field"), "noise = 0.03"]
     lines += ["[disturbance]", "max_rate_rad_s = 0.1"]
     return "\n".join(lines) + "\n"

@@ -1,8 +1,8 @@
-"""What must not get worse, in one table: cases of every kind, what is said of each, and whether it is true.
+"""Scoreboard: the quantities that must not get worse, in one table over cases of every kind.
 
-A case has an area ("rates"), a kind within it ("steady torque") and a number, and gives a row: its outcome, one of `OUTCOMES`,
-and what is measured beside it. Rows are kept by the state of the package that gave them, so that a run goes on where it stopped,
-and two states are compared case by case.
+A case has an area ("rates"), a kind within it ("steady torque") and a number. It gives a row with its outcome, one of `OUTCOMES`,
+and measured values. Rows are kept by the version of the package that gave them. So an interrupted run resumes, and two versions are
+compared case by case.
 """
 
 from __future__ import annotations
@@ -27,21 +27,26 @@ from typing import Any
 import numpy as np
 
 from sunspin.base import atomic_write
-from validation.campaign import kept, rows_folder
+from validation.campaign import load_or_make, rows_folder
 
 ROOT = Path(__file__).parents[1]
 
 OUTCOMES = ("right", "not run", "open", "undecided", "wrong", "defect")
-"""From best to worst. "open": not decided, and the best motion is not the true one or not informed, so that it ought not to be;
-"undecided": not decided although the best motion is right; "wrong": said with confidence, and not true, or a right file accused;
-"defect": a traceback."""
+"""Outcomes from best to worst.
+
+"open": not decided, and rightly so, as the best solution is not the true one or is not constrained. "undecided": not decided
+although the best solution is right. "wrong": a confident but false result, or a right file accused. "defect": a traceback.
+"""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One case. `run` gives a row with "outcome", and may give "off" and "sigma" (numbers of one unit, whose ratios are pulls), the
-    part of a posterior that is likelier than the truth ("level"), whether the truth is in the list of solutions ("listed") and
-    other figures ("measured"); "processor_s" is added. A run that judges many things at once gives "cases", a row for each."""
+    """One case.
+
+    `run` returns a row with "outcome". It may add: errors "off" and their "sigma" in one unit; "level", the share of a posterior
+    that is likelier than the truth; "listed", whether the truth is among the solutions; other figures, "measured". A run that
+    judges many cases at once returns "cases", a row for each. `run_timed` adds "processor_s".
+    """
 
     area: str
     kind: str
@@ -50,11 +55,12 @@ class Task:
 
     @property
     def name(self) -> str:
+        """Name of the set that the case belongs to."""
         return f"{self.area}: {self.kind}"
 
 
-def state_of_package() -> str:
-    """The commit, and where the tree is not clean a digest of the package's and the campaigns' files behind it."""
+def package_state() -> str:
+    """Return the commit, followed by a digest of the package's and the campaigns' files if the tree is not clean."""
     commit = _git("rev-parse", "--short=12", "HEAD")
     if commit and not _git("status", "--porcelain", "--", "src", "validation"):
         return commit
@@ -66,14 +72,18 @@ def state_of_package() -> str:
 
 
 def _git(*arguments: str) -> str:
+    """Return the output of a git command; empty if it fails."""
     done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-def rows_of(
+def run_tasks(
     tasks: list[Task], folder: Path, workers: int, say: Callable[[str], None]
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Set -> case -> row; rows that are in `folder` are read. Ctrl-C or a kill loses the cases in progress only."""
+    """Run the tasks without a row in `folder` and return the rows by set and case.
+
+    Rows are kept in `folder`, so an interruption loses only the cases in progress.
+    """
     paths = {}
     for task in tasks:
         place = rows_folder(folder / _as_file(task.name))
@@ -83,7 +93,7 @@ def rows_of(
     # each case in a process that starts afresh: none inherits what another has computed
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
-        waiting = {pool.submit(_kept_row, path, paths[path].run): path for path in missing}
+        waiting = {pool.submit(_load_or_run, path, paths[path].run): path for path in missing}
         for count, future in enumerate(as_completed(waiting), 1):
             task, row = paths[waiting[future]], future.result()
             took = time.monotonic() - begin
@@ -102,31 +112,37 @@ def rows_of(
 
 
 def _one_thread() -> None:
+    """Limit linear algebra to one thread."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 
 def _as_file(name: str) -> str:
+    """Return a name in the characters of a file name."""
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)
 
 
-def _kept_row(path: Path, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    return kept(path, partial(timed, run))
+def _load_or_run(path: Path, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Return the row at `path`; run the case if there is none."""
+    return load_or_make(path, partial(run_timed, run))
 
 
-def timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """A row with the processor time that it took; of a case that raises, the error."""
+def run_timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Run a case and return its row with the processor time; for a case that raises, the error."""
     begin = time.process_time()
     try:
         row = run()
-    # any error at all is a defect of what is judged, and the campaign goes on
+    # any error is a defect of the package, and must not end the campaign
     except Exception as error:
         row = {"outcome": "defect", "says": "".join(traceback.format_exception(error))[-800:]}
     return {"processor_s": time.process_time() - begin} | row
 
 
 def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
-    """Counts of outcomes; of those decided rightly or wrongly the share of `off` within one and two sigmas, rms pull and median
-    sigma; share of truths in the 50 and 90 % regions; median processor time."""
+    """Return the figures of a set.
+
+    They are counts of outcomes; for decided cases the shares of `off` within one and two sigma, rms normalised error and median
+    sigma; shares of truths in the 50 and 90 % regions; counts of listed truths; median processor time.
+    """
     rows = list(rows)
     counts = Counter(row["outcome"] for row in rows)
     numbers: dict[str, float] = {
@@ -151,10 +167,10 @@ def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
     return numbers
 
 
-def board(
+def make_board(
     rows: dict[str, dict[str, dict[str, Any]]], state: str, level: str, seeds: Iterable[int]
 ) -> dict[str, Any]:
-    """What is written: figures of each set, and the outcome of each case, in a `state` of the package."""
+    """Return the content of the board: figures of each set and the outcome of each case, for a `state` of the package."""
     return {
         "state": state,
         "level": level,
@@ -176,20 +192,20 @@ def board(
     }
 
 
-def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
-    """Cases of both boards whose outcome differs: by how many ranks of `OUTCOMES` it got worse, and a sentence; worst first."""
-    found = []
+def changed_outcomes(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
+    """Return the cases whose outcome differs between two boards, worst first: by how many ranks it got worse, and a sentence."""
+    changes = []
     for name, each in now["sets"].items():
         old = before["sets"].get(name, {}).get("cases", {})
         for case, outcome in each["cases"].items():
             if case in old and old[case] != outcome:
                 worse = OUTCOMES.index(outcome) - OUTCOMES.index(old[case])
-                found.append((worse, f"{name}, case {case}: {old[case]} -> {outcome}"))
-    return sorted(found, key=lambda flip: (-flip[0], flip[1]))
+                changes.append((worse, f"{name}, case {case}: {old[case]} -> {outcome}"))
+    return sorted(changes, key=lambda change: (-change[0], change[1]))
 
 
-def truths_lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Return a sentence for each case whose truth is in the list of solutions of the earlier board and not in this one's."""
+def lost_truths(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Return a sentence for each case whose truth was listed in the earlier board and is not any more."""
     return [
         f"{name}, case {case}: the truth is no longer listed"
         for name, each in now["sets"].items()
@@ -199,11 +215,11 @@ def truths_lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 
 MOVED = ("contradiction_", "cited_", "last_section", "window_", "trajectory_s", "touchdown_energy_")
-"""How the names of cases begin that `studies/contradictions.py` judges now instead of the scoreboard."""
+"""Beginnings of the names of cases that `studies/contradictions.py` judges instead of the scoreboard."""
 
 
-def lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """A sentence for each case of the earlier board that this one, of the same level and seeds, has not run; none that moved."""
+def missing_cases(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Return a sentence for each case of the earlier board that this one, of the same level and seeds, has not run."""
     if any(before[key] != now[key] for key in ("level", "seeds")):
         return []
     return [
@@ -216,7 +232,7 @@ def lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 
 def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
-    """A line for each set: counts and figures; of two states counts over the cases of both, the rest over each one's."""
+    """Return the board as a table: a line for each set. With an earlier board counts are over the cases of both."""
     heads = [
         "set",
         "cases",
@@ -233,13 +249,13 @@ def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, each in now["sets"].items():
         old = (before or {"sets": {}})["sets"].get(name)
-        both = [case for case in each["cases"] if old is None or case in old["cases"]]
+        common = [case for case in each["cases"] if old is None or case in old["cases"]]
         states = [each] if old is None else [old, each]
-        cells = [name, str(len(both))]
+        cells = [name, str(len(common))]
         for key in OUTCOMES:
-            counts = [sum(state["cases"][case] == key for case in both) for state in states]
+            counts = [sum(state["cases"][case] == key for case in common) for state in states]
             cells.append(" / ".join(map(str, counts)))
-        cells.append(" / ".join(_listed(state, both) for state in states))
+        cells.append(" / ".join(_listed(state, common) for state in states))
         for key in ("in_68", "in_95", "rms_pull", "sigma", "in_50", "in_90", "processor_s"):
             cells.append(" / ".join(_shown(state["figures"], key) for state in states))
         lines.append("| " + " | ".join(cells) + " |")
@@ -260,6 +276,7 @@ def _listed(each: dict[str, Any], cases: list[str]) -> str:
 
 
 def _shown(numbers: dict[str, float], key: str) -> str:
+    """Return a figure as text; a dash if there is none."""
     value = numbers.get(key)
     if value is None:
         return "-"
@@ -267,6 +284,7 @@ def _shown(numbers: dict[str, float], key: str) -> str:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     from validation.areas import AREAS
 
     level = parser.add_mutually_exclusive_group()
@@ -317,7 +335,10 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Print the table and the flips; one if any case is worse than in the earlier board, or wrong or a defect without one."""
+    """Print the table and the changed outcomes.
+
+    Return 1 if any case is worse than in the earlier board; without one, if any case is wrong or a defect.
+    """
     from validation import speed
     from validation.areas import AREAS
 
@@ -328,14 +349,14 @@ def main(options: argparse.Namespace) -> int:
         for seed in seeds
         for task in AREAS[name](options.level, seed)
     ]
-    state = state_of_package()
+    state = package_state()
     folder = options.rows / state
-    rows = rows_of(tasks, folder, options.workers, lambda text: print(text, flush=True))
+    rows = run_tasks(tasks, folder, options.workers, lambda text: print(text, flush=True))
     if options.before is not None:  # alone on the machine, after all else
         path = folder / f"speed-{options.level}-{options.before}.json"
-        run = partial(speed.row, options.before, options.level, options.rows / "environments")
-        rows["speed: processor time"] = {"commands": kept(path, partial(timed, run))}
-    now = board(rows, state, options.level, seeds)
+        run = partial(speed.make_row, options.before, options.level, options.rows / "environments")
+        rows["speed: processor time"] = {"commands": load_or_make(path, partial(run_timed, run))}
+    now = make_board(rows, state, options.level, seeds)
     text = json.dumps(now, indent=1)
     atomic_write.write_atomically(options.out, lambda part: part.write_text(text + "\n", "utf-8"))
     before = None if options.against is None else json.loads(options.against.read_text("utf-8"))
@@ -348,9 +369,9 @@ def main(options: argparse.Namespace) -> int:
                 for outcome in each["cases"].values()
             )
         )
-    turned = flips(before, now)
-    print(f"{len(turned)} cases differ from {before['state']}")
-    print("\n".join(sentence for _, sentence in turned))
-    missing = lost(before, now) + truths_lost(before, now)
+    changes = changed_outcomes(before, now)
+    print(f"{len(changes)} cases differ from {before['state']}")
+    print("\n".join(sentence for _, sentence in changes))
+    missing = missing_cases(before, now) + lost_truths(before, now)
     print("\n".join(missing))
-    return int(bool(missing) or any(worse > 0 for worse, _ in turned))
+    return int(bool(missing) or any(worse > 0 for worse, _ in changes))

@@ -21,10 +21,10 @@ VAGUE = frozenset({"found", "one", "told", "made"})
 class Size:
     """Counts of a folder's Python files.
 
-    `single_caller`: functions whose name is used exactly once in the package, without those that users call (names that the
-    package exports, decorated functions such as commands and properties, names with two underscores). `repeated_classes`: names
-    that more than one class of the package has. `constants`: upper-case names that a module assigns. `vague_names`: uses of
-    `VAGUE` as variables, parameters among them.
+    `single_caller`: functions whose name is used exactly once in the package. Functions that users call are left out: exported
+    names, decorated functions such as commands and properties, names with two underscores. `repeated_classes`: names of classes
+    that occur more than once in the package. `constants`: upper-case names that a module assigns. `vague_names`: uses of names in
+    `VAGUE` for variables and parameters.
     """
 
     files: int = 0
@@ -42,8 +42,8 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 @cache
-def sizes(source: Path = SOURCE) -> dict[str, Size]:
-    """The size of each folder of the package, its own files as ".", and of the whole as "src"."""
+def measure_folders(source: Path = SOURCE) -> dict[str, Size]:
+    """Return the size of each folder of the package, of its own files as ".", and of the whole as "src"."""
     texts = {path: path.read_text("utf-8") for path in sorted(source.rglob("*.py"))}
     trees = {path: ast.parse(text) for path, text in texts.items()}
     nodes = {path: list(ast.walk(tree)) for path, tree in trees.items()}
@@ -54,6 +54,7 @@ def sizes(source: Path = SOURCE) -> dict[str, Size]:
     public = _public(trees.get(source / "__init__.py"))
 
     def size(paths: list[Path]) -> Size:
+        """Return the size of these files together."""
         inside = [node for path in paths for node in nodes[path]]
         functions = [node for node in inside if isinstance(node, Function)]
         classes = [node.name for node in inside if isinstance(node, ast.ClassDef)]
@@ -80,13 +81,13 @@ def sizes(source: Path = SOURCE) -> dict[str, Size]:
     }
 
 
-def lines_of(folder: Path) -> int:
-    """Lines of Python in a folder beside the package, such as that of the tests."""
+def count_lines(folder: Path) -> int:
+    """Return the number of lines of Python in a folder."""
     return sum(path.read_text("utf-8").count("\n") for path in folder.rglob("*.py"))
 
 
 def lines_by_language(source: Path = SOURCE) -> dict[str, int]:
-    """Lines of what is not Python."""
+    """Return the number of lines in each language other than Python."""
     lines = dict.fromkeys(OTHER_LANGUAGES.values(), 0)
     for path in source.rglob("*"):
         if path.suffix in OTHER_LANGUAGES:
@@ -94,14 +95,14 @@ def lines_by_language(source: Path = SOURCE) -> dict[str, int]:
     return lines
 
 
-def counted() -> dict[str, dict[str, int]]:
-    """Counts by table: lines of each folder, what is counted of the whole package, lines of other languages."""
-    by_folder = sizes()
+def count_everything() -> dict[str, dict[str, int]]:
+    """Return counts by table: lines of each folder, counts over the whole package, lines of other languages."""
+    by_folder = measure_folders()
     whole = by_folder["src"]
     lines = {name: size.lines for name, size in by_folder.items() if name != "."}
-    lines["tests"] = lines_of(ROOT / "tests")
+    lines["tests"] = count_lines(ROOT / "tests")
     lines["validation, studies, bench"] = sum(
-        lines_of(ROOT / name) for name in ("validation", "studies", "bench")
+        count_lines(ROOT / name) for name in ("validation", "studies", "bench")
     )
     package = {
         field.name: getattr(whole, field.name) for field in fields(Size) if field.name != "lines"
@@ -110,14 +111,19 @@ def counted() -> dict[str, dict[str, int]]:
 
 
 def table() -> str:
-    """All counts as text: a line for each folder, then those of the whole package."""
+    """Return all counts as text: a line for each folder, then those of the whole package."""
     names = [field.name for field in fields(Size)]
     rows = [["folder", *names]]
     rows += [
-        [folder, *(str(getattr(size, name)) for name in names)] for folder, size in sizes().items()
+        [folder, *(str(getattr(size, name)) for name in names)]
+        for folder, size in measure_folders().items()
     ]
     rows += [[], ["counted", "now"]]
-    rows += [[name, str(value)] for values in counted().values() for name, value in values.items()]
+    rows += [
+        [name, str(value)]
+        for values in count_everything().values()
+        for name, value in values.items()
+    ]
     first = max(len(cell) for row in rows for cell in row[:1])
     width = max(len(cell) for row in rows for cell in row[1:])
     return "\n".join(
@@ -127,6 +133,7 @@ def table() -> str:
 
 
 def _used(nodes: list[ast.AST]) -> Iterator[str]:
+    """Yield each name that is read, as a variable or an attribute."""
     for node in nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield node.id
@@ -135,13 +142,14 @@ def _used(nodes: list[ast.AST]) -> Iterator[str]:
 
 
 def _called_by_users(function: Function, public: set[str]) -> bool:
+    """Return whether a function is called from outside: it is public, decorated or a special method."""
     return (
         function.name in public or bool(function.decorator_list) or function.name.startswith("__")
     )
 
 
 def _public(init: ast.Module | None) -> set[str]:
-    """Names that the package exports: `sunspin/__init__.py` imports each of them for type checkers."""
+    """Return the names that the package exports: `sunspin/__init__.py` imports each of them for type checkers."""
     return {
         alias.asname or alias.name
         for node in (ast.walk(init) if init is not None else ())
@@ -151,6 +159,7 @@ def _public(init: ast.Module | None) -> set[str]:
 
 
 def _constants(tree: ast.Module) -> Iterator[str]:
+    """Yield the upper-case names that a module assigns."""
     for node in tree.body:
         targets = (
             node.targets
@@ -166,13 +175,14 @@ def _constants(tree: ast.Module) -> Iterator[str]:
 
 
 def _is_vague(node: ast.AST) -> bool:
+    """Return whether a node is a variable or parameter named as in `VAGUE`."""
     return (
         node.id if isinstance(node, ast.Name) else node.arg if isinstance(node, ast.arg) else ""
     ) in VAGUE
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    """There are none."""
+    """Add no options."""
 
 
 def main(_: argparse.Namespace) -> int:

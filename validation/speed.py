@@ -1,4 +1,4 @@
-"""Processor time of the commands beside that of an earlier state, each in an environment of its own, in one run."""
+"""Processor time of the commands compared with that of an earlier commit, each in its own environment, in one run."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ COMMANDS = {
     "posterior": "posterior philae --prior max_rate_rad_s=0.33 --workers 1 --quiet --out OUT",
     "reproduce": "reproduce --workers 1 --quiet --out OUT",
 }
-"""Name -> arguments; OUT is a new folder each time."""
+"""Name of each command -> its arguments; OUT is a new folder each time."""
 
 QUICK = ("rates", "scan")
 FIRST_RUN = "first run after installation"
 
 MOST_RATIO = 1.1
-"""Processor time of a command at most, over that of the state before the first deletion."""
+"""Largest ratio of the processor time of a command to that of the earlier commit."""
 
 
-def environment(commit: str, folder: Path) -> Path:
-    """The interpreter of an environment with a commit installed, as its own Makefile makes it; it is made once in `folder`."""
+def install_commit(commit: str, folder: Path) -> Path:
+    """Install a commit in its own environment below `folder`, unless that is done, and return its interpreter."""
     place = folder / commit
     if not (place / ".venv" / ".ready").is_file():
         shutil.rmtree(place, ignore_errors=True)
@@ -46,22 +46,25 @@ def environment(commit: str, folder: Path) -> Path:
     return place / ".venv" / "bin" / "python"
 
 
-def ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
-    """Processor time of each command now over that before, median of rounds in which the two follow each other; the first run with
-    an empty cache of kernels; and the size of the installed package."""
+def measure_ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
+    """Return the ratio of the processor time of each command to that of the earlier commit, and the sizes of both packages.
+
+    Each ratio is the median over rounds in which the two follow each other. One more is that of the first run with an empty cache
+    of kernels.
+    """
     here = Path(sys.executable)
     names = QUICK if level == "quick" else tuple(COMMANDS)
     numbers = {}
     with tempfile.TemporaryDirectory(prefix="speed-") as home:
-        sunspin(here, Path(home), "init cube")
+        time_command(here, Path(home), "init cube")
         for name in names:
             rounds = [
-                [sunspin(python, Path(home), COMMANDS[name]) for python in (before, here)]
+                [time_command(python, Path(home), COMMANDS[name]) for python in (before, here)]
                 for _ in range(repeats)
             ]
             numbers[f"{name}, now / before"] = statistics.median(now / then for then, now in rounds)
         then, now = (
-            sunspin(python, Path(home), COMMANDS["rates"], cache=f"{home}/{k}")
+            time_command(python, Path(home), COMMANDS["rates"], cache=f"{home}/{k}")
             for k, python in enumerate((before, here))
         )
         numbers[f"{FIRST_RUN}, now / before"] = now / then
@@ -72,8 +75,8 @@ def ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
     }
 
 
-def sunspin(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
-    """Processor time (s) of one command in a process of its own, with all that it starts."""
+def time_command(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
+    """Return the processor time (s) of one command in its own process, with all processes that it starts."""
     out = tempfile.mkdtemp(dir=home)
     given = arguments.replace("OUT", out + "/results").split()
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {
@@ -95,16 +98,16 @@ def sunspin(python: Path, home: Path, arguments: str, cache: str | None = None) 
 
 
 def size_MB(python: Path) -> float:
-    """Size of the package's files that an interpreter imports."""
+    """Return the size in MB of the package that an interpreter imports."""
     code = "import pathlib, sunspin; print(pathlib.Path(sunspin.__file__).parent)"
     printed = subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=True)
     files = [path for path in Path(printed.stdout.strip()).rglob("*") if path.is_file()]
     return sum(f.stat().st_size for f in files if "__pycache__" not in f.parts) / 1e6
 
 
-def row(before: str, level: str, folder: Path) -> dict[str, object]:
-    """A row of the scoreboard."""
-    measured = ratios(environment(before, folder), level)
+def make_row(before: str, level: str, folder: Path) -> dict[str, object]:
+    """Return the row of the scoreboard on processor times."""
+    measured = measure_ratios(install_commit(before, folder), level)
     slower = [
         name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO
     ]

@@ -1,7 +1,8 @@
-"""Simulated spinners: a small satellite that turns about one axis, coarse Sun sensors, a magnetometer with a large zero, an orbit.
+"""Simulated spinners: a small satellite with coarse Sun sensors and a magnetometer with a large zero, in an orbit.
 
-Nothing of the package makes them. SGP4 gives the place, IGRF the field, ERFA the Sun and the turn of the Earth; the motion is the
-closed form of a symmetric body (slow nutation, a spin that drifts by up to 1 % an orbit), the Earth reflects as a Lambert sphere.
+They are made without the package. SGP4 gives the position, IGRF the field, ERFA the Sun and the rotation of the Earth. The motion
+is the closed form of a symmetric body with slow nutation, whose spin drifts by up to 1 % an orbit. The Earth reflects as a Lambert
+sphere.
 """
 
 from __future__ import annotations
@@ -33,27 +34,30 @@ FACES = {
     "-Z": (0, 0, -1),
 }
 SUN_NOISE = 0.01
-"""Noise of a coarse Sun sensor over its full reading."""
+"""Noise of a coarse Sun sensor, as a part of its full reading."""
 
 GAIN_A, FIELD_NOISE_NT = 0.02, 300.0
 ZERO_OFF, ZERO_OPEN = 0.2, 3.0
-"""Error of a stated zero, and the sigma of one that is not known, over the usual field (35 uT)."""
+"""Error of a stated zero and sigma of an unknown one, as parts of the usual field (35 uT)."""
 
 SEEN = 0.25
-"""Part of the day, at least, in which some face sees the Sun: a file that never shows it says nothing without an orbit."""
+"""Least part of the day in which some panel sees the Sun; a file without it says nothing without an orbit."""
 
 USUAL_NT = 35_000.0
 WRONG_NODE_DEG = 20.0
 
 
 AS_MOUNTED = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-"""The axes of a magnetometer that is not turned, as `Case` has them."""
+"""Axes of a magnetometer that is not rotated, in the form of `Case`."""
 
 
 class Case(NamedTuple):
-    """One simulated file: what was drawn for it. `faces`: names of panels; `turned`: rows of a signed permutation (3, 3), the axis
-    along which each column of the magnetometer reads; `zero` (3), over the usual field; `zero_known`: the vehicle file states it;
-    `moments`: that about the axis of the spin over that across."""
+    """Parameters of one simulated file.
+
+    `axis`: index of the spin axis. `faces`: names of panels. `turned` (3, 3): rows of a signed permutation, the axis along which
+    each column of the magnetometer reads. `zero` (3): zero of the magnetometer, in units of the usual field. `zero_known`: the
+    vehicle file states it. `moments`: moment about the spin axis over that across.
+    """
 
     seed: int
     number: int
@@ -72,17 +76,20 @@ class Case(NamedTuple):
 
     @property
     def whole_orbit(self) -> bool:
+        """True if the file covers an orbit."""
         return self.samples * self.step_s > 0.95 * ORBIT_S
 
 
 def cases(seed: int, count: int, whole: bool | None = None) -> list[Case]:
-    """Cases drawn from a seed; `whole`: all over a whole orbit (true), all shorter (false), or half of each."""
+    """Draw cases from a seed: all over a whole orbit (`whole` true), all shorter (false), or half of each (None)."""
     return [
-        _case(seed, number, number % 2 == 0 if whole is None else whole) for number in range(count)
+        _draw_case(seed, number, number % 2 == 0 if whole is None else whole)
+        for number in range(count)
     ]
 
 
-def _case(seed: int, number: int, whole: bool) -> Case:
+def _draw_case(seed: int, number: int, whole: bool) -> Case:
+    """Draw the parameters of one case."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     speed = float(10 ** rng.uniform(np.log10(0.2), np.log10(60)))
     steps = [step for step in (1.0, 2.0, 5.0, 10.0) if step * speed < 100]
@@ -112,12 +119,13 @@ def _case(seed: int, number: int, whole: bool) -> Case:
 
 
 def unit(rng: np.random.Generator) -> np.ndarray:
+    """Draw a direction (3), uniform on the sphere."""
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
 
 
 class Sky(NamedTuple):
-    """Along the orbit at n instants, true equator and equinox of date: `place_km`, `field_nT` and `sun` (n, 3), `lit` (n)."""
+    """Surroundings at n instants, in true equator and equinox of date: `place_km`, `field_nT` and `sun` (n, 3), `lit` (n)."""
 
     place_km: np.ndarray
     field_nT: np.ndarray
@@ -125,8 +133,8 @@ class Sky(NamedTuple):
     lit: np.ndarray
 
 
-def elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
-    """Two lines of a low orbit, their epoch up to three days before the start."""
+def draw_elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
+    """Draw the two lines of a low orbit, with an epoch up to three days before the start."""
     inclination, node, perigee, anomaly = rng.uniform([40, 0, 0, 0], [99, 360, 360, 360])
     epoch = start - timedelta(days=float(rng.uniform(0, 3)))
     day = (epoch - datetime(epoch.year, 1, 1)).total_seconds() / 86400 + 1
@@ -135,22 +143,25 @@ def elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
     )
     shape = f"{int(rng.uniform(2e3, 2e4)):07d} {perigee:8.4f} {anomaly:8.4f} {rng.uniform(15.0, 15.6):11.8f}"
     second = f"2 99999 {inclination:8.4f} {node:8.4f} {shape}    1"
-    return summed(first), summed(second)
+    return with_checksum(first), with_checksum(second)
 
 
-def summed(line: str) -> str:
-    """A line of elements with its check digit."""
+def with_checksum(line: str) -> str:
+    """Return a line of elements with its check digit."""
     return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
 
 
-def with_node_turned(second: str, by_deg: float) -> str:
-    return summed(f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}")
+def rotate_node(second: str, by_deg: float) -> str:
+    """Return the second line of elements with its node rotated by so many degrees."""
+    return with_checksum(
+        f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}"
+    )
 
 
 def along_orbit(
     two_lines: tuple[str, str], start: datetime, t_s: np.ndarray, ahead_s: float
 ) -> Sky:
-    """Of a satellite so many s ahead of its elements, at s after the start."""
+    """Return the surroundings at times (n) in s after the start, for a satellite `ahead_s` ahead of its elements."""
     knots = np.arange(-20.0, t_s[-1] + 40.0, 10.0)
     day, fraction = jday(start.year, start.month, start.day, start.hour, start.minute, start.second)
     error, place, _ = Satrec.twoline2rv(*two_lines).sgp4_array(
@@ -183,9 +194,10 @@ def along_orbit(
 
 
 def spin(case: Case, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Rates (n, 3) rad/s in the body and turns (n, 3, 3) from space to body, of a body symmetric about the axis of its spin.
+    """Return rates (n, 3) in rad/s in body axes and attitudes (n, 3, 3) from space to body, for a body symmetric about its spin
+    axis.
 
-    About its momentum the body turns evenly, about its axis it turns back by what is too much; a torque along the momentum
+    The body rotates evenly about its momentum, and about its axis at the difference of both rates. A torque along the momentum
     stretches the time.
     """
     ratio, nutation = case.moments, np.radians(case.nutation_deg)
@@ -212,7 +224,7 @@ def spin(case: Case, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndar
 
 
 def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) -> np.ndarray:
-    """Light of the Earth on faces (n, p), in full Suns; a face over the sunlit ground right below it gets about `albedo`."""
+    """Return the light of the Earth on panels (n, p), in full Suns; a panel over sunlit ground gets about `albedo`."""
     rings, around = 8, 16
     light = np.zeros((len(body), len(normals)))
     for k, (place, sun) in enumerate(zip(sky.place_km, sky.sun, strict=True)):
@@ -247,8 +259,10 @@ def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) 
 
 
 def make(case: Case, folder: Path) -> dict[str, Any]:
-    """Write `vehicle.toml`, `telemetry.csv`, `right.tle` and `wrong.tle`; returns the truth: `t_s`, `rates_deg_s` (n, 3), and the
-    magnetometer's reading = `matrix` field + `zero_nT`."""
+    """Write `vehicle.toml`, `telemetry.csv`, `right.tle` and `wrong.tle`, and return the truth.
+
+    Keys: `t_s`, `rates_deg_s` (n, 3), `lit`, and `matrix` and `zero_nT` of the magnetometer, whose reading is matrix field + zero.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.number, 1)))
     start = datetime(2026, 1, 1) + timedelta(days=float(np.round(rng.uniform(0, 200), 2)))
     start = start.replace(microsecond=0)
@@ -256,7 +270,7 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
     ahead_s = float(rng.normal(0, 1.0))
     normals = np.array([FACES[name] for name in case.faces], dtype=float)
     while True:
-        two_lines = elements(rng, start)
+        two_lines = draw_elements(rng, start)
         sky = along_orbit(two_lines, start, t_s, ahead_s)
         rates, body = spin(case, t_s, rng)
         sun_B, field_B = (np.einsum("nij,nj->ni", body, part) for part in (sky.sun, sky.field_nT))
@@ -293,7 +307,7 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
         ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG),
     ):
         (folder / f"{name}.tle").write_text(
-            f"SPINNER\n{two_lines[0]}\n{with_node_turned(two_lines[1], by_deg)}\n", "utf-8"
+            f"SPINNER\n{two_lines[0]}\n{rotate_node(two_lines[1], by_deg)}\n", "utf-8"
         )
     return {
         "t_s": t_s.tolist(),
@@ -305,6 +319,7 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
 
 
 def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
+    """Return the text of the vehicle file."""
     lines = ['name = "spinner"']
     if case.inertia_known:
         moments = np.full(3, 0.03)
@@ -342,7 +357,10 @@ def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
 
 
 def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
-    """One row: what the program says of a case. `what`: "check" or "rates", a space, and "right", "wrong" or "none" (elements)."""
+    """Run a command on a case and return its result as a row.
+
+    `what` is "check" or "rates", a space, and the elements: "right", "wrong" or "none".
+    """
     command, which = what.split()
     truth = make(case, folder)
     arguments = [str(folder / "vehicle.toml"), str(folder / "telemetry.csv"), "--json"]
@@ -352,28 +370,28 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     if done.exit_code:
         defect = done.exception is not None and not isinstance(done.exception, SystemExit)
         return {"defect": defect, "error": (done.stderr or repr(done.exception))[-300:]}
-    said = json.loads(done.stdout)
+    summary = json.loads(done.stdout)
     row: dict[str, Any] = {"defect": False}
-    if "orbit" in said:
-        row["orbit"] = said["orbit"]
+    if "orbit" in summary:
+        row["orbit"] = summary["orbit"]
     if command == "rates":
-        row["passes"] = [_pass(truth, one) for one in said["passes"]]
+        row["passes"] = [_pass(truth, result) for result in summary["passes"]]
     return row
 
 
-def _pass(truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
-    """A pass of `rates` compared with the truth at the instant for which it states its rates, deg/s."""
-    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - said["at_s"]).argmin()]
-    solutions = said["solutions"]
+def _pass(truth: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:
+    """Return the comparison of a pass of `rates` with the truth at the instant of its stated rates; deg/s."""
+    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - summary["at_s"]).argmin()]
+    solutions = summary["solutions"]
     omega, sigma = (
-        np.array([[one[f"{name}_{axis}_deg_s"] for axis in "xyz"] for one in solutions])
+        np.array([[solution[f"{name}_{axis}_deg_s"] for axis in "xyz"] for solution in solutions])
         for name in ("omega", "sigma")
     )
-    probability = np.array([one["probability"] for one in solutions])
+    probability = np.array([solution["probability"] for solution in solutions])
     off = omega[0] - true
     rates = np.radians(omega), np.radians(sigma)
     return {
-        "decided": said["decided"],
+        "decided": summary["decided"],
         "off_all": off.tolist(),
         "sigma_all": sigma[0].tolist(),
         "wrong": is_wrong(rates[0][0], rates[1][0], np.radians(true)),

@@ -1,7 +1,7 @@
-"""Posteriors of twins under a steady torque of which nobody told, and of inertias not as stated.
+"""Posteriors of simulated cases with an unmodelled steady torque, or with moments of inertia that differ from the stated ones.
 
-A box with six panels and no wheel: a posterior takes seconds. Twin i of a level depends on seed, level and i alone; those with
-even numbers have their torque in body axes, the others in space.
+The body is a box with six panels and no wheel, so that a posterior takes seconds. Case i of a level depends on seed, level and i
+alone. Cases with even numbers have their torque fixed in body axes, the others in space.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ LEVELS = {
     "1e-2": (1e-2, 0.0),
     "inertia": (0.0, 0.05),
 }
-"""Name -> rad/s by which the torque changes the rate over the window, and part by which moments are off beside what is stated."""
+"""Levels by name: change of the rate by the torque over the window in rad/s, and relative error of the stated moments."""
 
 SAMPLES, INTERVALS_S, TURN = 20, (10.0, 60.0), 2.5
-"""Samples, the range of their intervals (log-uniform), and the most that a body turns in one (rad)."""
+"""Number of samples, range of their intervals in s (log-uniform), and largest rotation within an interval in rad."""
 
 NORMALS = np.kron(np.eye(3), [[1], [-1]])
 
@@ -47,14 +47,16 @@ BOX = Vehicle(
 )
 
 
-class Made(NamedTuple):
+class SimulatedCase(NamedTuple):
+    """Telemetry of a case, its true rate (3) in rad/s at the first sample, and the priors for the posterior."""
+
     telemetry: xr.Dataset
     omega_B: np.ndarray
     priors: dict[str, Any]
 
 
-def make(level: str, seed: int, i: int) -> Made:
-    """Telemetry of a twin, its rate at the first sample (3) rad/s, and the priors that the posterior is told."""
+def make(level: str, seed: int, i: int) -> SimulatedCase:
+    """Return the telemetry of case i with its true rate and the priors that the posterior is given."""
     change, off = LEVELS[level]
     rng = np.random.default_rng(
         np.random.SeedSequence(seed, spawn_key=(i, list(LEVELS).index(level)))
@@ -73,7 +75,7 @@ def make(level: str, seed: int, i: int) -> Made:
     pull = rng.standard_normal(3)
     pull *= change / (t[-1] - t[0]) * np.trace(moments) / 3 / np.linalg.norm(pull)
     steady = Steady(np.stack([pull, np.zeros(3)][:: 1 if i % 2 == 0 else -1]))
-    told = Truth(
+    truth_of_case = Truth(
         truth.omega[0],
         truth.sun[0],
         t,
@@ -82,32 +84,35 @@ def make(level: str, seed: int, i: int) -> Made:
         noise=BOX.require_noise(),
         torques=[steady] if change else [],
     )
-    return Made(
-        synthetic_telemetry(body, told, seed=int(rng.integers(2**31))), truth.omega[0], priors
+    return SimulatedCase(
+        synthetic_telemetry(body, truth_of_case, seed=int(rng.integers(2**31))),
+        truth.omega[0],
+        priors,
     )
 
 
 def judge(level: str, seed: int, i: int) -> dict[str, Any]:
-    """What the posterior says of a twin, and how far the truth is from it."""
-    made = make(level, seed, i)
+    """Run the posterior on a case and return its verdict and its distance from the truth."""
+    case = make(level, seed, i)
     try:
-        tree = posterior(BOX, made.telemetry, made.priors, seed, workers=1)
+        tree = posterior(BOX, case.telemetry, case.priors, seed, workers=1)
     except SunspinError as error:
         return {"word": "refused", "verdict": str(error), "listed": False}
-    modes = tree["solutions"]
-    off, spread = made.omega_B - modes["omega_B"].values, modes["omega_cov_B"].values
+    solutions = tree["solutions"]
+    off, spread = case.omega_B - solutions["omega_B"].values, solutions["omega_cov_B"].values
     far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
-    told = modes["probability"].values >= 0.01
+    listed = solutions["probability"].values >= 0.01
     word = tree.attrs["verdict_word"]
     confident = word in ("unique", "aliases")
     return {
         "word": word,
         "verdict": tree.attrs["verdict"],
-        "listed": is_in_solutions(modes.to_dataset(), made.omega_B),
+        "listed": is_in_solutions(solutions.to_dataset(), case.omega_B),
         "far": far[:5],
         "level": float(chi2.cdf(min(far) ** 2, 3)),
         "wrong": bool(
-            confident and min(f for f, t in zip(far, told, strict=True) if t) > WRONG_SIGMAS
+            confident
+            and min(f for f, shown in zip(far, listed, strict=True) if shown) > WRONG_SIGMAS
         ),
         "sigma": float(np.sqrt(np.trace(spread[0]) / 3)),
         "error": float(np.linalg.norm(off[0])),

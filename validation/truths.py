@@ -1,4 +1,4 @@
-"""How an answer is held against a rate that is known: what is wrong, and what is in the list of solutions."""
+"""Comparison of results with a known rate: when a rate is wrong, and when the truth is among the solutions."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 import xarray as xr
 
 WRONG_SIGMAS, WRONG_RAD_S = 5.0, np.radians(0.1)
-"""A rate is wrong where a component is off by more than both."""
+"""A rate is wrong if a component differs by more than both limits: sigmas and rad/s."""
 
 SLOW_PART = 5.0
-"""Of a slow body a fifth of its rate takes the place of `WRONG_RAD_S`: at 0.24 deg/s an error of 0.1 deg/s is no small one."""
+"""For slow bodies a fifth of the rate replaces `WRONG_RAD_S`: at 0.24 deg/s an error of 0.1 deg/s is large."""
 
 LISTED_PROBABILITY = 1e-3
-"""A solution of less probability is not in the list that a user reads."""
+"""Least probability of a solution in the list that a user reads."""
 
 
 def is_wrong(omega: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> bool:
@@ -25,16 +25,16 @@ def is_wrong(omega: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> bool:
 def is_listed(
     omega: np.ndarray, sigma: np.ndarray, probability: np.ndarray, truth: np.ndarray
 ) -> bool:
-    """Return whether one of K solutions holds the true rate.
+    """Return whether one of K solutions is the true rate.
 
     Parameters
     ----------
     omega, sigma : (K, 3), rad/s
-        Rates and one-sigma errors at one instant; NaN where there are fewer solutions.
+        Rates and one-sigma errors at one instant; NaN if there are fewer solutions.
     probability : (K)
     truth : (3), rad/s
-        The true rate at that instant. A solution holds it if each component is off by at most five sigma, or a fifth of the true
-        speed where that is more.
+        The true rate at that instant. A solution agrees with it if each component differs by at most five sigma, or by a fifth of
+        the true speed if that is more.
     """
     allowed = np.maximum(WRONG_SIGMAS * sigma, np.linalg.norm(truth) / SLOW_PART)
     near = (np.abs(omega - truth) <= allowed).all(axis=1)
@@ -42,7 +42,7 @@ def is_listed(
 
 
 def is_in_solutions(solutions: xr.Dataset, truth: np.ndarray) -> bool:
-    """Return whether the group `solutions` of a posterior holds the true rate (3), rad/s, at the first sample."""
+    """Return whether the group `solutions` of a posterior contains the true rate (3), rad/s, at the first sample."""
     spread = solutions["omega_cov_B"].values
     sigma = np.sqrt(np.maximum(np.diagonal(spread, axis1=1, axis2=2), 0.0))
     return is_listed(solutions["omega_B"].values, sigma, solutions["probability"].values, truth)

@@ -1,6 +1,6 @@
-"""What others say of the same physics: closed forms, published values, other people's integrators and transport; digits matched.
+"""Comparisons with other sources of the same physics: closed forms, published values, other integrators and transport solvers.
 
-Each witness is a function that returns rows of (what, ours minus theirs, the size it is a part of, digits that must match).
+Each witness is a function that yields rows: what is compared, the relative difference, and the largest one allowed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.special import ellipj, ellipkinc
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.vehicle import Friction, Vehicle, Wheel
 
 BASILISK_MRP = (0.373034285, -0.00239564413, 0.208570797)
@@ -27,7 +27,7 @@ SUN = np.array([0.36, 0.48, 0.8])
 
 
 class Row(NamedTuple):
-    """One comparison: `error` is the largest difference relative to `size`."""
+    """One comparison: `error` is the largest difference, as a part of the size of the quantity; `wanted` the largest allowed."""
 
     witness: str
     what: str
@@ -41,10 +41,12 @@ class Row(NamedTuple):
 
     @property
     def holds(self) -> bool:
+        """True if the difference is small enough."""
         return self.error <= self.wanted
 
 
 def basilisk() -> Iterator[Row]:
+    """Compare the attitude of a free rigid body with a published value of Basilisk."""
     hub = Vehicle("hub", np.diag([500.0, 200.0, 300.0]))
     run = ss.propagate(hub, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
     mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
@@ -53,7 +55,9 @@ def basilisk() -> Iterator[Row]:
 
 
 def free_rigid_body() -> Iterator[Row]:
-    """Euler's case by Jacobi's functions, both kinds of motion, 200 turns, with phase (Landau and Lifshitz 1, section 37)."""
+    """Compare Euler's case with Jacobi's functions: both kinds of motion, 200 revolutions, with phase (Landau and Lifshitz 1,
+    section 37).
+    """
     moments = np.array([0.7, 1.0, 1.6])  # increasing
     t = np.linspace(0, 1300.0, 400)
     for name, omega in (
@@ -66,15 +70,15 @@ def free_rigid_body() -> Iterator[Row]:
         what = f"free body {name}, rates with phase, 1300 s"
         yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-10)
         sized = 100.0 * np.diag(moments), np.tile(omega, (1, 1)).astype(float)
-        rows = k.Rows(sized[1], SUN[None], np.zeros((1, 0)))
-        end = k.run_rows(Vehicle("free", sized[0]), rows, t[1:], direction_error=1e-9).omega_B[0]
+        rows = Rows(sized[1], SUN[None], np.zeros((1, 0)))
+        end = run_rows(Vehicle("free", sized[0]), rows, t[1:], direction_error=1e-9).omega_B[0]
         error = np.abs(end - expected[1:]).max() / np.linalg.norm(omega)
         what = f"the ensemble kernel, the same {name}"
         yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-8)
 
 
 def euler(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Rates (n, 3) of a free body with increasing principal moments, from `omega` at t = 0."""
+    """Return rates (n, 3) of a free body with increasing principal moments, from `omega` at t = 0."""
     if (moments * omega) @ (moments * omega) < moments[1] * (
         moments @ omega**2
     ):  # the other kind: the axes turned round
@@ -83,7 +87,7 @@ def euler(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def _polhode(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """The motion about the third axis, whose moment is the largest or the smallest."""
+    """Return the motion about the third axis, whose moment is the largest or the smallest."""
     a, b, c = moments
     twice, square = moments @ omega**2, (moments * omega) @ (moments * omega)
     least, most = twice * c - square, square - twice * a
@@ -97,7 +101,7 @@ def _polhode(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarra
 
 
 def gyrostat() -> Iterator[Row]:
-    """An axisymmetric body with a coasting wheel on its axis: a closed form at any time, through the wheel's stop."""
+    """Compare an axisymmetric body with a coasting wheel on its axis with its closed form, through the wheel's stop."""
     moment, axial, inertia, begin = 13.0, 16.5, 0.0058, 865.0
     friction = Friction(1e-3, 2.7e-6)
     vehicle = Vehicle(
@@ -109,10 +113,9 @@ def gyrostat() -> Iterator[Row]:
     t = np.linspace(0, 3600.0, 241)
     run = ss.propagate(vehicle, omega, SUN, begin, t)
     H = np.array([moment, moment, axial]) * omega + [0, 0, inertia * begin]
-    turned = Rotation.from_rotvec(
-        H / moment * t[:, None]
-    )  # fixed in space H is an axis about which the symmetry axis goes round
-    z_N = turned.apply([0.0, 0.0, 1.0])
+    # in space H is fixed, and the symmetry axis rotates about it
+    rotation = Rotation.from_rotvec(H / moment * t[:, None])
+    z_N = rotation.apply([0.0, 0.0, 1.0])
     error = float(np.abs(run["sun_B"].values[:, 2] - z_N @ SUN).max())
     yield Row("closed form", "axisymmetric gyrostat, Sun's height with phase, 1 h", error, 1e-9)
     # axial rate: the wheel's speed relative to the body obeys J' dW/dt = -mu0 - mu1 W, J' = J (1 - J / axial)
@@ -130,13 +133,14 @@ def gyrostat() -> Iterator[Row]:
 
 
 def paper_equations() -> Iterator[Row]:
-    """SciPy's DOP853 on the paper's eqs. (3), (4), (5), (7) as printed, Philae through the wheel's stop."""
+    """Compare SciPy's DOP853 on the paper's eqs. (3), (4), (5), (7) as printed: Philae through the wheel's stop."""
     theta = np.array([[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]])
     axis, J = np.array([0, 0, 1.0]), 0.0058
     friction = Friction.from_spin_down(1271.0, -4.643e-4, -388.9, J)
     inverse = np.linalg.inv(theta - J * np.outer(axis, axis))
 
     def slipping(_t: float, y: np.ndarray) -> np.ndarray:
+        """Return the derivative of (omega, W, r) while the wheel turns."""
         omega, W, r = y[:3], y[3], y[4:]
         torque = -np.sign(W) * (friction.coulomb_N_m + friction.viscous_N_m_s * abs(W))
         rate = -inverse @ (
@@ -145,10 +149,12 @@ def paper_equations() -> Iterator[Row]:
         return np.concatenate([rate, [torque / J - axis @ rate], -np.cross(omega, r)])
 
     def stuck(_t: float, y: np.ndarray) -> np.ndarray:
+        """Return the derivative of (omega, W, r) after the wheel has stopped."""
         rate = -np.linalg.solve(theta, np.cross(y[:3], theta @ y[:3]))
         return np.concatenate([rate, [0.0], -np.cross(y[:3], y[4:])])
 
     def stops(_t: float, y: np.ndarray) -> float:
+        """Return the wheel speed, whose zero is the stop."""
         return y[3]
 
     stops.terminal = True  # type: ignore[attr-defined]
@@ -170,7 +176,9 @@ def paper_equations() -> Iterator[Row]:
 
 
 def transport() -> Iterator[Row]:
-    """EMD against other solvers of the same transport problem (`sunspin.emd` itself is SciPy's); a scan's against SciPy's."""
+    """Compare EMD with other solvers of the same transport problem (`sunspin.emd` itself is SciPy's), and that of a scan with
+    SciPy's.
+    """
     rng = np.random.default_rng(0)
     worst = {"linprog": 0.0, "pot": 0.0, "sorted": 0.0}
     for n, m in ((5, 9), (15, 40), (30, 11)):
@@ -203,6 +211,7 @@ def transport() -> Iterator[Row]:
 
 
 def _cheapest(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float:
+    """Return the EMD as the solution of a linear programme."""
     leaves = np.kron(np.eye(len(a)), np.ones(len(b)))
     arrives = np.kron(np.ones(len(a)), np.eye(len(b)))
     cost, shares = np.abs(a[:, None] - b).ravel() / 2, np.concatenate([wa, wb])
@@ -210,6 +219,7 @@ def _cheapest(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> f
 
 
 def _pot(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float | None:
+    """Return the EMD by POT; None if it is not installed."""
     try:
         import ot
     except ImportError:
@@ -218,27 +228,27 @@ def _pot(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float 
 
 
 def return_trips() -> Iterator[Row]:
-    """There and back through the wheel's stop, by the reference and by the kernel."""
+    """Compare a state with itself after propagation forth and back through the wheel's stop, by the reference and by the kernel."""
     friction = Friction.from_spin_down(1271.0, -4.643e-4, -388.9, 0.0058)
     theta = [[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]]
     vehicle = Vehicle("philae", theta, wheels=[Wheel("w", [0, 0, 1], 0.0058, 865.0, friction)])
     omega = np.array([-0.2, 0.05, 0.02])
-    there = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
-    end = there.isel(time=-1)
+    forth = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
+    end = forth.isel(time=-1)
     back = ss.propagate(
         vehicle,
         end["omega_B"],
         end["sun_B"],
         0.0,
         [2700.0, 0.0],
-        stopped_at_s=float(there["event_time_s"][0]),
+        stopped_at_s=float(forth["event_time_s"][0]),
     )
     error = float(np.abs(back["sun_B"].values[-1] - SUN).max())
     yield Row("itself, backward", "Sun after 45 min there and back, through the stop", error, 1e-9)
-    rows = k.Rows(omega[None], SUN[None], np.array([[865.0]]))
-    far = k.run_rows(vehicle, rows, 2000.0, direction_error=1e-9)
-    turned = k.Rows(far.omega_B[:, 0], far.sun_B[:, 0], far.wheel_speed_rad_s[:, 0])
-    home = k.run_rows(vehicle, turned, -2000.0, direction_error=1e-9)
+    rows = Rows(omega[None], SUN[None], np.array([[865.0]]))
+    far = run_rows(vehicle, rows, 2000.0, direction_error=1e-9)
+    final = Rows(far.omega_B[:, 0], far.sun_B[:, 0], far.wheel_speed_rad_s[:, 0])
+    home = run_rows(vehicle, final, -2000.0, direction_error=1e-9)
     error = float(np.abs(home.sun_B[0, 0] - SUN).max())
     yield Row("itself, backward", "the ensemble kernel, 2000 s there and back", error, 1e-8)
 
@@ -247,7 +257,7 @@ WITNESSES = (basilisk, free_rigid_body, gyrostat, paper_equations, transport, re
 
 
 def table(rows: list[Row]) -> str:
-    """The comparisons as a table in Markdown."""
+    """Return the comparisons as a table in Markdown."""
     lines = ["| witness | what | difference | digits |", "|---|---|---|---|"]
     return "\n".join(
         lines + [f"| {r.witness} | {r.what} | {r.error:.1e} | {r.digits:.1f} |" for r in rows]
@@ -255,11 +265,12 @@ def table(rows: list[Row]) -> str:
 
 
 def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this campaign."""
     parser.add_argument("--only", choices=[witness.__name__ for witness in WITNESSES])
 
 
 def main(given: argparse.Namespace) -> int:
-    """Print the table; one if any witness does not agree."""
+    """Print the table; return 1 if any witness does not agree."""
     chosen = [witness for witness in WITNESSES if given.only in (None, witness.__name__)]
     rows = [row for witness in chosen for row in witness()]
     print(table(rows))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from studies import impulse as comet
-from sunspin.philae.collision import KERNEL, states_of
+from sunspin.philae.collision import KERNEL, read_kernel_states
 
 LANDING_S = 469_078_511.0
 
@@ -44,7 +44,7 @@ def test_at_the_landing_site_the_sun_is_up_and_gravity_points_down(data_dir):
     """The pole by the Sun's height over the comet's equator in November 2014; the spin by the path's acceleration in space."""
     pytest.importorskip("spiceypy")
     times = LANDING_S + np.array([0.6, 600.0, 601.0, 2700.0, 6600.0])
-    states = states_of(data_dir.joinpath(*KERNEL), times)
+    states = read_kernel_states(data_dir.joinpath(*KERNEL), times)
     for t, state in zip(times, states, strict=True):
         sun = comet.comet_from_J2000(t) @ comet.sun_J2000(data_dir, t)
         assert np.degrees(np.arcsin(sun[2])) == pytest.approx(37.2, abs=0.3)

@@ -31,7 +31,7 @@ from sunspin.estimate.terms.sun_direction import SunDirection
 from sunspin.estimate.terms.term import Seen, facing
 from sunspin.solve.rotations import rotation_between
 from sunspin.vehicle.sensors import Gyro, Sensors
-from validation.passes import FACES, MOMENTS, seen, spin, unit
+from validation.passes import FACES, MOMENTS, observe, spin, unit
 
 INERTIA = np.diag(MOMENTS) / MOMENTS.mean()
 START = np.radians([2.0, -1.0, 1.5])
@@ -106,9 +106,9 @@ def test_the_likelier_alias_does_not_depend_on_the_rate_prior(slower, faster, lo
 def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):
     """All hypotheses of a pass moved so, begun at its true motion, with the noise that explains it as unknown torques; with a gyro
     whose zero is so much off though its file takes it for known, or known to `zero_sigma` (rad/s), if one is given."""
-    sun = unit(np.random.default_rng(3))  # as `seen` draws it
+    sun = unit(np.random.default_rng(3))  # as `observe` draws it
     omega, attitude = spin(START, T_S, push)
-    made = seen(FACES, omega, attitude, T_S, 0.01, np.random.default_rng(3))
+    made = observe(FACES, omega, attitude, T_S, 0.01, np.random.default_rng(3))
     vehicle, telemetry = made.vehicle, made.telemetry
     if zero_deg_s is not None:
         gyro = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, zero_sigma))

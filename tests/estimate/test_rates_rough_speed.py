@@ -7,7 +7,7 @@ import numpy as np
 import sunspin as ss
 from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.state import Observations, Track
-from validation.passes import FACES, seen, spin
+from validation.passes import FACES, observe, spin
 
 
 def track(speeds_deg_s, log_weight):
@@ -30,7 +30,7 @@ def test_each_pass_reports_its_rough_speed_once_before_it_is_finished(capsys):
     t = np.concatenate([np.arange(0.0, 200.0, 20.0) + start for start in (0.0, 3000.0)])
     each_pass = [spin(np.radians([1.0, -0.5, 0.8]), part) for part in np.split(t, 2)]
     omega, attitude = (np.concatenate(parts) for parts in zip(*each_pass, strict=True))
-    made = seen(FACES, omega, attitude, t, 0.01, np.random.default_rng(3))
+    made = observe(FACES, omega, attitude, t, 0.01, np.random.default_rng(3))
     setting = {"max_rate_rad_s": 0.03, "acceleration_noise": 1e-5}
     quiet = ss.rates(made.vehicle, made.telemetry, **setting)
     assert not capsys.readouterr().err

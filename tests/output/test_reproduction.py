@@ -9,7 +9,7 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.cli import cli
 from sunspin.philae import reproduction
-from sunspin.philae.row import tables
+from sunspin.philae.row import read_tables
 
 CASE = ss.load_case("philae")
 
@@ -41,9 +41,11 @@ LEFT_OUT = {
 @pytest.mark.evidence("reproduce", "verified", "the list of published figures: none is passed over")
 def test_each_published_figure_is_compared_or_marked_as_used(summary, reached):
     entries = {row["id"] for row in summary["figures"]}
-    marked = {name for name, about in tables(CASE).items() if {"used", "compared"} & set(about)}
-    compared = {name for name in tables(CASE) if SEVERAL_ENTRIES.get(name, name) in entries}
-    assert set(tables(CASE)) - compared - marked == LEFT_OUT
+    marked = {
+        name for name, about in read_tables(CASE).items() if {"used", "compared"} & set(about)
+    }
+    compared = {name for name in read_tables(CASE) if SEVERAL_ENTRIES.get(name, name) in entries}
+    assert set(read_tables(CASE)) - compared - marked == LEFT_OUT
     reached("published figures", len(CASE.published))
 
 
@@ -88,9 +90,9 @@ def test_a_vehicle_file_replaces_philae(tmp_path):
     )
     path = tmp_path / "heavy.toml"
     path.write_text(text, "utf-8")
-    case, _ = reproduction._case(None, path, ())
+    case, _ = reproduction._load_inputs(None, path, ())
     assert case.vehicle.mass_kg == 120.0 and case.telemetry.sizes == CASE.telemetry.sizes
-    assert reproduction._inputs(case, path)[1]["file"] == "heavy.toml"
+    assert reproduction._hash_inputs(case, path)[1]["file"] == "heavy.toml"
 
 
 def test_the_summary_of_the_study_has_the_documented_keys(summary):
@@ -132,7 +134,7 @@ def test_input_figures_are_marked_and_neither_agree_nor_differ(summary):
         "samples_after_collision",
         "spin_down_coefficients",
     } <= put_in
-    assert put_in == {name for name, about in tables(CASE).items() if "put_in" in about}
+    assert put_in == {name for name, about in read_tables(CASE).items() if "put_in" in about}
     assert all(
         row["agrees"] is None and row["holds"] is not None
         for row in summary["figures"]

@@ -8,7 +8,7 @@ from sunspin.cases import load_case
 from sunspin.philae import row as rw
 
 CASE = load_case("philae")
-TABLES = rw.tables(CASE)
+TABLES = rw.read_tables(CASE)
 KEYS = {"published", "unit", "what", "place", "put_in", "kind", "chain", "tolerance", "at_most"}
 
 TABLE = """
@@ -33,7 +33,7 @@ at_most = 0.1
 @pytest.fixture
 def case(monkeypatch):
     """The case with the tables above."""
-    monkeypatch.setattr(rw, "tables", lambda case: tomllib.loads(TABLE))
+    monkeypatch.setattr(rw, "read_tables", lambda case: tomllib.loads(TABLE))
     return CASE
 
 
@@ -46,16 +46,16 @@ def test_each_table_has_the_keys_of_a_comparison_entry():
 
 
 def test_an_entry_fills_its_texts_and_is_judged_by_its_tolerance(case):
-    row = rw.row(case, "turns", 2.4, says=("note", "note_late"), who="us")
+    row = rw.make_row(case, "turns", 2.4, notes=("note", "note_late"), who="us")
     assert row.what == "turns of us" and row.source == "paper, section 9" and row.agrees is True
     assert row.note == "by us, within 0.5; the paper's scan has steps of 0.015 rad/s, late"
-    assert rw.row(case, "turns", 2.6, who="us").agrees is False
-    assert rw.row(case, "turns", 9.0, who="us", agrees=True).agrees is True
+    assert rw.make_row(case, "turns", 2.6, who="us").agrees is False
+    assert rw.make_row(case, "turns", 9.0, who="us", agrees=True).agrees is True
 
 
 def test_an_entry_with_at_most_is_judged_from_above(case):
-    row = rw.row(case, "grows", [0.0, 0.1])
+    row = rw.make_row(case, "grows", [0.0, 0.1])
     assert row.agrees is True and row.tolerance == 0.1
     assert row.note == "" and row.source == "elsewhere"
-    assert rw.row(case, "grows", [0.0, 0.11]).agrees is False
-    assert rw.row(case, "grows", None, tolerance=None).agrees is None
+    assert rw.make_row(case, "grows", [0.0, 0.11]).agrees is False
+    assert rw.make_row(case, "grows", None, tolerance=None).agrees is None

@@ -10,7 +10,7 @@ from sunspin.base.errors import InputError
 from sunspin.philae import candidates, data_check, touchdown
 from sunspin.philae import rebound as rb
 from validation import controls
-from validation.controls import chain_of
+from validation.controls import run_chain
 
 CASE = ss.load_case("philae")
 
@@ -30,7 +30,7 @@ def found(quick):
 
     def of(name):
         if name not in kept:
-            kept[name] = chain_of(controls.CONTROLS[name](CASE))
+            kept[name] = run_chain(controls.CONTROLS[name](CASE))
         return kept[name]
 
     return of
@@ -38,7 +38,9 @@ def found(quick):
 
 def truth_of(omega, found):
     """Smaller and larger angle of the momentum (rad) and the speed at the touchdown of a known motion."""
-    sun = np.array(rb.twin_file(CASE)["sun_B"])  # what the panels show is some degrees away from it
+    sun = np.array(
+        rb.read_truth(CASE)["sun_B"]
+    )  # what the panels show is some degrees away from it
     states = replace(found.chain.rebound.states(np.array([omega])), sun_B=sun[None])
     theta, alpha, _ = rb.momentum_angles(CASE.vehicle, states)
     back = ss.propagate(CASE.vehicle, omega, sun, 865.0, [0.0, -found.chain.rebound.lead_s])
@@ -62,10 +64,10 @@ def truth_of(omega, found):
 )
 def test_conclusions_from_telemetry_contain_the_truth(found, name, omega):
     one = found(name)
-    assert one.carries.one_sun and one.chain is not None, one.why
+    assert one.check.consistent_with_sun and one.chain is not None, one.why
     chosen = one.chain.chosen
     small, large, speed = truth_of(
-        np.array(rb.twin_file(CASE)["omega_B"] if omega is None else omega), one
+        np.array(rb.read_truth(CASE)["omega_B"] if omega is None else omega), one
     )
     for which, value in enumerate((small, large)):
         low, high = chosen.angle_range(which)
@@ -83,9 +85,9 @@ def test_a_lander_that_never_tumbled_is_distinguished_from_one_that_did(found):
     )  # 7 of the 30 degrees are the coarse grid's cells
     bounds = [one.chain.chosen.speed_range()[0] for one in (still, tumbled)]
     assert bounds[0] == 0 and bounds[1] > 0.07
-    words = " ".join(touchdown.sentences(still.chain))
+    words = " ".join(touchdown.describe_motion(still.chain))
     assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees (90%)" in words
-    assert "at least" in " ".join(touchdown.sentences(tumbled.chain))
+    assert "at least" in " ".join(touchdown.describe_motion(tumbled.chain))
     assert still.rows["lines_found"].ours == 0 and still.rows["lines_found"].agrees is False
     for one in (still, tumbled):
         assert one.rows["rate_at_touchdown_max"].informative is False
@@ -97,23 +99,23 @@ def test_readings_without_sunlight_give_no_conclusion(found):
     """Each panel shuffled in time, two columns exchanged: Delta and forbidden patterns catch it, and no conclusion is left."""
     for name in ("each panel shuffled", "panels 1 and 2 exchanged"):
         one = found(name)
-        assert not one.carries.one_sun and one.chain is None, name
+        assert not one.check.consistent_with_sun and one.chain is None, name
         assert (
-            "NOT CONSISTENT WITH SUNLIGHT" in one.carries.first_line
+            "NOT CONSISTENT WITH SUNLIGHT" in one.check.first_line
             and "nothing can be concluded" in one.why
             or one.scan is None
         )
-        assert any("lit pattern" in reason for reason in one.carries.reasons)
+        assert any("lit pattern" in reason for reason in one.check.reasons)
 
 
 @pytest.mark.parametrize(
     ("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")]
 )
 def test_an_exchange_of_any_two_panels_is_detected(first, second):
-    case = rb.with_telemetry(CASE, controls.exchanged_panels(CASE, first, second))
+    case = rb.with_telemetry(CASE, controls.exchange_panels(CASE, first, second))
     assert not data_check.compute(
         case, ss.sun_directions(case.vehicle, case.telemetry), None
-    ).one_sun
+    ).consistent_with_sun
 
 
 def test_panel_misalignment_within_its_sigma_does_not_reject_a_file():
@@ -123,21 +125,21 @@ def test_panel_misalignment_within_its_sigma_does_not_reject_a_file():
     assert (
         found.impossible > data_check.MOST_IMPOSSIBLE * found.early
         and found.unexplained <= 1
-        and found.one_sun
+        and found.consistent_with_sun
     )
 
 
 @pytest.mark.long
 def test_telemetry_that_no_motion_explains_is_refused(quick):
     """The Sun stands high at the first sample and low ever after, as in no free motion: the smallest EMD is far beyond noise."""
-    data = controls.with_motion(CASE, controls.STILL)
+    data = controls.simulate_motion(CASE, controls.STILL)
     later = np.flatnonzero(data["phase"].values == "first_rebound")[1:]
     low = np.array([0.8, 0.5, 0.2])
     power = 0.02 * ss.panel_power(CASE.vehicle, low / np.linalg.norm(low))
     # with some noise: readings that repeat exactly are those of a frozen frame
     noisy = power * (1 + 1e-3 * np.random.default_rng(0).normal(size=(len(later), len(power))))
     data["power_W"].values[later] = np.where(power > 0, noisy, 0.0)
-    one = chain_of(data, coarser=20)
+    one = run_chain(data, coarser=20)
     assert one.chain is None and "no motion of the model fits" in one.why
 
 
@@ -145,7 +147,7 @@ def test_telemetry_that_no_motion_explains_is_refused(quick):
 def test_candidates_are_read_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
-    one = chain_of(source=str(path), coarser=20)
+    one = run_chain(source=str(path), coarser=20)
     assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
     for text, said in (
@@ -155,13 +157,13 @@ def test_candidates_are_read_from_a_table(tmp_path, quick):
     ):
         path.write_text(text, "utf-8")
         with pytest.raises(InputError, match=said):
-            candidates.rates_of(path)
+            candidates.read_rates(path)
     with pytest.raises(InputError, match="there is no such file"):
-        candidates.rates_of(tmp_path / "none.csv")
+        candidates.read_rates(tmp_path / "none.csv")
 
 
 def test_without_a_calibration_there_is_no_conclusion(quick):
-    one = chain_of(None, coarser=20, twins=0)
+    one = run_chain(None, coarser=20, twins=0)
     assert one.chain is None and "not calibrated for these data" in one.why
 
 

@@ -19,7 +19,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
-from sunspin.philae.metrics import simulated_z
+from sunspin.philae.metrics import simulate_rz
 
 CASE = load_case("philae")
 COARSE = 25  # 5 x 5 x 2 motions
@@ -32,7 +32,7 @@ AXES = {
 
 @pytest.fixture(scope="module")
 def table():
-    return make_table(CASE.vehicle, rb.first_sun(CASE), AXES, 865.0, rb.window_s(CASE))
+    return make_table(CASE.vehicle, rb.first_sun(CASE), AXES, 865.0, rb.published_window_s(CASE))
 
 
 @pytest.mark.evidence(
@@ -42,7 +42,7 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
     z = np.random.default_rng(4).uniform(0.05, 0.95, 16)
     found = table.volume(z)
     for x, y, w in ((-0.2, 0.5, 0.2), (0.3, 0.1, -0.1)):
-        reference = emd(simulated_z(CASE, np.array([x, y, w])), z)
+        reference = emd(simulate_rz(CASE, np.array([x, y, w])), z)
         assert found.sel(omega_x=x, omega_y=y, omega_z=w).item() == pytest.approx(
             reference, abs=2e-3
         )
@@ -50,10 +50,10 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
 
 def test_rates_at_the_end_of_the_rebound_agree_with_the_reference():
     starts = np.array([[0.1, -0.3, 0.2], [0.0, 0.0, 0.0], [-0.4, 0.6, -0.2]])
-    back = rb.at_touchdown(CASE, starts, 865.0)
+    back = rb.rates_at_touchdown(CASE, starts, 865.0)
     for omega, found in zip(starts, back, strict=True):
         run = propagate(
-            CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -rb.after_touchdown_s(CASE)]
+            CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -rb.first_sample_lead_s(CASE)]
         )
         np.testing.assert_allclose(found, run["omega_B"].values[-1], atol=1e-9)
 
@@ -71,8 +71,10 @@ def test_rates_at_the_end_follow_a_wheel_to_its_stop_and_not_back_from_it():
 def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
     states = rb.start_states(CASE, np.array([truth, other]), rb.first_sun(CASE))
-    target = simulated_z(CASE, truth), None
-    own, wrong = threshold.reached(CASE, states, rb.window_s(CASE), [target, target])
+    target = simulate_rz(CASE, truth), None
+    own, wrong = threshold.emd_of_truths(
+        CASE, states, rb.published_window_s(CASE), [target, target]
+    )
     assert own < 1e-3 and wrong > 0.02
 
 
@@ -83,14 +85,14 @@ def grid():
 
 def test_too_few_simulated_rebounds_are_refused():
     with pytest.raises(InputError, match="too few twins.*ask for more"):
-        threshold.holding(np.ones(10), 0.95)
+        threshold.quantile_threshold(np.ones(10), 0.95)
     with pytest.raises(InputError, match="between 0 and 1"):
-        threshold.check_confidence(100, 1.0)
+        threshold.threshold_index(100, 1.0)
 
 
 def test_coverage_shares_and_their_table_agree_with_figures_by_hand():
     """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
-    assert study.share(np.zeros(10, dtype=bool)) == "0.0% (0.0% to 27.8%)"
+    assert study.format_share(np.zeros(10, dtype=bool)) == "0.0% (0.0% to 27.8%)"
     row = {
         "truth_touchdown_speed": 0.2,
         "emd_min": 0.01,
@@ -100,7 +102,7 @@ def test_coverage_shares_and_their_table_agree_with_figures_by_hand():
         "factor_speed": [0.05] * 80,
     }
     rows = [row | {"emd_truth": 0.01 * (1 + k / 20)} for k in range(1, 21)]
-    text = study.table({"lines": study.gathered(rows)}, 160)
+    text = study.table({"lines": study.collect_values(rows)}, 160)
     at = int(np.searchsorted(study.FACTORS, 1.95)) + 1
     assert "| 20 | 5.0% (0.9% to 23.6%) | 100.0% (83.9% to 100.0%) | 1.95 (" in text
     assert f"| {at / 160:.0%} | 0.050 | 6, 6, 6, 6 |" in text

@@ -29,17 +29,17 @@ def test_the_samples_of_the_fit_are_those_of_the_paper(result):
 @pytest.mark.parametrize("sigmas", [3.0, 4.0, 5.0, 6.0])
 def test_the_choice_of_descent_samples_does_not_depend_on_its_threshold(sigmas, monkeypatch):
     monkeypatch.setattr(descent, "DELTA_SIGMAS", sigmas)
-    assert descent.clean_from(SUN_AS_DRAWN.isel(time=slice(0, 147)))[0] == 9
+    assert descent.find_first_clean_sample(SUN_AS_DRAWN.isel(time=slice(0, 147)))[0] == 9
 
 
 def test_telemetry_without_shadow_keeps_all_descent_samples():
     """Negative control: the same telemetry without its first nine samples, and with single outliers."""
     clean = SUN.isel(time=slice(9, 147))
-    assert descent.clean_from(clean)[0] == 0
+    assert descent.find_first_clean_sample(clean)[0] == 0
     outlier = clean.copy(deep=True)
     outlier["delta"][{"time": [0, 40, 80]}] = 0.3
     outlier["status"][{"time": [0, 40, 80]}] = 0
-    assert descent.clean_from(outlier)[0] == 0
+    assert descent.find_first_clean_sample(outlier)[0] == 0
 
 
 @pytest.mark.evidence(
@@ -69,9 +69,9 @@ def test_telemetry_with_another_cubic_differs_from_the_published_one(result):
 
 
 def test_the_descent_figure_states_that_the_telemetry_is_synthetic(result):
-    assert "synthetic telemetry" in descent.draw(result)._suptitle.get_text()
+    assert "synthetic telemetry" in descent.descent_figure(result)._suptitle.get_text()
     real = result._replace(sun=result.sun.assign_attrs(synthetic=0))
-    assert "synthetic" not in descent.draw(real)._suptitle.get_text()
+    assert "synthetic" not in descent.descent_figure(real)._suptitle.get_text()
 
 
 def test_telemetry_without_a_descent_is_refused():

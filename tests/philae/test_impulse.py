@@ -9,10 +9,10 @@ import xarray as xr
 import sunspin as ss
 from studies import impulse as im
 from studies.impulse import comet_from_J2000
-from sunspin.philae.collision import tdb_of
+from sunspin.philae.collision import event_tdb_s
 
 CASE = ss.load_case("philae")
-SEEN = im.Seen(0.2246, np.radians(18.7), np.radians(-7.0))
+SEEN = im.VelocityChange(0.2246, np.radians(18.7), np.radians(-7.0))
 
 
 def collisions(size, to_sun, about):
@@ -36,27 +36,29 @@ def test_collision_weights_use_the_requested_number_of_components():
 
 def test_the_landing_kernel_is_read_in_inertial_axes(tmp_path, monkeypatch):
     """States made so that the change of velocity in J2000 stands 40 degrees from a Sun along x, at a place 3 km out."""
-    tdb, landed = tdb_of(CASE, "collision"), tdb_of(CASE, "first_touchdown")
+    tdb, landed = event_tdb_s(CASE, "collision"), event_tdb_s(CASE, "first_touchdown")
     change = 0.2 * np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
     place = comet_from_J2000(tdb) @ [0.0, 3000.0, 0.0]
     before = np.concatenate([place, [0.1, 0.2, -0.1]])
     after = np.concatenate([place, before[3:] + comet_from_J2000(tdb) @ change])
     down = np.concatenate([comet_from_J2000(landed) @ [0.0, 0.0, 2000.0], np.zeros(3)])
-    monkeypatch.setattr(im, "states_of", lambda path, times: np.array([down, before, after]))
+    monkeypatch.setattr(
+        im, "read_kernel_states", lambda path, times: np.array([down, before, after])
+    )
     sun = tmp_path.joinpath(*im.SUN)
     sun.parent.mkdir()
     sun.write_text("utc,et_s,x,y,z,au\n" + "".join(f"t,{tdb + dt},1,0,0,3\n" for dt in (-60, 60)))
-    seen = im.seen_in(CASE, tmp_path)
+    seen = im.read_velocity_change(CASE, tmp_path)
     assert seen.change_m_s == pytest.approx(0.2, abs=1e-4) and np.degrees(
         seen.to_sun_rad
     ) == pytest.approx(40, abs=0.1)
     assert np.degrees(seen.about_sun_rad) == pytest.approx(-90, abs=0.5)  # from z about x
     sun.write_text("utc,et_s,x,y,z,au\nt,1,1,0,0,3\n")
     with pytest.raises(ss.InputError, match="no direction of the Sun at the collision"):
-        im.seen_in(CASE, tmp_path)
+        im.read_velocity_change(CASE, tmp_path)
     sun.unlink()
     with pytest.raises(ss.InputError, match=r"Sun's directions are not there.*docs/data.md"):
-        im.seen_in(CASE, tmp_path)
+        im.read_velocity_change(CASE, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +76,9 @@ def drawn():
 
 
 def test_the_impulse_study_writes_table_and_figure(drawn, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(im, "seen_in", lambda case, folder: SEEN)
-    monkeypatch.setattr(im, "motions", lambda source, seed: SimpleNamespace())
-    monkeypatch.setattr(im, "collisions", lambda chain, n, seed: drawn)
+    monkeypatch.setattr(im, "read_velocity_change", lambda case, folder: SEEN)
+    monkeypatch.setattr(im, "load_motions", lambda source, seed: SimpleNamespace())
+    monkeypatch.setattr(im, "simulate_collisions", lambda chain, n, seed: drawn)
     assert im.main([str(tmp_path / "out"), "--data", str(tmp_path)]) == 0
     assert (tmp_path / "out" / "impulse.png").stat().st_size > 10_000
     text = (tmp_path / "out" / "impulse.md").read_text("utf-8")
@@ -92,7 +94,7 @@ def test_the_impulse_study_without_its_data_ends_with_one_sentence(tmp_path, mon
 @pytest.mark.real_data
 def test_the_impulse_of_the_landing_kernel_is_the_recorded_one(data_dir):
     pytest.importorskip("spiceypy")
-    seen = im.seen_in(CASE, data_dir)
+    seen = im.read_velocity_change(CASE, data_dir)
     assert seen.change_m_s == pytest.approx(
         CASE.published["kernel_velocity_change"].value, abs=2e-4
     )

@@ -10,7 +10,7 @@ from sunspin.landing.tally import estimate, read_explained_share, read_facts, re
 from sunspin.philae import collision as co
 from sunspin.philae import strategies as sg
 from sunspin.philae.rebound import published_candidates
-from sunspin.philae.row import settled
+from sunspin.philae.row import settle
 from tests.support.philae import chain_on_the_lines
 
 PHILAE = ss.load_case("philae")
@@ -81,7 +81,7 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
 
 
 def test_collision_weights_prefer_runs_near_the_landing_kernel(collision):
-    found = collision.known
+    found = collision.weighted
     facts, weight = read_facts(found), found["weight"].values
     near = np.hypot(
         found["velocity_change"] - facts["velocity_change"],
@@ -118,7 +118,7 @@ def test_collision_weights_prefer_runs_near_the_landing_kernel(collision):
 
 def test_entries_of_the_landing_agree_or_differ_as_recorded(collision, strategies):
     every = [*co.rows(collision), *sg.rows(strategies)]
-    rows = {row.id: settled(row) for row in every}
+    rows = {row.id: settle(row) for row in every}
     assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(
         0.559, abs=1e-3
     )
@@ -169,8 +169,8 @@ def test_the_packaged_collision_facts_are_those_of_the_landing_kernel(data_dir):
         assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), (
             name
         )
-    times = [co.tdb_of(case, name) for name in ("first_touchdown", "rest")]
-    begin, end = co.states_of(data_dir.joinpath(*co.KERNEL), times)[:, :3]
+    times = [co.event_tdb_s(case, name) for name in ("first_touchdown", "rest")]
+    begin, end = co.read_kernel_states(data_dir.joinpath(*co.KERNEL), times)[:, :3]
     assert np.linalg.norm(end - begin) == pytest.approx(
         case.published["trajectory_distance"].value, abs=0.5
     )

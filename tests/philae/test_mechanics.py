@@ -19,13 +19,13 @@ FIRST = np.array([0.1959, 0.5690, 0.7986])
 
 @pytest.fixture(scope="module")
 def result():
-    return mechanics.precession(CASE)
+    return mechanics.compute_precession(CASE)
 
 
 def test_a_symmetric_body_keeps_its_nutation_angle_and_range_while_the_wheel_slows():
     """theta from H by hand; z between cos(theta + alpha) and cos(theta - alpha); both while friction stops the wheel."""
     omega = np.array([-0.25, 0.07, 0.05])
-    motion = mechanics.swing(SYMMETRIC, omega, FIRST, 865.0, 2700.0)
+    motion = mechanics.precession_amplitudes(SYMMETRIC, omega, FIRST, 865.0, 2700.0)
     momentum = np.array([13.0, 13.0, 16.5]) * omega + [0, 0, 0.0058 * 865.0]
     theta = np.arccos(momentum[2] / np.linalg.norm(momentum))
     alpha = np.arccos(momentum @ FIRST / np.linalg.norm(momentum) / np.linalg.norm(FIRST))
@@ -41,7 +41,9 @@ def test_a_symmetric_body_keeps_its_nutation_angle_and_range_while_the_wheel_slo
 def test_an_asymmetric_body_without_the_wheel_s_momentum_does_not_keep_its_nutation():
     """Negative control: about z, the middle axis, the body flips."""
     body = Vehicle("flips", np.diag([1.0, 3.0, 2.0]))
-    motion = mechanics.swing(body, [0.001, 0.001, 0.3], [0, 0.6, 0.8], None, 600.0, compared_s=60.0)
+    motion = mechanics.precession_amplitudes(
+        body, [0.001, 0.001, 0.3], [0, 0.6, 0.8], None, 600.0, compared_s=60.0
+    )
     assert np.ptp(motion["nutation"]) > 170.0
 
 

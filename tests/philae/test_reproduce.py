@@ -15,7 +15,7 @@ from sunspin.philae import data_check, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
-from sunspin.philae.reproduction import figure_rows
+from sunspin.philae.reproduction import make_figure_rows
 from tests.support.figures import covered
 from validation import controls
 
@@ -58,7 +58,7 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(qui
     assert "too few samples" in headline(found)[0]
     ids = [row.id for row in found.rows]
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
-    sheets = [sheet for name in pictures.PICTURES if (sheet := pictures.drawing(found, name))]
+    sheets = [sheet for name in pictures.PICTURES if (sheet := pictures.make_drawing(found, name))]
     names = {sheet.name for sheet in sheets}
     assert (
         "fig10_11_descent" not in names
@@ -131,12 +131,14 @@ def test_telemetry_of_no_landing_gives_no_conclusion(quick):
     told = headline(found)
     assert "cannot be concluded" in told[1] and "lit pattern" in told[1]
     assert "No conclusions" in told[2]
-    assert not pictures.drawing(found, "fig12_touchdown") and pictures.drawing(found, "fig12_lines")
+    assert not pictures.make_drawing(found, "fig12_touchdown") and pictures.make_drawing(
+        found, "fig12_lines"
+    )
 
 
 def test_every_numbered_figure_of_the_paper_has_an_entry(tmp_path):
     names = ["fig03_measured", "fig09_lines", "fig09_telemetry", "fig10_11_descent", "growth"]
-    rows = figure_rows([Drawing(name, Figure, "alt", f"{name}.") for name in names])
+    rows = make_figure_rows([Drawing(name, Figure, "alt", f"{name}.") for name in names])
     assert [row.id for row in rows] == [f"figure_{number}" for number in range(1, 14)]
     shown = {row.id: row.ours for row in rows}
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
@@ -193,7 +195,7 @@ def test_steps_of_the_study_can_end_in_any_order(monkeypatch):
         step("both", lambda s: s.parts["slow"], needs=("slow",), uses=("failing", "nowhere")),
     )
     monkeypatch.setattr(rp, "STEPS", steps)
-    study = rp.compute(CASE, seen=progress, workers=2)
+    study = rp.compute(CASE, on_step=progress, workers=2)
     assert list(study.parts.items()) == [("slow", "slow"), ("fast", "fast"), ("both", "slow")]
     assert seen[-1] == ["fast", "slow", "both"]
     assert list(study.missing) == ["failing", "lost"]
@@ -202,7 +204,7 @@ def test_steps_of_the_study_can_end_in_any_order(monkeypatch):
 def test_a_failed_step_that_is_needed_ends_the_study(monkeypatch):
     ended = []
     after = step("after", ended.append, uses=("failing",))
-    monkeypatch.setattr(rp, "STEPS", (step("failing", failing, needed=True), after))
+    monkeypatch.setattr(rp, "STEPS", (step("failing", failing, required=True), after))
     with pytest.raises(MotionError, match="no motion"):
         rp.compute(CASE, workers=1)
     assert not ended

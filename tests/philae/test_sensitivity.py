@@ -32,7 +32,7 @@ def own_track(craft, omega, speed, times):
 
 @pytest.fixture(scope="module")
 def result():
-    return metrics.sensitivity(CASE, SUN, Options(coarser=12))
+    return metrics.compute_sensitivity(CASE, SUN, Options(coarser=12))
 
 
 @pytest.mark.parametrize(("craft", "speed"), CRAFT, ids=["no wheel", "wheel on x"])
@@ -179,6 +179,6 @@ def test_the_effect_of_one_percent_is_the_larger_of_both_signs():
 
 def test_valleys_are_counted_along_both_axes():
     x, y = np.meshgrid(np.linspace(0, 4 * np.pi, 81), np.linspace(0, 2 * np.pi, 61), indexing="ij")
-    assert metrics.valleys_crossed(np.cos(x) + 0.3 * np.cos(y)) == [2, 1]
-    assert metrics.valleys_crossed(np.cos(x + 0.1 * y)) == [2, 0]
-    assert metrics.valleys_crossed(x + y + 0.001 * np.cos(20 * x)) == [0, 0]
+    assert metrics.count_valleys(np.cos(x) + 0.3 * np.cos(y)) == [2, 1]
+    assert metrics.count_valleys(np.cos(x + 0.1 * y)) == [2, 0]
+    assert metrics.count_valleys(x + y + 0.001 * np.cos(20 * x)) == [0, 0]

@@ -13,18 +13,18 @@ from sunspin.estimate.scan.rows import ScanRows, Start, distances_to, target_seg
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
-from sunspin.philae.sun_directions import dark_sigma, with_own_noise
+from sunspin.philae.sun_directions import apply_measured_noise, estimate_dark_sigma
 from sunspin.philae.telemetry import CELL_W
 from sunspin.telemetry.sun import sun_directions
 from tests.support.philae import with_panels_as_drawn
 
-CASE, NOISE = with_own_noise(ss.load_case("philae"))
-REBOUND = rb.rebound_of(CASE, sun_directions(CASE.vehicle, CASE.telemetry))
+CASE, NOISE = apply_measured_noise(ss.load_case("philae"))
+REBOUND = rb.make_rebound(CASE, sun_directions(CASE.vehicle, CASE.telemetry))
 
 
 @pytest.fixture(scope="module")
 def table():
-    return make_table(CASE.vehicle, REBOUND.sun_B, rb.grid(CASE, 15), 865.0, REBOUND.window_s)
+    return make_table(CASE.vehicle, REBOUND.sun_B, rb.scan_grid(CASE, 15), 865.0, REBOUND.window_s)
 
 
 def made(n, seed):
@@ -58,7 +58,7 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
     apart = np.abs(distances_to(hist[2], target_segments(REBOUND.z)) - table.distances(REBOUND.z))
     assert np.median(apart) < 5e-3 and apart.max() < 0.03
     scans = [{"emd": np.array([0.01, 0.02, 0.05]), "factor": factor} for factor in (9.0, 4.0, 1.5)]
-    lines = components.table_of(scans).splitlines()[2:]
+    lines = components.make_table(scans).splitlines()[2:]
     assert [line.split("|")[-2].strip() for line in lines] == ["100.0%", "66.7%", "33.3%"]
 
 
@@ -79,7 +79,7 @@ def test_rebounds_of_a_calibration_have_misaligned_panels_if_the_file_states_a_s
         replace(CASE, vehicle=with_panels_as_drawn(CASE.vehicle)), CASE.telemetry
     )
     drawn, turned = (
-        list(th.drawn_rebounds(rebound, np.arange(6), 0))
+        list(th.simulate_rebounds(rebound, np.arange(6), 0))
         for rebound in (replace(REBOUND, case=case), REBOUND)
     )
     for one, other in zip(drawn, turned, strict=True):
@@ -91,8 +91,8 @@ def test_rebounds_of_a_calibration_have_misaligned_panels_if_the_file_states_a_s
 
 def test_the_key_of_a_calibration_depends_on_the_data(table):
     """Anything that changes what a calibration depends on changes its key: noise, times, which samples tell, the body, the scan."""
-    own, keys = th.key_of(REBOUND, table), set()
-    assert th.key_of(REBOUND, table) == own
+    own, keys = th.calibration_key(REBOUND, table), set()
+    assert th.calibration_key(REBOUND, table) == own
     noisier = REBOUND.samples.assign_attrs(noise=0.2)
     later = REBOUND.samples.assign_coords(
         time=REBOUND.samples["time"] + np.arange(REBOUND.samples.sizes["time"])
@@ -104,53 +104,56 @@ def test_the_key_of_a_calibration_depends_on_the_data(table):
     )
     heavier.__dict__["telemetry"] = CASE.telemetry
     for samples in (noisier, later, fewer):
-        keys.add(th.key_of(replace(REBOUND, samples=samples), table))
-    keys.add(th.key_of(replace(REBOUND, case=heavier), table))
-    keys.add(th.key_of(replace(REBOUND, sun_B=np.array([0.2, 0.5, 0.84])), table))
-    other = make_table(CASE.vehicle, REBOUND.sun_B, rb.grid(CASE, 25), 865.0, REBOUND.window_s)
-    keys.add(th.key_of(REBOUND, other))
+        keys.add(th.calibration_key(replace(REBOUND, samples=samples), table))
+    keys.add(th.calibration_key(replace(REBOUND, case=heavier), table))
+    keys.add(th.calibration_key(replace(REBOUND, sun_B=np.array([0.2, 0.5, 0.84])), table))
+    other = make_table(CASE.vehicle, REBOUND.sun_B, rb.scan_grid(CASE, 25), 865.0, REBOUND.window_s)
+    keys.add(th.calibration_key(REBOUND, other))
     assert len(keys) == 6 and own not in keys
 
 
 def test_the_packaged_calibration_is_used_if_its_key_matches(table, monkeypatch):
     path = CASE.folder / th.SHIPPED
-    shipped = th.read(path)
+    shipped = th.read_calibration(path)
     assert len(shipped.ratio) == 400 and 4.0 < shipped.factor()[0] < 5.1
     assert (
         np.mean(shipped.ratio < 3.04) < 0.8
     )  # the factor of panels as drawn, with which nine of ten were held
     grid = Start.on_grid(
-        CASE.vehicle, list(rb.grid(CASE).values()), REBOUND.sun_B, rb.nominal_speed(CASE.vehicle)
+        CASE.vehicle,
+        list(rb.scan_grid(CASE).values()),
+        REBOUND.sun_B,
+        rb.nominal_wheel_speeds(CASE.vehicle),
     )
     whole = Table(
         ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist"), np.zeros((0, 1)), np.zeros(0)
     )
-    assert th.key_of(REBOUND, whole) == shipped.key, (
-        "the built-in telemetry needs another calibration: threshold.write"
+    assert th.calibration_key(REBOUND, whole) == shipped.key, (
+        "the built-in telemetry needs another calibration: threshold.write_calibration"
     )
     with pytest.raises(ss.TelemetryError, match="not calibrated"):  # another grid: another key
-        th.calibration(REBOUND, table, rb.Options(twins=0))
-    monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
-    assert th.calibration(REBOUND, table, rb.Options(twins=0)).source == "shipped with the case"
+        th.get_calibration(REBOUND, table, rb.Options(twins=0))
+    monkeypatch.setattr(th, "calibration_key", lambda *_: shipped.key)
+    assert th.get_calibration(REBOUND, table, rb.Options(twins=0)).source == "shipped with the case"
     assert (
-        len(th.calibration(REBOUND, table, rb.Options(twins=20)).ratio) == 20
+        len(th.get_calibration(REBOUND, table, rb.Options(twins=20)).ratio) == 20
     )  # asked for, it is made
 
 
 def test_a_saved_calibration_is_read_again(tmp_path):
     calibration, path = made(40, 2), tmp_path / th.SHIPPED
-    th.write(calibration, path)
-    np.testing.assert_allclose(th.read(path).ratio, calibration.ratio, rtol=1e-5)
-    assert th.read(path).key == calibration.key
+    th.write_calibration(calibration, path)
+    np.testing.assert_allclose(th.read_calibration(path).ratio, calibration.ratio, rtol=1e-5)
+    assert th.read_calibration(path).key == calibration.key
     ragged = '{"key": "a", "seed": 0, "ratio": [1], "emd_min": [], "directions": [1]}'
     for text in ("{}", "no", ragged):
         path.write_text(text, "utf-8")
         with pytest.raises(InputError, match="no calibration of a threshold"):
-            th.read(path)
+            th.read_calibration(path)
 
 
 def test_estimated_brightness_and_noise_are_those_of_the_simulation():
-    assert th.scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
+    assert th.brightness_scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
     assert NOISE.lit == pytest.approx(0.09, rel=0.15) and NOISE.lit_threshold == 0.001
 
 
@@ -165,9 +168,9 @@ def test_noise_on_unlit_panels_lights_none(kind):
         kind
     ]
     data["power_W"].values[:] = np.where(power == 0, noise, power)
-    sigma, count = dark_sigma(case.vehicle, data["power_W"].values)
+    sigma, count = estimate_dark_sigma(case.vehicle, data["power_W"].values)
     assert sigma == pytest.approx(0.02, rel=0.35) and count > 50
-    noisy, found = with_own_noise(rb.with_telemetry(case, data))
+    noisy, found = apply_measured_noise(rb.with_telemetry(case, data))
     assert 0.06 < found.lit_threshold < 0.12 and "lit above" in found.about
 
     def impossible(vehicle):
@@ -175,28 +178,28 @@ def test_noise_on_unlit_panels_lights_none(kind):
 
     clean = int((sun_directions(case.vehicle, case.telemetry)["status"].values == 2).sum())
     assert impossible(case.vehicle) > 3 * clean >= impossible(noisy.vehicle) - 2
-    assert rb.rebound_of(noisy, sun_directions(noisy.vehicle, data)).z.size >= 16
+    assert rb.make_rebound(noisy, sun_directions(noisy.vehicle, data)).z.size >= 16
 
 
 def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
     case = ss.load_case("philae")
     few = case.telemetry.isel(time=slice(0, 5))
-    _, found = with_own_noise(rb.with_telemetry(case, few))
+    _, found = apply_measured_noise(rb.with_telemetry(case, few))
     assert found.lit == case.vehicle.telemetry.noise and "too few samples" in found.about
 
 
 def test_the_key_of_a_calibration_contains_all_that_it_depends_on():
     """A change of body, wheel, panels, mask or weights asks for another calibration; one of the blow, or of mass, legs and names,
     on which a scan does not depend, does not."""
-    shipped = th.read(CASE.folder / th.SHIPPED).key
+    shipped = th.read_calibration(CASE.folder / th.SHIPPED).key
 
     def key(*changes):
         case = rb.with_telemetry(ss.load_case("philae", changes), CASE.telemetry)
-        case = with_own_noise(case)[0]
-        rebound = rb.rebound_of(case, ss.sun_directions(case.vehicle, case.telemetry))
-        grid, speed = list(rb.grid(case).values()), rb.nominal_speed(case.vehicle)
+        case = apply_measured_noise(case)[0]
+        rebound = rb.make_rebound(case, ss.sun_directions(case.vehicle, case.telemetry))
+        grid, speed = list(rb.scan_grid(case).values()), rb.nominal_wheel_speeds(case.vehicle)
         start = Start.on_grid(case.vehicle, grid, rebound.sun_B, speed)
-        return th.key_of(rebound, SimpleNamespace(rows=SimpleNamespace(start=start)))
+        return th.calibration_key(rebound, SimpleNamespace(rows=SimpleNamespace(start=start)))
 
     assert key() == shipped == key("collision.restitution=0.3", "study.confidence=0.8")
     assert key("body.mass_kg*=0.9", "leg[2].tip_B_m[0]+=0.1") == shipped

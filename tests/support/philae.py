@@ -18,7 +18,7 @@ import sunspin as ss
 from sunspin.cases import Case
 from sunspin.estimate.posterior.model import State, model
 from sunspin.philae import candidates
-from sunspin.philae.rebound import grid, published_candidates, rebound_of, with_telemetry
+from sunspin.philae.rebound import make_rebound, published_candidates, scan_grid, with_telemetry
 from sunspin.vehicle import Vehicle
 from tests.support.posteriors import tree_of
 from validation.calibrate import AS_DRAWN as PRIORS_AS_DRAWN
@@ -75,19 +75,19 @@ def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> tuple[xr.DataTre
 
 def chain_on_the_lines(case: Case) -> candidates.Chain:
     """Return the chain of the study: candidates on the published lines, a coarse grid as scan range, a few as the paper's set."""
-    rebound = rebound_of(case, ss.sun_directions(case.vehicle, case.telemetry))
-    axes = grid(case, 15)
-    scan_range = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, 3)
+    rebound = make_rebound(case, ss.sun_directions(case.vehicle, case.telemetry))
+    axes = scan_grid(case, 15)
+    points_of_grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, 3)
     lines = published_candidates(case)
     sets = {
         "set": ("published", lines),
-        "box": ("scan", scan_range),
-        "recipe": ("scan", lines[::7]),
+        "scan_range": ("scan", points_of_grid),
+        "near_minimum": ("scan", lines[::7]),
     }
-    chosen, box, recipe = (
-        candidates.describe(
+    chosen, scan_range, near_minimum = (
+        candidates.make_candidates(
             rebound, rebound.states(points), 0, chain=chain, about=f"{name} of the test"
         )
         for name, (chain, points) in sets.items()
     )
-    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"))
+    return candidates.Chain(case, rebound, chosen, scan_range, near_minimum, None, float("nan"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sunspin.base.errors import InputError
-from validation.campaign import command, kept, rows_folder
+from validation.campaign import command, load_or_make, rows_folder
 
 
 def test_a_row_of_a_study_is_computed_once_and_a_failed_one_is_not_kept(tmp_path):
@@ -20,11 +20,13 @@ def test_a_row_of_a_study_is_computed_once_and_a_failed_one_is_not_kept(tmp_path
 
     folder = rows_folder(tmp_path / "a" / "b")
     assert (
-        kept(folder / "0.json", make) == kept(folder / "0.json", make) == {"x": 0.1 + 0.2}
+        load_or_make(folder / "0.json", make)
+        == load_or_make(folder / "0.json", make)
+        == {"x": 0.1 + 0.2}
         and len(made) == 1
     )
     with pytest.raises(InputError, match="no such motion"):
-        kept(folder / "1.json", fails)
+        load_or_make(folder / "1.json", fails)
     assert [path.name for path in folder.iterdir()] == ["0.json"]
 
 
@@ -32,7 +34,7 @@ def test_a_damaged_row_is_named_and_not_used(tmp_path):
     for text in ('{"x": 1', "[1]", "\x00"):
         (tmp_path / "0.json").write_text(text, "utf-8")
         with pytest.raises(ValueError, match=r"0\.json"):
-            kept(tmp_path / "0.json", dict)
+            load_or_make(tmp_path / "0.json", dict)
 
 
 @pytest.mark.parametrize(

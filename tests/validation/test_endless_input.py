@@ -16,7 +16,7 @@ from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.modes import require_few
-from validation.border import Told, judge, sunspin
+from validation.border import CommandResult, judge, sunspin
 
 KERNEL = [
     path
@@ -28,7 +28,7 @@ KERNEL = [
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    assert sunspin("init", ".", "--quiet") == CommandResult(0, "", "")
     os.mkfifo("pipe")
     Path("link").symlink_to("pipe")
     Path("pipes").mkdir()

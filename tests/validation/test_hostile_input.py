@@ -14,7 +14,7 @@ from sunspin.compute.rows import ensemble
 from sunspin.vehicle import Panel, Vehicle, Wheel
 from sunspin.vehicle.file import parse_vehicle
 from validation import pool
-from validation.border import Told, judge, sunspin
+from validation.border import CommandResult, judge, sunspin
 from validation.corrupt import Corrupt
 from validation.fuzz import Fuzz
 from validation.hostile import TABLE_BOMBS
@@ -25,7 +25,7 @@ START = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
 @pytest.fixture
 def home(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
+    assert sunspin("init", ".", "--quiet") == CommandResult(0, "", "")
     return tmp_path
 
 
@@ -65,14 +65,14 @@ def test_every_hostile_table_gives_a_result_or_one_sentence(home):
 @pytest.mark.parametrize(
     ("told", "what"),
     [
-        (Told(0, "fine", ""), "fine"),
-        (Told(0, "", "a warning"), "noise"),
-        (Told(2, "", "sunspin: error: no.\n"), "refused"),
-        (Told(2, "half a result", "sunspin: error: no.\n"), "not one sentence"),
-        (Told(2, "", "sunspin: error: no.\nand more\n"), "not one sentence"),
-        (Told(2, "", "sunspin: error: \x1b[2J.\n"), "not one sentence"),
-        (Told(1, "", "sunspin: defect\n"), "exit code"),
-        (Told(None, "", "", "Traceback"), "traceback"),
+        (CommandResult(0, "fine", ""), "fine"),
+        (CommandResult(0, "", "a warning"), "noise"),
+        (CommandResult(2, "", "sunspin: error: no.\n"), "refused"),
+        (CommandResult(2, "half a result", "sunspin: error: no.\n"), "not one sentence"),
+        (CommandResult(2, "", "sunspin: error: no.\nand more\n"), "not one sentence"),
+        (CommandResult(2, "", "sunspin: error: \x1b[2J.\n"), "not one sentence"),
+        (CommandResult(1, "", "sunspin: defect\n"), "exit code"),
+        (CommandResult(None, "", "", "Traceback"), "traceback"),
     ],
 )
 def test_the_judge_of_the_campaigns_detects_each_kind_of_failure(told, what):

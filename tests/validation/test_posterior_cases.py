@@ -25,7 +25,7 @@ RATE, SUN = np.array([0.1, -0.15, 0.12]), np.array([0.6, 0.0, 0.8])
 def test_noise_on_dark_panels_does_not_change_the_brightness(number):
     """By the lit threshold of 1 mW alone these are 26 and 16 % too low; of 60 such files one was off by a factor of five."""
     case = list(posterior_cases.cases(0))[number]
-    telemetry, _, noise = posterior_cases.simulated(case)
+    telemetry, _, noise = posterior_cases.simulate(case)
     vehicle = replace(PHILAE, telemetry=replace(PHILAE.telemetry, noise=case.stated * noise))
     guess = brightness(vehicle, readings(vehicle, telemetry)[0])
     assert guess == pytest.approx(
@@ -50,7 +50,7 @@ def test_a_long_search_for_starts_is_reported_with_a_rate_limit_that_takes_a_min
 ):
     """The advice followed: nothing is announced, as a minute needs no announcement."""
     case = list(posterior_cases.cases(0))[1]
-    data, _, _ = readings(PHILAE, posterior_cases.simulated(case)[0])
+    data, _, _ = readings(PHILAE, posterior_cases.simulate(case)[0])
     scale = brightness(PHILAE, data)
     monkeypatch.setattr(Search, "run", lambda *_: 1 / 0)  # it ends where it begins
 

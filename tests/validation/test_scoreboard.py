@@ -14,13 +14,13 @@ from validation.areas import AREAS, _of_passes, _pass
 from validation.scoreboard import (
     OUTCOMES,
     Task,
-    board,
+    changed_outcomes,
     figures,
-    flips,
-    lost,
-    rows_of,
+    lost_truths,
+    make_board,
+    missing_cases,
+    run_tasks,
     table,
-    truths_lost,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -52,7 +52,7 @@ def test_rows_of_the_scoreboard_are_kept_and_a_traceback_is_a_defect(tmp_path):
     ]
     said = []
     for _ in range(2):
-        rows = rows_of(tasks, tmp_path / "rows", 1, said.append)
+        rows = run_tasks(tasks, tmp_path / "rows", 1, said.append)
     assert count.read_text() == "1" and len(said) == 3
     assert [row["outcome"] for row in rows["rates: kind"].values()] == ["right", "defect"]
     assert [rows["study: rows"][case]["outcome"] for case in ("a", "b")] == ["right", "wrong"]
@@ -77,10 +77,10 @@ def test_cases_that_got_worse_are_listed_first():
             str(i): {"outcome": outcome, "processor_s": 1.0, "measured": {"a": 0.5}}
             for i, outcome in enumerate(outcomes)
         }
-        return json.loads(json.dumps(board({"rates: kind": rows}, "abc", "quick", [0])))
+        return json.loads(json.dumps(make_board({"rates: kind": rows}, "abc", "quick", [0])))
 
     before, now = of("right", "right", "wrong", "open"), of("undecided", "wrong", "right", "open")
-    turned = flips(before, now)
+    turned = changed_outcomes(before, now)
     assert [worse for worse, _ in turned] == sorted((worse for worse, _ in turned), reverse=True)
     assert [sentence for _, sentence in turned] == [
         "rates: kind, case 1: right -> wrong",
@@ -93,7 +93,7 @@ def test_cases_that_got_worse_are_listed_first():
 
 def test_a_case_that_is_no_longer_run_is_named_unless_it_moved():
     before, now = (
-        board(
+        make_board(
             {"study": {case: {"outcome": "open", "processor_s": 1.0} for case in cases}},
             "abc",
             level,
@@ -101,8 +101,12 @@ def test_a_case_that_is_no_longer_run_is_named_unless_it_moved():
         )
         for level, cases in (("full", ("kept", "gone", "contradiction_x")), ("full", ("kept",)))
     )
-    assert lost(before, now) == ["study, case gone: not run"]
-    assert lost(before, now | {"level": "quick"}) == [] == lost(before, now | {"sets": {}})
+    assert missing_cases(before, now) == ["study, case gone: not run"]
+    assert (
+        missing_cases(before, now | {"level": "quick"})
+        == []
+        == missing_cases(before, now | {"sets": {}})
+    )
 
 
 def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
@@ -112,11 +116,11 @@ def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
             | ({} if one is None else {"listed": one})
             for i, one in enumerate(listed)
         }
-        return json.loads(json.dumps(board({"rates: kind": rows}, "abc", "quick", [0])))
+        return json.loads(json.dumps(make_board({"rates: kind": rows}, "abc", "quick", [0])))
 
     before, now = of(True, True, False, None), of(True, False, False, None)
-    assert truths_lost(before, now) == ["rates: kind, case 1: the truth is no longer listed"]
-    assert not truths_lost(now, before)
+    assert lost_truths(before, now) == ["rates: kind, case 1: the truth is no longer listed"]
+    assert not lost_truths(now, before)
     assert "| 2 of 3 / 1 of 3 |" in table(now, before)
 
 
@@ -135,9 +139,9 @@ def test_a_decided_mirror_solution_is_wrong_unless_columns_are_exchanged(
 def test_a_changed_working_tree_has_another_state_than_its_commit(monkeypatch):
     clean = {"rev-parse": "abc", "status": ""}
     monkeypatch.setattr(scoreboard, "_git", lambda command, *_: clean[command])
-    assert scoreboard.state_of_package() == "abc"
+    assert scoreboard.package_state() == "abc"
     monkeypatch.setitem(clean, "status", " M src/sunspin/base/errors.py")
-    assert scoreboard.state_of_package().startswith("abc-")
+    assert scoreboard.package_state().startswith("abc-")
 
 
 @pytest.mark.parametrize("name", AREAS)
@@ -155,7 +159,7 @@ def test_every_area_draws_cases_that_another_process_can_run(name):
 )
 def test_a_case_of_the_scoreboard_gives_a_row(name, kind):
     task = next(task for task in AREAS[name]("quick", 0) if task.kind == kind)
-    row = scoreboard.timed(task.run)
+    row = scoreboard.run_timed(task.run)
     assert row["outcome"] in OUTCOMES and row["outcome"] not in ("defect", "wrong")
     assert row["processor_s"] > 0
 

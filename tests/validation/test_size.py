@@ -15,11 +15,11 @@ def test_the_size_report_counts_a_small_package(tmp_path):
         "def twice(x):\n    return shown(x)\n",
         "utf-8",
     )
-    room = size.sizes(tmp_path)["room"]
+    room = size.measure_folders(tmp_path)["room"]
     assert (room.files, room.lines, room.functions, room.classes) == (2, 24, 3, 2)
     assert room.single_caller == 1  # helper: twice is used twice, and shown is exported
     assert (room.repeated_classes, room.constants) == (1, 3)
     # one as a parameter and where it is used, found as it is set and returned
     assert room.vague_names == 4
-    whole = size.sizes(tmp_path)["src"]
+    whole = size.measure_folders(tmp_path)["src"]
     assert (whole.files, whole.lines) == (3, 25)

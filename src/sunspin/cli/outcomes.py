@@ -98,8 +98,8 @@ def outcomes(
     """
     from sunspin.landing.scenario import build_scenario, parse_strategy
     from sunspin.landing.strategies import compare, comparison_tree
-    from sunspin.philae.candidates import starts
-    from sunspin.philae.collision import against_kernel
+    from sunspin.philae.candidates import select_start_rates
+    from sunspin.philae.collision import compare_with_kernel
 
     inputs = load_inputs(vehicle, changes)
     craft, assumptions = inputs.craft, inputs.assumptions
@@ -115,12 +115,14 @@ def outcomes(
     if given.get("collision_speed_m_s") == 0:  # on the command line 0 stands for no collision
         given["collision_speed_m_s"] = None
     scenario = build_scenario(vehicle, craft, given)
-    candidates, source = starts(craft, omega_B, scan, factor)
+    candidates, source = select_start_rates(craft, omega_B, scan, factor)
     output.claim()
     execution = {"store": store, "workers": workers, "executor": executor}
     execution["progress"] = output.progress
     table, outcome = compare(craft, candidates, chosen, runs, seed, scenario, **execution)
-    weighted = against_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
+    weighted = (
+        compare_with_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
+    )
     tree = inputs.record_changes(comparison_tree(table, outcome, weighted))
     also, lines = {"candidates_from": source}, [f"Candidates: {source}"]
     output.deliver(tree, inputs.file, also=also, lines=lines)

@@ -1,8 +1,8 @@
-"""The motions that stand for the landing: from which the touchdown, the collision and what follows are computed.
+"""Candidate motions of the landing, from which the touchdown, the collision and the rest are computed.
 
-`--candidates` says where they come from: the 90 % set of the scan against the telemetry (the default), the posterior of its
-readings, the lines that the paper publishes (for any telemetry), or a file. With them stand the whole scanned range, which is
-what was possible before the data, and the paper's own set, below 1.1 times the smallest EMD.
+`--candidates` selects their source: the 90 % confidence set of the scan of the telemetry (default), the posterior of its readings,
+the published lines (for any telemetry), or a file. Two sets serve for comparison. The whole scan range stands for what was possible
+before the data. The paper's near-minimum set holds the motions below 1.1 times the smallest EMD.
 """
 
 from __future__ import annotations
@@ -17,41 +17,48 @@ import xarray as xr
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.cases import Case, case_names, load_case
-from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.ensemble import EMD_ERROR, Rows, run_rows
 from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.landing.outcomes import BINS
-from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import DataCheck
 from sunspin.philae.metrics import TelemetryScan
-from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
+from sunspin.philae.rebound import (
+    Options,
+    Rebound,
+    momentum_angles,
+    motion_and_panel_parameters,
+    propagate_back,
+    published_candidates,
+)
+from sunspin.philae.threshold import CONFIDENCE, Calibration, get_calibration
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle import Vehicle
 
-DRAWS, HEIGHT_DRAWS, POSTERIOR_DRAWS = 10_000, 2_000, 4_000
-"""Motions drawn evenly from a set where each costs a run to the collision, or the heights of its Sun; draws of a posterior."""
+DRAWS, ELEVATION_DRAWS, POSTERIOR_DRAWS = 10_000, 2_000, 4_000
+"""Numbers of candidates drawn evenly from a set: for runs to the collision, for ranges of the Sun's elevation, from a posterior."""
 
 DIRECTION_ERROR = 1e-5
-"""Error (rad) of directions at the touchdown and at the collision: angular speeds then err by far less than the grid's step."""
+"""Largest error (rad) of directions at touchdown and collision; angular speeds then err far less than the grid's step."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Motions at the instant of the first direction after the touchdown.
+    """Motions given by their states at the candidates' instant (:class:`sunspin.philae.rebound.Rebound`).
 
     Attributes
     ----------
-    chain : "scan", "posterior", "published" or the file's name
-    about : in words, what they are
-    states : `Rows` of all of them (n)
-    speed_touchdown : (n) rad/s just after the first touchdown
-    theta, alpha : (n) rad, angles of the momentum H from the body's z axis and from the Sun at their instant
-    speed_collision : (n_draws) rad/s just before the collision, of motions drawn evenly
-    height : (n_draws, 2) rad, smallest and largest height of the Sun up to the collision, of motions drawn evenly
-    cell_rad_s : half the diagonal of the scanned grid's cell: each motion stands for all as near as this; 0 without a grid
-    angle_cell : rad by which the momentum turns within that cell, at the median size of the momentum
-    probable : whether they are draws of a probability: intervals are then its 5 to 95 %, else the least and largest
+    chain : source: "scan", "posterior", "published" or the file's name
+    about : description in words
+    states : `Rows` of all motions (n)
+    speed_touchdown : (n) angular speed in rad/s just after the first touchdown
+    theta, alpha : (n) angles in rad from the angular momentum H to the body's z axis and to the Sun
+    speed_collision : (n_draws) angular speed in rad/s just before the collision, of motions drawn evenly
+    sun_elevation : (n_draws, 2) smallest and largest elevation of the Sun over the x-y plane until the collision, rad, of motions
+        drawn evenly
+    angle_cell_rad : angle by which H rotates within a grid cell, at the median size of H
+    cell_rad_s : half the diagonal of a cell of the scan grid, as each motion stands for all others in its cell; 0 without a grid
+    from_posterior : whether they are draws of a posterior. Intervals are then from 5 to 95 %, else from the least to the largest.
     """
 
     chain: str
@@ -61,37 +68,37 @@ class Candidates:
     theta: np.ndarray
     alpha: np.ndarray
     speed_collision: np.ndarray
-    height: np.ndarray
-    angle_cell: float
+    sun_elevation: np.ndarray
+    angle_cell_rad: float
     cell_rad_s: float = 0.0
-    probable: bool = False
+    from_posterior: bool = False
 
     def __len__(self) -> int:
         return len(self.states)
 
     @property
     def angles(self) -> np.ndarray:
-        """The smaller and the larger of theta and alpha (2, n), rad: EMD of r_z does not tell the two apart."""
+        """Smaller and the larger of theta and alpha (2, n), rad: the EMD of r_z does not tell which is which."""
         return np.sort([self.theta, self.alpha], axis=0)
 
     def range(self, values: np.ndarray) -> tuple[float, float]:
-        """Least and largest of values over the candidates; 5 and 95 % where they are draws of a probability."""
-        tail = (1 - CONFIDENCE) / 2 if self.probable else 0.0
+        """Return the least and the largest of `values` (n) over the candidates; for a posterior the 5 and 95 % quantiles."""
+        tail = (1 - CONFIDENCE) / 2 if self.from_posterior else 0.0
         low, high = np.quantile(values, [tail, 1 - tail])
         return float(low), float(high)
 
     def speed_range(self) -> tuple[float, float]:
-        """Least and largest angular speed (rad/s) just after the touchdown, over the cells of the grid."""
+        """Return the least and largest angular speed (rad/s) just after the touchdown, widened by half a grid cell."""
         low, high = self.range(self.speed_touchdown)
         return max(low - self.cell_rad_s, 0.0), high + self.cell_rad_s
 
     def angle_range(self, which: int) -> tuple[float, float]:
-        """Least and largest of the smaller (0) or the larger (1) angle, rad, over the cells of the grid."""
+        """Return the range (rad) of the smaller (`which` 0) or larger (1) angle, widened by the angle of a grid cell."""
         low, high = self.range(self.angles[which])
-        return max(low - self.angle_cell, 0.0), min(high + self.angle_cell, np.pi)
+        return max(low - self.angle_cell_rad, 0.0), min(high + self.angle_cell_rad, np.pi)
 
     def dataset(self) -> xr.Dataset:
-        """As `outcomes` takes candidates: all equally likely."""
+        """Return the candidates as :func:`sunspin.landing.outcomes.outcomes` accepts them, all equally likely."""
         body, speed = ("candidate", "axis"), self.states.wheel_speed_rad_s
         return xr.Dataset(
             {
@@ -104,80 +111,85 @@ class Candidates:
         )
 
 
-def speed_at_touchdown(rebound: rb.Rebound, states: Rows) -> np.ndarray:
-    """Angular speed (n) in rad/s of motions just after the first touchdown."""
-    back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
+def touchdown_speeds(rebound: Rebound, states: Rows) -> np.ndarray:
+    """Return the angular speeds (n) in rad/s of motions just after the first touchdown."""
+    back = propagate_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
     return np.linalg.norm(back, axis=1)
 
 
-def describe(
-    rebound: rb.Rebound, states: Rows, seed: int, speed: np.ndarray | None = None, **labels: Any
+def make_candidates(
+    rebound: Rebound, states: Rows, seed: int, speed: np.ndarray | None = None, **labels: Any
 ) -> Candidates:
-    """Candidates with what is asked of them; runs to the collision are made for even draws only.
+    """Return candidates with their angles and their speeds at touchdown and collision.
 
-    `speed` (n): of :func:`speed_at_touchdown`, if known; `labels`: `chain`, `about`, `cell_rad_s`, `probable` of `Candidates`.
+    `speed` (n) holds the result of :func:`touchdown_speeds`, if it is known. `labels` are the fields `chain`, `about`, `cell_rad_s`
+    and `from_posterior` of `Candidates`. Runs to the collision are made for motions drawn evenly.
     """
     vehicle, draws = rebound.case.vehicle, states
-    speed = speed_at_touchdown(rebound, states) if speed is None else speed
+    speed = touchdown_speeds(rebound, states) if speed is None else speed
     if len(states) > DRAWS:
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
-    few = draws.take(np.arange(min(HEIGHT_DRAWS, len(draws))))
-    run = k.run_rows(vehicle, few, rebound.window_s, emd_error=k.EMD_ERROR, bins=BINS)
-    seen, edges = run.hist > 0, np.linspace(-1, 1, BINS + 1)
-    low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
-    theta, alpha, momentum = rb.momentum_angles(vehicle, states)
+    few = draws.take(np.arange(min(ELEVATION_DRAWS, len(draws))))
+    run = run_rows(vehicle, few, rebound.window_s, emd_error=EMD_ERROR, bins=BINS)
+    # r_z between the outer edges of the first and the last bin that a motion visits
+    visited, edges = run.hist > 0, np.linspace(-1, 1, BINS + 1)
+    low, high = edges[np.argmax(visited, axis=1)], edges[BINS - np.argmax(visited[:, ::-1], axis=1)]
+    theta, alpha, momentum = momentum_angles(vehicle, states)
+    # H changes within a cell by at most the largest moment of inertia times the change of the rate
     largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
-    turn = largest * labels.get("cell_rad_s", 0.0) / max(float(np.median(momentum)), 1e-12)
+    relative = largest * labels.get("cell_rad_s", 0.0) / max(float(np.median(momentum)), 1e-12)
     return Candidates(
         states=states,
         speed_touchdown=speed,
         theta=theta,
         alpha=alpha,
         speed_collision=np.linalg.norm(at_collision, axis=1),
-        height=np.arcsin(np.stack([low, high], axis=1)),
-        angle_cell=float(np.arctan(turn)),
+        sun_elevation=np.arcsin(np.stack([low, high], axis=1)),
+        angle_cell_rad=float(np.arctan(relative)),
         **labels,
     )
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The chosen candidates, the scanned range as a set, the paper's own set of this telemetry; how the threshold was calibrated.
+    """Chosen candidates of this telemetry, with the two sets for comparison and the calibration of the threshold.
 
-    `share`: part of the scanned range that the chosen set holds (NaN for other chains). `verdict`: of the posterior, else "".
+    `scan_range` holds the whole scan range, `near_minimum` the paper's near-minimum set. `share` is the part of the scan range in
+    the chosen set (NaN unless it comes from the scan). `verdict` is that of the posterior, else "".
     """
 
     case: Case
-    rebound: rb.Rebound
+    rebound: Rebound
     chosen: Candidates
-    box: Candidates
-    recipe: Candidates
+    scan_range: Candidates
+    near_minimum: Candidates
     calibration: Calibration | None
     share: float
     verdict: str = ""
 
     @property
     def name(self) -> str:
+        """Source of the chosen candidates."""
         return self.chosen.chain
 
 
-def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Chain:
-    """The candidates of this telemetry, from the source asked for.
+def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Chain:
+    """Return the candidates of this telemetry from the source in `options`.
 
     Raises
     ------
     TelemetryError
-        Readings from which nothing can be concluded; data for which no threshold was calibrated; a model that does not fit.
+        The readings are not consistent with sunlight, no threshold is calibrated for the data, or no motion fits them.
     """
     rebound, case, least, source = scan.rebound, scan.rebound.case, scan.smallest, options.source
-    if source != "published" and carries.reasons:
+    if source != "published" and check.reasons:
         raise TelemetryError(
             "nothing can be concluded from these readings",
-            got="; ".join(carries.reasons),
+            got="; ".join(check.reasons),
             do="check the panels' columns, gains and units",
         )
-    calibrated = calibration(rebound, scan.table, options) if source == "scan" else None
+    calibrated = get_calibration(rebound, scan.table, options) if source == "scan" else None
     if calibrated is not None and calibrated.unusual(least):
         usual = calibrated.emd_min
         raise TelemetryError(
@@ -190,22 +202,26 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
     cell = float(np.linalg.norm(steps)) / 2
 
-    fine = np.flatnonzero(np.isfinite(scan.emd))
-    emd = scan.emd[fine]
-    speed = None if source == "posterior" else speed_at_touchdown(rebound, start.take(fine))
+    # motions whose propagation failed have an infinite EMD and belong to no set
+    computed = np.flatnonzero(np.isfinite(scan.emd))
+    emd = scan.emd[computed]
+    speed = None if source == "posterior" else touchdown_speeds(rebound, start.take(computed))
 
-    def below(level: float, chain: str, about: str) -> Candidates:
+    def select_below(level: float, chain: str, about: str) -> Candidates:
+        """Return the motions of the scan with an EMD below `level`."""
         inside, labels = emd < level, {"chain": chain, "about": about, "cell_rad_s": cell}
-        known = None if speed is None else speed[inside]
-        return describe(rebound, start.take(fine[inside]), options.seed, known, **labels)
+        speeds = None if speed is None else speed[inside]
+        states = start.take(computed[inside])
+        return make_candidates(rebound, states, options.seed, speeds, **labels)
 
     factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
-    recipe = below(factor * least, "scan", about)
+    near_minimum = select_below(factor * least, "scan", about)
     if source == "posterior":
-        chosen, box, verdict = _from_posterior(rebound, options)
-        return Chain(case, rebound, chosen, box, recipe, None, share, verdict)
-    box = below(np.inf, source, "the whole scanned box: what was possible before the data")
+        chosen, prior, verdict = _from_posterior(rebound, options)
+        return Chain(case, rebound, chosen, prior, near_minimum, None, share, verdict)
+    about = "the whole scanned box: what was possible before the data"
+    scan_range = select_below(np.inf, source, about)
     if calibrated is not None:
         level = calibrated.factor()[0]
         share = float(np.mean(scan.emd < level * least))
@@ -213,20 +229,20 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
             f"the {calibrated.confidence:.0%} set of the scan: EMD below {level:.3g} times the smallest, {share:.0%} of the "
             "scanned box"
         )
-        chosen = below(level * least, source, about)
+        chosen = select_below(level * least, source, about)
     else:
-        omega, chain = rb.published_candidates(case), source
+        omega, chain = published_candidates(case), source
         about = "the lines that the paper publishes, for any telemetry"
         if source != "published":
-            omega, chain = rates_of(Path(source)), Path(source).name
+            omega, chain = read_rates(Path(source)), Path(source).name
             about = f"the motions of {chain}"
         states = rebound.states(omega)
-        chosen = describe(rebound, states, options.seed, chain=chain, about=about)
-    return Chain(case, rebound, chosen, box, recipe, calibrated, share)
+        chosen = make_candidates(rebound, states, options.seed, chain=chain, about=about)
+    return Chain(case, rebound, chosen, scan_range, near_minimum, calibrated, share)
 
 
-def _from_posterior(rebound: rb.Rebound, options: rb.Options) -> tuple[Candidates, Candidates, str]:
-    """Draws of the posterior of the rebound's readings; motions drawn evenly from the ball of its prior; its verdict."""
+def _from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Candidates, str]:
+    """Return draws of the posterior of the rebound's readings, draws of its rate prior, and its verdict."""
     from sunspin.estimate.posterior.estimate import posterior
 
     times, seed = rebound.samples["utc_s"].values, options.seed
@@ -243,28 +259,29 @@ def _from_posterior(rebound: rb.Rebound, options: rb.Options) -> tuple[Candidate
     word, verdict = tree.attrs["verdict_word"], str(tree.attrs["verdict"])
     if word == "not explained":
         raise TelemetryError("no motion explains the readings of the rebound", got=verdict)
-    drawn = tree["posterior"].to_dataset()
+    draws = tree["posterior"].to_dataset()
     omega, sun, speeds = (
-        drawn[name].values.reshape(-1, drawn[name].shape[-1])
+        draws[name].values.reshape(-1, draws[name].shape[-1])
         for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )
     states = Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
+    # the rate prior is uniform for |omega| < radius
     radius, rng = float(tree.attrs["max_rate_rad_s"]), generator(seed, 11)
     direction = rng.standard_normal((DRAWS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
-    chosen, before = (
-        describe(rebound, motions, seed, chain="posterior", about=about, probable=True)
+    chosen, prior = (
+        make_candidates(rebound, motions, seed, chain="posterior", about=about, from_posterior=True)
         for motions, about in (
             (states, f"{len(states)} draws of the posterior of the readings ({word})"),
             (ball, f"even in the ball of {radius:g} rad/s of the posterior's prior"),
         )
     )
-    return chosen, before, verdict
+    return chosen, prior, verdict
 
 
-def rates_of(path: Path) -> np.ndarray:
-    """Rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4."""
+def read_rates(path: Path) -> np.ndarray:
+    """Read rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4."""
     if not path.is_file():
         raise InputError(
             "--candidates takes scan, posterior, published or a file, and there is no such file",
@@ -279,40 +296,38 @@ def rates_of(path: Path) -> np.ndarray:
     return omega
 
 
-def starts(
+def select_start_rates(
     craft: Vehicle, omega: list[list[float]], scan: Path | None, factor: float
 ) -> tuple[np.ndarray, str]:
-    """Candidate rates (m, 3) in rad/s of `sunspin outcomes`, and in words where they come from and whose they are.
+    """Return candidate rates (m, 3) in rad/s for `sunspin outcomes`, and a description of their source.
 
-    They are `omega` where any are given, else the near-minimum set of a stored scan, else the case's published lines, which
-    hold for the case's own body: for another they are refused.
+    They are `omega` if any are given, else the near-minimum set of a stored scan, else the published lines of the case. Those lines
+    hold for the body of the case and are refused for any other.
     """
 
-    def body(said: dict[str, str]) -> str:
-        changes = said.get("changes", "as in its file").splitlines()
-        return ", ".join([said.get("vehicle", "a vehicle without a name"), *changes])
+    def describe_body(attributes: dict[str, str]) -> str:
+        """Return the vehicle's name and its changes in one line."""
+        changes = attributes.get("changes", "as in its file").splitlines()
+        return ", ".join([attributes.get("vehicle", "a vehicle without a name"), *changes])
 
     if scan is not None and omega:
         raise InputError("candidates come from --scan or from --omega-deg-s", do="give one of them")
     if omega:
         return np.array(omega), "as given"
     if scan is not None:
-        of, mine, about = (
-            stored_vehicle(scan),
-            craft.result_attributes,
-            f"the near-minimum set of {scan.name}",
-        )
-        if of != mine:
-            about += f"; of another body than this run's: {body(of)}, here {body(mine)}"
+        scanned, about = stored_vehicle(scan), f"the near-minimum set of {scan.name}"
+        if scanned != craft.result_attributes:
+            bodies = f"{describe_body(scanned)}, here {describe_body(craft.result_attributes)}"
+            about += f"; of another body than this run's: {bodies}"
         return stored_near_minimum(scan, factor), about
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "line_L1" not in case.published:
         do = "give --omega-deg-s x,y,z or --scan scan.nc"
         raise InputError("no candidate motions are given", do=do)
-    if rb.moving_and_seeing(craft) != rb.moving_and_seeing(case.vehicle):
+    if motion_and_panel_parameters(craft) != motion_and_panel_parameters(case.vehicle):
         raise InputError(
             "the published lines hold for another body, wheel or panels than these",
-            got=body(craft.result_attributes),
+            got=describe_body(craft.result_attributes),
             do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )
-    return rb.published_candidates(case), "the lines that the paper prints"
+    return published_candidates(case), "the lines that the paper prints"

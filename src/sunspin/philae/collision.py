@@ -1,8 +1,8 @@
-"""After the collision (paper, section 3.3, Fig. 13), and the collision against what is known of it.
+"""Motion after the collision (paper, section 3.3, Fig. 13), and the collision compared with independent measurements.
 
-The public trajectory of the rebound gives the comet-fixed speed before and after 16:20 and the jump of the velocity, which is
-impulse over mass in any frame. Each simulated collision is weighted by how well it explains speed after and jump, and by the
-magnetometer's period before.
+The public trajectory of the rebound gives the comet-fixed speed before and after 16:20, and the change of velocity. That change is
+impulse over mass in any frame. Each simulated collision gets a likelihood from the speed after it and from the change of velocity.
+The magnetometer's rotation period before the collision gives another.
 """
 
 from __future__ import annotations
@@ -32,103 +32,141 @@ from sunspin.landing.tally import (
     tally,
 )
 from sunspin.philae.candidates import Candidates, Chain
-from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
+from sunspin.philae.row import Row, judge_range, judge_share, make_row
 from sunspin.vehicle.timeline import utc_seconds
 
 RARELY, OFTEN = 0.05, 0.25
-"""Shares of the time that count as "rarely" and as "often", which is all that the paper says."""
+"""Shares of the time that count as "rarely" and as "often"; the paper gives only these words."""
 
 SIGMA_M_S = 0.02
-"""How far (m/s, one sigma) a right collision may be from the kernel's speed and jump: the kernel gives no error; ballistic arcs
-through a few imaged points are good to a per cent or so, the rest is allowance for a blow that was no ideal sticking one."""
+"""Standard error (m/s) of the kernel's speed and change of velocity. The kernel gives no error. Ballistic arcs through a few imaged
+points are good to a per cent or so; the rest allows for an impact that was no ideal sticking one.
+"""
 
 SIGMA_PERIOD_S = 2.0
-"""One sigma of a magnetometer period quoted in whole seconds, for a motion that is no simple rotation."""
+"""Standard error (s) of a magnetometer period quoted in whole seconds, for a motion that is no simple rotation."""
 
 KERNEL = ("philae_spk", "LORB_C_G_FIXED_RBD_7_V2_0.BSP")
-LARGEST = 1e9
-"""km or km/s: what a damaged kernel may well exceed."""
+"""Path of the trajectory kernel below the data folder."""
+LARGEST_KM = 1e9
+"""Largest position (km) or velocity (km/s) that is accepted from a kernel; a damaged one may contain any number."""
 
 TDB_MINUS_UTC_S = 67.184
-"""In November 2014: 35 leap seconds and 32.184 s."""
+"""TDB minus UTC in November 2014: 35 leap seconds and 32.184 s."""
 
 
 class AfterCollision(NamedTuple):
-    """`runs`: simulated collisions as in section 3.3 of the chosen candidates, the scanned box and the paper's own set ("chosen",
-    "box", "recipe"), by strategy of the wheel ("off", "held"). `known`: those of the chosen ones at the kernel's times and speeds,
-    weighted (:func:`condition`)."""
+    """Simulated collisions of the candidate motions.
+
+    `runs`: simulations as in section 3.3 by set of candidates ("chosen", "scan_range", "near_minimum") and by wheel strategy
+    ("off", "held"). `weighted`: simulations of the chosen candidates at the kernel's times and speeds, with the weights of
+    :func:`condition`.
+    """
 
     chain: Chain
     runs: dict[str, dict[str, xr.Dataset]]
-    known: xr.Dataset
+    weighted: xr.Dataset
+
+
+class RzRange(NamedTuple):
+    """Range of r_z over simulated motions, to one bin of their histograms.
+
+    `lowest`, `highest`: extremes over all runs. `highest_minimum`: the largest of the runs' own minima.
+    """
+
+    lowest: float
+    highest: float
+    highest_minimum: float
 
 
 def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> AfterCollision:
-    """Simulate collisions: `n` of the chosen candidates, half as many of box and recipe; `options` of `outcomes`."""
+    """Simulate `n` collisions of the chosen candidates and half as many of the other two sets.
 
-    def simulated(of: Candidates, strategy: str, count: int, scenario: Scenario) -> xr.Dataset:
-        starts, about = of.dataset(), dict[str, Any](seed=seed, scenario=scenario, **options)
-        runs = outcomes(case.vehicle, starts, strategy, max(count, 1), **about)
+    `options` are passed to :func:`sunspin.landing.outcomes.outcomes`.
+    """
+
+    def simulate(motions: Candidates, strategy: str, count: int, scenario: Scenario) -> xr.Dataset:
+        """Simulate collisions of a set of candidates."""
+        settings = dict[str, Any](seed=seed, scenario=scenario, **options)
+        runs = outcomes(case.vehicle, motions.dataset(), strategy, max(count, 1), **settings)
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
     paper, real = chain.rebound.scenarios()
-    sets = ("chosen", chain.chosen, n), ("box", chain.box, n // 2), ("recipe", chain.recipe, n // 2)
+    sets = (
+        ("chosen", chain.chosen, n),
+        ("scan_range", chain.scan_range, n // 2),
+        ("near_minimum", chain.near_minimum, n // 2),
+    )
     runs = {
-        name: {strategy: simulated(of, strategy, count, paper) for strategy in ("off", "held")}
-        for name, of, count in sets
+        name: {strategy: simulate(motions, strategy, count, paper) for strategy in ("off", "held")}
+        for name, motions, count in sets
     }
-    return AfterCollision(chain, runs, condition(case, simulated(chain.chosen, "off", n, real)))
+    return AfterCollision(chain, runs, condition(case, simulate(chain.chosen, "off", n, real)))
 
 
-def rz_range(runs: xr.Dataset) -> tuple[float, float, float]:
-    """Lowest and highest r_z that any run reaches, and where the run ends that is lowered least; to a bin."""
+def rz_range(runs: xr.Dataset) -> RzRange:
+    """Return the range of r_z over the simulated `runs`."""
     lowest, share = lowest_rz(runs), runs["rz_share"].values
     top = float(runs["rz"].values[np.nonzero(np.nansum(share, axis=0))[0][-1]] + 1 / share.shape[1])
-    return float(np.nanmin(lowest)), top, float(np.nanmax(lowest))
+    return RzRange(float(np.nanmin(lowest)), top, float(np.nanmax(lowest)))
 
 
 def rows(collision: AfterCollision) -> list[Row]:
-    """Published figures of section 3.3 beside ours: heights of the Sun after the collision, and the blow itself."""
-    chain, runs, known = collision
+    """Return the published figures of section 3.3 compared with ours: r_z after the collision, and the collision itself."""
+    chain, runs, weighted = collision
     case, name, chosen = chain.case, chain.name, chain.chosen
-    shares = {of: {s: tally(each) for s, each in sets.items()} for of, sets in runs.items()}
+    # by set of candidates and strategy: shares of the runs in which something happens, and the range of r_z
+    shares = {
+        of_set: {strategy: tally(data) for strategy, data in by_strategy.items()}
+        for of_set, by_strategy in runs.items()
+    }
     off, held = shares["chosen"]["off"], shares["chosen"]["held"]
-    low_off = {of: rz_range(sets["off"]) for of, sets in runs.items()}
-    low_held = {of: rz_range(sets["held"]) for of, sets in runs.items()}
+    rz_off = {of_set: rz_range(by_strategy["off"]) for of_set, by_strategy in runs.items()}
+    rz_held = {of_set: rz_range(by_strategy["held"]) for of_set, by_strategy in runs.items()}
     n = runs["chosen"]["off"].sizes["run"]
-    low, high, reaches = low_off["recipe"]
-    densities = [density(each)["density"] for each in runs["chosen"].values()]
-    areas = [float(each.sum() * 2 / each.size) for each in densities]
+    low, high, reaches = rz_off["near_minimum"]
+    densities = [density(data)["density"] for data in runs["chosen"].values()]
+    areas = [float(values.sum() * 2 / values.size) for values in densities]
 
-    weighted, facts = {line["name"]: line for line in read_weightings(known)}, read_facts(known)
-    drawn, kernel = weighted["as drawn"], weighted[f"kernel, sigma {SIGMA_M_S:g} m/s"]
+    by_weighting = {entry["name"]: entry for entry in read_weightings(weighted)}
+    facts = read_facts(weighted)
+    drawn, kernel = by_weighting["as drawn"], by_weighting[f"kernel, sigma {SIGMA_M_S:g} m/s"]
+    # the tip of the longest leg sticks, so the body cannot rotate more slowly than with this rate
     slowest = facts["speed_after"] / max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
     texts: dict[str, Any] = {"off": off, "held": held, "kernel": kernel, "drawn": drawn}
     texts |= {"mean": chosen.speed_collision.mean(), "runs": n, "reaches": reaches}
-    texts |= {"explained": read_explained_share(known), "within": 2 * SIGMA_M_S, "rarely": RARELY}
+    texts |= {
+        "explained": read_explained_share(weighted),
+        "within": 2 * SIGMA_M_S,
+        "rarely": RARELY,
+    }
     texts |= {"often": OFTEN, "period": 2 * np.pi / slowest}
-    row_of = partial(row, case, **texts)
+    row_of = partial(make_row, case, **texts)
 
-    def share(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
-        of = {each: tallies[strategy][quantity] for each, tallies in shares.items()}
-        shown = row_of(id, of["recipe"].value)
-        return share_of_candidates(shown, name, of["chosen"], of["box"], agrees)
+    def judge(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
+        """Return the row of the share of runs, or of time, in which `quantity` happens."""
+        by_set = {of_set: tallies[strategy][quantity] for of_set, tallies in shares.items()}
+        unjudged = row_of(id, by_set["near_minimum"].value)
+        return judge_share(unjudged, name, by_set["chosen"], by_set["scan_range"], agrees)
 
     rare = bool(held["rz_time_below_-0.2"].value <= RARELY)
     often = bool(off["rz_time_below_0"].value >= OFTEN)
-    whole = row_of("rz_range_wheel_off", [low, high])
-    least = row_of("rz_min_wheel_held", low_held["recipe"][0])
-    rate = row_of("rate_at_collision", float(chain.recipe.speed_collision.mean()))
-    rates = (each.range(each.speed_collision) for each in (chosen, chain.box))
-    change = float(np.nanmedian(known["velocity_change"]))
+    wheel_off = row_of("rz_range_wheel_off", [low, high])
+    wheel_held = row_of("rz_min_wheel_held", rz_held["near_minimum"].lowest)
+    rate = row_of("rate_at_collision", float(chain.near_minimum.speed_collision.mean()))
+    rates = (motions.range(motions.speed_collision) for motions in (chosen, chain.scan_range))
+    change = float(np.nanmedian(weighted["velocity_change"]))
+    # wheel off: the whole range of r_z is compared; held: the range of the runs' own minima
+    whole = ((rz.lowest, rz.highest) for rz in (rz_off["chosen"], rz_off["scan_range"]))
+    minima = ((rz.lowest, rz.highest_minimum) for rz in (rz_held["chosen"], rz_held["scan_range"]))
     return [
-        over_candidates(whole, name, low_off["chosen"][:2], low_off["box"][:2]),
-        over_candidates(least, name, low_held["chosen"][::2], low_held["box"][::2]),
-        share("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
-        share("rz_often_negative", "off", "rz_time_below_0", often),
+        judge_range(wheel_off, name, *whole),
+        judge_range(wheel_held, name, *minima),
+        judge("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
+        judge("rz_often_negative", "off", "rz_time_below_0", often),
         row_of("rz_density_area", areas, chain=name),
         row_of("collision_runs", n, chain=name),
-        over_candidates(rate, name, *rates),
+        judge_range(rate, name, *rates),
         row_of("collision_speed", facts["speed_before"]),
         row_of("path_length", facts["path_length"]),
         row_of("kernel_velocity_change", change, chain=name),
@@ -136,37 +174,41 @@ def rows(collision: AfterCollision) -> list[Row]:
     ]
 
 
-# ---- What is known of the collision ------------------------------------------------------------------------------------------
+# ---- Independent measurements of the collision -------------------------------------------------------------------------------
 
 
 def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = None) -> xr.Dataset:
-    """Weight simulated collisions by the kernel, and by the magnetometer's period before the collision.
+    """Weight simulated collisions by the trajectory kernel, and by the magnetometer's period before the collision.
 
-    `runs` of :func:`sunspin.landing.outcomes.outcomes` at the kernel's speed before the collision: from another speed those after
-    it mean nothing. `facts` of :func:`kernel_facts`; default: those that ship with the case.
+    `runs` are outcomes (:func:`sunspin.landing.outcomes.outcomes`) simulated at the kernel's speed before the collision. From
+    another speed the speeds after it could not be compared. `facts` are the kernel's speeds (:func:`kernel_facts`); default: those
+    stored with the case.
 
     Returns
     -------
     xarray.Dataset
-        Of kind "collision". The runs' `velocity_change`, `speed_after`, rates and `leg`, and `weight`, that of the default sigma:
-        1 for a collision that gives jump and speed exactly, 0 for a run that failed; `value` and `error` over (weighting,
-        quantity), NaN where there is no error; `explained` with `explained_error`, the share of drawn collisions within two sigma
-        of both facts; `fact_value (fact)`.
+        Of kind "collision". Per run: `velocity_change`, `speed_after`, rates, `leg`, and `weight`. The weight is the likelihood
+        with the default sigma: 1 if velocity change and speed are exact, 0 for a run that failed. `value` and `error` (weighting,
+        quantity): weighted means and their sampling errors, NaN if there is none. `explained`, `explained_error`: share of the
+        simulated collisions within two sigma of both facts. `fact_value` (fact): the facts.
     """
     facts = facts or published_facts(case)
     omega = (runs[f"omega_{when}_B"].values for when in ("before", "after"))
-    before, after = (np.linalg.norm(each, axis=1) for each in omega)
-    off = np.hypot(*(runs[x].values - facts[x] for x in ("velocity_change", "speed_after")))
-    near = estimate(np.where(np.isnan(off), np.nan, off < 2 * SIGMA_M_S))
+    before, after = (np.linalg.norm(rates, axis=1) for rates in omega)
+    # distance (m/s) of a run from the kernel in the plane of velocity change and speed after
+    error = np.hypot(
+        *(runs[name].values - facts[name] for name in ("velocity_change", "speed_after"))
+    )
+    near = estimate(np.where(np.isnan(error), np.nan, error < 2 * SIGMA_M_S))
     with np.errstate(divide="ignore"):
         period, period_after = 2 * np.pi / before, 2 * np.pi / after
 
-    def likelihood(off: np.ndarray) -> np.ndarray:
-        """Of what is `off` by so many sigma, 1 where by none; 0 where that is not known."""
-        return np.nan_to_num(np.exp(-0.5 * off**2), nan=0.0)
+    def likelihood(normalised_error: np.ndarray) -> np.ndarray:
+        """Return the Gaussian likelihood of normalised errors, relative to that of zero; 0 for NaN."""
+        return np.nan_to_num(np.exp(-0.5 * normalised_error**2), nan=0.0)
 
-    by_sigma = {sigma: likelihood(off / sigma) for sigma in (0.01, SIGMA_M_S, 0.04)}
-    # one reading of three: the magnetometer's period is that of the body rate
+    by_sigma = {sigma: likelihood(error / sigma) for sigma in (0.01, SIGMA_M_S, 0.04)}
+    # the magnetometer's period may be that of the body rate, of the spin or of the precession; taken here: the body rate
     spin = likelihood((period - case.published["romap_period_before"].value) / SIGMA_PERIOD_S)
     weights = {
         "as drawn": np.isfinite(after).astype(float),
@@ -187,17 +229,17 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
     quantities = ["effective_runs", *rates, "median_period_after", "period_agrees"]
     units = ["1", *(["rad s-1"] * len(rates)), "s", "1"]
 
-    def line(weight: np.ndarray) -> list[tuple[float, float]]:
-        """Value and error of each quantity; NaN where it has no error, or nothing has weight."""
-        known, median = np.isfinite(period_after) & (weight > 0), np.nan
-        if known.any():
-            by: dict[str, Any] = {"weights": weight[known], "method": "inverted_cdf"}
-            median = np.quantile(period_after[known], 0.5, **by)
-        means = [estimate(each, weight) for each in rates.values()]
+    def weighted_values(weight: np.ndarray) -> list[tuple[float, float]]:
+        """Return (value, error) of each quantity under weights (run); NaN if there is no error, or if all weights vanish."""
+        usable, median = np.isfinite(period_after) & (weight > 0), np.nan
+        if usable.any():
+            by: dict[str, Any] = {"weights": weight[usable], "method": "inverted_cdf"}
+            median = np.quantile(period_after[usable], 0.5, **by)
+        means = [estimate(values, weight) for values in rates.values()]
         effective = effective_runs(weight), np.nan
         return [effective, *means, (median, np.nan), estimate(agrees, weight)]
 
-    table = np.array([line(weight) for weight in weights.values()])
+    table = np.array([weighted_values(weight) for weight in weights.values()])
     pure, by = {"units": "1"}, ("weighting", "quantity")
     about = pure | {"long_name": "likelihood under the kernel's speeds"}
     kept = ["velocity_change", "speed_after", "omega_before_B", "omega_after_B", "leg"]
@@ -221,38 +263,44 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
 
 
 def published_facts(case: Case) -> dict[str, float]:
-    """The kernel's facts as they ship with the case: name without `kernel_` -> value in m/s (m)."""
+    """Return the kernel's facts stored with the case by name, without the prefix `kernel_`; m/s, or m for a path."""
     facts = case.published.items()
     return {key[7:]: fact.value for key, fact in facts if key.startswith("kernel_")}
 
 
 def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
-    """The same facts read from the trajectory kernel in the data folder (`SUNSPIN_DATA`): sizes in m/s, comet-fixed, taken at the
-    second of the event and one second later; `path_length` in m.
+    """Read the same facts from the trajectory kernel in the data folder (`SUNSPIN_DATA`).
 
-    An `InputError` where the kernel is missing, cannot be read, or holds no speeds of this landing.
+    Speeds (m/s) are comet-fixed, at the second of an event and one second later. `path_length` (m) is the length of the path from
+    the first touchdown to the collision.
+
+    Raises
+    ------
+    InputError
+        The kernel is missing, cannot be read, or contains no plausible speeds.
     """
     path = Path(folder).joinpath(*KERNEL)
     events = "first_touchdown", "collision", "second_touchdown"
-    begin, blow, landing = (tdb_of(case, name) for name in events)
-    seconds = np.arange(np.ceil(begin), blow, 1.0)
-    states = states_of(path, [blow, blow + 1.0, landing, landing + 1.0, *seconds])
-    before, after, down, up = states[:4, 3:]
+    begin, impact, landing = (event_tdb_s(case, name) for name in events)
+    seconds = np.arange(np.ceil(begin), impact, 1.0)
+    states = read_kernel_states(path, [impact, impact + 1.0, landing, landing + 1.0, *seconds])
+    before, after, before_landing, after_landing = states[:4, 3:]
     velocities = {"speed_before": before, "speed_after": after, "velocity_change": after - before}
-    velocities |= {"speed_before_landing": down, "speed_after_landing": up}
-    sizes = {name: float(np.linalg.norm(velocity)) for name, velocity in velocities.items()}
+    velocities |= {"speed_before_landing": before_landing, "speed_after_landing": after_landing}
+    facts = {name: float(np.linalg.norm(velocity)) for name, velocity in velocities.items()}
     steps = np.diff(states[4:, :3], axis=0)
-    sizes["path_length"] = float(np.linalg.norm(steps, axis=1).sum())
-    if not all(0 <= value < 1e3 * LARGEST for value in sizes.values()):
+    facts["path_length"] = float(np.linalg.norm(steps, axis=1).sum())
+    if not all(0 <= value < 1e3 * LARGEST_KM for value in facts.values()):
         what = "the trajectory kernel holds no speeds of this landing"
         raise InputError(what, do="download it again", where=str(path))
-    return sizes
+    return facts
 
 
-def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
-    """Positions and velocities (n, 6) of the trajectory kernel, m and m/s over the comet in its axes, at TDB seconds past J2000.
+def read_kernel_states(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
+    """Read positions and velocities (n, 6) from the trajectory kernel, in m and m/s relative to the comet in comet-fixed axes.
 
-    They are read in another process, as a damaged kernel may end it; NaN beyond `LARGEST`, an `InputError` where there are none.
+    Times are TDB seconds past J2000. The kernel is read in another process, because the C library may crash on a damaged file.
+    Values beyond `LARGEST_KM` become NaN. Raises `InputError` if the file cannot be read.
     """
     where, missing = str(path), "the trajectory kernel is not there"
     if find_spec("spiceypy") is None:
@@ -263,29 +311,32 @@ def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
     script = Path(__file__).with_name("kernel_states.py")
     times = np.asarray(tdb_s, dtype=np.float64).tobytes()
     try:
-        printed = run_isolated(script, str(path.resolve()), content=times, seconds=30)
+        output = run_isolated(script, str(path.resolve()), content=times, seconds=30)
     except IsolatedRunError as error:
         what = f"the trajectory kernel cannot be read ({error})"
         raise InputError(what, do="download it again", where=where) from None
-    states = np.frombuffer(printed, dtype=np.float64).reshape(-1, 6)
-    return np.where(np.abs(states) < LARGEST, 1e3 * np.clip(states, -LARGEST, LARGEST), np.nan)
+    states = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
+    return np.where(
+        np.abs(states) < LARGEST_KM, 1e3 * np.clip(states, -LARGEST_KM, LARGEST_KM), np.nan
+    )
 
 
-def tdb_of(case: Case, event: str) -> float:
-    """TDB seconds past J2000 of an event."""
+def event_tdb_s(case: Case, event: str) -> float:
+    """Return the time of an event in TDB seconds past J2000."""
     moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, "2000-01-01T12:00:00") + TDB_MINUS_UTC_S
 
 
-def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
-    """The simulated collisions `runs` against the kernel in the folder `data`, or against the facts that come with the case.
+def compare_with_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
+    """Return the weighted collisions (:func:`condition`) of the simulated `runs` of a case.
 
-    An `InputError` where no such kernel is known for the case, or the runs have no collision.
+    The kernel in the folder `data` is used, or else the facts stored with the case. Raises `InputError` if the case has no such
+    kernel, or if no run has a collision.
     """
     case = load_case(case_name) if case_name in case_names() else None
-    hit = np.isfinite(runs["speed_after"]).any()
-    if case is None or "kernel_speed_before" not in case.published or not hit:
+    collided = np.isfinite(runs["speed_after"]).any()
+    if case is None or "kernel_speed_before" not in case.published or not collided:
         what = "--condition needs collisions of a case with a trajectory kernel"
         raise InputError(what, do="use it with philae")
-    there = data is not None and data.joinpath(*KERNEL).is_file()
-    return condition(case, runs, kernel_facts(case, data) if there else None)
+    has_kernel = data is not None and data.joinpath(*KERNEL).is_file()
+    return condition(case, runs, kernel_facts(case, data) if has_kernel else None)

@@ -1,6 +1,6 @@
-"""The study of Philae in sentences: the headline for somebody who has a minute, the score, and the conclusions.
+"""The study of Philae in sentences: the headline, the score and the conclusions.
 
-Nothing is said that does not follow from the telemetry given, or is called the record's (times of events) or the paper's.
+Every sentence follows from the telemetry given, or names the record (times of events) or the paper as its source.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from sunspin.philae.threshold import CONFIDENCE
 
 
 def headline(study: Study) -> list[str]:
-    """What happened, how sure that is, what it rests on: a sentence each."""
+    """Return the main results as sentences: descent, motion after the touchdown, their extent, and the origin of the telemetry."""
     chain, check, fit = study.chain, study.parts["carries"], study.parts.get("descent")
     if fit is None:
         descent = "Descent: too few samples to estimate the rotation."
-    elif not check.descent_order or not check.one_sun:
+    elif not check.descent_has_spin or not check.consistent_with_sun:
         descent = "Descent: the rotation does not follow from this telemetry."
     else:
         rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
@@ -32,6 +32,7 @@ def headline(study: Study) -> list[str]:
     if chain is None:
         missing = study.missing
         failed = missing.get("level_set", missing.get("candidates", "no motion was found"))
+        # "STEP: not reproduced, as REASON; got ...": only the reason is repeated
         reason = failed.split(" as ", 1)[-1].split(";")[0].rstrip(".")
         why = "; ".join(check.reasons) or reason
         motion = f"After the first touchdown: the motion cannot be concluded, as {why}."
@@ -40,9 +41,9 @@ def headline(study: Study) -> list[str]:
     slow, fast = chain.chosen.speed_range()
     if chain.name == "published":
         motion = "After the first touchdown: the motions are those of the published lines, for any telemetry."
-    elif chain.chosen.probable:
+    elif chain.chosen.from_posterior:
         motion = f"Just after the first touchdown: angular speed {slow:.3g} to {fast:.3g} rad/s ({CONFIDENCE:.0%})."
-    elif not touchdown.bounded(chain):
+    elif not touchdown.has_lower_bound(chain):
         motion = "After the first touchdown: the data are also consistent with no rotation."
     else:
         motion = (
@@ -57,33 +58,35 @@ def headline(study: Study) -> list[str]:
             f"The {calibration.confidence:.0%} confidence set contains {chain.share:.0%} of the scanned initial rates (EMD below "
             f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} simulated data sets)."
         )
-    return [descent, motion, extent, touchdown.sentences(chain)[0], origin]
+    return [descent, motion, extent, touchdown.describe_motion(chain)[0], origin]
 
 
 def score(study: Study) -> list[str]:
-    """The score in lines: tests on this telemetry, tests without any, what else there is."""
-    of_section = study.counts()
-    here, lines, paper = (of_section[name] for name in ("telemetry", "no_telemetry", "paper"))
+    """Return three lines: tests on this telemetry, tests without telemetry, and the rows that are not tests."""
+    by_section = study.counts()
+    telemetry, equations, paper = (
+        by_section[name] for name in ("telemetry", "no_telemetry", "paper")
+    )
     put_in, arithmetic, not_comparable = (
-        sum(counts[kind] for counts in of_section.values())
+        sum(counts[kind] for counts in by_section.values())
         for kind in ("put_in", "arithmetic", "not_comparable")
     )
     return [
-        f"Comparison with the paper, using this telemetry: {here['agree']} agree, {here['differ']} differ, "
-        f"{here['uninformative']} not constrained",
-        f"Comparison with the paper, equations only: {lines['agree'] + paper['agree']} agree, "
-        f"{lines['differ'] + paper['differ']} differ",
+        f"Comparison with the paper, using this telemetry: {telemetry['agree']} agree, {telemetry['differ']} differ, "
+        f"{telemetry['uninformative']} not constrained",
+        f"Comparison with the paper, equations only: {equations['agree'] + paper['agree']} agree, "
+        f"{equations['differ'] + paper['differ']} differ",
         f"Not counted as tests: {put_in} inputs, {arithmetic} checks of the paper's arithmetic, {not_comparable} not comparable",
     ]
 
 
 def conclusions(study: Study) -> list[str]:
-    """What the headline rests on, a sentence each; what differs from the paper or could not be computed."""
+    """Return the evidence for the headline as sentences, then what differs from the paper and what could not be computed."""
     sentences = [study.parts["carries"].first_line, f"Readings: {study.noise.about}."]
     if (chain := study.chain) is not None:
         if chain.calibration is not None:
             sentences.append(f"The confidence set: EMD below {chain.calibration}.")
-        sentences += touchdown.sentences(chain)[1:]
+        sentences += touchdown.describe_motion(chain)[1:]
     differ = [row for row in study.rows if row.agrees is False]
     texts = [f"{row.what} ({row.source.removeprefix('paper, ')})" for row in differ]
     if texts:

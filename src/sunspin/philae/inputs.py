@@ -1,6 +1,6 @@
-"""What the paper states and the study takes over: tables, windows, grids; each with what is made of it here.
+"""Figures of the paper that the study takes over: tables, windows and grids, and how each is used here.
 
-So that every figure of `published.toml` has a row (a test holds the two together), and what can be checked is checked.
+With these rows every figure of `published.toml` has a row, which a test ensures. Those that can be checked are checked.
 """
 
 from __future__ import annotations
@@ -13,48 +13,55 @@ from sunspin.cases import Case
 from sunspin.estimate.scan.mask import allows
 from sunspin.estimate.scan.metrics import direction_error, emd
 from sunspin.landing.scenario import spiral
-from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row, row, tables
+from sunspin.philae.rebound import (
+    nominal_wheel_speeds,
+    reconstructible_mask,
+    smallest_touchdown_speed,
+)
+from sunspin.philae.row import Row, make_row, read_tables
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.part import as_tuples
 from sunspin.vehicle.timeline import utc_seconds
 
 
 def rows(case: Case) -> list[Row]:
-    """Tables of the paper, simple checks among its figures, figures that are taken over, in the order of `published.toml`."""
+    """Return the rows of the paper's tables, of simple checks among its figures, and of figures that are taken over.
+
+    They are in the order of `published.toml`.
+    """
     vehicle, timeline = case.vehicle, case.require_timeline()
     paper = {key: figure.value for key, figure in case.published.items()}
 
-    def taken(name: str, ours: Any, **texts: Any) -> Row:
-        """Return the row of an input, which may not be as published in this run."""
+    def taken_over(name: str, ours: Any, **texts: Any) -> Row:
+        """Return the row of an input, with a note if this run has another value than the published one."""
         if as_tuples(ours) != paper[name]:
             texts["note"] = "not as published: this run has another value"
-        return row(case, name, ours, **texts)
+        return make_row(case, name, ours, **texts)
 
     # Tables 1 to 3 and the panels' cells
     schedule = [event for event in timeline.events if event.source.startswith("paper, Table 1")]
     times = {event.name: event.utc for event in schedule}
     refined = [abs(utc_seconds(e.utc, e.refined_utc)) for e in schedule if e.refined_utc]
-    body, tips, cells = _tables_of(vehicle)
+    body, tips, cells = _published_tables(vehicle)
     moments = np.linalg.eigvalsh(vehicle.require_inertia())
     texts = {
         "moments": ", ".join(f"{moment:.3f}" for moment in moments),
         "unlike": 100 * (moments[1] / moments[0] - 1),
     }
     result = [
-        taken("table_1", times, off=max(refined, default=0.0)),
-        taken("table_2", body, **texts),
-        taken("table_3", tips, middle=np.linalg.norm(np.mean(tips, axis=0)[:2])),
-        taken("cells", cells),
+        taken_over("table_1", times, off=max(refined, default=0.0)),
+        taken_over("table_2", body, **texts),
+        taken_over("table_3", tips, middle=np.linalg.norm(np.mean(tips, axis=0)[:2])),
+        taken_over("cells", cells),
     ]
 
-    # sentences that need no computation of their own
-    mask, everywhere = rb.reconstructible_mask(vehicle), spiral()
+    # statements that need no simulation: durations, shares of the sphere, ranges of E and EMD
+    mask, everywhere = reconstructible_mask(vehicle), spiral()
     share = float(np.mean(allows(mask, everywhere)))
     below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
     up = np.array([[0.0, 0.0, 1.0]])
     errors = [float(direction_error(sun, up)) for sun in (up, -up)]
-    slowest = rb.smallest_on_lines(case, rb.nominal_speed(vehicle)[0])
+    slowest = smallest_touchdown_speed(case, nominal_wheel_speeds(vehicle)[0])
     ours: dict[str, Any] = {
         "path_duration": paper["path_length"] / paper["collision_speed"] / 60,
         "rate_at_touchdown_min_rounded": slowest,
@@ -67,27 +74,29 @@ def rows(case: Case) -> list[Row]:
     }
     if vehicle.antenna is not None:
         ours["antenna_cone"] = float(np.degrees(vehicle.antenna.opening_rad))
-    result += [row(case, name, value) for name, value in ours.items()]
-    result.append(row(case, "sun_below", below, share=share))
+    result += [make_row(case, name, value) for name, value in ours.items()]
+    result.append(make_row(case, "sun_below", below, share=share))
 
-    # inputs, and the other halves of comparisons
+    # figures that the study uses, or that it only compares with a computed one; these two may be changed for a run
     in_this_run: dict[str, Any] = {
         "wheel_speed": vehicle.wheels[0].speed_rad_s,
         "near_minimum_factor": case.assumptions.study.near_minimum_factor,
     }
-    for name, about in tables(case).items():
+    for name, about in read_tables(case).items():
         if "compared" in about:
             note = f"only compared; {about['compared']}"
-            result.append(row(case, name, "not an input", note=note))
+            result.append(make_row(case, name, "not an input", note=note))
         elif "used" in about:
-            note, ours_here = f"used as published; {about['used']}", in_this_run.get(name)
-            ours_here = paper[name] if ours_here is None else ours_here
-            result.append(taken(name, ours_here, note=note))
+            note, used = f"used as published; {about['used']}", in_this_run.get(name)
+            used = paper[name] if used is None else used
+            result.append(taken_over(name, used, note=note))
     return result
 
 
-def _tables_of(vehicle: Vehicle) -> tuple[list[Any], list[Any], list[float]]:
-    """Table 2 of a vehicle (mass, inertia tensor, axial inertia of the wheel), Table 3 (ends of the legs), gains of its panels."""
+def _published_tables(vehicle: Vehicle) -> tuple[list[Any], list[Any], list[float]]:
+    """Return Table 2 (mass, inertia tensor, axial inertia of the wheel), Table 3 (ends of the legs) and the panel gains of a
+    vehicle.
+    """
     inertia = np.array(vehicle.require_inertia()).tolist()
     body = [vehicle.require_mass(), inertia, vehicle.wheels[0].inertia_kg_m2]
     return body, [list(leg.tip_B_m) for leg in vehicle.legs], np.array(vehicle.panel_gains).tolist()

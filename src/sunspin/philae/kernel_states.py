@@ -1,7 +1,7 @@
-"""Run as a script in another process: states of an SPK's first segment, which the C library may not survive if damaged.
+"""Script for another process: read states of the first segment of an SPK, as a damaged file may crash the C library.
 
-Argument: kernel. Standard input: TDB seconds past J2000. Standard output: position (km) and velocity (km/s) in the segment's own
-axes about its own centre, so that no frame kernel is needed.
+Argument: kernel. Standard input: TDB seconds past J2000 (float64). Standard output: position (km) and velocity (km/s) of each time,
+in the axes of the segment and relative to its centre, so that no frame kernel is needed.
 """
 
 import sys
@@ -10,17 +10,18 @@ import numpy as np
 
 
 def main() -> None:
-    import spiceypy as sp
+    """Write the states of the kernel in `sys.argv` to standard output, or exit with the reason why not."""
+    import spiceypy
 
     times = np.frombuffer(sys.stdin.buffer.read(), dtype=np.float64)
     try:
-        handle = sp.spklef(sys.argv[1])
-        sp.dafbfs(handle)
-        if not sp.daffna():
+        handle = spiceypy.spklef(sys.argv[1])
+        spiceypy.dafbfs(handle)
+        if not spiceypy.daffna():
             sys.exit("it has no segments")
-        summary = sp.dafgs(5)
-        states = np.array([sp.spkpvn(handle, summary, t)[1] for t in times], dtype=np.float64)
-    except sp.exceptions.SpiceyError as error:
+        summary = spiceypy.dafgs(5)
+        states = np.array([spiceypy.spkpvn(handle, summary, t)[1] for t in times], dtype=np.float64)
+    except spiceypy.exceptions.SpiceyError as error:
         sys.exit(f"SPICE says {type(error).__name__}")
     sys.stdout.buffer.write(states.tobytes())
 

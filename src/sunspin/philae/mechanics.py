@@ -1,9 +1,9 @@
-"""The mechanical model: spin-down of the wheel, example motions, precession (paper, sections 2.2 and 3.2, Figs. 5 to 7).
+"""Mechanical model: spin-down of the wheel, example motions, precession (paper, sections 2.2 and 3.2, Figs. 5 to 7).
 
-|H|, |r| and H.r never change in free flight, so neither does the angle alpha between H and the Sun; the angle theta between H
-and the z axis, the nutation, is constant for a body that is symmetric about that axis, whatever friction does, and wanders for one
-that is not. The axis swings by up to 2 theta, the Sun's height over the xy plane by 2 min(theta, alpha): the paper takes the
-second for the first.
+In free flight |H|, |r| and H.r are constant, so the angle alpha between the angular momentum H and the Sun is constant. The angle
+theta between H and the z axis is the nutation. It is constant for a body that is symmetric about z, even with friction, and varies
+otherwise. In inertial space the z axis moves by up to 2 theta. The Sun's elevation over the x-y plane varies by 2 min(theta,
+alpha). The paper takes the second for the first.
 """
 
 from __future__ import annotations
@@ -27,16 +27,26 @@ from sunspin.dynamics.friction import (
 )
 from sunspin.dynamics.propagate import propagate
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
-from sunspin.philae.row import Row, row
-from sunspin.philae.sun_directions import sphere
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    first_sun,
+    nominal_wheel_speeds,
+    points_on_lines,
+    published_lines,
+    published_window_s,
+)
+from sunspin.philae.row import Row, make_row
+from sunspin.philae.sun_directions import sphere_axes
 from sunspin.vehicle import Vehicle
 
 # ---- Wheel and example motions -----------------------------------------------------------------------------------------------
 
 
 class Mechanics(NamedTuple):
-    """`examples`: runs of Figs. 6 and 7 as `propagate` returns them; `spin_down`: see :func:`figure_5`."""
+    """Example motions and spin-down of the wheel.
+
+    `examples`: runs of Figs. 6 and 7 as `propagate` returns them. `spin_down`: see :func:`simulate_spin_down`.
+    """
 
     case: Case
     examples: list[xr.Dataset]
@@ -44,16 +54,20 @@ class Mechanics(NamedTuple):
 
 
 def compute(case: Case) -> Mechanics:
-    """Nothing here depends on telemetry."""
+    """Propagate the example motions and simulate the spin-down. Nothing here depends on telemetry."""
     t = np.arange(0.0, 60.0 * case.published["example_duration"].value + 0.5, 1.0)
-    start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
+    start = first_sun(case), nominal_wheel_speeds(case.vehicle)
     rates = case.published["example_rates"].value
     runs = [propagate(case.vehicle, omega, *start, t) for omega in rates]
-    return Mechanics(case, runs, figure_5(case))
+    return Mechanics(case, runs, simulate_spin_down(case))
 
 
-def figure_5(case: Case) -> dict[str, Any]:
-    """Fig. 5: the wheel on a body that stays at rest, with the fitted and with the printed friction; the fit recovered."""
+def simulate_spin_down(case: Case) -> dict[str, Any]:
+    """Return the spin-down of the wheel on a body at rest (Fig. 5).
+
+    Keys: times "t_s"; wheel speeds "record" with the published fit and "printed" with the rounded friction, rad/s; "fit" of a
+    friction law to the record; "stop_printed_s", the time to the stop with the rounded friction.
+    """
     wheel = case.vehicle.wheels[0]
     rounded = case.vehicle.with_friction("printed").wheels[0].friction
     law = rounded.coulomb_N_m, rounded.viscous_N_m_s, wheel.inertia_kg_m2
@@ -70,8 +84,8 @@ def figure_5(case: Case) -> dict[str, Any]:
 
 
 def rows(result: Mechanics) -> list[Row]:
-    """Figures of section 2.2 beside ours."""
-    row_of, fit = partial(row, result.case), result.spin_down["fit"]
+    """Return the figures of section 2.2 compared with ours."""
+    row_of, fit = partial(make_row, result.case), result.spin_down["fit"]
     still = result.examples[0]
     z, stops = still["sun_B"].values[:, 2], still["event_time_s"].values / 60
     ends, still_z = [float(z.min()), float(z.max())], 0.01  # below it r_z counts as constant
@@ -85,13 +99,14 @@ def rows(result: Mechanics) -> list[Row]:
     ]
 
 
-def figure_6(runs: list[xr.Dataset]) -> Figure:
-    """The Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
+def sun_tracks_figure(runs: list[xr.Dataset]) -> Figure:
+    """Draw the Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
     figure = Figure(figsize=(11, 7.5), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
     components = lower.subplots(3, len(runs), sharex=True, sharey=True, squeeze=False)
     for k, run in enumerate(runs):
-        r, minutes, axes = run["sun_B"].values, run["time"].values / 60, sphere(upper, len(runs), k)
+        r, minutes = run["sun_B"].values, run["time"].values / 60
+        axes = sphere_axes(upper, len(runs), k)
         axes.plot(*r.T, lw=0.4, color=COLOURS[0])
         axes.set_title(_initial_rate(run), fontsize=9)
         for i, name in enumerate("xyz"):
@@ -101,8 +116,8 @@ def figure_6(runs: list[xr.Dataset]) -> Figure:
     return figure
 
 
-def figure_7(runs: list[xr.Dataset]) -> Figure:
-    """Distribution of r_z over each run, as densities of area 1 (paper, Fig. 7)."""
+def rz_histograms_figure(runs: list[xr.Dataset]) -> Figure:
+    """Draw the distribution of r_z over each run, as densities of area 1 (paper, Fig. 7)."""
     figure = Figure(figsize=(10, 3.2), layout="constrained")
     for axes, run in zip(figure.subplots(1, len(runs)), runs, strict=True):
         axes.hist(run["sun_B"].values[:, 2], bins=60, range=(-1, 1), density=True, color=COLOURS[0])
@@ -112,6 +127,7 @@ def figure_7(runs: list[xr.Dataset]) -> Figure:
 
 
 def _initial_rate(run: xr.Dataset) -> str:
+    """Return the initial rate of a run as text for a title."""
     rate = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
     return rf"$\omega(0)$ = [{rate}] rad/s"
 
@@ -119,7 +135,7 @@ def _initial_rate(run: xr.Dataset) -> str:
 # ---- Precession --------------------------------------------------------------------------------------------------------------
 
 
-def swing(
+def precession_amplitudes(
     vehicle: Vehicle,
     omega_B: npt.ArrayLike,
     sun_B: npt.ArrayLike,
@@ -127,24 +143,25 @@ def swing(
     duration_s: float,
     compared_s: float = 600.0,
 ) -> dict[str, np.ndarray]:
-    """Swing of the z axis and of the Sun's height, for motions from the rates omega_B (..., 3) in rad/s.
+    """Return how far the z axis and the Sun's elevation move, for motions from the rates omega_B (..., 3) in rad/s.
 
-    `sun_B` (3) is the direction to the Sun at the start; the first and the last `compared_s` of `duration_s` are compared
-    (ten minutes: some forty turns).
+    `sun_B` (3) is the Sun direction at the start. The first and the last `compared_s` of `duration_s` are compared (ten minutes:
+    some forty revolutions).
 
     Returns
     -------
     dict
-        Smallest and largest (..., 2) of: r_z, "z", and in the first and the last part "z_first", "z_last"; "height" of the Sun;
-        "nutation", the angle between the z axis and H. For each motion (...): its mean in the two parts, "nutation_first",
-        "nutation_last"; "axis_swing", the largest angle between the axis at two times in inertial space; "peaks" of the
-        distribution of r_z. Angles in degrees.
+        Least and largest value (..., 2): of r_z, "z", and in the first and last part, "z_first", "z_last"; of the Sun's elevation,
+        "height"; of the angle between z axis and H, "nutation". One value for each motion (...): mean nutation in the two parts,
+        "nutation_first", "nutation_last"; largest angle between the z axis at two times in inertial space, "axis_swing"; number of
+        peaks in the distribution of r_z, "peaks". Angles in degrees.
     """
     starts = np.asarray(omega_B, dtype=np.float64)
     t = np.arange(0.0, duration_s + 0.5, 1.0)
     first, last = t <= compared_s, t >= duration_s - compared_s
 
     def ends(values: np.ndarray) -> np.ndarray:
+        """Return the least and the largest value."""
         return np.array([values.min(), values.max()])
 
     motions = []
@@ -152,7 +169,7 @@ def swing(
         run = propagate(vehicle, omega, sun_B, wheel_speed_rad_s, t, rtol=1e-10)
         z, H = run["sun_B"].values[:, 2], run["momentum_B"].values
         nutation = np.degrees(np.arctan2(np.hypot(H[:, 0], H[:, 1]), H[:, 2]))
-        nutation[~H.any(axis=1)] = np.nan  # what does not turn has no axis
+        nutation[~H.any(axis=1)] = np.nan  # without angular momentum there is no nutation
         axis_N = Rotation.from_quat(run["B_from_N"].values).inv().apply([0.0, 0.0, 1.0])
         motion = {
             "z": ends(z),
@@ -172,7 +189,11 @@ def swing(
 
 
 def count_peaks(z: np.ndarray) -> int:
-    """Peaks of the distribution of values (n) that stand out by a fifth of the highest; 1 where the values hardly vary."""
+    """Return the number of peaks in the distribution of values (n) that rise by a fifth of the highest peak above their
+    surroundings.
+
+    It is 1 if the values hardly vary.
+    """
     if np.ptp(z) < 1e-3:
         return 1
     density = np.histogram(z, bins=24)[0].astype(np.float64)
@@ -182,59 +203,69 @@ def count_peaks(z: np.ndarray) -> int:
 
 
 class Precession(NamedTuple):
-    """Philae between first touchdown and collision: `swing` of the example motions, and of points of each published line."""
+    """Philae between first touchdown and collision: `precession_amplitudes` of the example motions and of points of each published
+    line.
+    """
 
     case: Case
     examples: dict[str, np.ndarray]
     lines: dict[str, np.ndarray]
 
 
-def precession(case: Case) -> Precession:
-    """The swing of the examples of Figs. 6, 7 and of points of the published lines."""
-    start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
+def compute_precession(case: Case) -> Precession:
+    """Return the precession of the examples of Figs. 6 and 7, and of eleven points of each published line."""
+    start = first_sun(case), nominal_wheel_speeds(case.vehicle)
     duration = 60.0 * case.published["example_duration"].value
-    examples = swing(case.vehicle, case.published["example_rates"].value, *start, duration)
-    points = rb.on_lines(rb.published_lines(case), np.linspace(*rb.LINE_RANGE, 11))
-    lines = swing(case.vehicle, points, *start, rb.window_s(case))
+    examples = precession_amplitudes(
+        case.vehicle, case.published["example_rates"].value, *start, duration
+    )
+    points = points_on_lines(published_lines(case), np.linspace(*LINE_RANGE, 11))
+    lines = precession_amplitudes(case.vehicle, points, *start, published_window_s(case))
     return Precession(case, examples, lines)
 
 
 def precession_rows(result: Precession) -> list[Row]:
-    """Statements of sections 2.2, 2.3 and 3.2 on the amplitude of precession beside ours."""
+    """Return the statements of sections 2.2, 2.3 and 3.2 on the amplitude of precession compared with ours."""
     case, examples, lines = result
     low, high = case.published["sun_height_range"].value
-    height, widest = lines["height"], lines["axis_swing"].mean(axis=1)
-    typical = height.mean(axis=(0, 1)).tolist()
-    doubled = (lines["nutation_first"] + lines["nutation_last"]).mean(axis=1)
-    of_examples, of_lines = (np.abs(each["z_last"] - each["z_first"]) for each in (examples, lines))
-    nutation = (each["nutation_last"] - each["nutation_first"] for each in (examples, lines))
-    changed = float(max(np.nanmax(np.abs(each)) for each in nutation))
+    elevation, axis_swing = lines["height"], lines["axis_swing"].mean(axis=1)
+    typical = elevation.mean(axis=(0, 1)).tolist()
+    twice_nutation = (lines["nutation_first"] + lines["nutation_last"]).mean(axis=1)
+    # changes between the first and the last ten minutes: of the range of r_z, and of the mean nutation
+    z_examples, z_lines = (
+        np.abs(motions["z_last"] - motions["z_first"]) for motions in (examples, lines)
+    )
+    nutation = (
+        motions["nutation_last"] - motions["nutation_first"] for motions in (examples, lines)
+    )
+    nutation_change = float(max(np.nanmax(np.abs(change)) for change in nutation))
     least, most = (end(lines["nutation"], axis=(1, 2)) for end in (np.min, np.max))
-    wander = enumerate(zip(least, most, strict=True), 1)
+    nutation_ranges = enumerate(zip(least, most, strict=True), 1)
     peaks = np.concatenate([examples["peaks"][1:], lines["peaks"].ravel()])
-    # the ends of the range of r_z stay roughly the same within this; the swing is as wide as the height ranges within 10 deg
-    same_z, swing_deg = 0.1, 10.0
+    # criteria: the range of r_z is constant if its ends change by less than 0.1; the axis moves as far as the elevation of the
+    # Sun if both ranges are equal within 10 degrees
+    same_z, same_deg = 0.1, 10.0
     texts = {
-        "points": height[..., 0].size,
-        "height": [height.min(), height.max()],
-        "twice": ", ".join(f"{angle:.0f}" for angle in doubled),
+        "points": elevation[..., 0].size,
+        "height": [elevation.min(), elevation.max()],
+        "twice": ", ".join(f"{angle:.0f}" for angle in twice_nutation),
         "omega": list(case.published["example_rates"].value[1]),
         "first": "{:.3f}..{:.3f}".format(*examples["z_first"][1]),
         "last": "{:.3f}..{:.3f}".format(*examples["z_last"][1]),
-        "share": float(np.mean(of_lines <= same_z)),
-        "each": "; ".join(f"{a:.0f} to {b:.0f} (L{k})" for k, (a, b) in wander),
+        "share": float(np.mean(z_lines <= same_z)),
+        "each": "; ".join(f"{a:.0f} to {b:.0f} (L{k})" for k, (a, b) in nutation_ranges),
         "two": np.mean(peaks == 2),
         "distributions": peaks.size,
     }
-    row_of, alike = partial(row, case, **texts), {"tolerance": same_z}
-    as_wide = bool(np.all(np.abs(widest - (high - low)) <= swing_deg))
-    kept_examples, kept_lines = (bool(each.max() <= same_z) for each in (of_examples, of_lines))
-    median_and_most, tenth = [float(np.median(of_lines)), float(of_lines.max())], (high - low) / 10
+    row_of, z_tolerance = partial(make_row, case, **texts), {"tolerance": same_z}
+    as_wide = bool(np.all(np.abs(axis_swing - (high - low)) <= same_deg))
+    kept_examples, kept_lines = (bool(changes.max() <= same_z) for changes in (z_examples, z_lines))
+    median_and_most, tenth = [float(np.median(z_lines)), float(z_lines.max())], (high - low) / 10
     return [
         row_of("sun_height_lines", typical, published=[low, high], tolerance=tenth),
-        row_of("axis_swing", widest.tolist(), tolerance=swing_deg, agrees=as_wide),
-        row_of("range_of_z_examples", float(of_examples.max()), agrees=kept_examples, **alike),
-        row_of("range_of_z_lines", median_and_most, agrees=kept_lines, **alike),
-        row_of("nutation_constant", changed),
+        row_of("axis_swing", axis_swing.tolist(), tolerance=same_deg, agrees=as_wide),
+        row_of("range_of_z_examples", float(z_examples.max()), agrees=kept_examples, **z_tolerance),
+        row_of("range_of_z_lines", median_and_most, agrees=kept_lines, **z_tolerance),
+        row_of("nutation_constant", nutation_change),
         row_of("rz_peaks", float(np.median(peaks))),
     ]

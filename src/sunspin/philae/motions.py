@@ -1,7 +1,8 @@
-"""Philae's motion to look at: whole candidate motions from touchdown to touchdown, and the angular speed with its spread.
+"""Philae's motion for display: complete candidate motions from touchdown to touchdown, and the angular speed with its spread.
 
-Nothing here is compared with the paper; the report draws it. A candidate after the collision is one of many: which leg hit, and
-in which direction, is drawn once (`telemetry.collide`) and the same for all, so that their difference is the motion's.
+Nothing here is compared with the paper; the report draws it. After the collision a candidate is one of many. The leg that hits and
+the direction of the impact are drawn once (`telemetry.simulate_collision`) and are the same for all, so that only the motions
+differ.
 """
 
 from __future__ import annotations
@@ -21,21 +22,22 @@ from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.output.figures import COLOURS, titled
-from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
-from sunspin.philae.telemetry import State, collide
+from sunspin.philae.rebound import Rebound, event_seconds, nominal_wheel_speeds, read_truth
+from sunspin.philae.telemetry import State, simulate_collision
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 
 SPREAD_MOTIONS = 150
-"""Motions drawn from the confidence region, beside those of least and most speed and momentum, which are its edges."""
+"""Number of motions drawn from the confidence set; the slowest, the fastest and those of least and largest momentum are added."""
 
 
 def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dataset]:
-    """Motions by their names, Datasets as of `propagate` with panel signals, from the results of the steps before: `level_set`,
-    `candidates`, and where there is one `descent`.
+    """Return motions by name, as Datasets of `propagate` with panel signals.
+
+    `done` holds the results of earlier steps: `level_set`, `candidates` and, if it was computed, `descent`.
     """
     scan: TelemetryScan = done["level_set"]
     chain: Chain = done["candidates"]
@@ -45,68 +47,75 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dat
     if scan.truth:
         start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
         about = "the motion from which the synthetic telemetry was made"
-        runs["Truth"] = landing(rebound, start, about, rb.twin_file(case).get("seed", seed))
+        runs["Truth"] = propagate_landing(rebound, start, about, read_truth(case).get("seed", seed))
     start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
     about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
-    runs["Best fit"] = landing(rebound, start, about, seed)
+    runs["Best fit"] = propagate_landing(rebound, start, about, seed)
     order = np.argsort(chosen.speed_touchdown)
     for name, at in (("Slowest", 0), ("Middle", len(order) // 2), ("Fastest", -1)):
         start, speed = chosen.states.take(order[[at]]), chosen.speed_touchdown[order[at]]
         about = f"{name.lower()} of {chosen.about}: {speed:.3f} rad/s just after the touchdown"
-        runs[f"{name} candidate"] = landing(rebound, start, about, seed)
+        runs[f"{name} candidate"] = propagate_landing(rebound, start, about, seed)
     if descent is not None:
-        runs["Descent"] = descent_motion(case, descent)
+        runs["Descent"] = make_descent_motion(case, descent)
     return runs
 
 
-def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
-    """The motion through `start`, one state at the candidates' instant, from the first touchdown over the collision to the second.
+def propagate_landing(rebound: Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
+    """Return the motion from the first touchdown to the second, through the collision.
 
-    Times in s from the case's epoch.
+    `start` is one state at the candidates' instant. Times are in s from the case's epoch.
     """
     case, timeline = rebound.case, rebound.case.require_timeline()
-    blow_s, end = (timeline.event(name).t_s for name in ("collision", "second_touchdown"))
-    first = blow_s - rebound.window_s
-    state = State(first, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
-    _, after, blow = collide(case, state, generator(seed, 3))
+    impact_s, end_s = (timeline.event(name).t_s for name in ("collision", "second_touchdown"))
+    first_s = impact_s - rebound.window_s
+    state = State(first_s, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
+    collision = simulate_collision(case, state, generator(seed, 3))
 
     def run(
         state: State, duration_s: float, sign: int = 1, wheel_mode: Any = "coast"
     ) -> xr.Dataset:
-        t = sign * np.arange(0.0, duration_s + 1e-6, 1.0)  # at the fastest, half a radian
+        """Return the motion from a state, every second; `sign` -1 runs backward in time."""
+        # the fastest motion rotates by half a radian in a step of 1 s
+        t = sign * np.arange(0.0, duration_s + 1e-6, 1.0)
         return propagate(case.vehicle, *state[1:], t, wheel_mode=wheel_mode, rtol=1e-9)
 
     back = run(state, rebound.lead_s, -1, mode_before(start.wheel_speed_rad_s))
-    forth, beyond = run(state, blow_s - first), run(after, end - blow_s)
-    to_blow = Rotation.from_quat(forth["B_from_N"].values[-1])
-    turned = (Rotation.from_quat(beyond["B_from_N"].values) * to_blow).as_quat()
-    beyond["B_from_N"] = beyond["B_from_N"].copy(data=turned)
+    forth = run(state, impact_s - first_s)
+    beyond = run(collision.after, end_s - impact_s)
+    # each run counts attitude from its own start: that after the collision begins at the attitude of the collision
+    at_impact = Rotation.from_quat(forth["B_from_N"].values[-1])
+    attitude = (Rotation.from_quat(beyond["B_from_N"].values) * at_impact).as_quat()
+    beyond["B_from_N"] = beyond["B_from_N"].copy(data=attitude)
     pieces = (
-        (back.isel(time=slice(None, 0, -1)), first),
-        (forth.isel(time=slice(None, -1)), first),
-        (beyond, blow_s),
+        (back.isel(time=slice(None, 0, -1)), first_s),
+        (forth.isel(time=slice(None, -1)), first_s),
+        (beyond, impact_s),
     )
     pieces = [p.drop_dims("event").assign_coords(time=p["time"] + shift) for p, shift in pieces]
-    alike: Any = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
-    whole = xr.concat(pieces, "time", join="override", **alike)
+    joining: Any = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
+    whole = xr.concat(pieces, "time", join="override", **joining)
     changes = (forth[f"event_{key}"].values for key in ("time_s", "wheel", "what"))
-    events = [(t + first, f"{wheel} {what}") for t, wheel, what in zip(*changes, strict=True)]
+    events = [(t + first_s, f"{wheel} {what}") for t, wheel, what in zip(*changes, strict=True)]
     about += (
         "; after the collision one of many possible motions "
-        f"(leg {blow['collision_leg']} hits, drawn with seed {seed})"
+        f"(leg {collision.leg} hits, drawn with seed {seed})"
     )
-    return _with_panels(case, whole, about, [*events, (blow_s, "collision")])
+    return _add_panel_signals(case, whole, about, [*events, (impact_s, "collision")])
 
 
-def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
-    """The plain spin about z that fits the descent, time in s from the case's epoch; the turn about z at its start is free."""
+def make_descent_motion(case: Case, descent: Descent) -> xr.Dataset:
+    """Return the spin about z that fits the descent, time in s from the case's epoch.
+
+    The inertial frame is that of the body at the start, as the rotation about z is not known then.
+    """
     start, end = _descent_span(case, descent)
     t = np.arange(0.0, end - start, 20.0)
     rate = np.polynomial.Polynomial(descent.fit.coefficients)
     axis = np.array([0.0, 0.0, 1.0])
     omega = rate(t)[:, None] * axis
-    turned = Rotation.from_rotvec(-rate.integ()(t)[:, None] * axis).as_quat()
-    speed = np.tile(rb.nominal_speed(case.vehicle), (t.size, 1))
+    attitude = Rotation.from_rotvec(-rate.integ()(t)[:, None] * axis).as_quat()
+    speed = np.tile(nominal_wheel_speeds(case.vehicle), (t.size, 1))
     momentum, body = gyrostat.total_momentum(case.vehicle, omega, speed), ("time", "axis")
     run = xr.Dataset(
         {
@@ -114,25 +123,26 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
             "sun_B": (body, descent.fit.directions(t), {"units": "1"}),
             "wheel_speed_rad_s": (("time", "wheel"), speed, {"units": "rad s-1"}),
             "momentum_B": (body, momentum, {"units": "N m s"}),
-            "B_from_N": (("time", "quaternion"), turned, {"units": "1"}),
+            "B_from_N": (("time", "quaternion"), attitude, {"units": "1"}),
         },
         coords={"time": ("time", t + start, {"units": "s"}), "axis": ["x", "y", "z"]},
     )
     about = "the spin about z that fits the directions of the descent, wheel held by its motor"
-    return _with_panels(case, run, about, [])
+    return _add_panel_signals(case, run, about, [])
 
 
 def _descent_span(case: Case, descent: Descent) -> tuple[float, float]:
-    """Begin of the fit and first touchdown, s from the case's epoch."""
+    """Return the begin of the fit and the first touchdown, in s from the case's epoch."""
     end = case.require_timeline().event("first_touchdown").t_s
-    to_case = end - rb.case_seconds(case, descent.sun, "first_touchdown")
+    # offset from the telemetry's epoch to the case's
+    to_case = end - event_seconds(case, descent.sun, "first_touchdown")
     return float(case.telemetry["time"].values[descent.number[0] - 1]) + to_case, end
 
 
-def _with_panels(
+def _add_panel_signals(
     case: Case, run: xr.Dataset, about: str, events: list[tuple[float, str]]
 ) -> xr.Dataset:
-    """The motion with the signal of each panel and the `events`: s from the case's epoch, what happens."""
+    """Return the motion with the modelled signal of each panel and its `events`: (s from the case's epoch, description)."""
     signal = {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"}
     event_s = np.array([t for t, _ in events], dtype=np.float64)
     what = np.array([what for _, what in events], dtype=np.str_)
@@ -144,23 +154,27 @@ def _with_panels(
     return run
 
 
-def speeds(chain: Chain, known: xr.Dataset, descent: Descent | None, seed: int) -> xr.Dataset:
-    """Angular speed against time: slowest, median and fastest of the candidates, each of which counts as much as another; after the
-    collision quantiles 0.025, 0.5, 0.975 over the simulated collisions `known` of them.
+def compute_speeds(
+    chain: Chain, collisions: xr.Dataset, descent: Descent | None, seed: int
+) -> xr.Dataset:
+    """Return the range of angular speeds of the candidates against time, as data for a figure.
+
+    Before the collision: slowest, median and fastest candidate, all equally likely. After it: quantiles 0.025, 0.5 and 0.975 over
+    the simulated `collisions` of the candidates. With a `descent` its fitted rate is added.
     """
     case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
     vehicle, states = case.vehicle, chain.chosen.states
-    # some of the states (n), and those of least and most angular speed and momentum
+    # an even choice of the states, with those of least and largest angular speed and momentum
     momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
     sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
     edges = [end(size) for size in sizes for end in (np.argmin, np.argmax)]
-    some = min(SPREAD_MOTIONS, len(states))
-    pick = generator(seed, 4).choice(len(states), some, replace=False)
-    states = states.take(np.unique([*edges, *pick]))
+    count = min(SPREAD_MOTIONS, len(states))
+    chosen = generator(seed, 4).choice(len(states), count, replace=False)
+    states = states.take(np.unique([*edges, *chosen]))
     t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
     run = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
     before = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
-    after = np.linalg.norm(known["omega_after_B"].values, axis=1)
+    after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
     levels = np.nanquantile(after, [0.025, 0.5, 0.975])
     rate, first = {"units": "rad s-1"}, timeline.event("collision").t_s - rebound.window_s
     data = xr.Dataset(
@@ -175,7 +189,7 @@ def speeds(chain: Chain, known: xr.Dataset, descent: Descent | None, seed: int) 
         attrs={
             "epoch_utc": timeline.epoch_utc,
             "motions": len(states),
-            "collisions": known.sizes["run"],
+            "collisions": collisions.sizes["run"],
             "chain": chain.name,
             "about": chain.chosen.about,
         },
@@ -183,24 +197,25 @@ def speeds(chain: Chain, known: xr.Dataset, descent: Descent | None, seed: int) 
     if descent is None:
         return data
     begin, end = _descent_span(case, descent)
-    when = np.linspace(0.0, end - begin, 100)
-    spin = np.abs(np.polynomial.Polynomial(descent.fit.coefficients)(when))
-    data = data.assign_coords(descent_time=("descent_time", when + begin, {"units": "s"}))
+    t = np.linspace(0.0, end - begin, 100)
+    spin = np.abs(np.polynomial.Polynomial(descent.fit.coefficients)(t))
+    data = data.assign_coords(descent_time=("descent_time", t + begin, {"units": "s"}))
     return data.assign(descent_speed=("descent_time", spin, rate))
 
 
 def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
-    """Angular speed against time: the descent's fit, the band of the candidates, the magnetometer.
+    """Draw the angular speed against time: the descent's fit, the band of the candidates, the magnetometer.
 
     Parameters
     ----------
-    speed : Dataset of :func:`speeds`
+    speed : Dataset of :func:`compute_speeds`
     """
     timeline, published = case.require_timeline(), case.published
     at = {event.name: event.t_s for event in timeline.events}
     epoch = np.datetime64(timeline.epoch_utc.removesuffix("Z"), "ms")
 
     def clock(seconds: Any) -> Any:
+        """Return UTC times for seconds from the case's epoch."""
         return epoch + np.round(1000 * np.asarray(seconds)).astype("timedelta64[ms]")
 
     figure = Figure(figsize=(11, 5), layout="constrained")

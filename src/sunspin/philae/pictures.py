@@ -1,4 +1,4 @@
-"""The pictures of the study, in the paper's order: from which steps each is drawn, how, and what it shows."""
+"""Pictures of the study, in the paper's order: the steps that each is drawn from, its function, its caption."""
 
 from __future__ import annotations
 
@@ -14,79 +14,103 @@ from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, strategies, telemetry
 from sunspin.output.kinds.outcomes import sun_height_figure
 from sunspin.philae import descent, mechanics, metrics, published_lines, sun_directions, touchdown
-from sunspin.philae import rebound as rb
 from sunspin.philae.motions import speed_figure
+from sunspin.philae.rebound import event_seconds
 from sunspin.philae.study import Study
 
 
-def _signals(s: Study, r: Any) -> Figure:
+def _signals_figure(study: Study, result: Any) -> Figure:
+    """Draw the powers of the panels in the true, the best and the descent's motion."""
     shown = ("Truth", "Best fit", "Descent")
-    runs = [(title, run) for title, run in r.items() if title in shown]
-    return panel_signals_figure(s.case.telemetry, runs, s.case.vehicle)
+    runs = [(title, run) for title, run in result.items() if title in shown]
+    return panel_signals_figure(study.case.telemetry, runs, study.case.vehicle)
 
 
-def _figure_3(s: Study, _: Any) -> Figure:
+def _measured_figure(study: Study, _: Any) -> Figure:
+    """Draw measured powers and Sun directions against time with the events of the landing (paper, Fig. 3)."""
     events = "separation unfolding_ends first_touchdown collision second_touchdown rest"
-    at = {name: rb.case_seconds(s.case, s.sun, name) for name in events.split()}
-    first, last = s.sun["time"].values[[0, -1]]
+    at = {name: event_seconds(study.case, study.sun, name) for name in events.split()}
+    first, last = study.sun["time"].values[[0, -1]]
     at = {name.replace("_", " "): t for name, t in at.items() if first - 600 <= t <= last}
-    return telemetry.sun_directions_figure(s.sun, s.case.telemetry, at)
+    return telemetry.sun_directions_figure(study.sun, study.case.telemetry, at)
 
 
-def _figure_5(_: Study, r: Any) -> Figure:
+def _spin_down_figure(_: Study, result: Any) -> Figure:
+    """Draw the spin-down of the wheel with fitted and rounded friction (paper, Fig. 5)."""
     curves = {
-        "published fit, which gives the default friction": r.spin_down["record"],
-        "rounded friction as printed": r.spin_down["printed"],
+        "published fit, which gives the default friction": result.spin_down["record"],
+        "rounded friction as printed": result.spin_down["printed"],
     }
-    return motion.spin_down_figure(r.spin_down["t_s"], curves)
+    return motion.spin_down_figure(result.spin_down["t_s"], curves)
 
 
-def _scan(s: Study, r: Any) -> Figure:
-    target = f"target: this telemetry{' (synthetic)' * s.synthetic}"
-    title = f"EMD < {r.near.factor:g} EMD_min, {target}"
-    return metrics.near_minimum_figure(s.case, r.near, title, r.truth.get("omega_B"))
+def _scan_figure(study: Study, result: Any) -> Figure:
+    """Draw the near-minimum set of the scan of the telemetry (paper, Fig. 9)."""
+    target = f"target: this telemetry{' (synthetic)' * study.synthetic}"
+    title = f"EMD < {result.near.factor:g} EMD_min, {target}"
+    return metrics.near_minimum_figure(study.case, result.near, title, result.truth.get("omega_B"))
 
 
-def _distributions(s: Study, r: Any) -> Figure:
-    shown = {f"L{k} as published": z for k, z in enumerate(s.parts["published_lines"].pooled, 1)}
-    if r.truth:
-        shown["truth of the synthetic telemetry"] = r.truth["z"]
-    about = "telemetry" + " (synthetic)" * s.synthetic
-    return metrics.distributions_figure(r.rebound.z, about, shown)
+def _distributions_figure(study: Study, result: Any) -> Figure:
+    """Draw the distributions of r_z of the telemetry, of the published lines and of the truth."""
+    shown = {
+        f"L{k} as published": z for k, z in enumerate(study.parts["published_lines"].pooled, 1)
+    }
+    if result.truth:
+        shown["truth of the synthetic telemetry"] = result.truth["z"]
+    about = "telemetry" + " (synthetic)" * study.synthetic
+    return metrics.distributions_figure(result.rebound.z, about, shown)
 
 
-def _lines_scan(s: Study, r: Any) -> Figure:
-    title = f"EMD < {r.clean.factor:g} EMD_min, target: common distribution of the printed lines"
-    return metrics.near_minimum_figure(s.case, r.clean, title)
+def _lines_scan_figure(study: Study, result: Any) -> Figure:
+    """Draw the near-minimum set for the common distribution of the published lines (paper, Fig. 9)."""
+    title = (
+        f"EMD < {result.clean.factor:g} EMD_min, target: common distribution of the printed lines"
+    )
+    return metrics.near_minimum_figure(study.case, result.clean, title)
 
 
 PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
-    "speed": ("speeds", lambda s, r: speed_figure(s.case, r, s.synthetic)),
-    "signals": ("motions", _signals),
-    "fig03_measured": ("phases", _figure_3),
-    "fig04_phases": ("phases", lambda _, r: sun_directions.figure_4(r)),
-    "fig05_spin_down": ("mechanics", _figure_5),
-    "fig06_examples": ("mechanics", lambda _, r: mechanics.figure_6(r.examples)),
-    "fig07_histograms": ("mechanics", lambda _, r: mechanics.figure_7(r.examples)),
-    "fig08_maps": ("sensitivity", lambda _, r: metrics.maps_figure(r)),
-    "growth": ("sensitivity", lambda _, r: metrics.growth_figure(r)),
-    "fig09_telemetry": ("level_set published_lines", _scan),
-    "distributions": ("level_set published_lines", _distributions),
-    "fig10_11_descent": ("descent", lambda _, r: descent.draw(r)),
-    "fig12_touchdown": ("touchdown", lambda s, r: touchdown.figure(r, s.synthetic)),
-    "fig13_after_collision": ("collision", lambda _, r: sun_height_figure(r.runs["chosen"])),
-    "collision": ("collision", lambda _, r: collision.collision_figure(r.known)),
-    "strategies": ("strategies", lambda _, r: strategies.strategies_figure(r.table)),
-    "fig09_lines": ("published_lines", _lines_scan),
-    "fig12_lines": ("published_lines", lambda _, r: published_lines.touchdown_figure(r)),
-    "fig13_lines": ("published_lines", lambda _, r: sun_height_figure(r.runs)),
-    "health": ("phases", lambda _, r: sun_directions.draw(r)),
+    "speed": ("speeds", lambda study, result: speed_figure(study.case, result, study.synthetic)),
+    "signals": ("motions", _signals_figure),
+    "fig03_measured": ("phases", _measured_figure),
+    "fig04_phases": ("phases", lambda _, result: sun_directions.directions_figure(result)),
+    "fig05_spin_down": ("mechanics", _spin_down_figure),
+    "fig06_examples": ("mechanics", lambda _, result: mechanics.sun_tracks_figure(result.examples)),
+    "fig07_histograms": (
+        "mechanics",
+        lambda _, result: mechanics.rz_histograms_figure(result.examples),
+    ),
+    "fig08_maps": ("sensitivity", lambda _, result: metrics.maps_figure(result)),
+    "growth": ("sensitivity", lambda _, result: metrics.growth_figure(result)),
+    "fig09_telemetry": ("level_set published_lines", _scan_figure),
+    "distributions": ("level_set published_lines", _distributions_figure),
+    "fig10_11_descent": ("descent", lambda _, result: descent.descent_figure(result)),
+    "fig12_touchdown": (
+        "touchdown",
+        lambda study, result: touchdown.touchdown_figure(result, study.synthetic),
+    ),
+    "fig13_after_collision": (
+        "collision",
+        lambda _, result: sun_height_figure(result.runs["chosen"]),
+    ),
+    "collision": ("collision", lambda _, result: collision.collision_figure(result.weighted)),
+    "strategies": ("strategies", lambda _, result: strategies.strategies_figure(result.table)),
+    "fig09_lines": ("published_lines", _lines_scan_figure),
+    "fig12_lines": (
+        "published_lines",
+        lambda _, result: published_lines.lines_touchdown_figure(result),
+    ),
+    "fig13_lines": ("published_lines", lambda _, result: sun_height_figure(result.runs)),
+    "health": ("phases", lambda _, result: sun_directions.lit_panels_figure(result)),
 }
-"""Name of the file -> steps of `study.STEPS`, the first the one whose result is drawn, and the figure of study and result."""
+"""File name of each picture -> the steps of `study.STEPS` that it is drawn from, and a function of study and result that draws it.
+The result is that of the first step.
+"""
 
 TEXTS = """
 speed: Angular speed against time: the descent as a line, then a band of rates to the collision and another after it.
-How fast Philae turned. Band: {r.attrs[about]}, slowest to fastest{meaning}. After the collision: 95 % of simulated \
+How fast Philae turned. Band: {result.attrs[about]}, slowest to fastest{meaning}. After the collision: 95 % of simulated \
 collisions of the same motions. Diamonds: the magnetometer, which was not used.{synthetic}
 
 signals: Power of each panel against time in two motions: samples as dots, the motion's prediction as a line.
@@ -116,8 +140,8 @@ growth: Growth of direction errors with the window; E and EMD under changes of o
 Why a direct fit fails: errors grow with the window, and a change of 1 % changes E much and EMD hardly. Simulated motions only.
 
 fig09_telemetry: Near-minimum points in rate space for the telemetry.
-The paper's recipe on this telemetry (paper, Fig. 9): {r.near.points.shape[0]} points, smallest EMD {r.smallest:.4f}; \
-{r.lines_found} of the four printed lines (dashed) come out of them.{synthetic}
+The paper's recipe on this telemetry (paper, Fig. 9): {result.near.points.shape[0]} points, smallest EMD {result.smallest:.4f}; \
+{result.lines_recovered} of the four printed lines (dashed) come out of them.{synthetic}
 
 distributions: Cumulative distributions of the z component.
 z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one distribution (EMD \
@@ -132,8 +156,8 @@ What this telemetry leaves (paper, Fig. 12): angular speed just after the touchd
 r_z determines, over {about}; grey: all that was possible.{synthetic}
 
 fig13_after_collision: Densities of the z component between collision and second touchdown, wheel off and held.
-The Sun's height after the collision (paper, Fig. 13), {r.runs[chosen][off].sizes[run]} simulated collisions of {about}; each \
-area is 1.{synthetic}
+The Sun's height after the collision (paper, Fig. 13), {result.runs[chosen][off].sizes[run]} simulated collisions of {about}; \
+each area is 1.{synthetic}
 
 collision: Simulated collisions against the trajectory kernel's speeds.
 The simulated collisions against what the trajectory kernel and the magnetometer say of them.{synthetic}
@@ -142,62 +166,69 @@ strategies: What touches first, antenna, speeds and the Sun's height for several
 What other commands to the wheel would have done (paper, section 4), from the same draws of {about}.{synthetic}
 
 fig09_lines: Near-minimum points in rate space along four lines.
-No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {r.clean.points.shape[0]} points at \
-{r.clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the minimum \
-against so clean a target being {smallest:.4f}.
+No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {result.clean.points.shape[0]} points \
+at {result.clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the \
+minimum against so clean a target being {smallest:.4f}.
 
 fig12_lines: Body rates at the first touchdown of motions on the printed lines.
 No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).
 
 fig13_lines: Densities of the z component after the collision for motions on the printed lines, wheel off and held.
-No telemetry: the Sun's height after the collision (paper, Fig. 13), {r.runs[off].sizes[run]} simulated collisions of motions on \
-the printed lines; each area is 1.
+No telemetry: the Sun's height after the collision (paper, Fig. 13), {result.runs[off].sizes[run]} simulated collisions of motions \
+on the printed lines; each area is 1.
 
 health: Lit panels sample by sample.
 Which panels are lit, and which patterns the Sun alone cannot make (paper, section 4).{synthetic}
 """
-"""Of each picture its name and what a reader who cannot see it is told; then its caption, with fields of the study `s`, of the
-result `r` that is drawn, and of `_fields`."""
+"""For each picture its file name with a description for readers who cannot see it, then its caption. A caption has fields of the
+`result` that is drawn and of `_caption_fields`.
+"""
 
 
-def _fields(s: Study, name: str, r: Any) -> dict[str, Any]:
-    fields = {"r": r, "synthetic": synthetic_words(s.synthetic)}
-    if s.chain is not None:
+def _caption_fields(study: Study, name: str, result: Any) -> dict[str, Any]:
+    """Return the values for the fields of a picture's caption."""
+    fields = {"result": result, "synthetic": synthetic_words(study.synthetic)}
+    if study.chain is not None:
         bound = "every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only"
         meaning = {"scan": f"; {bound}", "published": "; this telemetry does not enter"}
-        fields |= {"about": s.chain.chosen.about, "meaning": meaning.get(s.chain.name, "")}
+        fields |= {"about": study.chain.chosen.about, "meaning": meaning.get(study.chain.name, "")}
     if name == "distributions":
-        fields["spread"] = s.parts["published_lines"].spread
+        fields["spread"] = study.parts["published_lines"].spread
     if name == "fig09_lines":
-        fields["smallest"] = float(r.clean.emd.min())
+        fields["smallest"] = float(result.clean.emd.min())
     return fields
 
 
-def drawing(s: Study, name: str) -> Drawing | None:
-    """A picture of the study; None where a step that it is drawn from was not computed."""
+def make_drawing(study: Study, name: str) -> Drawing | None:
+    """Return a picture of the study with its texts; None if a step that it is drawn from was not computed."""
     steps, make = PICTURES[name]
     needed = steps.split()
-    if not s.parts.keys() >= {*needed}:
+    if not study.parts.keys() >= {*needed}:
         return None
-    r = s.parts[needed[0]]
+    result = study.parts[needed[0]]
     text = next(text for text in TEXTS.split("\n\n") if text.strip().startswith(f"{name}: "))
     alt, caption = text.strip().removeprefix(f"{name}: ").split(".\n", 1)
-    return Drawing(name, lambda: make(s, r), alt, caption.format_map(_fields(s, name, r)))
+    return Drawing(
+        name,
+        lambda: make(study, result),
+        alt,
+        caption.format_map(_caption_fields(study, name, result)),
+    )
 
 
 Drawn = dict[str, tuple[Drawing, dict[str, bytes]]]
-"""Name of each picture -> what the report says of it, and its files by their suffix."""
+"""File name of each picture -> its texts for the report, and the content of its files by suffix."""
 
 
-def draw(study: Study, drawn: Drawn) -> None:
-    """Add to `drawn` the pictures that can be drawn by now, while the other steps of the study go on."""
+def draw_pictures(study: Study, drawn: Drawn) -> None:
+    """Add to `drawn` the pictures that can be drawn now, while other steps of the study run."""
     for name in PICTURES:
-        if name not in drawn and (sheet := drawing(study, name)):
-            drawn[name] = sheet, figures.render(sheet.make())
+        if name not in drawn and (drawing := make_drawing(study, name)):
+            drawn[name] = drawing, figures.render(drawing.make())
 
 
-def write(drawn: Drawn, folder: Path) -> list[Drawing]:
-    """Write the pictures as PNG and SVG, in the paper's order."""
+def write_pictures(drawn: Drawn, folder: Path) -> list[Drawing]:
+    """Write the pictures as PNG and SVG, and return their texts in the paper's order."""
     names = [name for name in PICTURES if name in drawn]
     for name in names:
         figures.write_files(drawn[name][1], folder, name)

@@ -1,7 +1,7 @@
-"""The paper's four lines through our equations: no telemetry is used, and none can change what stands here.
+"""The paper's four lines with our equations: no telemetry is used, so none can change these results.
 
-Whether the lines have one distribution of r_z, whether a scan against it finds them again, what they leave of the angular speed
-at the touchdown, and what follows for motions on them after the collision (paper, sections 2.3, 3.2, 3.3; Figs. 9, 12, 13).
+Do the lines have one distribution of r_z? Does a scan of this distribution recover them? Which angular speed at the touchdown do
+they allow, and which motion after the collision (paper, sections 2.3, 3.2, 3.3; Figs. 9, 12, 13)?
 """
 
 from __future__ import annotations
@@ -17,52 +17,67 @@ from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.estimate.scan.metrics import emd
 from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import paper_scenario
+from sunspin.landing.scenario import Scenario, paper_scenario
 from sunspin.landing.tally import lowest_rz, tally
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
 from sunspin.philae.collision import RARELY, rz_range
 from sunspin.philae.metrics import (
     NearMinimum,
     TelemetryScan,
-    near_minimum_set,
+    make_near_minimum_set,
+    propagate_grid,
     rate_axes,
-    run_grid,
-    simulated_z,
+    simulate_rz,
 )
-from sunspin.philae.row import Row, interval, row
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    Options,
+    first_sample_lead_s,
+    first_sun,
+    nominal_wheel_speeds,
+    points_on_lines,
+    published_candidates,
+    published_lines,
+    published_window_s,
+    rates_at_touchdown,
+    smallest_touchdown_speed,
+    wheel_speed_at_first_sample,
+)
+from sunspin.philae.row import Row, interval_90, make_row
 
 LINE_POINTS = 41
-"""Motions on each line that are run back to the touchdown."""
+"""Number of motions on each line that are propagated back to the touchdown."""
 
 POOL_RANGE, POOL_POINTS = (-0.15, 0.3), 16
-"""omega_z (rad/s) of the points of each line whose r_z make up the lines' common distribution; how many points."""
+"""Range of omega_z (rad/s) and number of the points on each line whose r_z make up the lines' common distribution."""
 
 FACTOR = 4.0
-"""Near-minimum factor against the lines' common distribution: so clean a target has so small a minimum that 1.1 times it
-leaves a handful of points. EMD at points of the lines themselves is up to several times the minimum."""
+"""Near-minimum factor for the lines' common distribution. So exact a target has so small a minimum that 1.1 times it leaves a
+handful of points. The EMD of points on the lines themselves is up to several times the minimum.
+"""
 
 LEADS_S = (26.0, 86.0)
-"""The first sample came 56 s after the touchdown, uncertain by half a minute: "45 min" before the collision."""
+"""Limits (s) of the time from touchdown to first sample: 56 s, uncertain by half a minute as "45 min" is rounded."""
 
 NEVER = 0.01
-"""What counts as "never": this share of the runs, the paper having 400."""
+"""Largest share of the runs that counts as "never"; the paper has 400 runs."""
 
 
 @dataclass(frozen=True)
 class PublishedLines:
-    """What follows from the published lines.
+    """Results from the published lines alone.
 
     Attributes
     ----------
-    pooled : for each line, reconstructible r_z of motions begun on it
+    pooled : for each line, r_z of the motions begun on it, in view of the panels
     spread : largest EMD of a line's distribution to the common one
-    clean : near-minimum set of the scan against their common distribution
-    thresholds : for several factors the "factor", "points" of the set, "mean_distance" (rad/s) of each line
-    near_touchdown, on_lines_touchdown : (n, 3) rad/s at the touchdown of that set, and of points of the lines
-    slowest : smallest angular speeds (rad/s) of the lines at the touchdown: first sample early, as stated and late, each with the
-        wheel nominal there and with the wheel nominal at the touchdown
-    runs : strategy -> collisions at the speed of section 3.3; `slow`: with the wheel held, at the speed of section 4
+    clean : near-minimum set of the scan of their common distribution
+    thresholds : for several factors: "factor", number of "points" in the set, "mean_distance" (rad/s) of each line
+    near_touchdown, on_lines_touchdown : (n, 3) rates in rad/s at the touchdown of that set, and of points of the lines
+    slowest : smallest angular speeds (rad/s) of the lines at the touchdown. Three times of the first sample: earliest,
+        nominal, latest. For each: wheel nominal at the first sample, then wheel nominal at the touchdown.
+    runs : collisions by wheel strategy at the speed of section 3.3
+    slow : collisions with the wheel held, at the speed of section 4
     """
 
     case: Case
@@ -77,122 +92,141 @@ class PublishedLines:
     slow: xr.Dataset
 
 
-def compute(
-    case: Case, scan: TelemetryScan | None, runs: int, options: rb.Options
-) -> PublishedLines:
-    """Run the lines; the motions of `scan` are used where they begin as the paper's do, from one direction over one window."""
-    first, window, lines = rb.first_sun(case), rb.window_s(case), rb.published_lines(case)
-    if scan is not None and scan.rebound.begins_as(first, window):
+def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options) -> PublishedLines:
+    """Simulate motions on the lines.
+
+    The motions of `scan` are used if they begin as the paper's do, from one direction over one window; else the grid is propagated.
+    """
+    first, window, lines = first_sun(case), published_window_s(case), published_lines(case)
+    if scan is not None and scan.rebound.starts_from(first, window):
         table = scan.table
     else:
-        table = run_grid(case, first, window, options)
+        table = propagate_grid(case, first, window, options)
 
-    starts = rb.on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
-    pooled = [np.concatenate([simulated_z(case, omega) for omega in line]) for line in starts]
-    everything = np.concatenate(pooled)
-    volume = table.volume(everything, workers=worker_count(options.workers))
+    # distribution of r_z of each line, their common distribution, and near-minimum sets of the scan of the latter
+    starts = points_on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
+    pooled = [np.concatenate([simulate_rz(case, omega) for omega in line]) for line in starts]
+    common = np.concatenate(pooled)
+    volume = table.volume(common, workers=worker_count(options.workers))
     factors = (1.1, 1.5, 2.0, 3.0, FACTOR, 6.0)
-    sets = {each: near_minimum_set(case, volume, each, options.seed) for each in factors}
+    sets = {factor: make_near_minimum_set(case, volume, factor, options.seed) for factor in factors}
     thresholds = [
         {
             "factor": factor,
             "points": len(near.points),
-            "mean_distance": [apart["mean"] for apart in near.deviation],
+            "mean_distance": [deviation["mean"] for deviation in near.deviation],
         }
         for factor, near in sets.items()
     ]
 
-    nominal = rb.nominal_speed(case.vehicle)[0]
-    on_lines = rb.on_lines(lines, np.linspace(*rb.LINE_RANGE, LINE_POINTS))
+    # back to the touchdown: smallest speeds for three times of the first sample and two assumptions on the wheel
+    nominal = nominal_wheel_speeds(case.vehicle)[0]
+    on_lines = points_on_lines(lines, np.linspace(*LINE_RANGE, LINE_POINTS))
     slowest = [
-        rb.smallest_on_lines(case, speed, lead)
-        for lead in (LEADS_S[0], rb.after_touchdown_s(case), LEADS_S[1])
-        for speed in (nominal, rb.speed_at_first_sample(case, lead))
+        smallest_touchdown_speed(case, speed, lead)
+        for lead in (LEADS_S[0], first_sample_lead_s(case), LEADS_S[1])
+        for speed in (nominal, wheel_speed_at_first_sample(case, lead))
     ]
 
-    scenario, motions = paper_scenario(case), rb.published_candidates(case)
+    scenario, motions = paper_scenario(case), published_candidates(case)
     slow = replace(scenario, collision_speed_m_s=case.published["landing_speed"].value)
 
-    def collisions(strategy: str, scenario: Any) -> xr.Dataset:
-        how: dict[str, Any] = {"scenario": scenario, "workers": options.workers}
-        return outcomes(case.vehicle, motions, strategy, runs, options.seed, **how)
+    def simulate(strategy: str, scenario: Scenario) -> xr.Dataset:
+        """Simulate collisions of the motions on the lines."""
+        settings: dict[str, Any] = {"scenario": scenario, "workers": options.workers}
+        return outcomes(case.vehicle, motions, strategy, runs, options.seed, **settings)
 
     return PublishedLines(
         case,
-        pooled,
-        max(emd(z, everything) for z in pooled),
-        sets[FACTOR],
-        thresholds,
-        rb.at_touchdown(case, sets[FACTOR].points, nominal),
-        rb.at_touchdown(case, on_lines, nominal),
-        slowest,
-        {strategy: collisions(strategy, scenario) for strategy in ("off", "held")},
-        collisions("held", slow),
+        pooled=pooled,
+        spread=max(emd(z, common) for z in pooled),
+        clean=sets[FACTOR],
+        thresholds=thresholds,
+        near_touchdown=rates_at_touchdown(case, sets[FACTOR].points, nominal),
+        on_lines_touchdown=rates_at_touchdown(case, on_lines, nominal),
+        slowest=slowest,
+        runs={strategy: simulate(strategy, scenario) for strategy in ("off", "held")},
+        slow=simulate("held", slow),
     )
 
 
-def rows(r: PublishedLines) -> list[Row]:
-    """Each published figure that the lines alone decide, compared with ours."""
-    case, clean, off = r.case, r.clean, r.runs["off"]
+def rows(lines: PublishedLines) -> list[Row]:
+    """Return the published figures that the lines alone determine, compared with ours."""
+    case, clean, off = lines.case, lines.clean, lines.runs["off"]
     paper = {key: figure.value for key, figure in case.published.items()}
     texts: dict[str, Any] = {"chain": "published", "factor": clean.factor, "leads": LEADS_S}
 
     # section 2.3: one distribution, and the lines that a scan against it gives
     fifth, pool = paper["emd_min"] / 5, list(POOL_RANGE)
-    given: dict[str, Any] = {"tolerance": fifth, "omega_z": pool, "agrees": bool(r.spread <= fifth)}
-    every = [row(case, "lines_common", r.spread, **texts, **given)]
-    for k, apart in enumerate(clean.deviation, 1):
-        ours = [vector.round(4).tolist() for vector in apart["line"]]
-        angle, over = np.degrees(apart["angle_rad"]), list(rb.LINE_RANGE)
-        given = {"angle": angle, "most": apart["max"], "line": f"L{k}", "omega_z": over}
-        every += [
-            row(case, "line", ours, id=f"line_L{k}", **texts, **given),
-            row(case, "line_distance", apart["mean"], id=f"line_L{k}_distance", **texts, **given),
+    given: dict[str, Any] = {
+        "tolerance": fifth,
+        "omega_z": pool,
+        "agrees": bool(lines.spread <= fifth),
+    }
+    result = [make_row(case, "lines_common", lines.spread, **texts, **given)]
+    for k, deviation in enumerate(clean.deviation, 1):
+        ours = [vector.round(4).tolist() for vector in deviation["line"]]
+        angle, limits = np.degrees(deviation["angle_rad"]), list(LINE_RANGE)
+        given = {"angle": angle, "most": deviation["max"], "line": f"L{k}", "omega_z": limits}
+        result += [
+            make_row(case, "line", ours, id=f"line_L{k}", **texts, **given),
+            make_row(
+                case, "line_distance", deviation["mean"], id=f"line_L{k}_distance", **texts, **given
+            ),
         ]
     given = {"published": paper["near_minimum_factor"], "smallest": float(clean.emd.min())}
-    every.append(row(case, "lines_by_threshold", r.thresholds, **texts, **given))
+    result.append(make_row(case, "lines_by_threshold", lines.thresholds, **texts, **given))
 
     # section 3.2: back at the touchdown
-    given = {"published": paper["rate_at_touchdown_min"], "points": len(r.near_touchdown)}
-    near = float(np.linalg.norm(r.near_touchdown, axis=1).min())
-    ends = {"low": min(r.slowest), "high": max(r.slowest), "lead": rb.after_touchdown_s(case)}
-    as_stated = r.slowest[2]  # wheel nominal at the first sample
-    every.append(row(case, "rate_at_touchdown_min_lines", as_stated, **texts, **given, **ends))
-    every.append(row(case, "rate_at_touchdown_min_scan", near, **texts, **given))
+    given = {"published": paper["rate_at_touchdown_min"], "points": len(lines.near_touchdown)}
+    near = float(np.linalg.norm(lines.near_touchdown, axis=1).min())
+    ends = {
+        "low": min(lines.slowest),
+        "high": max(lines.slowest),
+        "lead": first_sample_lead_s(case),
+    }
+    as_stated = lines.slowest[2]  # wheel nominal at the first sample
+    result.append(
+        make_row(case, "rate_at_touchdown_min_lines", as_stated, **texts, **given, **ends)
+    )
+    result.append(make_row(case, "rate_at_touchdown_min_scan", near, **texts, **given))
 
     # section 3.3: after the collision
-    low, high, reaches = rz_range(off)
+    rz = rz_range(off)
     given = {"published": list(paper["rz_range_wheel_off"]), "runs": off.sizes["run"]}
-    given |= {"reaches": reaches, "off": tally(off)}
-    every.append(row(case, "rz_range_lines", [low, high], **texts, **given))
-    for id, where, speed, runs, says in (
-        ("rz_held_lines", "section 3.3", "collision_speed", r.runs["held"], ("note",)),
-        ("rz_held_slow_collision", "section 4", "landing_speed", r.slow, ("note", "note_slow")),
+    given |= {"reaches": rz.highest_minimum, "off": tally(off)}
+    result.append(make_row(case, "rz_range_lines", [rz.lowest, rz.highest], **texts, **given))
+    for id, where, speed, runs, notes in (
+        ("rz_held_lines", "section 3.3", "collision_speed", lines.runs["held"], ("note",)),
+        ("rz_held_slow_collision", "section 4", "landing_speed", lines.slow, ("note", "note_slow")),
     ):
         held, lowest = tally(runs), float(np.nanmin(lowest_rz(runs)))
+        # share of the runs that fall below -0.5, and of the time spent below -0.2
         ever, time = held["rz_ever_below_-0.5"], held["rz_time_below_-0.2"]
         ours, errors = zip(ever, time, strict=True)
-        low, high = interval(ours, errors)
+        low, high = interval_90(ours, errors)
         agrees = bool(ever.value <= NEVER and time.value <= RARELY)
-        given = {"id": id, "says": says, "agrees": agrees, "low": low, "high": high}
+        given = {"id": id, "notes": notes, "agrees": agrees, "low": low, "high": high}
         given |= {"speed": paper[speed], "where": where, "lowest": lowest, "held": held}
         given |= {"never": NEVER, "rarely": RARELY}
-        every.append(row(case, "rz_held", list(ours), **texts, **given))
-    return every
+        result.append(make_row(case, "rz_held", list(ours), **texts, **given))
+    return result
 
 
-def touchdown_figure(r: PublishedLines) -> Figure:
-    """Body rates at the first touchdown, of the near-minimum set and of the lines (paper, Fig. 12)."""
+def lines_touchdown_figure(lines: PublishedLines) -> Figure:
+    """Draw body rates at the first touchdown of the near-minimum set and of the lines (paper, Fig. 12)."""
     figure = Figure(figsize=(6.5, 5.4), layout="constrained")
     axes = rate_axes(figure)
-    target = f"EMD < {r.clean.factor:g} EMD_min against the printed lines' distribution, run back"
-    label = f"{target} ({len(r.near_touchdown)} motions)"
+    target = (
+        f"EMD < {lines.clean.factor:g} EMD_min against the printed lines' distribution, run back"
+    )
+    label = f"{target} ({len(lines.near_touchdown)} motions)"
     dots: dict[str, Any] = {"depthshade": False, "color": COLOURS[0]}
-    axes.scatter(*r.near_touchdown.T, s=6, alpha=0.35, lw=0, label=label, **dots)
+    axes.scatter(*lines.near_touchdown.T, s=6, alpha=0.35, lw=0, label=label, **dots)
     dots["color"] = COLOURS[1]
-    axes.scatter(*r.on_lines_touchdown.T, s=9, label="the paper's lines, run back", **dots)
+    axes.scatter(*lines.on_lines_touchdown.T, s=9, label="the paper's lines, run back", **dots)
     axes.scatter(0, 0, 0, marker="+", s=80, color="#000000", label="no rotation")
-    smallest = float(np.linalg.norm(r.on_lines_touchdown, axis=1).min())
+    smallest = float(np.linalg.norm(lines.on_lines_touchdown, axis=1).min())
     text = rf"smallest $|\omega|$ on the paper's lines {smallest:.4f} rad/s"
     figure.suptitle(f"Rates at the first touchdown; {text}", fontsize=10)
     labels = axes.get_legend_handles_labels()

@@ -1,4 +1,4 @@
-"""`sunspin reproduce`: the whole Philae study into a results folder."""
+"""Run the whole Philae study into a results folder: `sunspin reproduce`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import pictures
-from sunspin.philae import rebound as rb
 from sunspin.philae.headline import conclusions, headline, score
+from sunspin.philae.rebound import published_lines, with_telemetry
 from sunspin.philae.row import Row
 from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
 from sunspin.telemetry.reader import read_telemetry
@@ -32,17 +32,17 @@ from sunspin.vehicle.assumptions import split_changes
 from sunspin.vehicle.changes import Change, Changes, parse_changes
 from sunspin.vehicle.file import attach_changes
 
-SHOWN_BY_THE_PAPER = (
+PAPER_FIGURES = (
     "structure of Philae; panels, legs, wheel; panel powers and Sun directions over time; Sun directions in four phases; "
     "spin-down of the wheel; three example motions; histograms of r_z in these; E over rates and over parameters; "
     "near-minimum points and four lines; simulated and measured directions of the descent; E against omega_0; "
     "angular velocities at the first touchdown; densities of r_z after the collision, wheel off and held"
 ).split("; ")
-"""What Figs. 1, 2 ... of the paper show."""
+"""Content of Figs. 1, 2 ... of the paper."""
 
 
 class Written(NamedTuple):
-    """Where a study was written: the folder, the page in it, and the summary's content."""
+    """A study that was written: its folder, its page `report.html`, and the content of its summary."""
 
     folder: Path
     report: Path
@@ -50,7 +50,7 @@ class Written(NamedTuple):
 
     @property
     def lines(self) -> list[str]:
-        """What is printed of it."""
+        """Lines that the command prints."""
         summary = self.summary
         lines = [f"Changed for this run: {change}" for change in summary["changes"]]
         lines += [f"Data check: {summary['carries']}", *summary["headline"], *summary["score"]]
@@ -74,34 +74,34 @@ def reproduce(
     """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
 
     Every conclusion follows from the telemetry given: its noise and lit threshold, its first direction after the touchdown, its
-    scan, and the motions that the scan leaves.
+    scan, and the motions that fit it.
 
     Parameters
     ----------
     out : path
-        Results folder; made if it is not there, refused if it holds anything but an earlier run of this command.
+        Results folder; created if missing, refused if it contains anything but an earlier run of this command.
     telemetry : path, optional
-        A file with the columns of the case's telemetry; default: the synthetic one that comes with the package. The file that
-        was used is written to the folder as `telemetry.csv`, to copy and change.
+        A file with the columns of the case's telemetry; default: the synthetic one of the package. A copy of the file is written
+        to the folder as `telemetry.csv`.
     vehicle : path, optional
         A vehicle file for another body with one wheel and legs; default: Philae's.
-    candidates : "scan", "posterior", "published" or a file
-        Motions from which the touchdown, the collision and what follows are computed: the 90 % set of the scan, draws of the
-        posterior (minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, omega_y,
-        omega_z in rad/s.
+    candidates : str or path
+        Source of the motions for touchdown, collision and landing. With "scan" it is the 90 % confidence set of the
+        scan, "posterior" draws of the posterior (takes minutes), "published" the paper's lines for any telemetry. A file is a
+        table with columns omega_x, omega_y, omega_z in rad/s.
     calibrate : int, optional
-        Synthetic flights of known truth from which the set's threshold is calibrated for these data; default: the shipped
-        calibration where it fits them, else 60. Zero: none, and no conclusion where none fits.
+        Number of simulated flights with known truth from which the threshold of the set is calibrated for these data. Default: the
+        shipped calibration if it fits the data, else 60. Zero: no calibration is made, and nothing is concluded if none fits.
     seed, workers, progress
-        All random choices, threads, progress bar.
+        Seed of all random choices, threads, progress bar.
     coarser : int
         Use every n-th point of the scan's grid, for a quick look.
     changes : dict or list of str, optional
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
     """
     began = time.perf_counter()
-    asked = parse_changes(changes)
-    case, source = _case(telemetry, vehicle, asked)
+    requested = parse_changes(changes)
+    case, source = _load_inputs(telemetry, vehicle, requested)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         what = "the telemetry lies in the results folder, which is replaced"
         raise InputError(what, do="copy it to another place first", where=str(telemetry))
@@ -109,36 +109,43 @@ def reproduce(
     options: dict[str, Any] = {"source": candidates, "twins": calibrate, "seed": seed}
     options |= {"coarser": coarser, "workers": workers, "progress": progress}
     drawn: pictures.Drawn = {}
-    study = compute(case, lambda so_far: pictures.draw(so_far, drawn), **options)
-    sheets = pictures.write(drawn, folder)
+    study = compute(case, lambda so_far: pictures.draw_pictures(so_far, drawn), **options)
+    drawings = pictures.write_pictures(drawn, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
     copy = folder / f"telemetry{source.suffix or '.csv'}"
     write_whole(copy, lambda part: part.write_bytes(source.read_bytes()))
 
-    words = ["sunspin", "reproduce", "--seed", str(seed)]
-    chosen = {"telemetry": telemetry, "vehicle": vehicle, "calibrate": calibrate}
-    chosen |= {"candidates": None if candidates == "scan" else candidates}
-    words += [word for name, x in chosen.items() if x is not None for word in (f"--{name}", str(x))]
-    words += [word for change in asked for word in ("--set", str(change))]
-    words += [] if coarser == 1 else ["--coarser", str(coarser)]
-    summary = summary_of(study, sheets, time.perf_counter() - began)
+    # the command that repeats this run
+    command = ["sunspin", "reproduce", "--seed", str(seed)]
+    given = {"telemetry": telemetry, "vehicle": vehicle, "calibrate": calibrate}
+    given |= {"candidates": None if candidates == "scan" else candidates}
+    for name, value in given.items():
+        command += [] if value is None else [f"--{name}", str(value)]
+    for change in requested:
+        command += ["--set", str(change)]
+    command += [] if coarser == 1 else ["--coarser", str(coarser)]
+
+    summary = make_summary(study, drawings, time.perf_counter() - began)
     summary["changes"] = [str(change) for change in case.changes]
-    summary |= {"command": shlex.join(words), "inputs": _inputs(case, vehicle)}
+    summary |= {"command": shlex.join(command), "inputs": _hash_inputs(case, vehicle)}
     vehicle_text = attach_changes(
-        case.name if vehicle is None else vehicle, split_changes(asked)[0]
+        case.name if vehicle is None else vehicle, split_changes(requested)[0]
     )
-    unchanged = telemetry is None and vehicle is None and not asked
+    unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
-    contents = Contents(datasets(study), sheets, tables, vehicle_text, *samples)
+    contents = Contents(make_datasets(study), drawings, tables, vehicle_text, *samples)
     write_contents(folder, summary, contents)
     return Written(folder, write_report(folder), summary)
 
 
-def _case(
+def _load_inputs(
     telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]
 ) -> tuple[Case, Path]:
-    """The case with the vehicle, the changes and the telemetry given, all refused before any work; the file of the telemetry."""
+    """Return the case with the given vehicle, changes and telemetry, and the telemetry's file.
+
+    All errors in them are raised here, before any work.
+    """
     of_vehicle, of_study = split_changes(changes)
     case = load_case("philae", changes if vehicle is None else of_study)
     source = case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
@@ -148,14 +155,14 @@ def _case(
         case = replace(case, vehicle=craft)
     if telemetry is None and vehicle is None:
         return case, source
-    return rb.with_telemetry(case, read_telemetry(source, case.vehicle)), source
+    return with_telemetry(case, read_telemetry(source, case.vehicle)), source
 
 
-def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
-    """The files that the study was made from, with their hashes."""
-    # a vehicle may be named after a built-in case
-    own = vehicle is None or not Path(vehicle).is_file()
-    files = {"vehicle": case.folder / "vehicle.toml" if own else Path(vehicle)}
+def _hash_inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
+    """Return the files that the study was made from, with their hashes."""
+    # `vehicle` is a file, or the name of a built-in case
+    built_in = vehicle is None or not Path(vehicle).is_file()
+    files = {"vehicle": case.folder / "vehicle.toml" if built_in else Path(vehicle)}
     files |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
     about = {key: str(case.telemetry.attrs[key]) for key in ("file", "sha256")}
     inputs = [{"what": "telemetry"} | about]
@@ -165,24 +172,25 @@ def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     return inputs
 
 
-def summary_of(study: Study, sheets: list[Drawing], seconds: float) -> dict[str, Any]:
-    """What `summary.json` says of the results."""
+def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[str, Any]:
+    """Return the content of `summary.json`."""
     counts, chain, missing = study.counts(), study.chain, study.missing
     stop = ""
     if "candidates" in missing:
         texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
-        cut = ": not reproduced, as "
-        reasons = [text.split(cut, 1)[1] for text in texts if cut in text]
+        # "STEP: not reproduced, as REASON": only the reason is repeated
+        separator = ": not reproduced, as "
+        reasons = [text.split(separator, 1)[1] for text in texts if separator in text]
         why = (reasons or texts)[0].rstrip(".")
         stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
     sections = [(step.title, step.section, study.rows_by_part.get(step.name, [])) for step in STEPS]
-    sections.append(("The figures of the paper", "paper", figure_rows(sheets)))
+    sections.append(("The figures of the paper", "paper", make_figure_rows(drawings)))
     rows = [
         asdict(row) | {"part": title, "section": SECTIONS[section]}
         for title, section, of_section in sections
         for row in of_section
     ]
-    apart = {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]}
+    other_counts = {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]}
     return {
         "version": version(),
         "title": "How Philae tumbled",
@@ -198,17 +206,18 @@ def summary_of(study: Study, sheets: list[Drawing], seconds: float) -> dict[str,
         "headline": headline(study),
         "conclusions": conclusions(study),
         "score": score(study),
-        "counts": counts["telemetry"] | apart,
+        "counts": counts["telemetry"] | other_counts,
         "cite": CITE,
         "figures": rows,
     }
 
 
-def figure_rows(sheets: list[Drawing]) -> list[Row]:
-    """One row for each numbered figure of the paper: what it shows, the files that show it here."""
+def make_figure_rows(drawings: list[Drawing]) -> list[Row]:
+    """Return one row for each numbered figure of the paper: its content, and the files that show it here."""
     rows = []
-    for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
-        mine = [p for p in sheets if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
+    for number, shows in enumerate(PAPER_FIGURES, 1):
+        mine = [p for p in drawings if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
+        # Figs. 1 and 2 show the lander
         absent = "not drawn" if number > 2 else "not drawn: a picture of the lander"
         row = Row(
             id=f"figure_{number}",
@@ -225,7 +234,7 @@ def figure_rows(sheets: list[Drawing]) -> list[Row]:
 
 
 def _contradictions(case: Case) -> Table:
-    """Statements of the paper that contradict its own figures or public facts, as a study computed them once."""
+    """Return the table of the paper's statements that contradict its own figures or public facts, as stored with the case."""
     import pandas as pd
 
     study = json.loads((case.folder / "contradictions.json").read_text("utf-8"))
@@ -247,22 +256,22 @@ def _contradictions(case: Case) -> Table:
 # ---- NetCDF files ------------------------------------------------------------------------------------------------------------
 
 
-def datasets(study: Study) -> dict[str, xr.Dataset]:
-    """File name -> data of every step that was computed: what the report is made from, and what a reader may compute with."""
+def make_datasets(study: Study) -> dict[str, xr.Dataset]:
+    """Return the data of every computed step by file name, for the report and for further computation."""
     parts, lines, rate = study.parts, study.parts["published_lines"], {"units": "rad s-1"}
     scans = [("scan_published_lines", lines.clean, "the common distribution of the printed lines")]
     if (scan := parts.get("level_set")) is not None:
         scans.insert(0, ("scan_telemetry", scan.near, "the directions of this telemetry"))
     files = {"sun": study.sun}
-    printed = [np.array(each) for each in zip(*rb.published_lines(study.case), strict=True)]
-    for name, family, target in scans:
-        data = family.emd.to_dataset()
-        if family.lines is not None:
-            data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
-        near, by = rate | {"factor": family.factor}, ("published_line", "rate_axis")
-        data["near_minimum"] = ("near_point", "rate_axis"), family.points, near
-        data["published_point"] = by, printed[0], rate
-        data["published_direction"] = by, printed[1], {"units": "1"}
+    points, directions = map(np.array, zip(*published_lines(study.case), strict=True))
+    for name, near, target in scans:
+        data = near.emd.to_dataset()
+        if near.lines is not None:
+            data = data.merge(near.lines.rename({"axis": "line_axis", "n": "near_point"}))
+        attrs, by = rate | {"factor": near.factor}, ("published_line", "rate_axis")
+        data["near_minimum"] = ("near_point", "rate_axis"), near.points, attrs
+        data["published_point"] = by, points, rate
+        data["published_direction"] = by, directions, {"units": "1"}
         files[name] = data.assign_attrs(kind="scan", about=f"against {target}")
     if scan is not None and scan.truth:
         files["scan_telemetry"]["truth"] = "rate_axis", scan.truth["omega_B"], rate
@@ -273,7 +282,8 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
     files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
     if study.chain is not None:
         chosen = study.chain.chosen
-        table, every = chosen.dataset(), -(-len(chosen) // 20_000)  # an even draw of more
+        # at most 20,000 of the candidates, evenly chosen
+        table, every = chosen.dataset(), -(-len(chosen) // 20_000)
         for name, unit, about in (
             ("speed_touchdown", "rad s-1", "just after the first touchdown"),
             ("theta", "rad", "angle from the momentum to the z axis"),
@@ -288,7 +298,7 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
         data["theta_xx"].attrs["units"] = "kg m2"
     if "collision" in parts:
         runs = parts["collision"].runs["chosen"]
-        files |= {f"outcomes-{name}": each for name, each in runs.items()}
+        files |= {f"outcomes-{name}": data for name, data in runs.items()}
     if "strategies" in parts:
         files["strategies"] = parts["strategies"].table
     for name, run in parts.get("motions", {}).items():

@@ -1,16 +1,17 @@
-"""A figure of the paper beside ours: what `summary.json` and the report show, and what counts as agreement.
+"""Compare a figure of the paper with ours: what `summary.json` and the report show, and what counts as agreement.
 
-Four kinds, counted apart:
+Four kinds are counted separately:
 
 - "test": the method or the telemetry could have given another figure;
-- "put_in": the telemetry, or a record, was made from it, so that it comes back tests the code and not the paper;
-- "arithmetic": the paper's own figures, or stored constants, against each other: no telemetry changes them;
-- "not_comparable": two different things, shown side by side.
+- "put_in": the telemetry, or a record, was made from the figure, so agreement tests the code and not the paper;
+- "arithmetic": the paper's own figures, or stored constants, compared with each other; no telemetry changes them;
+- "not_comparable": two different quantities, shown side by side.
 
-Only a test agrees or differs. A figure that depends on candidate motions carries the interval over the chosen set and the one
-over all that was possible before the data; where the first is not clearly narrower the row is uninformative and judges nothing.
+Only a test agrees or differs. A figure that depends on candidate motions has two intervals. One is over the chosen candidates, the
+other over everything that was possible before the data. If the first is not clearly narrower, the row is uninformative and judges
+nothing.
 
-What a row says stands in the case's `published.toml`; a step of the study computes its numbers and asks for `row`.
+The texts of a row are in the case's `published.toml`. A step of the study computes the numbers and calls `make_row`.
 """
 
 from __future__ import annotations
@@ -33,20 +34,20 @@ KINDS = ("test", "put_in", "arithmetic", "not_comparable")
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of the paper beside ours.
+    """One figure of the paper compared with ours.
 
     Attributes
     ----------
     published, ours : the paper's figure; ours by the paper's own recipe
-    tolerance : how far ours may be off; None where an interval, or nothing, judges
+    tolerance : largest allowed difference; None if an interval, or nothing, judges the row
     agrees : only for informative rows of kind "test", else None
-    depends : on what an interval of ours does, "data" (the noise) or "candidates"
+    depends : what the interval of ours depends on: "data" (the noise) or "candidates"
     low, high : interval of ours, over the chosen candidates or from the noise
-    prior_low, prior_high : the same over all that was possible before the data, where the row depends on candidates
-    informative : False where the data leave nearly all that was possible
-    chain : what made ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none"; where a row
-        does not say, it is that of its part's section
-    holds : for the other kinds, whether the two figures agree (a figure put in comes back)
+    prior_low, prior_high : the same interval before the data, if the row depends on candidates
+    informative : False if the data leave nearly everything that was possible
+    chain : source of ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none". An empty
+        string means the source of the row's section.
+    holds : for the other kinds, whether the two figures agree
     """
 
     id: str
@@ -69,8 +70,11 @@ class Row:
     holds: bool | None = None
 
 
-def settled(row: Row, put_in: bool = False) -> Row:
-    """The row as it counts: only an informative test agrees or differs; what another kind compared goes to `holds`."""
+def settle(row: Row, put_in: bool = False) -> Row:
+    """Return the row as it is counted: `agrees` only for an informative test, `holds` for the other kinds.
+
+    `put_in` changes the kind of the row to "put_in". A test without a verdict becomes "not_comparable".
+    """
     kind = "put_in" if put_in else row.kind
     if kind == "test" and row.agrees is None and row.informative:
         kind = "not_comparable"
@@ -80,13 +84,13 @@ def settled(row: Row, put_in: bool = False) -> Row:
     return replace(row, kind=kind, agrees=None, holds=holds)
 
 
-def labelled(row: Row) -> Row:
-    """The row with the words that it is of synthetic telemetry."""
+def label_synthetic(row: Row) -> Row:
+    """Return the row with "synthetic telemetry" in front of its note."""
     return replace(row, note="; ".join(filter(None, ["synthetic telemetry", row.note])))
 
 
-def counts(rows: list[Row]) -> dict[str, int]:
-    """How many rows agree, differ, are uninformative tests, and how many there are of each other kind."""
+def count_verdicts(rows: list[Row]) -> dict[str, int]:
+    """Return how many rows agree, differ and are uninformative tests, and how many belong to each other kind."""
     tests = [row for row in rows if row.kind == "test"]
     verdicts = {
         "agree": sum(row.agrees is True for row in tests),
@@ -98,30 +102,32 @@ def counts(rows: list[Row]) -> dict[str, int]:
 
 @cache
 def _tables(path: Path) -> Mapping[str, dict[str, Any]]:
+    """Read a file of published figures once."""
     return read_toml(path.read_text("utf-8"), str(path), InputError)
 
 
-def tables(case: Case) -> Mapping[str, dict[str, Any]]:
-    """The tables of the case's `published.toml`, by the names of figures and rows; read once."""
+def read_tables(case: Case) -> Mapping[str, dict[str, Any]]:
+    """Return the tables of the case's `published.toml` by the names of figures and rows. The file is read once."""
     return _tables(case.folder / "published.toml")
 
 
-def row(case: Case, name: str, ours: Any, **given: Any) -> Row:
-    """The figure `name` beside ours, with the texts that the case's `published.toml` has for it.
+def make_row(case: Case, name: str, ours: Any, **given: Any) -> Row:
+    """Return the row of figure `name` with our value, and with the texts that the case's `published.toml` has for it.
 
-    Numbers within the tolerance of each other agree; of a row with `at_most`, ours that are no larger. `agrees` or `holds` judge
-    instead where they are given. A text names fields in braces, with a format as in Python: `{share:.1%}`; `{paper[emd_min]}` is
-    a published figure, and the row's own values have their names (`{tolerance:g}`).
+    Without `agrees` or `holds` in `given` the numbers are compared: they agree if they differ by at most the tolerance. In a table
+    with `at_most` they agree if ours is not larger. A text names its fields in braces, with a format as in Python: `{share:.1%}`.
+    `{paper[emd_min]}` is a published figure, and `{tolerance:g}` a value of the row.
 
     Parameters
     ----------
-    says : tuple of str
-        The notes of the table that the row shows, one after the other; default: "note".
+    notes : tuple of str
+        Keys of the table whose texts are joined to the note of the row; default: "note".
     given
-        Fields of `Row` that replace those of the table (with another `id`, the figure of that name); the rest fills its texts.
+        Fields of `Row` that replace those of the table, and values for the fields of the texts. With another `id` the published
+        figure is that of the table `id`.
     """
-    says = ("what", *given.pop("says", ("note",)))
-    about = tables(case).get(given.get("id", name), {}) | tables(case)[name]
+    text_keys = ("what", *given.pop("notes", ("note",)))
+    about = read_tables(case).get(given.get("id", name), {}) | read_tables(case)[name]
     values: dict[str, Any] = {
         "id": name,
         "ours": ours,
@@ -131,39 +137,41 @@ def row(case: Case, name: str, ours: Any, **given: Any) -> Row:
         "kind": about.get("kind", "test"),
         "chain": about.get("chain", "none" if about.get("kind") == "arithmetic" else ""),
     }
-    judged = bool({"agrees", "holds"} & set(given))
+    judged_by_caller = bool({"agrees", "holds"} & set(given))
     values |= {key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__}
     fields = {"paper": {key: figure.value for key, figure in case.published.items()}}
     fields |= values | given
     if isinstance(values["published"], str):
         values["published"] = values["published"].format_map(fields)
+    # a place that begins with "not stated" names another source than the paper
+    # a place that begins with "not stated" names another source than the paper
     source = about["place"].removeprefix("not stated; ")
     source = f"paper, {source}" if source == about["place"] else source
-    what, *notes = (about[key].format_map(fields) if key in about else "" for key in says)
+    what, *notes = (about[key].format_map(fields) if key in about else "" for key in text_keys)
     values = {"source": source, "what": what, "note": "".join(notes), **values}
     comparison = Row(**values)
-    if comparison.tolerance is None or judged:
+    if comparison.tolerance is None or judged_by_caller:
         return comparison
-    off = np.asarray(ours, dtype=np.float64)
+    difference = np.asarray(ours, dtype=np.float64)
     if "at_most" not in about:
-        off = np.abs(off - np.asarray(comparison.published, float))
-    return replace(comparison, agrees=bool(np.all(off <= comparison.tolerance)))
+        difference = np.abs(difference - np.asarray(comparison.published, float))
+    return replace(comparison, agrees=bool(np.all(difference <= comparison.tolerance)))
 
 
-def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:
-    """Ours less and plus 1.645 sigma (90 %), in the shape of ours."""
-    middle, half = np.asarray(ours, dtype=np.float64), 1.645 * np.asarray(sigma, dtype=np.float64)
-    return (middle - half).tolist(), (middle + half).tolist()
+def interval_90(ours: Any, sigma: Any) -> tuple[Any, Any]:
+    """Return `ours` minus and plus 1.645 sigma: the 90 % interval of a Gaussian, in the shape of `ours`."""
+    centre, half = np.asarray(ours, dtype=np.float64), 1.645 * np.asarray(sigma, dtype=np.float64)
+    return (centre - half).tolist(), (centre + half).tolist()
 
 
-def over_candidates(
+def judge_range(
     row: Row, chain: str, chosen: tuple[float, float], possible: tuple[float, float]
 ) -> Row:
-    """The row with the least and largest value over the chosen candidates, and over all that was possible.
+    """Return the row with the ranges (least, largest) of the value over the chosen candidates and over everything possible.
 
-    It informs where the first range is narrower than half of the second, and then agrees where the published value, widened by
-    the row's tolerance, lies inside. That is half a unit of its last digit; a row without one has no published number to hold
-    against it.
+    The row is informative if the first range is narrower than half of the second. It then agrees if the published value, widened by
+    the row's tolerance, lies inside. That tolerance is half a unit of the published last digit. Without it there is no published
+    number to compare with, and nothing is judged.
     """
     (low, high), (prior_low, prior_high) = chosen, possible
     informative = bool(high - low < 0.5 * (prior_high - prior_low))
@@ -175,16 +183,17 @@ def over_candidates(
     return replace(row, informative=informative, agrees=agrees, **about)
 
 
-def share_of_candidates(
+def judge_share(
     row: Row, chain: str, chosen: Estimate, possible: Estimate, agrees: bool | None
 ) -> Row:
-    """The row with a share or mean over even draws of the candidates (90 % interval of its sampling error), and over the box.
+    """Return the row with a share or mean over random candidates and over the scan range, each with a 90 % interval.
 
-    It informs where the two differ by more than three sampling errors; `agrees` is the caller's criterion, stated in the note.
+    The row is informative if the two differ by more than three sampling errors. `agrees` is the caller's criterion, which the note
+    states.
     """
-    apart = abs(chosen.value - possible.value)
-    informative = bool(apart > 3.0 * np.hypot(chosen.error, possible.error))
+    difference = abs(chosen.value - possible.value)
+    informative = bool(difference > 3.0 * np.hypot(chosen.error, possible.error))
     unjudged = replace(row, tolerance=None)
-    shown = over_candidates(unjudged, chain, interval(*chosen), interval(*possible))
+    shown = judge_range(unjudged, chain, interval_90(*chosen), interval_90(*possible))
     agrees = agrees if informative else None
     return replace(shown, tolerance=row.tolerance, informative=informative, agrees=agrees)

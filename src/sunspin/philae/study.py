@@ -1,8 +1,8 @@
-"""The paper, computed step by step from the telemetry given: every result as data, and a row for each published figure.
+"""The paper, computed step by step from the telemetry: every result as data, and a row for each published figure.
 
-A step is a function below that calls a section's module, and the rows that compare with the paper. They count in three
-sections: what follows from the telemetry, what the equations and the printed lines give without any, and the paper's own
-figures. A step that the telemetry cannot carry is said to be missing, and why.
+A step is a function below that calls the module of a section, together with the function that makes its rows. Rows are counted in
+three sections: results from the telemetry, results from the equations and the published lines alone, and the paper's own figures. A
+step that the telemetry does not allow is listed as missing, with the reason.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import prepare
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
 from sunspin.landing.outcomes import BINS as OUTCOME_BINS
 from sunspin.philae import (
@@ -35,31 +35,31 @@ from sunspin.philae import (
     sun_directions,
     touchdown,
 )
-from sunspin.philae import rebound as rb
-from sunspin.philae.rebound import Options
-from sunspin.philae.row import Row, counts, labelled, settled, tables
+from sunspin.philae.rebound import Options, direction_mask, select_rebound
+from sunspin.philae.row import Row, count_verdicts, label_synthetic, read_tables, settle
 from sunspin.telemetry import sun as telemetry_sun
 from sunspin.vehicle import Vehicle
 
 LANDING_RUNS = 5_000
-"""Simulated collisions: their probabilities err by 0.007 at most, ten times what the paper had; `sunspin outcomes` runs more."""
+"""Number of simulated collisions. Their probabilities err by 0.007 at most. The paper had a tenth; `sunspin outcomes` runs more."""
 
 LEAST_RUNS = 400
-"""As many as the paper had."""
+"""Least number of simulated collisions on a coarser grid: as many as the paper had."""
 
 SECTIONS = {
     "telemetry": "From this telemetry",
     "no_telemetry": "The equations and the printed lines: no telemetry",
     "paper": "The paper's own figures",
 }
-"""What is counted apart. Nothing in the second and third changes with the telemetry."""
+"""Sections that are counted separately. Nothing in the second and third depends on the telemetry."""
 
 
 @dataclass(frozen=True)
 class Study:
     """All results of the Philae study, each by the name of its step.
 
-    `noise`: what the file's readings were taken for; `missing`: why a step could not be computed.
+    `noise`: noise estimated from the telemetry. `sun`: Sun directions of the whole landing. `parts`: results of the steps.
+    `rows_by_part`: their rows. `missing`: why a step could not be computed.
     """
 
     case: Case
@@ -72,29 +72,31 @@ class Study:
 
     @property
     def synthetic(self) -> bool:
-        """Whether the telemetry is."""
+        """True if the telemetry is synthetic."""
         return bool(self.sun.attrs.get("synthetic"))
 
     @property
     def chain(self) -> candidates.Chain | None:
-        """The motions from which the conclusions follow; None where nothing can be concluded."""
+        """Candidate motions on which the conclusions rest; None if nothing can be concluded."""
         return self.parts.get("candidates")
 
     @property
     def runs(self) -> int:
-        """Simulated collisions."""
+        """Number of simulated collisions."""
         return max(LANDING_RUNS // self.options.coarser, LEAST_RUNS)
 
     @property
     def rows(self) -> list[Row]:
-        """All rows, in the order of the steps."""
+        """Rows of all steps, in the order of the steps."""
         return [row for rows in self.rows_by_part.values() for row in rows]
 
     def counts(self) -> dict[str, dict[str, int]]:
-        """For each section of `SECTIONS` how many rows agree, differ, are uninformative, and how many are of another kind."""
+        """Return for each section of `SECTIONS` how many rows agree, differ, are uninformative, and are of another kind."""
         by_part = [(step.section, self.rows_by_part.get(step.name, [])) for step in STEPS]
         return {
-            name: counts([row for section, rows in by_part if section == name for row in rows])
+            name: count_verdicts(
+                [row for section, rows in by_part if section == name for row in rows]
+            )
             for name in SECTIONS
         }
 
@@ -102,9 +104,9 @@ class Study:
 class Step(NamedTuple):
     """One step of the study.
 
-    `compute`, `rows`: its result from what there is so far, and the rows of that, if any; `section`: of `SECTIONS`; `needs`: steps
-    without which it cannot be computed; `uses`: steps that it waits for and can do without; `needed`: whether the study makes no
-    sense without it.
+    `compute` returns its result from the study so far, and `rows` the rows of that result, if there are any. `section` is one of
+    `SECTIONS`. `needs` are steps without which it cannot be computed. `uses` are steps that it waits for but can do without. If
+    `required` is true, its failure ends the study.
     """
 
     name: str
@@ -114,84 +116,91 @@ class Step(NamedTuple):
     section: str = "telemetry"
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
-    needed: bool = False
+    required: bool = False
 
 
 STEPS: list[Step] = []
-"""In the order of beginning: a step stands after those that it waits for."""
+"""All steps. A step is listed after those that it waits for."""
 
 
 def step(title: str, rows: Callable[[Any], list[Row]] | None = None, **about: Any) -> Any:
-    """Make a function of the study so far the next step; the function's name is the step's."""
+    """Make a function of the study so far the next step, named after the function without its underscore."""
 
     def add(compute: Any) -> Any:
+        """Append the step and return its function unchanged."""
         STEPS.append(Step(compute.__name__.removeprefix("_"), title, compute, rows, **about))
         return compute
 
     return add
 
 
-@step("Sections 2.1 and 4: Sun directions, lit panels", sun_directions.rows, needed=True)
-def _phases(s: Study) -> Any:
-    return sun_directions.compute(s.case)
+@step("Sections 2.1 and 4: Sun directions, lit panels", sun_directions.rows, required=True)
+def _phases(study: Study) -> Any:
+    return sun_directions.compute(study.case)
 
 
 @step("Section 3.1: the descent", descent.rows)
-def _descent(s: Study) -> Any:
-    return descent.compute(s.case, s.sun)
+def _descent(study: Study) -> Any:
+    return descent.compute(study.case, study.sun)
 
 
-@step("Data check", data_check.rows, uses=("descent",), needed=True)
-def _carries(s: Study) -> Any:
-    return data_check.compute(s.case, s.sun, s.parts.get("descent"), s.options.seed)
+@step("Data check", data_check.rows, uses=("descent",), required=True)
+def _carries(study: Study) -> Any:
+    return data_check.compute(study.case, study.sun, study.parts.get("descent"), study.options.seed)
 
 
 @step("Section 2.3: the scan of this telemetry", metrics.scan_rows)
-def _level_set(s: Study) -> Any:
-    return metrics.scan_telemetry(s.case, s.sun, s.options)
+def _level_set(study: Study) -> Any:
+    return metrics.scan_telemetry(study.case, study.sun, study.options)
 
 
 @step("Section 2.3: the motions that follow", needs=("level_set", "carries"))
-def _candidates(s: Study) -> Any:
-    return candidates.compute(s.parts["level_set"], s.parts["carries"], s.options)
+def _candidates(study: Study) -> Any:
+    return candidates.compute(study.parts["level_set"], study.parts["carries"], study.options)
 
 
 @step("Section 3.2: after the first touchdown", touchdown.rows, needs=("candidates",))
-def _touchdown(s: Study) -> Any:
-    return s.chain
+def _touchdown(study: Study) -> Any:
+    return study.chain
 
 
 @step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
-def _motions(s: Study) -> Any:
-    return motions.compute(s.case, s.parts, s.options.seed)
+def _motions(study: Study) -> Any:
+    return motions.compute(study.case, study.parts, study.options.seed)
 
 
 @step("Section 3.3: after the collision", collision.rows, needs=("candidates",))
-def _collision(s: Study) -> Any:
-    chain, o = s.parts["candidates"], s.options
-    return collision.compute(s.case, chain, s.runs, o.seed, workers=o.workers)
+def _collision(study: Study) -> Any:
+    options = study.options
+    return collision.compute(
+        study.case, study.parts["candidates"], study.runs, options.seed, workers=options.workers
+    )
 
 
 @step("How fast it turned", needs=("collision",), uses=("descent",))
-def _speeds(s: Study) -> Any:
-    known, seed = s.parts["collision"].known, s.options.seed
-    return motions.speeds(s.parts["candidates"], known, s.parts.get("descent"), seed)
+def _speeds(study: Study) -> Any:
+    collisions, seed = study.parts["collision"].weighted, study.options.seed
+    return motions.compute_speeds(
+        study.parts["candidates"], collisions, study.parts.get("descent"), seed
+    )
 
 
 @step("Section 4: wheel strategies", strategies.rows, needs=("candidates",))
-def _strategies(s: Study) -> Any:
-    chain, o = s.parts["candidates"], s.options
-    return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
+def _strategies(study: Study) -> Any:
+    chain, options, runs = study.parts["candidates"], study.options, max(study.runs // 5, 1)
+    return strategies.compute(study.case, chain, runs, options.seed, workers=options.workers)
 
 
 @step("Section 2.3: why a direct fit fails", metrics.sensitivity_rows, section="no_telemetry")
-def _sensitivity(s: Study) -> Any:
-    return metrics.sensitivity(s.case, s.sun, s.options)
+def _sensitivity(study: Study) -> Any:
+    return metrics.compute_sensitivity(study.case, study.sun, study.options)
 
 
-@step("Section 2.2: wheel and example motions", mechanics.rows, section="no_telemetry", needed=True)
-def _mechanics(s: Study) -> Any:
-    return mechanics.compute(s.case)
+@step(
+    "Section 2.2: wheel and example motions", mechanics.rows, section="no_telemetry", required=True
+)
+def _mechanics(study: Study) -> Any:
+    return mechanics.compute(study.case)
 
 
 @step(
@@ -199,10 +208,12 @@ def _mechanics(s: Study) -> Any:
     published_lines.rows,
     section="no_telemetry",
     uses=("level_set",),
-    needed=True,
+    required=True,
 )
-def _published_lines(s: Study) -> Any:
-    return published_lines.compute(s.case, s.parts.get("level_set"), s.runs, s.options)
+def _published_lines(study: Study) -> Any:
+    return published_lines.compute(
+        study.case, study.parts.get("level_set"), study.runs, study.options
+    )
 
 
 @step(
@@ -210,77 +221,80 @@ def _published_lines(s: Study) -> Any:
     mechanics.precession_rows,
     section="no_telemetry",
 )
-def _precession(s: Study) -> Any:
-    return mechanics.precession(s.case)
+def _precession(study: Study) -> Any:
+    return mechanics.compute_precession(study.case)
 
 
-@step("Taken over from the paper", inputs.rows, section="paper", needed=True)
-def _inputs(s: Study) -> Any:
-    return s.case
+@step("Taken over from the paper", inputs.rows, section="paper", required=True)
+def _inputs(study: Study) -> Any:
+    return study.case
 
 
-def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: Any) -> Study:
-    """Run the whole chain on the case's telemetry.
+def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options: Any) -> Study:
+    """Run the whole study on the case's telemetry.
 
     Parameters
     ----------
     case : Case
-        With the telemetry to use (`rebound.with_telemetry` to put another file in its place). It must hold samples between the
-        first touchdown and the collision; what else it does not hold is left out and named in `missing`.
-    seen : callable, optional
-        Given what there is so far each time that a step is computed, in the caller's thread, while other steps go on.
+        With the telemetry to use (`rebound.with_telemetry` sets another file). It must contain samples between first touchdown and
+        collision. Steps that need other samples are left out and named in `missing`.
+    on_step : callable, optional
+        Called with the study so far after each step, in the caller's thread, while other steps run.
     options
         Of :class:`sunspin.philae.rebound.Options`.
     """
     require_wheel(case.vehicle)
-    case, noise = sun_directions.with_own_noise(case)
+    case, noise = sun_directions.apply_measured_noise(case)
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
-    rb.rebound_samples(case, sun)  # refused before the work
+    select_rebound(case, sun)  # raises an error before any work if the file has no samples there
     study = Study(case, Options(**options), noise, sun)
-    k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
-    # more than two would keep more memory and gain nothing: the rows of each step take all cores
-    at_once = threading.Semaphore(min(worker_count(study.options.workers), 2))
+    prepare(case.vehicle, [(direction_mask(case), SCAN_BINS), (None, OUTCOME_BINS)])
+    # Each step has a thread that waits for the steps it needs. Only two compute at a time: the kernels of a step use all cores, so
+    # that more would take memory and gain nothing.
+    running = threading.Semaphore(min(worker_count(study.options.workers), 2))
     stopped, futures = threading.Event(), dict[str, Future]()
 
     def run(step: Step) -> None:
+        """Wait for the steps before, then compute the step unless another one has failed."""
         wait([futures[name] for name in (*step.needs, *step.uses) if name in futures])
-        with at_once:
+        with running:
             if stopped.is_set():
                 return
             try:
-                _run(step, study)
+                _run_step(step, study)
             except BaseException:
                 stopped.set()
                 raise
 
     pool = ThreadPoolExecutor(len(STEPS), thread_name_prefix="step")
     try:
-        for each in STEPS:
-            futures[each.name] = pool.submit(run, each)
+        for step in STEPS:
+            futures[step.name] = pool.submit(run, step)
         for future in as_completed(futures.values()):
             future.result()
-            if seen is not None:
-                seen(study)
+            if on_step is not None:
+                on_step(study)
     finally:
         stopped.set()  # after an interrupt no further step begins
         pool.shutdown(wait=False)
 
     if study.chain is None and (rows := study.rows_by_part.get("level_set")):
-        # nothing is concluded from these readings, nor judged by them
+        # the scan was computed but not accepted, so its rows judge nothing
         kinds = [row.kind.replace("test", "not_comparable") for row in rows]
         rows[:] = [
             replace(row, kind=kind, agrees=None) for row, kind in zip(rows, kinds, strict=True)
         ]
-    every: list[Any] = [study.parts, study.rows_by_part, study.missing]
-    for entries in every:  # in the order of `STEPS`, whichever ended first
+    # the steps ended in any order; results are listed in the order of `STEPS`
+    results: list[Any] = [study.parts, study.rows_by_part, study.missing]
+    for entries in results:
         order = [(step.name, entries[step.name]) for step in STEPS if step.name in entries]
         entries.clear()
         entries.update(order)
     return study
 
 
-def _run(step: Step, study: Study) -> None:
-    """Compute one step and put its result and rows, or why there are none, where the others find them."""
+def _run_step(step: Step, study: Study) -> None:
+    """Compute one step and store its result and rows in the study, or the reason why there are none."""
     if not study.parts.keys() >= {*step.needs}:
         study.missing[step.name] = f"{step.title}: not computed, as it rests on what is missing"
         return
@@ -288,25 +302,25 @@ def _run(step: Step, study: Study) -> None:
         result = step.compute(study)
         rows = step.rows(result) if step.rows else []
     except (TelemetryError, InputError, MotionError) as error:
-        if step.needed or (isinstance(error, InputError) and step.name == "candidates"):
+        if step.required or (isinstance(error, InputError) and step.name == "candidates"):
             raise
         study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
         return
     study.parts[step.name] = result
-    # a row that names no chain has that of its section; it is put in where the telemetry was made from its figure
-    chain, about = "telemetry" if step.section == "telemetry" else "none", tables(study.case)
-    whenever = ("always", "synthetic") if study.synthetic else ("always",)
+    # a row without a chain has that of its section; its kind is "put_in" if the telemetry was made from its figure
+    chain, about = "telemetry" if step.section == "telemetry" else "none", read_tables(study.case)
+    put_in = ("always", "synthetic") if study.synthetic else ("always",)
     rows = [replace(row, chain=row.chain or chain) for row in rows]
-    rows = [settled(row, about.get(row.id, {}).get("put_in") in whenever) for row in rows]
+    rows = [settle(row, about.get(row.id, {}).get("put_in") in put_in) for row in rows]
     if study.synthetic:
-        without = "none", "published"
-        rows = [row if row.chain in without else labelled(row) for row in rows]
+        no_telemetry = "none", "published"
+        rows = [row if row.chain in no_telemetry else label_synthetic(row) for row in rows]
     if rows:
         study.rows_by_part[step.name] = rows
 
 
 def require_wheel(vehicle: Vehicle) -> None:
-    """Refuse a vehicle with which the study makes no sense."""
+    """Raise an error for a vehicle that the study does not cover: without inertia, mass, one wheel and legs."""
     vehicle.require_inertia()
     vehicle.require_mass()
     if len(vehicle.wheels) != 1 or not vehicle.legs:

@@ -1,7 +1,7 @@
-"""Directions of the Sun from the panels' powers: Delta, n_z, lit patterns, sampling (paper, sections 2.1 and 4, Fig. 4).
+"""Sun directions from the panels' powers: Delta, n_z, lit patterns, sampling (paper, sections 2.1 and 4, Fig. 4).
 
-The directions (eq. 1 and 2) are those of :func:`sunspin.sun_directions`. Here a file's own noise is estimated
-(`with_own_noise`), and what the paper states of them is computed for each phase of the landing.
+The directions (eq. 1 and 2) are those of :func:`sunspin.sun_directions`. This module estimates a file's own noise
+(`apply_measured_noise`) and computes for each phase of the landing the figures that the paper states.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from scipy.stats import chi2
 
 from sunspin.cases import Case
 from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
-from sunspin.philae.rebound import case_seconds, with_telemetry
-from sunspin.philae.row import Row, interval, row
+from sunspin.philae.rebound import event_seconds, with_telemetry
+from sunspin.philae.row import Row, interval_90, make_row
 from sunspin.telemetry.health import PanelHealth, find_explanations, panel_health
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
@@ -31,55 +31,56 @@ SHADOWED_PHASES = ("deployment", "settling", "rest")
 """Phases in which parts of the lander or the ground shadow the panels: the paper leaves them out of its statistics of Delta."""
 
 LEAST = 8
-"""Readings needed for a sigma; it is then good to a third."""
+"""Least number of readings for an estimate of sigma, which is then good to a third."""
 
 ROUGH_SIGMAS = 6.0
-"""What lies beyond this many rough sigma is not noise: a reflection, a shadow, a wrong column."""
+"""Readings beyond this many rough sigma are not noise: a reflection, a shadow, a wrong column."""
 
 
 # ---- The file's own noise ----------------------------------------------------------------------------------------------------
 
 
 class ReadingNoise(NamedTuple):
-    """One sigma of a lit panel's reading, the lit threshold, both in the unit of the readings; in words, where they come from."""
+    """Noise of the readings: sigma of a lit panel and lit threshold, in the unit of the readings, and their origin in words."""
 
     lit: float
     lit_threshold: float
     about: str
 
 
-def with_own_noise(case: Case) -> tuple[Case, ReadingNoise]:
-    """The case with noise and lit threshold of its own telemetry in its vehicle, so that every step uses them.
+def apply_measured_noise(case: Case) -> tuple[Case, ReadingNoise]:
+    """Return the case with the noise and lit threshold estimated from its own telemetry, and the estimate.
 
-    So telemetry noisier than the synthetic one is not read with the latter's figures: noise on dark panels would light them, in
-    patterns that the Sun cannot make. The vehicle file's figures stand in where the telemetry holds too few samples; a value set
-    for this run is kept. Noises of single panels keep their stated ratio.
+    The vehicle then carries them, so that every step of the study uses them. If telemetry noisier than the synthetic one were read
+    with the figures of the latter, noise on dark panels would light them, in patterns that the Sun cannot make. With too few
+    samples the vehicle file's figures are kept, as is a value set for this run. Noises of single panels keep their stated ratio.
     """
     vehicle, form, power = case.vehicle, case.vehicle.telemetry, signals(case.telemetry)
+    # the estimate is the rms over all panels; `ratio` converts it to the noise of the median panel
     stated = vehicle.input_noise
     usual = 1.0 if stated is None else float(np.median(stated))
     ratio = 1.0 if stated is None else float(np.sqrt(np.mean((stated / usual) ** 2)))
     unit = vehicle.gain_unit or ("W" if form.quantity == "power_W" else "A")
 
     def rounded(value: float) -> float:
-        """To three digits, so that no machine's last bit changes a file's identity."""
+        """Return the value to three digits, so that rounding errors of a machine do not change the hash of a file."""
         return float(f"{value:.3g}")
 
-    dark, n_dark = dark_sigma(vehicle, power)
-    # four sigma: of a thousand dark readings none is taken for lit. What reads more than a tenth of the largest on panels that
-    # should be dark is no noise, and has to show as a lit pattern that no Sun makes
+    dark, n_dark = estimate_dark_sigma(vehicle, power)
+    # Four sigma: of a thousand dark readings none is taken for lit. A reading above a tenth of the largest is not noise. On a dark
+    # panel it must appear as an impossible lit pattern, so the threshold stays below.
     most = 0.1 * float(np.nan_to_num(power).max(initial=0.0))
     threshold = max(form.lit_threshold or 0.0, rounded(min(4.0 * dark, most)))
-    # of L lit panels L - 3 are redundant, scale and direction being fitted: what the misfit leaves is their noise
+    # direction and scale are fitted to L lit panels, so the squared misfit is chi-square with L - 3 degrees of freedom
     sun = sun_directions(vehicle, case.telemetry, lit_threshold=threshold)
-    checked = whole_panels(case, case.telemetry) & (sun["status"].values == SunStatus.OK)
+    checked = unshadowed_samples(case, case.telemetry) & (sun["status"].values == SunStatus.OK)
     if (n_lit := int(checked.sum())) >= LEAST:
         freedom = sun["n_lit"].values[checked] - 3
         size = np.linalg.norm(np.nan_to_num(power[checked]), axis=1)
         misfit = sun["delta"].values[checked] * size
         rough = float(np.median(misfit / np.sqrt(chi2.ppf(0.5, freedom))))
-        sound = misfit < ROUGH_SIGMAS * rough * np.sqrt(freedom)
-        lit = rounded(float(np.sqrt((misfit[sound] ** 2).sum() / freedom[sound].sum()) / ratio))
+        good = misfit < ROUGH_SIGMAS * rough * np.sqrt(freedom)
+        lit = rounded(float(np.sqrt((misfit[good] ** 2).sum() / freedom[good].sum()) / ratio))
         origin = f"from the misfit of {n_lit} samples with more than three lit panels"
     else:
         lit = 0.0 if stated is None else usual
@@ -94,25 +95,29 @@ def with_own_noise(case: Case) -> tuple[Case, ReadingNoise]:
         threshold = form.lit_threshold
         about += f"; lit threshold set to {threshold:g} for this run"
     form = replace(form, noise=lit * ((form.noise or usual) / usual), lit_threshold=threshold)
-    panels = tuple(replace(x, noise=x.noise and lit * (x.noise / usual)) for x in vehicle.panels)
-    own = replace(case, vehicle=replace(vehicle, telemetry=form, panels=panels))
-    return with_telemetry(own, case.telemetry), ReadingNoise(lit, threshold, about)
+    panels = tuple(
+        replace(panel, noise=panel.noise and lit * (panel.noise / usual))
+        for panel in vehicle.panels
+    )
+    changed_case = replace(case, vehicle=replace(vehicle, telemetry=form, panels=panels))
+    return with_telemetry(changed_case, case.telemetry), ReadingNoise(lit, threshold, about)
 
 
-def dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
-    """One sigma of a dark panel's reading (zero where they read exactly zero or less), and from how many readings.
+def estimate_dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
+    """Return sigma of a dark panel's reading, and the number of readings it was estimated from.
 
-    Dark for certain is a panel that geometry never lights together with one that is bright.
+    Sigma is zero if dark panels read exactly zero or less. A panel is certainly dark if geometry never lights it together with one
+    that is bright.
     """
     together = np.zeros((len(vehicle.panels),) * 2, dtype=bool)
     for pattern in lit_patterns(vehicle):
         lit = np.array([name in pattern for name in vehicle.panel_names])
         together |= np.outer(lit, lit)
-    known = np.where(np.isfinite(power), power, 0.0)
-    bright = known > 0.2 * known.max(initial=0.0)  # in the Sun for certain
+    readings = np.where(np.isfinite(power), power, 0.0)
+    bright = readings > 0.2 * readings.max(initial=0.0)  # certainly in the Sun
     dark = (bright.astype(int) @ (~together).astype(int) > 0) & ~bright & np.isfinite(power)
-    # half of the noise, also where negative readings were cut to zero
-    above = known[dark & (known > 0)]
+    # the positive half of the noise, which is complete even if negative readings were cut to zero
+    above = readings[dark & (readings > 0)]
     if above.size < LEAST:
         return 0.0, int(dark.sum())
     rough = float(np.median(above)) / HALF_NORMAL_MEDIAN
@@ -121,14 +126,14 @@ def dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
 
 
 def samples_by_phase(case: Case, data: xr.Dataset) -> dict[str, np.ndarray]:
-    """Name of each phase of the case's timeline -> which samples (n) lie in it."""
+    """Return for each phase of the case's timeline the mask (n) of its samples."""
     timeline = case.require_timeline()
     time = data["time"].values - utc_seconds(timeline.epoch_utc, data.attrs["epoch_utc"])
     return {p.name: (time >= p.begin_s) & (time < p.end_s) for p in timeline.phases}
 
 
-def whole_panels(case: Case, data: xr.Dataset) -> np.ndarray:
-    """Which samples (n) lie outside the phases in which something shadows the panels."""
+def unshadowed_samples(case: Case, data: xr.Dataset) -> np.ndarray:
+    """Return the mask (n) of samples outside the phases in which something shadows the panels."""
     by_phase = samples_by_phase(case, data)
     return ~np.any([by_phase[name] for name in SHADOWED_PHASES if name in by_phase], axis=0)
 
@@ -139,8 +144,8 @@ def whole_panels(case: Case, data: xr.Dataset) -> np.ndarray:
 class Phases(NamedTuple):
     """Sun directions (`sun_directions`) and lit panels (`panel_health`) of a whole landing.
 
-    `phases`: name -> which samples (n_time) lie in it, for every phase that has samples; `impossible` (n_time): whether no Sun
-    makes their pattern.
+    `phases`: mask (n_time) of the samples of each phase that has any. `impossible` (n_time): samples whose lit pattern no Sun
+    makes.
     """
 
     case: Case
@@ -151,7 +156,7 @@ class Phases(NamedTuple):
 
 
 def compute(case: Case) -> Phases:
-    """Directions, health of the panels, and phases of the case's telemetry."""
+    """Compute directions, health of the panels, and phases of the case's telemetry."""
     vehicle, data = case.vehicle, case.telemetry
     sun, health = sun_directions(vehicle, data), panel_health(vehicle, data)
     phases = {name: inside for name, inside in samples_by_phase(case, sun).items() if inside.any()}
@@ -159,95 +164,134 @@ def compute(case: Case) -> Phases:
     return Phases(case, sun, health, phases, impossible)
 
 
-def rows(r: Phases) -> list[Row]:
-    """Figures of sections 2.1, 3.1 and 4 on the telemetry with ours: Delta, n_z with the legs folded, patterns, sampling."""
-    case, vehicle, health, phases = r.case, r.case.vehicle, r.health, r.phases
-    status, delta, n_lit = (r.sun[name].values for name in ("status", "delta", "n_lit"))
-    time, seen = r.sun["time"].values, is_reconstructed(status)
-    paper = {key: figure.value for key, figure in case.published.items()}
-    row_of, result = partial(row, case, attrs=r.sun.attrs), []
+def rows(landing: Phases) -> list[Row]:
+    """Return the figures of sections 2.1, 3.1 and 4 on the telemetry compared with ours.
 
-    # Delta outside the shadowed phases
-    kept = seen & whole_panels(case, r.sun)
+    They are Delta, n_z with the legs folded, lit patterns and sampling.
+    """
+    return [*_delta_rows(landing), *_pattern_rows(landing), *_sampling_rows(landing)]
+
+
+def _delta_rows(landing: Phases) -> list[Row]:
+    """Return the rows on Delta outside and inside the shadowed phases, and on n_z with the legs folded."""
+    case, sun, phases = landing.case, landing.sun, landing.phases
+    status, delta, n_lit = (sun[name].values for name in ("status", "delta", "n_lit"))
+    seen = is_reconstructed(status)
+    paper = {key: figure.value for key, figure in case.published.items()}
+    row_of, result = partial(make_row, case, attrs=sun.attrs), []
+
+    # outside the shadowed phases; with exactly three lit panels Delta is zero and checks nothing
+    kept = seen & unshadowed_samples(case, sun)
     checked, directions = delta[kept & (n_lit > 3)], int(kept.sum())
     if directions:
         mean, error = float(delta[kept].mean()), float(delta[kept].std() / np.sqrt(directions))
-        low, high = interval(mean, error)
+        low, high = interval_90(mean, error)
         texts = {"directions": directions, "of_three": directions - checked.size}
         result.append(row_of("delta_mean", mean, low=low, high=high, **texts))
     if checked.size:
-        # 5 and 95 % of the largest of as many absolute values of a Gaussian with this mean
+        # 5 and 95 % quantiles of the largest of n absolute values of a Gaussian, whose sigma follows from their mean
         ends = np.array([0.05, 0.95]) ** (1 / checked.size)
-        gauss = float(checked.mean()) * np.sqrt(np.pi / 2)
-        low, high = (gauss * ndtri((1 + ends) / 2)).tolist()
-        judged = {"tolerance": high - low, "agrees": bool(low <= paper["delta_max"] <= high)}
+        sigma = float(checked.mean()) * np.sqrt(np.pi / 2)
+        low, high = (sigma * ndtri((1 + ends) / 2)).tolist()
+        verdict = {"tolerance": high - low, "agrees": bool(low <= paper["delta_max"] <= high)}
         largest = float(checked.max())
         result.append(
-            row_of("delta_max", largest, low=low, high=high, checked=checked.size, **judged)
+            row_of("delta_max", largest, low=low, high=high, checked=checked.size, **verdict)
         )
 
-    # in the shadowed phases; a direction and a scale fit any two panels: with three an impossible pattern leaves a misfit
-    fits = (status == SunStatus.OK) | (r.impossible & (n_lit >= 3))
+    # by phase; direction and scale fit any two panels, so an impossible pattern has a misfit only from three lit panels on
+    fits = (status == SunStatus.OK) | (landing.impossible & (n_lit >= 3))
     by_phase = {name: delta[inside & fits] for name, inside in phases.items()}
     by_phase = {name: values for name, values in by_phase.items() if values.size}
-    shadowed = ("deployment", "rest")  # of which the paper says that Delta is large
+    shadowed = ("deployment", "rest")  # phases in which Delta is large according to the paper
     large = np.concatenate([[], *(by_phase[name] for name in shadowed if name in by_phase)])
     least, most = paper["delta_shadowed"]
-    inside = float(np.mean((large >= least) & (large <= most))) if large.size else 0.0
-    each, others = [], []
-    for name, d in by_phase.items():
+    share = float(np.mean((large >= least) & (large <= most))) if large.size else 0.0
+    ranges, means = [], []
+    for name, values in by_phase.items():
         if name in shadowed:
-            each.append(f"{name} {d.min():.3f} to {d.max():.3f} ({d.size})")
+            ranges.append(f"{name} {values.min():.3f} to {values.max():.3f} ({values.size})")
         else:
-            others.append(f"{name} mean {d.mean():.4f}, largest {d.max():.3f} ({d.size})")
+            mean, largest = values.mean(), values.max()
+            means.append(f"{name} mean {mean:.4f}, largest {largest:.3f} ({values.size})")
     ours = [float(large.min()), float(large.max())] if large.size else None
-    texts = {"each": "; ".join(each), "others": "; ".join(others).replace("_", " ")}
-    result.append(row_of("delta_shadowed", ours, agrees=inside >= 0.9, inside=inside, **texts))
+    texts = {"each": "; ".join(ranges), "others": "; ".join(means).replace("_", " ")}
+    result.append(row_of("delta_shadowed", ours, agrees=share >= 0.9, inside=share, **texts))
+
     folded = phases.get("deployment", np.zeros(len(status), dtype=bool))
-    z = r.sun["sun_B"].values[folded & seen, 2]
+    z = sun["sun_B"].values[folded & seen, 2]
     if z.size:
         result.append(row_of("nz_folded", float(z.mean()), z=z, least=z.min(), most=z.max()))
+    return result
 
-    # lit patterns that no Sun makes, the panels that explain them, and whether noise does
-    second = case_seconds(case, r.sun, "second_touchdown")
-    early, impossible = time < second, health["impossible"]
-    counts = [f"{name} {np.count_nonzero(s & r.impossible)}" for name, s in phases.items()]
+
+def _pattern_rows(landing: Phases) -> list[Row]:
+    """Return the rows on impossible lit patterns, the panels whose loss explains them, and noise as their cause."""
+    case, vehicle, health = landing.case, landing.case.vehicle, landing.health
+    early = landing.sun["time"].values < event_seconds(case, landing.sun, "second_touchdown")
+    row_of = partial(make_row, case, attrs=landing.sun.attrs)
+
+    counts = [
+        f"{name} {np.count_nonzero(inside & landing.impossible)}"
+        for name, inside in landing.phases.items()
+    ]
     before = {"samples": int(early.sum()), "phases": ", ".join(counts).replace("_", " ")}
+
+    # the smallest sets of panels that explain all impossible patterns, and pairs that explain them without such a panel
+    impossible = health["impossible"]  # pattern -> number of samples
     explained = [list(panels) for panels in health["explanations"]]
     single = {panel for panels in explained for panel in panels}
     pairs = find_explanations(vehicle, list(impossible), size=2)
-    others = ["-".join(pair) for pair in pairs if not single & {*pair}]
+    alternatives = ["-".join(pair) for pair in pairs if not single & {*pair}]
     allowed = ["-".join(pattern) for pattern in health["allowed"]]
-    verdicts = health["noise"]
+
+    # probability that noise made the impossible patterns
+    noise_verdicts = health["noise"]
     by_pattern = "; ".join(
-        f"({'-'.join(p)}) {impossible[p]} samples, the likeliest {v.largest:.2g}, all 1e{v.log10_together:.0f}"
-        for p, v in verdicts.items()
+        f"({'-'.join(pattern)}) {impossible[pattern]} samples, the likeliest {verdict.largest:.2g}, all "
+        f"1e{verdict.log10_together:.0f}"
+        for pattern, verdict in noise_verdicts.items()
     )
-    noise = float(sum(v.log10_together for v in verdicts.values())) if verdicts else None
-    at_rest = sorted(sorted(map(str, pattern)) for pattern in paper["lit_patterns_at_rest"])
-    missed = {*map(frozenset, at_rest)} - {*map(frozenset, impossible)}
-    # whether turning panel 1 to the Sun was a risk: samples that only its loss explains
-    panel_1 = sum(n for p, n in impossible.items() if find_explanations(vehicle, [p]) == [("1",)])
-    patterns: dict[str, Any] = {"published": at_rest, "agrees": not missed}
+    log10_noise = None
+    if noise_verdicts:
+        log10_noise = float(sum(verdict.log10_together for verdict in noise_verdicts.values()))
+
+    at_rest = sorted(
+        sorted(map(str, pattern)) for pattern in case.published["lit_patterns_at_rest"].value
+    )
+    missing = {*map(frozenset, at_rest)} - {*map(frozenset, impossible)}
+    # was it a risk to rotate panel 1 to the Sun? Number of samples that only its loss explains
+    panel_1 = sum(
+        count
+        for pattern, count in impossible.items()
+        if find_explanations(vehicle, [pattern]) == [("1",)]
+    )
+    patterns: dict[str, Any] = {"published": at_rest, "agrees": not missing}
     lost: dict[str, Any] = {"published": [["1"]], "agrees": explained == [["1"]]}
-    result += [
+    return [
         row_of("lit_patterns_allowed", len(allowed), patterns="; ".join(allowed)),
-        row_of("lit_patterns_before", np.count_nonzero(r.impossible & early), **before),
-        row_of("shadowed_panel_alternatives", ", ".join(others) or "none"),
-        row_of("lit_patterns_noise", noise, each=by_pattern),
+        row_of("lit_patterns_before", np.count_nonzero(landing.impossible & early), **before),
+        row_of("shadowed_panel_alternatives", ", ".join(alternatives) or "none"),
+        row_of("lit_patterns_noise", log10_noise, each=by_pattern),
         row_of("lit_patterns_at_rest", sorted(map(sorted, impossible)), **patterns),
         row_of("shadowed_panel", explained, **lost),
         row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0),
     ]
 
-    # how often the file samples
-    blow = case_seconds(case, r.sun, "collision")
-    flight = time[(time >= case_seconds(case, r.sun, "first_touchdown")) & (time < blow)]
+
+def _sampling_rows(landing: Phases) -> list[Row]:
+    """Return the rows on the sampling interval before the collision, and on the number of samples after it."""
+    case, sun = landing.case, landing.sun
+    row_of, time = partial(make_row, case, attrs=sun.attrs), sun["time"].values
+    first, collision, second = (
+        event_seconds(case, sun, name)
+        for name in ("first_touchdown", "collision", "second_touchdown")
+    )
+    flight = time[(time >= first) & (time < collision)]
     step = float(np.median(np.diff(flight))) / 60 if flight.size > 1 else None
     unjudged: dict[str, Any] = {"tolerance": None} if step is None else {}
-    after = int(np.count_nonzero((time >= blow) & (time < second)))
+    after = int(np.count_nonzero((time >= collision) & (time < second)))
     return [
-        *result,
         row_of("sampling_interval", step, **unjudged),
         row_of("samples_after_collision", after),
     ]
@@ -256,21 +300,21 @@ def rows(r: Phases) -> list[Row]:
 # ---- Pictures ----------------------------------------------------------------------------------------------------------------
 
 
-def figure_4(r: Phases) -> Figure:
-    """Reconstructed directions on the sphere for each phase of the motion (paper, Fig. 4)."""
+def directions_figure(landing: Phases) -> Figure:
+    """Draw the reconstructed directions on the sphere for each phase of the motion (paper, Fig. 4)."""
     samples = {"all samples": slice(None)}
-    if "phase" in r.sun.coords:
+    if "phase" in landing.sun.coords:
         groups = {
             "descent": ["descent"],
             "first touchdown to collision": ["first_rebound"],
             "collision to second touchdown": ["second_rebound"],
             "after the second touchdown": ["settling", "rest"],
         }
-        phase = r.sun["phase"].values
+        phase = landing.sun["phase"].values
         samples = {name: np.flatnonzero(np.isin(phase, of)) for name, of in groups.items()}
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     for k, (name, chosen) in enumerate(samples.items()):
-        axes, sun = sphere(figure, len(samples), k), r.sun.isel(time=chosen)
+        axes, sun = sphere_axes(figure, len(samples), k), landing.sun.isel(time=chosen)
         n = sun["sun_B"].values
         n = n[np.isfinite(n[:, 0])]
         axes.plot(*n.T, ":", lw=0.6, color=COLOURS[7])
@@ -278,16 +322,16 @@ def figure_4(r: Phases) -> Figure:
         doubtful = (sun["status"].values == SunStatus.IMPOSSIBLE) & (sun["n_lit"].values >= 3)
         best = sun["best_B"].values[doubtful]
         axes.scatter(*best.T, s=9, color=COLOURS[1], depthshade=False)
-        more = f", {len(best)} doubtful" if len(best) else ""
-        title = f"{chr(65 + k)}: {name}\n{len(n)} of {sun.sizes['time']} samples{more}"
+        suffix = f", {len(best)} doubtful" if len(best) else ""
+        title = f"{chr(65 + k)}: {name}\n{len(n)} of {sun.sizes['time']} samples{suffix}"
         axes.set_title(title, fontsize=9)
-    title = titled("Directions to the Sun in body axes", r.sun.attrs.get("synthetic"))
+    title = titled("Directions to the Sun in body axes", landing.sun.attrs.get("synthetic"))
     figure.suptitle(title, fontsize=10)
     return figure
 
 
-def sphere(figure: Any, columns: int, k: int) -> Any:
-    """Axes `k` of a row, with the unit sphere of the body."""
+def sphere_axes(figure: Any, columns: int, k: int) -> Any:
+    """Add axes number `k` of a row of `columns` to a figure, with the unit sphere of body axes."""
     axes = figure.add_subplot(1, columns, k + 1, projection="3d")
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     x, y, z = np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)
@@ -303,14 +347,14 @@ def sphere(figure: Any, columns: int, k: int) -> Any:
     return axes
 
 
-def draw(r: Phases) -> Figure:
-    """Lit panels sample by sample, those of forbidden patterns in another colour (paper, section 4)."""
+def lit_panels_figure(landing: Phases) -> Figure:
+    """Draw the lit panels of each sample, impossible patterns in another colour (paper, section 4)."""
     figure = Figure(figsize=(9, 4.2), layout="constrained")
-    axes, lit, names = figure.subplots(), r.sun["lit"].values, r.sun["panel"].values
+    axes, lit, names = figure.subplots(), landing.sun["lit"].values, landing.sun["panel"].values
     number = np.arange(1, len(lit) + 1)
     for colour, label, chosen in (
-        (COLOURS[0], "allowed", ~r.impossible),
-        (COLOURS[1], "forbidden", r.impossible),
+        (COLOURS[0], "allowed", ~landing.impossible),
+        (COLOURS[1], "forbidden", landing.impossible),
     ):
         sample, panel = np.nonzero(lit & chosen[:, None])
         axes.plot(number[sample], panel, "|", ms=9, mew=1.6, color=colour)
@@ -319,15 +363,15 @@ def draw(r: Phases) -> Figure:
     axes.set(xlabel="number of the sample", ylabel="panel lit", ylim=(-0.6, len(names) + 0.3))
     axes.legend(ncols=2, fontsize=9, **ABOVE)
     edge = 0.5
-    for k, (name, inside) in enumerate(r.phases.items()):
+    for k, (name, inside) in enumerate(landing.phases.items()):
         axes.axvline(edge, lw=0.8, color=COLOURS[7])
         if inside.sum() > 8:
             style: dict[str, Any] = {"ha": "center", "fontsize": 8, "color": "#555555"}
             at = edge + inside.sum() / 2, len(names) - 0.5 + 0.4 * (k % 2)
             axes.text(*at, name.replace("_", " "), bbox=ON_PAPER, **style)
         edge += inside.sum()
-    explained = " or ".join("-".join(panels) for panels in r.health["explanations"]) or "none"
+    explained = " or ".join("-".join(panels) for panels in landing.health["explanations"]) or "none"
     what = "Smallest set of panels in shadow or dead that explains every forbidden pattern"
-    title = titled(f"{what}: {explained}", r.sun.attrs.get("synthetic"))
+    title = titled(f"{what}: {explained}", landing.sun.attrs.get("synthetic"))
     figure.suptitle(title, fontsize=11)
     return figure

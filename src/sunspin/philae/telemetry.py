@@ -1,25 +1,22 @@
-"""Synthetic telemetry with known truth: of a vehicle that moves as told, or of the whole landing of Philae.
+"""Synthetic telemetry with known truth, of any vehicle or of the whole landing of Philae.
 
-The measured panel powers are not public, so the landing stands in for them, made from published facts;
-``python -m sunspin.philae.telemetry --seed N OUT.csv`` writes it as a telemetry file. What the facts leave open is drawn from the
-seed or chosen here, and said where it is:
+The panel powers measured in flight are not public. This module makes a substitute from published facts. ``python -m
+sunspin.philae.telemetry --seed N OUT.csv`` writes it as a telemetry file. Quantities that the facts do not determine are drawn from
+the seed or chosen here:
 
 - scale: `CELL_W` watts per cell, so that the lander makes some 8 W, about right at 2.99 AU; no result depends on it;
 - noise: the vehicle file's, the same for each lit panel; dark panels read zero, lit ones never;
-- panels: each off by `tilt_rad`, and all together turned by `turned_rad` against the axes of inertia and wheel, drawn from the
-  seed with the vehicle file's sigmas. These were chosen so that E and Delta of the descent are as published in the mean of
-  twenty seeds, and noise alone gives a tenth of that E; the published first direction is what the panels show, and the true one
-  what lies behind it;
-- deployment: rotation as after it (the paper sees a slight variation only); the folded legs take a fixed part of the
-  light of each side panel, until sample 10;
-- first rebound: the state at the first sample is the published direction, the published wheel speed, and the rate on
-  the published line L3 that has |omega| = 2 pi / 13 s at the collision (the magnetometer's "13 s" read as the angular
-  speed);
+- panels: each misaligned by `tilt_rad`, and all together by `turned_rad` relative to the axes of inertia and wheel. Both are drawn
+  with the vehicle file's sigmas. These were chosen so that the mean of twenty seeds has the published E and Delta of the descent;
+  noise alone gives a tenth of that E. The published first direction is what the panels show, and the true one is computed from it;
+- deployment: the rotation is as after it (the paper sees a slight variation only). Until sample 10 the folded legs block a fixed
+  part of the light of each side panel;
+- first rebound: the first sample has the published direction and the published wheel speed. Its rate is a point of the published
+  line L3. From this point |omega| is 2 pi / 13 s at the collision: the magnetometer's "13 s" is taken as the period;
 - collision: a sticking impact on a leg, in a direction and at the speed of the paper's section 3.3;
-- settling: the direction turns from where it was at the second touchdown to where it is at rest, evenly;
-- rest: the comet turns the Sun along a great circle in body axes; rocks shadow panel 1 wholly and panels 2 and 3 in
-  part, then hide the Sun until it stands below the panel plane. The orientation is chosen for the published lit
-  patterns;
+- settling: the direction rotates evenly from that at the second touchdown to that at rest;
+- rest: the comet moves the Sun along a great circle in body axes. Rocks shadow panel 1 wholly and panels 2 and 3 in part, then hide
+  the Sun until it is below the panel plane. The orientation is chosen for the published lit patterns;
 - first samples at rest (`rest_seen`): a rock covers panel 1 only after them, so that these give a direction, wrong by 25 degrees
   and with a large Delta: the paper's Fig. 4D has directions after the landing.
 
@@ -63,17 +60,18 @@ CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
 
 FOLDED_LEG_TRANSMISSION = (0.42, 0.72, 0.42, 0.72, 0.42, 1.0)
-"""Part of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta in 0.1 .. 0.2."""
+"""Part of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta from 0.1 to 0.2."""
 
 REST_TRANSMISSION = (0.0, 0.4, 0.4, 0.4, 0.4, 1.0)
-"""Past the rocks at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
+"""Part of the light that reaches each panel at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
 
 BEFORE_THE_SHADOW = (0.15, 0.6, 0.3, 0.4, 0.4, 1.0)
-"""Before the shadow is all over panel 1: the pattern (1, 2, 3, 6) has a direction, with Delta in 0.1 .. 0.2."""
+"""The same before the shadow covers panel 1: the pattern (1, 2, 3, 6) gives a direction, with Delta from 0.1 to 0.2."""
 
 REST_ANGLES_DEG = (-60.0, -50.0, -40.0, 3.0)
-"""Angle of the Sun along its circle from where it sinks below the xy plane: when the lander comes to rest; until where the shadow
-leaves panel 1 free (some five samples); between which the rocks hide the Sun."""
+"""Angles of the Sun along its great circle, from the point where it sinks below the xy plane: when the lander comes to rest, when
+the shadow covers panel 1 (after some five samples), when the rocks begin and when they cease to hide the Sun.
+"""
 
 COMET_TURN_S = 12.4 * 3600.0  # 67P on the day
 SPIN_PERIOD_S = 13.0  # before the collision: ROMAP team, 2014; read here as 2 pi / |omega|
@@ -92,7 +90,7 @@ def twin(
     seed: int = 0,
     **landing: Any,
 ) -> xr.Dataset:
-    """Synthetic telemetry of a vehicle that moves as `truth` says.
+    """Return synthetic telemetry of a vehicle that moves as `truth` says.
 
     Parameters
     ----------
@@ -100,9 +98,9 @@ def twin(
         ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.telemetry.philae_twin`.
     truth : Truth, or a mapping with its fields
     seed : int
-        Of the noise and of what else is drawn. The same seed gives the same data.
+        Of the noise and of all other random quantities. The same seed gives the same data.
     landing
-        Of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
+        Options of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
         :func:`sunspin.philae.telemetry.philae_twin`.
 
     Returns
@@ -115,7 +113,7 @@ def twin(
     Raises
     ------
     InputError
-        A truth with unknown or missing fields, a negative noise, options of the landing beside a truth.
+        A truth with unknown or missing fields, a negative noise, options of the landing together with a truth.
     """
     if isinstance(source, str):
         source = load_case(source)
@@ -133,7 +131,7 @@ def twin(
 
 
 class State(NamedTuple):
-    """A state of the motion: t_s, omega_B, sun_B, wheel speed (n_wheel)."""
+    """State of a motion: time in s, rate (3) in rad/s, Sun direction (3), wheel speeds (n_wheel) in rad/s."""
 
     t_s: float
     omega_B: np.ndarray
@@ -142,13 +140,24 @@ class State(NamedTuple):
 
 
 class PhaseSamples(NamedTuple):
-    """The samples of one phase: times (n), true directions (n, 3), part of the light that reaches each panel, (n, n_panel) or as
-    broadcast to it."""
+    """Samples of one phase: times (n) in s, true Sun directions (n, 3), and the part of the light that reaches each panel.
+
+    `transmission` is of shape (n, n_panel) or is broadcast to it.
+    """
 
     phase: str
     t_s: np.ndarray
     sun_B: np.ndarray
     transmission: Any = 1.0
+
+
+class Collision(NamedTuple):
+    """A simulated collision: the states just before and after it, the leg that hits, and the velocity (3) in m/s at the impact."""
+
+    before: State
+    after: State
+    leg: str
+    velocity_B: np.ndarray
 
 
 def philae_twin(
@@ -159,45 +168,59 @@ def philae_twin(
     turned_rad: float | None = None,
     rest_seen: bool = True,
 ) -> xr.Dataset:
-    """Synthetic telemetry of the whole landing; the same seed gives the same data.
+    """Return synthetic telemetry of the whole landing; the same seed gives the same data.
 
-    `noise`: one sigma in W (zero: the powers that the true directions make); `tilt_rad`, `turned_rad`: one sigma of the angles by
-    which each panel's normal is off to each side, and all panels together about each axis (zero: panels as drawn); default: the
-    vehicle file's. `rest_seen`: whether the first samples at rest give a direction. An `InputError` where the turns are so large
-    that no Sun makes the panels show the published first direction: another seed may.
+    `noise` is one sigma of a reading in W; zero gives the powers of the true directions. `tilt_rad` is one sigma of the angle by
+    which each panel normal is off in two directions, `turned_rad` of the angle by which all panels are rotated about each axis;
+    zero gives panels as drawn. The default of all three is the vehicle file's. `rest_seen` says whether the first samples at rest
+    give a direction.
 
     Returns
     -------
     xarray.Dataset
         As from `read_telemetry`, with coordinate `phase (time)`, `true_sun_B (time, axis)` and the truth in
         ``truth_...`` attributes.
+
+    Raises
+    ------
+    InputError
+        The panels are rotated so far that no Sun makes them show the published first direction; another seed may work.
     """
     case = load_case("philae")
     vehicle, timeline = case.vehicle, case.require_timeline()
-    own, common = misalignment_sigma(vehicle)
-    own = own if tilt_rad is None else tilt_rad
-    common = common if turned_rad is None else turned_rad
-    tilt = panel_turns(vehicle, own, common, generator(seed, 7))
+    own_sigma, common_sigma = misalignment_sigma(vehicle)
+    own_sigma = own_sigma if tilt_rad is None else tilt_rad
+    common_sigma = common_sigma if turned_rad is None else turned_rad
+    # each part has a stream of random numbers of its own, so that one can change and the others stay
+    tilt = draw_panel_rotations(vehicle, own_sigma, common_sigma, generator(seed, 7))
 
-    start = first_state(case, tilt)
-    before, after, blow = collide(case, start, generator(seed, 3))
-    first_t = rebound_times(case, generator(seed, 2))
-    second_t = _sparse_times(case, "collision", generator(seed, 4))
-    landed = _flown(vehicle, after, np.array([timeline.event("second_touchdown").t_s]))
+    start = find_first_state(case, tilt)
+    collision = simulate_collision(case, start, generator(seed, 3))
+    before, after = collision.before, collision.after
+    first_t = draw_rebound_times(case, generator(seed, 2))
+    second_t = _draw_sparse_times(case, "collision", generator(seed, 4))
+    first_sun = _propagate_to(vehicle, start, first_t)["sun_B"].values
+    second_sun = _propagate_to(vehicle, after, second_t)["sun_B"].values
+    landed = _propagate_to(vehicle, after, np.array([timeline.event("second_touchdown").t_s]))
     phases = [
-        *_descent(case, generator(seed, 1)),
-        PhaseSamples("first_rebound", first_t, _flown(vehicle, start, first_t)["sun_B"].values),
-        PhaseSamples("second_rebound", second_t, _flown(vehicle, after, second_t)["sun_B"].values),
-        *_on_the_ground(case, landed["sun_B"].values[-1], seed, rest_seen),
+        *_simulate_descent(case, generator(seed, 1)),
+        PhaseSamples("first_rebound", first_t, first_sun),
+        PhaseSamples("second_rebound", second_t, second_sun),
+        *_simulate_ground_phases(case, landed["sun_B"].values[-1], seed, rest_seen),
     ]
-    t, sun = (np.concatenate([getattr(each, key) for each in phases]) for key in ("t_s", "sun_B"))
-    phase = np.repeat([each.phase for each in phases], [each.t_s.size for each in phases])
-    panels = len(vehicle.panels)
-    seen = [np.broadcast_to(each.transmission, (each.t_s.size, panels)) for each in phases]
+    t = np.concatenate([samples.t_s for samples in phases])
+    sun = np.concatenate([samples.sun_B for samples in phases])
+    counts = [samples.t_s.size for samples in phases]
+    phase = np.repeat([samples.phase for samples in phases], counts)
+    n_panel = len(vehicle.panels)
+    transmission = [
+        np.broadcast_to(samples.transmission, (count, n_panel))
+        for samples, count in zip(phases, counts, strict=True)
+    ]
 
-    exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(seen)
+    exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(transmission)
     first = int(np.flatnonzero(phase == "first_rebound")[0])
-    power = noisy_readings(vehicle, sun, exact, noise, generator(seed, 0), first)
+    power = add_noise(vehicle, sun, exact, noise, generator(seed, 0), first)
     truth = {
         "seed": seed,
         "noise": vehicle.require_noise() if noise is None else noise,
@@ -208,46 +231,58 @@ def philae_twin(
         "collision_omega_after_B": after.omega_B,
         "collision_sun_B": before.sun_B,
         "collision_wheel_speed_after_rad_s": after.wheel_speed_rad_s,
-        **blow,
+        "collision_leg": collision.leg,
+        "collision_velocity_B": collision.velocity_B,
     }
     if tilt is not None:
-        truth |= {"tilt_sigma_rad": own, "turned_sigma_rad": common, "tilt_B_rad": tilt.ravel()}
+        truth |= {"tilt_sigma_rad": own_sigma, "turned_sigma_rad": common_sigma}
+        truth["tilt_B_rad"] = tilt.ravel()
     truth["descent_rate_cubic"] = np.array(case.published["descent_rate_cubic"].value)
     return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
 
 
-def panel_turns(
+def draw_panel_rotations(
     vehicle: Vehicle, tilt_rad: float | np.ndarray, turned_rad: float, rng: np.random.Generator
 ) -> np.ndarray | None:
-    """Turns (n_panel, 3) in rad of the panels: each its own, and one of all; None where neither is asked for."""
+    """Draw rotation vectors (n_panel, 3) in rad of the panels: an own misalignment each, and a common one.
+
+    None if both sigmas are zero.
+    """
     if not (np.any(tilt_rad) or turned_rad):
         return None
     return turned_rad * rng.standard_normal(3) + draw_tilts(vehicle, tilt_rad, rng)
 
 
-def drawn_panels(
+def draw_misaligned_panels(
     vehicle: Vehicle, shown_B: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """Turns (n_panel, 3) of the panels, drawn with the sigmas of the vehicle's file (None where it has none), and the direction (3)
-    behind what they show; drawn again where no Sun makes them show it."""
+    """Draw panel rotations (n_panel, 3) with the vehicle file's sigmas, and return them with the true Sun direction (3).
+
+    The true direction is the one that these panels show as `shown_B` (3). Rotations for which there is none are drawn again.
+    Without sigmas in the vehicle file the result is None and `shown_B`.
+    """
     sigmas = misalignment_sigma(vehicle)
     for _ in range(MAX_DRAWS):
-        tilt = panel_turns(vehicle, *sigmas, rng)
+        tilt = draw_panel_rotations(vehicle, *sigmas, rng)
         if tilt is None:
             return None, shown_B
         with suppress(InputError):
-            return tilt, behind(vehicle, shown_B, tilt)
+            return tilt, true_sun_direction(vehicle, shown_B, tilt)
     what = f"no Sun makes panels show this direction in {MAX_DRAWS} draws"
     raise InputError(what, got=f"sigmas {sigmas}")
 
 
-def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-    """The direction (3) of the Sun that panels turned by `tilt` (n_panel, 3) show as `shown_B` (3) where there is no noise."""
+def true_sun_direction(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Return the true Sun direction (3) that panels rotated by `tilt` (n_panel, 3) show as `shown_B` (3) without noise.
+
+    Raises `InputError` if no Sun makes them show it.
+    """
     response = vehicle.response_in()
     lit = (response.power(shown_B) > 0)[:, None]
-    turned = response.slopes(shown_B, tilt=tilt)
-    # power is linear in the direction while the same panels are lit
-    rows = turned.to_sun + turned.power[:, None] * shown_B
+    misaligned = response.slopes(shown_B, tilt=tilt)
+    # while the same panels are lit, power = rows @ sun is linear in the direction. The estimator inverts it with the rows of
+    # panels as drawn, pinv(drawn) @ power, so the true direction solves pinv(drawn) @ rows @ sun = shown_B.
+    rows = misaligned.to_sun + misaligned.power[:, None] * shown_B
     drawn = np.where(lit, response.light_power(shown_B)[1], 0.0)
     sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
     sun /= np.linalg.norm(sun)
@@ -257,7 +292,7 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     return sun
 
 
-def noisy_readings(
+def add_noise(
     vehicle: Vehicle,
     sun_B: np.ndarray,
     exact: np.ndarray,
@@ -265,11 +300,10 @@ def noisy_readings(
     rng: np.random.Generator,
     first: int = 0,
 ) -> np.ndarray:
-    """Powers (n, n_panel) that are `exact` with the Sun at sun_B (n, 3), with noise of `sigma` (None: the vehicle file's); that of
-    sample `first` is confined to what its redundancy shows.
+    """Return the powers `exact` (n, n_panel) of Sun directions sun_B (n, 3) with noise of `sigma` (None: the vehicle file's).
 
-    The first direction after the touchdown is published as measured: so this sample's noise may raise Delta but not turn the
-    direction.
+    The first direction after the touchdown is published as measured. So the noise of sample `first` is projected onto the
+    combinations of panels that raise Delta without changing the direction.
     """
     power = noisy_power(vehicle, exact, sigma, rng)
     rows = np.where(
@@ -280,17 +314,18 @@ def noisy_readings(
     return power
 
 
-def first_state(case: Case, tilt: np.ndarray | None = None) -> State:
-    """The true state at the first sample after the first touchdown; `tilt` (n_panel, 3): turns of the panels."""
+def find_first_state(case: Case, tilt: np.ndarray | None = None) -> State:
+    """Return the true state at the first sample after the first touchdown; `tilt` (n_panel, 3): rotations of the panels."""
     timeline, published = case.require_timeline(), case.published
     t = timeline.event("first_sample_after_touchdown").t_s
     sun = np.array(published["first_sun"].value)
-    sun = sun if tilt is None else behind(case.vehicle, sun, tilt)
+    sun = sun if tilt is None else true_sun_direction(case.vehicle, sun, tilt)
     speed = np.array([published["wheel_speed"].value])
     duration = timeline.event("collision").t_s - t
     point, along = np.array(published["line_L3"].value)
 
     def excess(step: float) -> float:
+        """Return |omega| at the collision minus the rate of one revolution in 13 s, `step` along the line L3."""
         run = propagate(case.vehicle, point + step * along, sun, speed, [0.0, duration])
         return float(np.linalg.norm(run["omega_B"].values[-1])) - 2 * np.pi / SPIN_PERIOD_S
 
@@ -298,12 +333,10 @@ def first_state(case: Case, tilt: np.ndarray | None = None) -> State:
     return State(t, point + step * along, sun, speed)
 
 
-def collide(
-    case: Case, start: State, rng: np.random.Generator
-) -> tuple[State, State, dict[str, Any]]:
-    """The states just before and after the collision, and what hit: leg and velocity."""
+def simulate_collision(case: Case, start: State, rng: np.random.Generator) -> Collision:
+    """Simulate the collision of the motion through `start`: draw leg and direction, apply the impact."""
     t = case.require_timeline().event("collision").t_s
-    run = _flown(case.vehicle, start, np.array([t]))
+    run = _propagate_to(case.vehicle, start, np.array([t]))
     before = State(t, *(run[key].values[-1] for key in State._fields[1:]))
     legs, assumed = case.vehicle.legs, case.assumptions.collision
     leg = legs[int(rng.integers(len(legs)))].name
@@ -315,53 +348,56 @@ def collide(
     motion = before.omega_B, before.wheel_speed_rad_s
     after = impact(case.vehicle, *motion, velocity, leg, **bounce)
     omega, speed = after["omega_B"].values, after["wheel_speed_rad_s"].values
-    hit = {"collision_leg": leg, "collision_velocity_B": velocity}
-    return before, State(t, omega, before.sun_B, speed), hit
+    return Collision(before, State(t, omega, before.sun_B, speed), leg, velocity)
 
 
-def _flown(vehicle: Vehicle, state: State, t_s: np.ndarray) -> xr.Dataset:
-    """The motion from a state at t_s (n), the first of which may be the state's own time."""
+def _propagate_to(vehicle: Vehicle, state: State, t_s: np.ndarray) -> xr.Dataset:
+    """Propagate a state to times t_s (n), the first of which may be the state's own time."""
     times = t_s if t_s[0] == state.t_s else np.concatenate([[state.t_s], t_s])
     return propagate(vehicle, *state[1:], times).isel(time=slice(-t_s.size, None))
 
 
-def _jittered(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _add_jitter(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return times (n) shifted at random by up to `JITTER_S`."""
     return on_time_grid(t_s + rng.uniform(-JITTER_S, JITTER_S, t_s.size))
 
 
-def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
-    """Times (n) in s of the samples of the first rebound: even but for `JITTER_S`, the first where it is known to be."""
+def draw_rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
+    """Draw times (n) in s of the samples of the first rebound: the published first one, then even ones with jitter."""
     begin = case.require_timeline().event("first_sample_after_touchdown").t_s
     later = begin + REBOUND_INTERVAL_S * np.arange(1, SAMPLES_OF_REBOUND)
-    return np.concatenate([on_time_grid([begin]), _jittered(later, rng)])
+    return np.concatenate([on_time_grid([begin]), _add_jitter(later, rng)])
 
 
-def _sparse_times(
+def _draw_sparse_times(
     case: Case, event: str, rng: np.random.Generator, duration_s: float | None = None
 ) -> np.ndarray:
-    """Times (n) from an event on, as close as the published number after the collision; that number, or for a duration."""
+    """Draw times (n) from an event on, at the mean interval of the published samples after the collision.
+
+    There are as many as published, or as fit into `duration_s`.
+    """
     n = case.published["samples_after_collision"].value
     interval = case.require_timeline().seconds("collision", "second_touchdown") / n
     n = n if duration_s is None else int(duration_s / interval)
     begin = case.require_timeline().event(event).t_s
-    return _jittered(begin + interval * (np.arange(n) + 0.5), rng)
+    return _add_jitter(begin + interval * (np.arange(n) + 0.5), rng)
 
 
-def _descent(case: Case, rng: np.random.Generator) -> tuple[PhaseSamples, PhaseSamples]:
-    """Samples 1 to 9 with folded legs, then 10 to the touchdown: rotation about z at the published cubic rate."""
+def _simulate_descent(case: Case, rng: np.random.Generator) -> tuple[PhaseSamples, PhaseSamples]:
+    """Return samples 1 to 9 with folded legs, then 10 to the touchdown, rotating about z at the published cubic rate."""
     timeline, published = case.require_timeline(), case.published
     begin, end = (timeline.event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
     first, last = published["descent_samples"].value
     interval = published["descent_span"].value * 3600.0 / (last - first)
     count = int((end - begin - JITTER_S) / interval)
     folded = begin - DEPLOYMENT_INTERVAL_S * np.arange(SAMPLES_BEFORE_DESCENT, 0, -1)
-    folded = _jittered(folded, rng)
-    unfolded = np.append(begin, _jittered(begin + interval * np.arange(1, count + 1), rng))
+    folded = _add_jitter(folded, rng)
+    unfolded = np.append(begin, _add_jitter(begin + interval * np.arange(1, count + 1), rng))
     azimuth = rng.uniform(0, 2 * np.pi)
     rate, z = published["descent_rate_cubic"].value, published["nz_descent"].value
 
     def sun(t_s: np.ndarray) -> np.ndarray:
-        """The Sun goes round backward; before sample 10 at the first rate."""
+        """Return Sun directions (n, 3): the Sun moves opposite to the body's spin; before sample 10 at the first rate."""
         before, after = np.minimum(t_s - begin, 0.0), np.maximum(t_s - begin, 0.0)
         angle = sum(c * after ** (k + 1) / (k + 1) for k, c in enumerate(rate)) + rate[0] * before
         flat = np.sqrt(1 - z**2)
@@ -374,43 +410,48 @@ def _descent(case: Case, rng: np.random.Generator) -> tuple[PhaseSamples, PhaseS
     )
 
 
-def _on_the_ground(
+def _simulate_ground_phases(
     case: Case, sun_B: np.ndarray, seed: int, seen_first: bool
 ) -> tuple[PhaseSamples, PhaseSamples]:
-    """Settling, from the direction at the second touchdown evenly to that at rest; rest: along the Sun's circle, past the rocks."""
+    """Return the samples of two phases: settling after the second touchdown, and rest among the rocks.
+
+    `sun_B` (3) is the direction at the second touchdown. While settling the direction rotates evenly to that at rest. At rest the
+    Sun moves along its great circle.
+    """
     timeline = case.require_timeline()
     begin, end = (timeline.event(name).t_s for name in ("second_touchdown", "rest"))
     at_first, shadow, hides, shows = np.radians(REST_ANGLES_DEG)
-    # a great circle, 80 degrees to xy, which it meets at azimuth 86
+    # a great circle inclined by 80 degrees to the xy plane, which it crosses at azimuth 86 degrees
     azimuth, tilt = np.radians(86.0), np.radians(80.0)
     node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     down = np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0])
 
     def on_circle(angle: np.ndarray) -> np.ndarray:
+        """Return the Sun directions (n, 3) at angles (n) in rad along its great circle."""
         return np.cos(angle)[..., None] * node + np.sin(angle)[..., None] * down
 
     t = np.arange(begin + SETTLING_INTERVAL_S / 2, end - JITTER_S, SETTLING_INTERVAL_S)
-    t = _jittered(t, generator(seed, 5))
+    t = _add_jitter(t, generator(seed, 5))
     start, goal = sun_B / np.linalg.norm(sun_B), on_circle(at_first)
-    turn = np.cross(start, goal)
-    turn *= np.arctan2(np.linalg.norm(turn), start @ goal) / np.linalg.norm(turn)
-    sun = Rotation.from_rotvec(((t - begin) / (end - begin))[:, None] * turn).apply(start)
+    rotation = np.cross(start, goal)  # rotation vector from start to goal
+    rotation *= np.arctan2(np.linalg.norm(rotation), start @ goal) / np.linalg.norm(rotation)
+    sun = Rotation.from_rotvec(((t - begin) / (end - begin))[:, None] * rotation).apply(start)
     settling = PhaseSamples("settling", t, sun)
 
-    t = _sparse_times(case, "rest", generator(seed, 6), REST_DURATION_S)
+    t = _draw_sparse_times(case, "rest", generator(seed, 6), REST_DURATION_S)
     angle = at_first + 2 * np.pi * (t - end) / COMET_TURN_S
     hidden = (angle > hides) & (angle < shows)
     early = seen_first & (angle < shadow)
-    seen = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION) * ~hidden[:, None]
-    return settling, PhaseSamples("rest", t, on_circle(angle), seen)
+    by_panel = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION)
+    return settling, PhaseSamples("rest", t, on_circle(angle), by_panel * ~hidden[:, None])
 
 
 # ---- The command -------------------------------------------------------------------------------------------------------------
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the synthetic telemetry of Philae's landing and, beside it, its truth."""
+    """Write the synthetic telemetry of Philae's landing, and its truth next to it."""
     parser = argparse.ArgumentParser(
         prog="python -m sunspin.philae.telemetry", description=main.__doc__
     )
@@ -418,19 +459,19 @@ def main(arguments: list[str] | None = None) -> int:
     add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml there")
     add("--seed", type=int, required=True, help="of all that is drawn")
     add("--force", action="store_true", help="replace existing files")
-    given = parser.parse_args(arguments)
-    name, truth = given.out.name, given.out.parent / "twin_truth.toml"
+    options = parser.parse_args(arguments)
+    name, truth = options.out.name, options.out.parent / "twin_truth.toml"
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
-        f"synthetic: python -m sunspin.philae.telemetry --seed {given.seed} {name}",
+        f"synthetic: python -m sunspin.philae.telemetry --seed {options.seed} {name}",
     ]
     behind_them = "the truth behind them is in twin_truth.toml"
     scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
     about = f"The truth behind {name}; see sunspin.philae.telemetry for how each part was chosen."
     try:
-        telemetry, vehicle = philae_twin(given.seed), load_case("philae").vehicle
-        write_new(given.out, csv_text(vehicle, telemetry, [*comments, scale]), given.force)
-        write_new(truth, truth_text(telemetry, [*comments, about]), given.force)
+        telemetry, vehicle = philae_twin(options.seed), load_case("philae").vehicle
+        write_new(options.out, csv_text(vehicle, telemetry, [*comments, scale]), options.force)
+        write_new(truth, truth_text(telemetry, [*comments, about]), options.force)
     except SunspinError as error:
         print(error, file=sys.stderr)
         return 2

@@ -1,10 +1,12 @@
-"""The threshold that makes the level set of a scan a confidence set, calibrated for the data at hand.
+"""Calibrated threshold that makes the level set of a scan a confidence set.
 
-The paper's factor of 1.1 on the smallest EMD was chosen, not derived. Here the method is repeated on synthetic rebounds that are
-like the file's: true rates drawn evenly from the scanned range, the file's sample times, noise, brightness and first direction
-(with its error), panels off by the sigmas that the vehicle's file gives them, and about as many directions. The factor below which
-the truth lies in nine of ten of them makes the set of the file's own scan a 90 % confidence set. It holds for these data only; a
-shipped result is used only where its key, the hash of all that it depends on, is that of the data.
+The paper's factor of 1.1 on the smallest EMD was chosen, not derived. Here the method is repeated on simulated rebounds similar to
+the telemetry. Their true rates are drawn evenly from the scan range. They have the file's sample times, noise, brightness, first
+direction (with its error) and about as many directions, and panels misaligned by the vehicle file's sigmas. The factor below which
+the truth lies in nine of ten of them makes the set of the file's own scan a 90 % confidence set.
+
+The factor holds for these data only. A shipped calibration is used only if its key fits the data. The key is the hash of everything
+that the calibration depends on.
 """
 
 from __future__ import annotations
@@ -25,36 +27,43 @@ from sunspin.base.errors import InputError, TelemetryError
 from sunspin.cases import Case
 from sunspin.compute.identity import fingerprint, to_json
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import EMD_ERROR, Outcome, Rows, run_rows
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.estimate.scan.window import target_weights
-from sunspin.philae import rebound as rb
-from sunspin.philae.telemetry import drawn_panels
+from sunspin.philae.rebound import (
+    Options,
+    Rebound,
+    direction_mask,
+    motion_and_panel_parameters,
+    scan_limits,
+)
+from sunspin.philae.telemetry import draw_misaligned_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle.response.panels import brightness, misalignment_sigma
 
 CONFIDENCE = 0.9
-"""Probability that a calibrated set holds the truth, where nobody asks for another."""
+"""Default probability that a calibrated set contains the truth."""
 
 SHIPPED = "threshold.json"
-"""The calibration of the case's own telemetry, which comes with the case."""
+"""File with the calibration of the case's own telemetry, in the folder of the case."""
 
 TWINS = 60
-"""Synthetic rebounds of a calibration that a run makes itself, which give the 90 % level to some 5 %."""
+"""Number of simulated rebounds of a calibration within a run; they give the 90 % level to some 5 %."""
 
-ALIKE = 0.2
-"""A synthetic rebound is like the file if its number of directions is within this part of the file's (two at least)."""
+SIMILAR = 0.2
+"""Largest relative difference between the numbers of directions of a similar rebound and of the file (two directions at least)."""
 
 BLOCK, MAX_BLOCKS = 256, 20
-"""Truths drawn at once, and how many times at most until enough rebounds are like the file."""
+"""Number of truths drawn at once, and largest number of such blocks until enough rebounds are similar."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Synthetic rebounds like the data: `ratio` (n), EMD of the truth over the smallest; `emd_min` (n); how they were made.
+    """Results of simulated rebounds similar to the data.
 
-    `directions` (n): how many each gave. `source`: in words, for whom it was made. `confidence`: of the set that is asked for.
+    `key`: hash of everything the calibration depends on. `ratio` (n): EMD of the truth over the smallest EMD. `emd_min` (n):
+    smallest EMD. `directions` (n): number of directions. `source`: origin in words. `confidence`: that of the set.
     """
 
     key: str
@@ -65,14 +74,14 @@ class Calibration:
     source: str
     confidence: float = CONFIDENCE
 
-    def factor(self) -> tuple[float, float, float]:
-        """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval."""
-        return holding(self.ratio, self.confidence)
+    def factor(self) -> Threshold:
+        """Return the factor on the smallest EMD whose set contains a further truth with this confidence, and its 95 % interval."""
+        return quantile_threshold(self.ratio, self.confidence)
 
     def unusual(self, emd_min: float) -> bool:
-        """Whether so large a smallest EMD speaks against the model, or against the readings.
+        """Return whether the smallest EMD of the telemetry is so large that model or readings must be wrong.
 
-        That is 3.5 sigma of the logarithm above those of the synthetic rebounds: about one right file in 4,000 is accused.
+        The limit is 3.5 sigma of the logarithm above those of the simulated rebounds; one correct file in 4,000 exceeds it.
         """
         log = np.log(self.emd_min)
         return bool(np.log(emd_min) > log.mean() + 3.5 * log.std(ddof=1))
@@ -86,8 +95,11 @@ class Calibration:
         )
 
 
-def check_confidence(n: int, confidence: float) -> int:
-    """Which of n ordered twins, from 0, sets the threshold of this confidence; refuses what n twins cannot tell."""
+def threshold_index(n: int, confidence: float) -> int:
+    """Return the index of the order statistic, of n, that is the threshold of this confidence.
+
+    Raises `InputError` if n simulations are too few for the confidence.
+    """
     if not 0 < confidence < 1:
         raise InputError("a confidence must lie between 0 and 1", got=confidence)
     at = ceil(confidence * (n + 1)) - 1
@@ -97,21 +109,32 @@ def check_confidence(n: int, confidence: float) -> int:
     return at
 
 
-def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]:
-    """Threshold below which a further one of the `values` (n) lies with this probability, and its 95 % interval.
+class Threshold(NamedTuple):
+    """Threshold of a confidence level and its 95 % interval."""
 
-    The order statistic ceil(c (n + 1)), which holds it with probability c or a little more for any distribution; the interval is
-    that of the quantile (binomial order statistics).
+    value: float
+    low: float
+    high: float
+
+
+def quantile_threshold(values: np.ndarray, confidence: float) -> Threshold:
+    """Return the threshold below which a further one of the `values` (n) lies with probability `confidence`.
+
+    It is the order statistic ceil(c (n + 1)), which has this probability or a little more for any distribution. Its interval is
+    that of the quantile, from binomial order statistics.
     """
     n, ordered = len(values), np.sort(values)
-    at = check_confidence(n, confidence)
+    at = threshold_index(n, confidence)
     low, high = binom.ppf([0.025, 0.975], n, confidence).astype(int)
-    return float(ordered[at]), float(ordered[max(low - 1, 0)]), float(ordered[min(high, n - 1)])
+    ends = ordered[max(low - 1, 0)], ordered[min(high, n - 1)]
+    return Threshold(float(ordered[at]), *map(float, ends))
 
 
-def key_of(rebound: rb.Rebound, table: Table) -> str:
-    """The hash of all that a calibration depends on: body, wheels and panels with their sigmas, times of the samples that can be
-    read, how many gave directions, noise, brightness, first direction, scan.
+def calibration_key(rebound: Rebound, table: Table) -> str:
+    """Return the hash of everything that a calibration depends on.
+
+    That is: inertia, wheels and panels with their sigmas, times of the readable samples, number of directions, noise, brightness,
+    first direction, scan.
     """
     sun, start, vehicle = rebound.samples.attrs, table.rows.start, rebound.case.vehicle
     weights = rebound.case.assumptions.study.target_weights
@@ -119,33 +142,33 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
     return fingerprint(
         {
             "study": "threshold of a level set, truths even in the scanned box",
-            "vehicle": rb.moving_and_seeing(vehicle),
+            "vehicle": motion_and_panel_parameters(vehicle),
             "panel_sigmas": to_json(misalignment_sigma(vehicle)),
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(),
             "directions": rebound.z.size,
             "noise": float(sun["noise"]),
             "lit_threshold": float(sun["lit_threshold"]),
-            "scale": scale(rebound),
+            "scale": brightness_scale(rebound),
             "sun_B": np.round(rebound.sun_B, 4).tolist(),
             "window_s": round(rebound.window_s, 3),
             "lead_s": round(rebound.lead_s, 3),
             "target_weights": None if rebound.weights is None else weights,
             "axes": [np.round(axis, 6).tolist() for axis in axes],
-            "mask": to_json(rb.counted(rebound.case)),
+            "mask": to_json(direction_mask(rebound.case)),
             "bins": BINS,
-            "emd_error": k.EMD_ERROR,
-            "alike": ALIKE,
+            "emd_error": EMD_ERROR,
+            "alike": SIMILAR,
         }
     )
 
 
-def _readable(rebound: rb.Rebound) -> np.ndarray:
-    """Numbers of the samples that can be read."""
+def _readable(rebound: Rebound) -> np.ndarray:
+    """Return the indices of the samples that can be read."""
     return np.flatnonzero(rebound.samples["status"].values != SunStatus.MISSING)
 
 
-def scale(rebound: rb.Rebound) -> float:
-    """Brightness of the file's Sun: what the readings are over the model, in the median, to three digits."""
+def brightness_scale(rebound: Rebound) -> float:
+    """Return the brightness of the file's Sun: median ratio of the readings to the model, to three digits."""
     data, samples = rebound.case.telemetry, rebound.samples
     power = signals(data)[np.searchsorted(data["time"].values, samples["utc_s"].values)]
     usable = (samples["status"].values == SunStatus.OK) & np.all(np.isfinite(power), axis=1)
@@ -153,28 +176,32 @@ def scale(rebound: rb.Rebound) -> float:
     return float(f"{np.median(brightness(rebound.case.vehicle, power[usable])):.3g}")
 
 
-class Alike(NamedTuple):
-    """A synthetic rebound: its true rate (3) in rad/s, measured directions (n, 3), their weights (n) or None."""
+class SyntheticRebound(NamedTuple):
+    """Simulated rebound: its true rate (3) in rad/s, measured directions (n, 3), their weights (n) or None."""
 
     omega_B: np.ndarray
     seen_B: np.ndarray
     weights: np.ndarray | None
 
 
-def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
-    """Synthetic rebounds like the data; others if too few are like them."""
-    wanted, apart = rebound.z.size, max(2.0, ALIKE * rebound.z.size)
-    drawn: list[Alike] = []
+def simulate_similar_rebounds(rebound: Rebound, twins: int, seed: int) -> list[SyntheticRebound]:
+    """Return simulated rebounds with about as many directions as the data; if too few are similar, also the next best."""
+    count, tolerance = rebound.z.size, max(2.0, SIMILAR * rebound.z.size)
+    drawn: list[SyntheticRebound] = []
     for block in range(MAX_BLOCKS):
-        drawn += drawn_rebounds(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed)
-        alike = [each for each in drawn if abs(len(each.seen_B) - wanted) <= apart]
-        if len(alike) >= twins:
-            return alike[:twins]
-    return sorted(drawn, key=lambda each: max(abs(len(each.seen_B) - wanted), apart))[:twins]
+        drawn += simulate_rebounds(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed)
+        similar = [twin for twin in drawn if abs(len(twin.seen_B) - count) <= tolerance]
+        if len(similar) >= twins:
+            return similar[:twins]
+    # the similar ones first, in the order of drawing, then the others by the difference in number
+    return sorted(drawn, key=lambda twin: max(abs(len(twin.seen_B) - count), tolerance))[:twins]
 
 
-def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
-    """The synthetic rebounds `index` that can be followed: each draws from its own generators."""
+def simulate_rebounds(rebound: Rebound, index: np.ndarray, seed: int) -> Iterator[SyntheticRebound]:
+    """Yield the simulated rebounds number `index` whose propagation succeeds.
+
+    Each has random generators of its own, so that a rebound does not depend on the others.
+    """
     case, vehicle = rebound.case, rebound.case.vehicle
     motion, panels = (
         [
@@ -183,18 +210,20 @@ def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterato
         ]
         for stream in ((), (1,))
     )
-    truth = np.array([rng.uniform(*rb.grid_ends(case).T) for rng in motion])
+    truth = np.array([rng.uniform(*scan_limits(case).T) for rng in motion])
     shown = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in motion])
     shown /= np.linalg.norm(shown, axis=1, keepdims=True)
-    # turns of the panels (None where the vehicle's file has no sigma of them) and the true direction behind the one that they show
-    turned = [drawn_panels(vehicle, sun, rng) for sun, rng in zip(shown, panels, strict=True)]
-    turns = [turn for turn, _ in turned if turn is not None]
-    states = replace(rebound.states(truth), sun_B=np.array([sun for _, sun in turned]))
+    # rotations of the panels (None without sigmas in the vehicle file), and the true direction for the one that they show
+    misaligned = [
+        draw_misaligned_panels(vehicle, sun, rng) for sun, rng in zip(shown, panels, strict=True)
+    ]
+    rotations = [rotation for rotation, _ in misaligned if rotation is not None]
+    states = replace(rebound.states(truth), sun_B=np.array([sun for _, sun in misaligned]))
     readable = _readable(rebound)
     later = readable[readable > rebound.first]
-    run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=1e-4)  # 1 % of the noise
-    tilt = np.array(turns)[:, None] if turns else None
-    exact = scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
+    run = run_rows(vehicle, states, rebound.t_s[later], direction_error=1e-4)  # 1 % of the noise
+    tilt = np.array(rotations)[:, None] if rotations else None
+    exact = brightness_scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
     sigma, threshold = (rebound.samples[name].values for name in ("noise", "lit_threshold"))
     noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in motion])
     power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0).reshape(-1, exact.shape[-1])
@@ -202,52 +231,55 @@ def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterato
     seen = is_reconstructed(sun["status"]).reshape(exact.shape[:2])
     directions = sun["sun_B"].values.reshape(*exact.shape[:2], 3)
     first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
-    for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
+    for i in np.flatnonzero(run.outcome == Outcome.FINE):
         times = rebound.t_s[np.concatenate([[rebound.first], later[seen[i]]])]
         weights = target_weights(case.assumptions.study.target_weights, times)
-        yield Alike(truth[i], np.concatenate([first, directions[i, seen[i]]]), weights)
+        yield SyntheticRebound(truth[i], np.concatenate([first, directions[i, seen[i]]]), weights)
 
 
-def reached(case: Case, states: k.Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
-    """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen.
+def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
+    """Return the EMD (n) between the r_z of each motion, from the measured first direction, and its own target.
 
-    A target is z components (n) and their weights (n), None where each counts the same.
+    A target is r_z (n) and their weights (n), None for equal weights. The EMD is 1 if no direction of the motion is in view.
     """
-    mask = rb.counted(case)
-    run = k.run_rows(case.vehicle, states, window_s, emd_error=k.EMD_ERROR, mask=mask, bins=BINS)
+    mask = direction_mask(case)
+    run = run_rows(case.vehicle, states, window_s, emd_error=EMD_ERROR, mask=mask, bins=BINS)
     pairs = zip(run.hist, targets, strict=True)
     return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
 
 
-def calibrate(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
-    """Repeat the method on `options.twins` synthetic rebounds like the data; `table` of the scan from the same first direction."""
-    rebounds = alike_rebounds(rebound, options.twins or TWINS, options.seed)
-    targets = [(each.seen_B[:, 2], each.weights) for each in rebounds]
-    fine, threads = table.outcome == k.Outcome.FINE, worker_count(options.workers)
+def calibrate(rebound: Rebound, table: Table, options: Options) -> Calibration:
+    """Repeat the method on `options.twins` simulated rebounds similar to the data.
+
+    `table` is that of the scan from the same first direction.
+    """
+    rebounds = simulate_similar_rebounds(rebound, options.twins or TWINS, options.seed)
+    targets = [(twin.seen_B[:, 2], twin.weights) for twin in rebounds]
+    fine, threads = table.outcome == Outcome.FINE, worker_count(options.workers)
     hidden = None if options.progress else True  # None: shown on a terminal only
     shown = tqdm(targets, "calibration of the threshold", leave=False, disable=hidden)
     smallest = np.array([table.distances(*target, threads)[fine].min() for target in shown])
-    states = rebound.states(np.array([each.omega_B for each in rebounds]))
+    states = rebound.states(np.array([twin.omega_B for twin in rebounds]))
     return Calibration(
-        key_of(rebound, table),
+        calibration_key(rebound, table),
         options.seed,
-        reached(rebound.case, states, rebound.window_s, targets) / smallest,
+        emd_of_truths(rebound.case, states, rebound.window_s, targets) / smallest,
         smallest,
-        np.array([len(each.seen_B) for each in rebounds]),
+        np.array([len(twin.seen_B) for twin in rebounds]),
         "made for these data",
     )
 
 
-def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
-    """The calibration that fits these data: the shipped one if its key is theirs, else one made now.
+def get_calibration(rebound: Rebound, table: Table, options: Options) -> Calibration:
+    """Return the calibration that fits these data: the shipped one if its key is theirs, else a new one.
 
-    Twins that are asked for are made even where the shipped calibration fits; `TelemetryError` where none fits and none are.
+    If `options.twins` is a number, a new one is made in any case. Raises `TelemetryError` if none fits and the number is zero.
     """
     path = rebound.case.folder / SHIPPED
     confidence = rebound.case.assumptions.study.confidence
     if not options.twins and path.is_file():
-        shipped = read(path)
-        if shipped.key == key_of(rebound, table):
+        shipped = read_calibration(path)
+        if shipped.key == calibration_key(rebound, table):
             return replace(shipped, confidence=confidence)
     if options.twins == 0:
         raise TelemetryError(
@@ -257,8 +289,8 @@ def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calib
     return replace(calibrate(rebound, table, options), confidence=confidence)
 
 
-def read(path: Path) -> Calibration:
-    """What `write` wrote; `InputError` where it is something else."""
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration written by `write_calibration`; raise `InputError` for any other file."""
     try:
         data = json.loads(path.read_text("utf-8"))
         ratio, emd_min, directions = np.array(
@@ -273,8 +305,8 @@ def read(path: Path) -> Calibration:
     return Calibration(key, seed, ratio, emd_min, directions, "shipped with the case")
 
 
-def write(calibration: Calibration, path: Path) -> None:
-    """Write a calibration that ships with a case, of 400 twins: plain data, six digits."""
+def write_calibration(calibration: Calibration, path: Path) -> None:
+    """Write a calibration to ship with a case, of 400 simulations: plain data, six digits."""
     data = {
         "what": "the scan repeated on synthetic rebounds of known truth like the case's telemetry (sunspin.philae.threshold)",
         "synthetic": True,
