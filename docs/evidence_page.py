@@ -62,7 +62,7 @@ def _mark(decorator: ast.expr) -> tuple[str, tuple[Any, ...]]:
 
 
 def capabilities() -> dict[str, str]:
-    """What the public face can do, each with one line: functions of `sunspin` and commands of the command line."""
+    """Return what the public face can do, each with one line: functions of `sunspin` and commands."""
     import sunspin
     from sunspin.cli.common import COMMANDS
 
@@ -77,7 +77,7 @@ def capabilities() -> dict[str, str]:
 
 
 def page(file: str | None) -> str:
-    """The page in Markdown; `file` is what the tests have written, if they have run."""
+    """Return the page in Markdown; `file` is what the tests have written, if they have run."""
     run = (
         json.loads(Path(file).read_text("utf-8"))
         if file and Path(file).is_file()
@@ -142,7 +142,7 @@ def _section(name: str, about: str, items: list[Declared], runs: dict) -> list[s
 
 
 def _reached(item: Declared, run: dict | None) -> str:
-    """What a run gave: figures where the test recorded some, else that it passed, or why it did not run."""
+    """Return what a run gave: the figures that the test recorded, else that it passed, or why it did not run."""
     if run is None:
         return "not run (a long test)" if {"slow", "long"} & set(item.marks) else "not run"
     if run["failed"]:

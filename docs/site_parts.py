@@ -17,7 +17,7 @@ def inline_math(translator, node: nodes.math) -> None:
 
 
 def block_math(translator, node: nodes.math_block) -> None:
-    """An equation, its number at the right and a link to it."""
+    """Write an equation, its number at the right and a link to it."""
     target = f' id="{node["ids"][0]}"' if node.get("ids") else ""
     translator.body.append(f'<div class="math"{target}>')
     if node.get("number"):
@@ -32,7 +32,7 @@ def block_math(translator, node: nodes.math_block) -> None:
 
 
 def commands() -> str:
-    """The command line, as each command's --help says it."""
+    """Return the page on the command line, from each command's --help."""
     import click
 
     from sunspin.cli import cli
@@ -53,7 +53,7 @@ def commands() -> str:
 
 
 def examples() -> str:
-    """The numbered programs of examples/, each under the first line of its docstring."""
+    """Return the page of the numbered programs of examples/, each under the first line of its docstring."""
     import ast
 
     parts = [
@@ -74,7 +74,7 @@ def examples() -> str:
 
 
 def variables() -> str:
-    """The vocabulary of NetCDF variables, with units."""
+    """Return the page of the NetCDF variables with their units."""
     import csv
 
     path = ROOT / "src" / "sunspin" / "base" / "variables.csv"
@@ -116,7 +116,7 @@ def draw_gallery(folder: Path) -> None:
 
 
 def write_pages(app) -> None:
-    """Generated pages are rewritten only where they changed, so that a second build is short."""
+    """Write the generated pages; one that did not change is left as it is, so that a second build is short."""
     from evidence_page import page
 
     written = {

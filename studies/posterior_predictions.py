@@ -20,7 +20,7 @@ from sunspin.cases import Case, load_case
 from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
-from sunspin.landing.predictions import collision_s
+from sunspin.landing.predictions import collision_time_s
 from sunspin.output.kinds.predictions import predicted_figure
 from validation.campaign import command, rows_folder, study_parser
 
@@ -28,7 +28,7 @@ from validation.campaign import command, rows_folder, study_parser
 def true_motion(case: Case, times_s: np.ndarray) -> xr.Dataset:
     """Return the true motion at times (s from the epoch), before and after the collision, as a Dataset of predictions."""
     truth = tomllib.loads((case.folder / "twin_truth.toml").read_text("utf-8"))
-    collision = collision_s(case.vehicle, case.telemetry.attrs["epoch_utc"])
+    collision = collision_time_s(case.vehicle, case.telemetry.attrs["epoch_utc"])
     assert collision is not None  # Philae's vehicle file states one
     start_keys = ("omega_B", "sun_B", "wheel_speed_rad_s")
     after_keys = ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import sunspin as ss
 from studies.skcube_data import FREE_S, POWER, add_data_option, read_beacons
 from sunspin.output.figures import COLOURS
-from sunspin.output.figures.rates import chosen_passes, clock_text, component
+from sunspin.output.figures.rates import clock_text, draw_component, largest_passes
 from validation.campaign import command, rows_folder, study_parser
 
 LAST_PASSES = 3
@@ -79,7 +79,7 @@ def draw_rates(panel: Any, sensors: xr.Dataset, beacons: xr.Dataset) -> None:
     """Draw the body rates of the last passes whose gyro readings are complete, with these readings."""
     complete = [
         number
-        for number in chosen_passes(sensors)
+        for number in largest_passes(sensors)
         if np.isfinite(gyro_of_pass(sensors, beacons, number)).all()
     ][-LAST_PASSES:]
     grid = panel.subplots(3, len(complete), sharey="row", squeeze=False)
@@ -87,7 +87,7 @@ def draw_rates(panel: Any, sensors: xr.Dataset, beacons: xr.Dataset) -> None:
         t = sensors["time"].values[sensors["pass_of"].values == number]
         gyro = np.degrees(gyro_of_pass(sensors, beacons, number))
         for k, axes in enumerate(grid[:, column]):
-            component(axes, sensors, number, k, "Sun sensors, one sigma")
+            draw_component(axes, sensors, number, k, "Sun sensors, one sigma")
             axes.plot((t - t[0]) / 60, gyro[:, k], "x", color=COLOURS[6], ms=5, label="gyro")
         grid[0, column].set_title(clock_text(sensors, t[0]), fontsize=8)
         grid[2, column].set_xlabel("time (min)")
