@@ -158,7 +158,7 @@ def _describe_panels(assessment: Assessment) -> Findings:
         "noise_from": str(sun.attrs["noise_from"]),
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
         "noise_made": without_loss == NOISE,
-        "find_cause_without_loss": without_loss,
+        "made_by": without_loss,
         "health_of_every": assessment.health_stride,
     }
     return Findings(summary, status_lines(sun) + health_lines(summary) + noise_lines(assessment))
