@@ -138,6 +138,7 @@ def everything(spinner: Spinner, folder: Path, seed: int, *commands: str) -> Non
     assert not any(bad.values()), (spinner, bad)
 
 
+@pytest.mark.long
 def test_a_spinner_without_noise_is_judged_and_its_rate_is_determined(tmp_path, few_copies):
     """Three faces, never more than three panels lit, nothing below zero: without a noise all costs of the orbit check were NaN."""
     vehicle, telemetry, elements = UNSTATED.write(tmp_path)

@@ -85,7 +85,13 @@ BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHON
 
 
 @pytest.mark.parametrize(
-    ("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)]
+    ("closed", "said"),
+    [
+        (">&-", True),
+        pytest.param("2>&-", False, marks=pytest.mark.long),
+        pytest.param(">&- 2>&-", False, marks=pytest.mark.long),
+        (">/dev/full", True),
+    ],
 )
 def test_closed_or_full_output_ends_the_program_without_a_traceback(tmp_path, closed, said):
     shell = f'"{sys.executable}" -m sunspin.cli'
@@ -375,7 +381,7 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
     assert count > 100 and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("home", ["", "/proc"])
+@pytest.mark.parametrize("home", ["", pytest.param("/proc", marks=pytest.mark.long)])
 def test_without_a_cache_folder_no_library_writes_to_the_output(home, tmp_path):
     """The integrator's library warned of its own cache on standard output, where --json is read."""
     places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}

@@ -378,6 +378,7 @@ def test_a_time_range_without_light_is_named():
     assert dark_stretch(t_s, lit) == "no panel lit from 200 to 260 s (4 samples)"
 
 
+@pytest.mark.long
 def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(cube, telemetry):
     shadow = telemetry.copy(deep=True)
     shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values

@@ -14,7 +14,11 @@ from validation.passes import judge, make
 
 KIND = "slow, wide range"
 
-LOST = [(0, 14), (0, 20), (7, 13)]
+LOST = [
+    (0, 14),
+    pytest.param(0, 20, marks=pytest.mark.long),
+    pytest.param(7, 13, marks=pytest.mark.long),
+]
 """Passes that a search without neighbours along the valley decided wrongly, or as a mirror image."""
 
 NEARLY, LEAST_SHARE = 3.0, 1e-3

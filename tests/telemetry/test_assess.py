@@ -50,14 +50,14 @@ def files(tmp_path):
 @pytest.mark.parametrize("command", [check, sun, rates], ids=lambda command: command.name)
 def test_a_command_asks_each_question_about_a_file_once(command, files, asked, tmp_path):
     out = [] if command is check else ["--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(command, [*map(str, files), "--quiet", *out])
+    few = ["--to", "120", "--effort", "0.1"] if command is rates else []
+    done = CliRunner().invoke(command, [*map(str, files), "--quiet", *out, *few])
     assert done.exit_code == 0, done.output
     assert asked and max(asked.values()) == 1, asked.most_common(3)
 
 
-@pytest.mark.parametrize(
-    "command", [check, pytest.param(rates, marks=pytest.mark.long)], ids=lambda c: c.name
-)
+@pytest.mark.long
+@pytest.mark.parametrize("command", [check, rates], ids=lambda command: command.name)
 def test_a_command_with_elements_asks_each_question_about_a_file_once(command, tmp_path, asked):
     make(cases(7, 4)[3], tmp_path)
     files = [str(tmp_path / name) for name in ("vehicle.toml", "telemetry.csv")]
