@@ -141,6 +141,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             *data,
             "--prior=max_rate_rad_s=0.1",
             *known,
+            "--draws=200",  # half the time of the default
             "--predict=0,600",
             "--out",
             str(root / "posterior"),

@@ -16,8 +16,8 @@ STATED = {
     "Basilisk's published attitude after 10 s": "attitude (MRP)",
     "Jacobi's elliptic functions, torque-free body, 1300 s": "free body",
     "closed form of the axisymmetric gyrostat, 1 h": "axisymmetric gyrostat",
-    "DOP853 on the paper's equations, 45 min": "rates after 45 min",
-    "EMD by linear programming": "EMD as the cheapest transport",
+    "numerical integration (DOP853) of the paper's equations, 45 min": "rates after 45 min",
+    "earth mover's distance (EMD) by linear programming": "EMD as the cheapest transport",
 }
 """Line of the page -> beginning of the comparisons whose largest difference it states."""
 
