@@ -22,6 +22,7 @@ from sgp4.api import Satrec, jday
 
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
+from tests.support.orbits import with_check_digit, with_node_turned
 from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
@@ -143,19 +144,7 @@ def draw_elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
     )
     shape = f"{int(rng.uniform(2e3, 2e4)):07d} {perigee:8.4f} {anomaly:8.4f} {rng.uniform(15.0, 15.6):11.8f}"
     second = f"2 99999 {inclination:8.4f} {node:8.4f} {shape}    1"
-    return with_checksum(first), with_checksum(second)
-
-
-def with_checksum(line: str) -> str:
-    """Return a line of elements with its check digit."""
-    return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
-
-
-def rotate_node(second: str, by_deg: float) -> str:
-    """Return the second line of elements with its node rotated by so many degrees."""
-    return with_checksum(
-        f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}"
-    )
+    return with_check_digit(first), with_check_digit(second)
 
 
 def along_orbit(
@@ -307,7 +296,7 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
         ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG),
     ):
         (folder / f"{name}.tle").write_text(
-            f"SPINNER\n{two_lines[0]}\n{rotate_node(two_lines[1], by_deg)}\n", "utf-8"
+            f"SPINNER\n{two_lines[0]}\n{with_node_turned(two_lines[1], by_deg)}\n", "utf-8"
         )
     return {
         "t_s": t_s.tolist(),

@@ -27,7 +27,7 @@ from sunspin.estimate.orbit.shadow import FEW, clear_sun, sun_in_shadow
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Sensors, SunSensor
-from tests.support.orbits import EARTH_KM, EPOCH, sun_of_date, two_line_elements
+from tests.support.orbits import EARTH_KM, EPOCH, sun_of_date, two_line_elements, with_check_digit
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
 
 PERIOD_S = 5700.0
@@ -195,8 +195,9 @@ def satellite(tmp_path, monkeypatch):
     monkeypatch.setattr(orbit_check, "COPIES", 5)
     monkeypatch.setattr(orbit_check, "HOURS", (1,))
     assert CliRunner().invoke(cli, ["init", "."]).exit_code == 0
-    total = sum(int(c) if c.isdigit() else c == "-" for c in TLE.splitlines()[2]) % 10
-    (tmp_path / "my.tle").write_text(f"{TLE}{total}\n", "utf-8")
+    name, first, second = TLE.splitlines()
+    elements = "\n".join((name, first, with_check_digit(second)))
+    (tmp_path / "my.tle").write_text(f"{elements}\n", "utf-8")
     return tmp_path
 
 
