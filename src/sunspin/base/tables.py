@@ -185,10 +185,11 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _read_json(text: str, where: str) -> pd.DataFrame:
-    """Return the cells of a JSON text, empty if a row lacks the key.
+    """Return the rows of a JSON text as a table of texts; a cell is empty if its row lacks the key.
 
-    The index is the line of each row, or its number from one in a list or page. Columns are in the order of their first
-    occurrence.
+    The text is one object a line, a list of objects, or an object whose key `results` holds the list (one page of a web API). Keys
+    of nested objects become columns of their own, in the order of their first occurrence. The index is the line of each row, in a
+    list or page its number from one.
     """
     texts = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     first = texts[0][1].strip()

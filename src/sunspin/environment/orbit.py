@@ -116,25 +116,27 @@ class Orbit:
     def states(
         self, when: Instants, ahead_s: npt.ArrayLike | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions (m) and velocities (m/s) (..., n, 3) in J2000 for times `ahead_s` (..., n) along the track.
+        """Return positions (m) and velocities (m/s), both (..., n, 3) in J2000, at instants `when` (n).
 
-        By default `ahead_s` is the known shift with its drift.
+        The spacecraft is taken to be `ahead_s` (..., n) seconds of flight ahead of its elements; by default as far as the orbit
+        itself says (`self.ahead_s`).
         """
         moved = when.later(self.ahead_s(when) if ahead_s is None else ahead_s)
         jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
+        # each time uses the elements with the nearest epoch
         epochs = [sum(source.epoch_jd) for source in self.elements]
         which = np.abs((jd + fraction)[:, None] - epochs).argmin(axis=1)
-        # each time uses the elements with the nearest epoch
         states = np.empty((2, len(jd), 3))
         for k in np.unique(which):
             states[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
         # precession and nutation of the telemetry times serve for all shifts, which are short
         to_J2000 = J2000_from_TEME(when) if self.elements[0].frame == "TEME" else np.eye(3)
+        # a comparison orbit of the orbit check is rotated about the Earth's axis
         if self.node_rad:
             c, s = np.cos(self.node_rad), np.sin(self.node_rad)
             to_J2000 = to_J2000 @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        place, speed = rotate_vectors(to_J2000, states.reshape(2, *moved.fraction.shape, 3))
-        return place, speed
+        position, velocity = rotate_vectors(to_J2000, states.reshape(2, *moved.fraction.shape, 3))
+        return position, velocity
 
     def field_map_around(self, when: Instants, place: np.ndarray) -> FieldMap:
         """Return the map of the magnetic field that covers these times and positions."""

@@ -160,7 +160,7 @@ class Contact:
 def first_contact(
     shape: Shape, t_s: np.ndarray, up_B: np.ndarray, omega_B: np.ndarray, approach_m_s: np.ndarray
 ) -> Contact:
-    """Find the first contact with flat ground of a vehicle that rotates while it descends.
+    """Return the first contact with flat ground of each of n vehicles that rotate while they descend.
 
     Within the sampling interval in which the lowest point first passes the plane, the contact is searched at `REFINE` instants. The
     normal is interpolated between samples by cubic Hermite polynomials, with du/dt = u x omega.
@@ -173,7 +173,8 @@ def first_contact(
         The ground's normal in body axes at these instants.
     omega_B : (n, n_t, 3) rad/s
     approach_m_s : (n,)
-        Speed of the centre of mass towards the plane. It is constant, without gravity, which on a comet adds millimetres.
+        Speed of the centre of mass towards the plane, taken as constant: the gravity of a comet would change the path by
+        millimetres.
 
     Samples must be so close that the vehicle rotates by a fraction of a radian in between.
     """
@@ -198,5 +199,5 @@ def first_contact(
     t = t_s[before][:, None] + span[:, None] * s[:, 0]
     reach, point = support(shape.points_B_m, -up)
     hit = np.argmax(approach_m_s[:, None] * (t_s[-1] - t) <= reach, axis=1)
-    mean = w0[:, 0] + (w1 - w0)[:, 0] * s[hit]
-    return Contact(t[rows, hit], point[rows, hit], up[rows, hit], mean)
+    omega = w0[:, 0] + (w1 - w0)[:, 0] * s[hit]
+    return Contact(t[rows, hit], point[rows, hit], up[rows, hit], omega)

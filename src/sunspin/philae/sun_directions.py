@@ -104,24 +104,25 @@ def apply_measured_noise(case: Case) -> tuple[Case, ReadingNoise]:
 
 
 def estimate_dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
-    """Return sigma of a dark panel's reading, and the number of readings it was estimated from.
+    """Return the sigma of a dark panel's reading, and the number of readings of dark panels, of any sign.
 
-    Sigma is zero if dark panels read exactly zero or less. A panel is certainly dark if geometry never lights it together with one
-    that is bright.
+    `power`: (n, n_panel), NaN if missing. Sigma is zero if fewer than `LEAST` of these readings are positive. A panel is certainly
+    dark if geometry never lights it together with one that is bright.
     """
-    together = np.zeros((len(vehicle.panels),) * 2, dtype=bool)
+    lit_together = np.zeros((len(vehicle.panels),) * 2, dtype=bool)
     for pattern in lit_patterns(vehicle):
         lit = np.array([name in pattern for name in vehicle.panel_names])
-        together |= np.outer(lit, lit)
+        lit_together |= np.outer(lit, lit)
     readings = np.where(np.isfinite(power), power, 0.0)
     bright = readings > 0.2 * readings.max(initial=0.0)  # certainly in the Sun
-    dark = (bright.astype(int) @ (~together).astype(int) > 0) & ~bright & np.isfinite(power)
+    dark = (bright.astype(int) @ (~lit_together).astype(int) > 0) & ~bright & np.isfinite(power)
     # the positive half of the noise, which is complete even if negative readings were cut to zero
-    above = readings[dark & (readings > 0)]
-    if above.size < LEAST:
+    positive = readings[dark & (readings > 0)]
+    if positive.size < LEAST:
         return 0.0, int(dark.sum())
-    rough = float(np.median(above)) / HALF_NORMAL_MEDIAN
-    sigma = float(np.median(above[above < ROUGH_SIGMAS * rough])) / HALF_NORMAL_MEDIAN
+    rough = float(np.median(positive)) / HALF_NORMAL_MEDIAN
+    # once more without outliers, such as reflections
+    sigma = float(np.median(positive[positive < ROUGH_SIGMAS * rough])) / HALF_NORMAL_MEDIAN
     return sigma, int(dark.sum())
 
 

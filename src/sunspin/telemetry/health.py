@@ -275,15 +275,19 @@ def noise_alone(
     light, _ = response.light_power(cells, scale)
 
     def linearise(state: tuple[np.ndarray, ...]) -> DenseSystem:
-        """Return residuals and derivatives at Sun vectors (m, 3), with readings and weights (m, n_panel) of each."""
-        sun, seen, counts = state
+        """Return the weighted residuals of the panels and their derivatives with respect to the Sun vector.
+
+        `state`: Sun vectors (m, 3), direction times brightness; readings and weights 1 / sigma (m, n_panel) of each.
+        """
+        sun, measured, weights = state
         mean, slope = response.light_power(sun, scale)
-        lit = seen > threshold
-        value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
+        lit = measured > threshold
+        # of a lit panel the model minus the reading, of a dark one what the model has above the threshold
+        value = np.where(lit, mean - measured, np.maximum(0.0, mean - threshold))
         # elsewhere the residual does not change with the Sun
         active = (mean > 0) & (lit | (mean > threshold))
         return DenseSystem.from_residuals(
-            counts * value, (counts * active)[..., None] * slope, np.ones_like(sun)
+            weights * value, (weights * active)[..., None] * slope, np.ones_like(sun)
         )
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -374,12 +374,14 @@ class Pairs(NamedTuple):
 def _find_near_pairs(
     t: np.ndarray, same: np.ndarray, equals_previous: np.ndarray, span_s: float
 ) -> Pairs:
-    """Return the pairs of samples within `span_s` that may be a frame and its copy, with other samples in between.
+    """Return the pairs of samples at most `span_s` apart with others in between, and whether their readings are equal.
 
-    Samples that are equal to the one just before (`equals_previous`) are left out.
+    Pairs with equal readings may be a frame and its copy. `t` (n): times, s, increasing; `same` (n): number of the distinct
+    readings of each sample. Samples that are equal to the one just before (`equals_previous`) are left out.
     """
     place = np.flatnonzero(~equals_previous)
     earlier, later = [], []
+    # lag 1 would be neighbours: runs of equal samples are judged elsewhere
     for lag in range(2, min(MOST_BETWEEN, len(place) - 1) + 1):
         near = t[place[lag:]] - t[place[:-lag]] <= span_s
         if not near.any():

@@ -40,6 +40,7 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     }
     comments = [f"{attitude.frame}: {attitude.orientation}"] if attitude.orientation else []
     comments += ["made from synthetic telemetry"] if "synthetic" in attitude.source else []
+    # the CCSDS quaternion rotates axes, B_from_N rotates vectors: one is the conjugate of the other (docs/conventions.md, 19)
     conjugate = attitude.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
     components = [[f"{x:.15f}" for x in q] for q in conjugate]
     segments = []
@@ -57,7 +58,7 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
         lines += ["META_START", *(f"COMMENT {text}" for text in comments)]
         lines += [f"{key} = {value}" for key, value in metadata.items()]
         lines += ["META_STOP", "", "DATA_START"]
-        lines += [" ".join([utc, *components]) for utc, components in states]
+        lines += [" ".join([time, *numbers]) for time, numbers in states]
         lines += ["DATA_STOP", ""]
     return write_whole(target, "\n".join(lines))
 

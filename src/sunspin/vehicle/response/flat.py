@@ -321,15 +321,17 @@ class PanelResponse:
         return int(np.count_nonzero(values > RANK_TOLERANCE))
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Return the tangential covariance (n, 3, 3) of directions computed from readings (n, n_panel) of the panels `lit`.
+        """Return the covariance (n, 3, 3) of unit Sun directions that least squares gives from readings (n, n_panel).
 
-        `noise` (n_panel) is the standard deviation of each reading.
+        `lit` (n_panel, bool): the panels used, the same for all rows. `noise` (n_panel): standard deviation of each reading. The
+        covariance is zero along the direction itself.
         """
         design = self._rows * lit[:, None]
-        x = readings @ np.linalg.pinv(design).T
-        length = np.linalg.norm(x, axis=1)
-        n = x / length[:, None]
-        tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
+        light = readings @ np.linalg.pinv(design).T  # direction times brightness
+        length = np.linalg.norm(light, axis=1)
+        direction = light / length[:, None]
+        # the error of a unit vector is the tangential part of that of `light`, divided by its length
+        tangent = np.eye(3) - direction[:, :, None] * direction[:, None, :]
         scaled = unweighted_covariance(design, noise) / length[:, None, None] ** 2
         return tangent @ scaled @ tangent
 
