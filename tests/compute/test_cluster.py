@@ -189,6 +189,21 @@ def test_a_scheduler_that_does_not_answer_is_refused_within_seconds(monkeypatch,
             assert time.monotonic() - begun < 2
 
 
+def test_a_connection_that_another_client_disturbs_is_made_again(monkeypatch, client):
+    """Dask's client fails if a message to all clients arrives with the scheduler's first answer."""
+    attempts = []
+
+    class Disturbed(distributed.Client):
+        async def _ensure_connected(self, timeout=None):
+            if not attempts:
+                attempts.append("disturbed")
+                raise AssertionError
+            await super()._ensure_connected(timeout)
+
+    monkeypatch.setattr(dask, "Client", Disturbed)
+    assert whole(scheduler=client.scheduler.address)
+
+
 def test_without_dask_a_cluster_is_refused_with_the_command_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "sunspin.compute.cluster")

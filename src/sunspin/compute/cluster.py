@@ -32,6 +32,9 @@ CONNECT_S, FIRST_WORKER_S, RESTART_S = 5, 60, 300
 """Time limits: answer of an address, first worker of a cluster, restart of a worker that died.
 Dask looks once, 15 s after each death; a second death at that moment would end the worker for good."""
 
+CONNECT_ATTEMPTS = 10
+"""Attempts to connect to a scheduler: 13 of 60 failed while another client cancelled tasks without a pause."""
+
 
 def compute_on_cluster(
     function: RowFunction, chunks: Iterator[slice], scheduler: Any, n_workers: int
@@ -91,13 +94,25 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
                 kind = thread.submit(asyncio.run, _server_type(str(scheduler))).result()
             if kind != "Scheduler":
                 raise ValueError(f"a {kind}")
-            client = stack.enter_context(Client(scheduler, set_as_default=False))
+            client = stack.enter_context(_connect_to_address(scheduler))
         client.wait_for_workers(1, timeout=FIRST_WORKER_S)
     except (OSError, ValueError, TimeoutError) as error:
         what = f"no Dask scheduler with workers answers at {scheduler}"
         do = 'start it, or give "local", an address like tcp://host:8786 or a Dask client'
         raise InputError(what, got=str(error) or "no answer", do=do) from None
     return client
+
+
+def _connect_to_address(address: Any) -> Client:
+    """Return a client that is connected to a scheduler; `TimeoutError` if no attempt connects.
+
+    A scheduler tells all its clients which tasks were cancelled. If this message arrives together with the first answer to a new
+    client, Dask's client fails with `AssertionError` (version 2026.8, `Client._ensure_connected`); it can connect a moment later.
+    """
+    for _ in range(CONNECT_ATTEMPTS):
+        with suppress(AssertionError):
+            return Client(address, set_as_default=False)
+    raise TimeoutError(f"{CONNECT_ATTEMPTS} attempts to connect failed")
 
 
 async def _server_type(address: str) -> str:
