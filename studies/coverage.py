@@ -39,7 +39,12 @@ from sunspin.philae.rebound import (
     scan_limits,
     start_states,
 )
-from sunspin.philae.telemetry import CELL_W, add_noise, draw_misaligned_panels, draw_rebound_times
+from sunspin.philae.simulation import (
+    PhaseSamples,
+    add_rebound_noise,
+    draw_misaligned_panels,
+    draw_rebound_times,
+)
 from sunspin.philae.threshold import CONFIDENCE, emd_of_truths, quantile_threshold, threshold_index
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from validation.campaign import command, load_or_make, rows_folder, study_parser
@@ -117,9 +122,8 @@ def simulate_measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator)
     t = draw_rebound_times(case, rng)
     tilt, first = draw_misaligned_panels(vehicle, first_sun(case), rng)
     run = propagate(vehicle, truth, first, nominal_wheel_speeds(vehicle), t - t[0], rtol=1e-9)
-    true = run["sun_B"].values
-    exact = CELL_W * vehicle.response_in().power(true, tilt=tilt)
-    power = add_noise(vehicle, true, exact, vehicle.require_noise(), rng)
+    samples = PhaseSamples("first_rebound", t, run["sun_B"].values)
+    power = add_rebound_noise(vehicle, samples, tilt, None, rng)
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 

@@ -18,8 +18,8 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.philae import candidates, data_check, descent, metrics, touchdown
 from sunspin.philae.rebound import Options, nominal_wheel_speeds, read_truth, with_telemetry
 from sunspin.philae.row import Row, settle
+from sunspin.philae.simulation import PhaseSamples, add_rebound_noise
 from sunspin.philae.sun_directions import apply_measured_noise
-from sunspin.philae.telemetry import CELL_W, add_noise
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator
 
@@ -39,11 +39,9 @@ def simulate_motion(
     run = propagate(
         case.vehicle, omega_B, known["sun_B"], speed, t - t[0], wheel_mode=wheel_mode, rtol=1e-9
     )
-    sun, tilt = run["sun_B"].values, np.array(known["tilt_B_rad"]).reshape(-1, 3)
-    exact = CELL_W * case.vehicle.response_in().power(sun, tilt=tilt)
-    sigma = case.vehicle.require_noise() if noise is None else noise
-    power = add_noise(case.vehicle, sun, exact, sigma, generator(seed, 20))
-    data["power_W"].values[inside] = power
+    samples = PhaseSamples("first_rebound", t, run["sun_B"].values)
+    tilt, rng = np.array(known["tilt_B_rad"]).reshape(-1, 3), generator(seed, 20)
+    data["power_W"].values[inside] = add_rebound_noise(case.vehicle, samples, tilt, noise, rng)
     data.attrs.pop("sha256", None)  # no longer the file whose truth ships with the case
     return data
 

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from sunspin.landing.outcomes import outcomes as outcomes
     from sunspin.landing.scenario import Scenario as Scenario
     from sunspin.output.compare import compare as compare
-    from sunspin.philae.telemetry import twin as twin
+    from sunspin.philae.simulation import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
     from sunspin.vehicle import (
         Antenna as Antenna,
@@ -99,7 +99,7 @@ _MODULES = {
     "near_minimum": "sunspin.estimate.scan.volume",
     "fit_lines": "sunspin.estimate.scan.lines",
     "posterior": "sunspin.estimate.posterior.estimate",
-    "twin": "sunspin.philae.telemetry",
+    "twin": "sunspin.philae.simulation",
     "outcomes": "sunspin.landing.outcomes",
     "Scenario": "sunspin.landing.scenario",
     "compare": "sunspin.output.compare",

@@ -13,8 +13,8 @@ from sunspin.estimate.scan.rows import ScanRows, Start, distances_to, target_seg
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
+from sunspin.philae.simulation import CELL_W
 from sunspin.philae.sun_directions import apply_measured_noise, estimate_dark_sigma
-from sunspin.philae.telemetry import CELL_W
 from sunspin.telemetry.sun import sun_directions
 from tests.support.philae import with_panels_as_drawn
 

@@ -26,7 +26,7 @@ from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.rebound import Rebound, event_seconds, nominal_wheel_speeds, read_truth
-from sunspin.philae.telemetry import State, simulate_collision
+from sunspin.philae.simulation import State, simulate_collision
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 

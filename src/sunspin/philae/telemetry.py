@@ -1,476 +1,412 @@
-"""Synthetic telemetry with known truth, of any vehicle or of the whole landing of Philae.
+"""The case's own synthetic telemetry: a simulated landing, selected because it agrees with what the paper prints.
 
-The panel powers measured in flight are not public. This module makes a substitute from published facts. ``python -m
-sunspin.philae.telemetry --seed N OUT.csv`` writes it as a telemetry file. Quantities that the facts do not determine are drawn from
-the seed or chosen here:
+The panel powers measured in flight are not public. A landing drawn at random does not show what the paper prints of its telemetry:
+the set of motions that fit is ragged, and no lines follow from it. This module draws simulated landings from a seed until one shows
+all of it, within `Criteria`:
 
-- scale: `CELL_W` watts per cell, so that the lander makes some 8 W, about right at 2.99 AU; no result depends on it;
-- noise: the vehicle file's, the same for each lit panel; dark panels read zero, lit ones never;
-- panels: each misaligned by `tilt_rad`, and all together by `turned_rad` relative to the axes of inertia and wheel. Both are drawn
-  with the vehicle file's sigmas. These were chosen so that the mean of twenty seeds has the published E and Delta of the descent;
-  noise alone gives a tenth of that E. The published first direction is what the panels show, and the true one is computed from it;
-- deployment: the rotation is as after it (the paper sees a slight variation only). Until sample 10 the folded legs block a fixed
-  part of the light of each side panel;
-- first rebound: the first sample has the published direction and the published wheel speed. Its rate is a point of the published
-  line L3. From this point |omega| is 2 pi / 13 s at the collision: the magnetometer's "13 s" is taken as the period;
-- collision: a sticking impact on a leg, in a direction and at the speed of the paper's section 3.3;
-- settling: the direction rotates evenly from that at the second touchdown to that at rest;
-- rest: the comet moves the Sun along a great circle in body axes. Rocks shadow panel 1 wholly and panels 2 and 3 in part, then hide
-  the Sun until it is below the panel plane. The orientation is chosen for the published lit patterns;
-- first samples at rest (`rest_seen`): a rock covers panel 1 only after them, so that these give a direction, wrong by 25 degrees
-  and with a large Delta: the paper's Fig. 4D has directions after the landing.
+1. panels and descent are drawn together, and accepted by the descent's n_z, Delta and E;
+2. `REBOUNDS_PER_DESCENT` first rebounds are drawn for these panels. The true rate lies within `TRUTH_OFFSET_RAD_S` of the published
+   line L1 or L3, near one of the three points that "one revolution in 13 s" may mean. A rebound is accepted by the smallest EMD of
+   the paper's scan, by the four lines through its near-minimum set, and by the Sun's height;
+3. the collision is drawn for this rebound, and accepted by the share of negative r_z after it.
 
-The seed of the committed file is 0, the first: none was picked.
+A selected file tests nothing that it was selected for. Most landings with such a motion do not show it: the number of the draw says
+how rare it is. ``python -m sunspin.philae.telemetry --seed N OUT.csv`` repeats the search; ``--draw K`` makes draw K at once.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.optimize import brentq
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
-from sunspin.dynamics.impact import impact
-from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.synthetic import Truth, synthetic_telemetry
-from sunspin.telemetry.synthetic import (
-    csv_text,
-    draw_tilts,
-    generator,
-    noisy_power,
-    on_time_grid,
-    telemetry_dataset,
-    truth_text,
-    write_new,
+from sunspin.compute.pool import process_pool, worker_count
+from sunspin.dynamics.ensemble import Outcome
+from sunspin.estimate.scan.metrics import emd
+from sunspin.estimate.scan.rows import distances_to, target_segments
+from sunspin.estimate.scan.table import Table
+from sunspin.estimate.spin import fit_spin
+from sunspin.philae.data_check import LEAST_DIRECTIONS
+from sunspin.philae.metrics import make_near_minimum_set, propagate_grid, simulate_rz
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    Options,
+    first_sun,
+    points_on_lines,
+    published_lines,
+    published_window_s,
 )
+from sunspin.philae.simulation import (
+    CELL_W,
+    Collision,
+    PhaseSamples,
+    State,
+    add_noise,
+    add_rebound_noise,
+    describe_truth,
+    draw_misaligned_panels,
+    draw_rebound_times,
+    find_first_state,
+    join_phases,
+    propagate_directions,
+    simulate_collision,
+    simulate_descent,
+    simulate_ground_phases,
+    simulate_second_rebound,
+)
+from sunspin.telemetry.sun import is_reconstructed, sun_directions
+from sunspin.telemetry.synthetic import csv_text, generator, truth_text, write_new
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import misalignment_sigma
 
-CELL_W = 0.02
-"""Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
+SEED = 0
+"""Seed of the committed file: the first; none was picked."""
 
-FOLDED_LEG_TRANSMISSION = (0.42, 0.72, 0.42, 0.72, 0.42, 1.0)
-"""Part of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta from 0.1 to 0.2."""
+REBOUNDS_PER_DESCENT = 500
+"""Number of first rebounds that are drawn for the panels of one accepted descent, which takes as long to find as they do."""
 
-REST_TRANSMISSION = (0.0, 0.4, 0.4, 0.4, 0.4, 1.0)
-"""Part of the light that reaches each panel at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
+READINGS_OF_13_S = {"L1": (-0.016, 0.20, -0.04), "L3": (0.084, 0.18, 0.03)}
+"""omega_z in rad/s at the first sample of the motions on L1 and L3 with one revolution in 13 s before the collision.
 
-BEFORE_THE_SHADOW = (0.15, 0.6, 0.3, 0.4, 0.4, 1.0)
-"""The same before the shadow covers panel 1: the pattern (1, 2, 3, 6) gives a direction, with Delta from 0.1 to 0.2."""
-
-REST_ANGLES_DEG = (-60.0, -50.0, -40.0, 3.0)
-"""Angles of the Sun along its great circle, from the point where it sinks below the xy plane: when the lander comes to rest, when
-the shadow covers panel 1 (after some five samples), when the rocks begin and when they cease to hide the Sun.
+The 13 s (ROMAP team, 2014) are read as the period of |omega|, of omega_z, or of the precession |H| / I_perp. L2 and L4 have the
+same distributions of r_z.
 """
 
-COMET_TURN_S = 12.4 * 3600.0  # 67P on the day
-SPIN_PERIOD_S = 13.0  # before the collision: ROMAP team, 2014; read here as 2 pi / |omega|
-SAMPLES_BEFORE_DESCENT, SAMPLES_OF_REBOUND = 9, 23
-DEPLOYMENT_INTERVAL_S = 102.0  # nine samples between separation and 08:50:30 leave no more
-REBOUND_INTERVAL_S = 120.0  # paper, section 1: about 2 min
-SETTLING_INTERVAL_S = 150.0
-REST_DURATION_S = 4.0 * 3600.0
-JITTER_S = 6.0  # sample times are irregular by up to this, as housekeeping is
-MAX_DRAWS = 200  # of what has to be possible, before it is refused
+READING_RANGE_RAD_S = 0.03
+"""Largest difference in rad/s between the true omega_z and its reading of 13 s, before the offset from the line."""
+
+TRUTH_OFFSET_RAD_S = 0.01
+"""Largest distance in rad/s of the true rate from a point of its published line: two thirds of the paper's grid step."""
+
+TUBE_RAD_S = 0.02
+"""Radius in rad/s of the tubes about the published lines in which the second screen compares motions."""
+
+COMMON_EMD = (0.028, 0.045)
+"""EMD to the common distribution of the published lines with which a rebound passes the first screen: 0.4 of the draws do.
+
+Points of the lines differ from this distribution by 0.002 to 0.006 in EMD, so that a rebound outside seldom has the published
+smallest EMD.
+"""
+
+COMMON_POINTS, COMMON_QUANTILES = 16, 4000
+"""Number of points of each line, over omega_z of -0.15 to 0.3 rad/s, and of quantiles that make the common distribution."""
 
 
-def twin(
-    source: Case | Vehicle | str,
-    truth: Truth | Mapping[str, Any] | None = None,
-    seed: int = 0,
-    **landing: Any,
-) -> xr.Dataset:
-    """Return synthetic telemetry of a vehicle that moves as `truth` says.
+@dataclass(frozen=True)
+class Criteria:
+    """Largest differences from the printed figures with which a landing is accepted.
 
-    Parameters
+    Attributes
     ----------
-    source : Case, Vehicle or name of a case
-        ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.telemetry.philae_twin`.
-    truth : Truth, or a mapping with its fields
-    seed : int
-        Of the noise and of all other random quantities. The same seed gives the same data.
-    landing
-        Options of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
-        :func:`sunspin.philae.telemetry.philae_twin`.
-
-    Returns
-    -------
-    xarray.Dataset
-        As from `read_telemetry`, with the true direction `true_sun_B (time, axis)` and the truth in attributes
-        ``truth_omega_B``, ``truth_sun_B``, ``truth_wheel_speed_rad_s``, ``truth_noise``, ``truth_scale``,
-        ``truth_seed`` ...
-
-    Raises
-    ------
-    InputError
-        A truth with unknown or missing fields, a negative noise, options of the landing together with a truth.
-    """
-    if isinstance(source, str):
-        source = load_case(source)
-    if truth is None:
-        if isinstance(source, Case) and source.name == "philae":
-            return philae_twin(seed, **landing)
-        raise InputError("a twin needs a truth", do="give omega_B, sun_B and t_s")
-    if landing:
-        what = "a twin with a truth takes no options of the landing"
-        raise InputError(what, got=", ".join(landing))
-    return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
-
-
-# ---- The landing of Philae ---------------------------------------------------------------------------------------------------
-
-
-class State(NamedTuple):
-    """State of a motion: time in s, rate (3) in rad/s, Sun direction (3), wheel speeds (n_wheel) in rad/s."""
-
-    t_s: float
-    omega_B: np.ndarray
-    sun_B: np.ndarray
-    wheel_speed_rad_s: np.ndarray
-
-
-class PhaseSamples(NamedTuple):
-    """Samples of one phase: times (n) in s, true Sun directions (n, 3), and the part of the light that reaches each panel.
-
-    `transmission` is of shape (n, n_panel) or is broadcast to it.
+    sun_z : mean n_z of the descent (0.60)
+    delta_mean : mean Delta of the samples that nothing shadows (0.015)
+    delta_max : largest of these Delta, less and more than the printed one (0.07)
+    descent_E : E of the descent (0.0028)
+    emd_min : smallest EMD of the paper's scan (0.0326)
+    line_rad_s : mean distance in rad/s of each fitted line from its published one
+    height_deg : smallest and largest height of the Sun between touchdown and collision (10 and 80 degrees): a tenth of the range
+    negative : least share of the samples after the collision with r_z < 0, which the paper calls "often"
     """
 
-    phase: str
-    t_s: np.ndarray
-    sun_B: np.ndarray
-    transmission: Any = 1.0
+    sun_z: float = 0.01
+    delta_mean: float = 0.002
+    delta_max: tuple[float, float] = (0.015, 0.010)
+    descent_E: float = 0.0004
+    emd_min: float = 0.002
+    line_rad_s: float = 0.02
+    height_deg: float = 7.0
+    negative: float = 0.3
 
 
-class Collision(NamedTuple):
-    """A simulated collision: the states just before and after it, the leg that hits, and the velocity (3) in m/s at the impact."""
-
-    before: State
-    after: State
-    leg: str
-    velocity_B: np.ndarray
+CRITERIA = Criteria()
 
 
-def philae_twin(
-    seed: int,
-    noise: float | None = None,
-    *,
-    tilt_rad: float | None = None,
-    turned_rad: float | None = None,
-    rest_seen: bool = True,
-) -> xr.Dataset:
-    """Return synthetic telemetry of the whole landing; the same seed gives the same data.
+def _stream(seed: int, part: int, number: int) -> np.random.Generator:
+    """Return the random generator of draw `number` of one part of the landing."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(part, number)))
 
-    `noise` is one sigma of a reading in W; zero gives the powers of the true directions. `tilt_rad` is one sigma of the angle by
-    which each panel normal is off in two directions, `turned_rad` of the angle by which all panels are rotated about each axis;
-    zero gives panels as drawn. The default of all three is the vehicle file's. `rest_seen` says whether the first samples at rest
-    give a direction.
 
-    Returns
-    -------
-    xarray.Dataset
-        As from `read_telemetry`, with coordinate `phase (time)`, `true_sun_B (time, axis)` and the truth in
-        ``truth_...`` attributes.
+def _directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the Sun directions (n, 3) that readings (n, n_panel) show, NaN where they show none; the mask of these; Delta (n)."""
+    sun = sun_directions(vehicle, power)
+    return sun["sun_B"].values, is_reconstructed(sun["status"]), sun["delta"].values
 
-    Raises
-    ------
-    InputError
-        The panels are rotated so far that no Sun makes them show the published first direction; another seed may work.
+
+# ---- Panels and descent ------------------------------------------------------------------------------------------------------
+
+
+class Descent(NamedTuple):
+    """An accepted descent and the panels that it was drawn with.
+
+    `tilt` (n_panel, 3): rotations of the panels in rad. `phases`, `power`: samples and readings with legs folded and unfolded.
+    `draws`: number of descents drawn until this one was accepted.
+    """
+
+    tilt: np.ndarray
+    phases: tuple[PhaseSamples, PhaseSamples]
+    power: list[np.ndarray]
+    draws: int
+
+
+def draw_descent(case: Case, seed: int, number: int) -> Descent:
+    """Draw panels and descent number `number` of a seed until n_z, Delta and E of the descent are as printed."""
+    vehicle, rng = case.vehicle, _stream(seed, 1, number)
+    printed_E = case.published["descent_E"].value
+    for draws in count(1):
+        tilt, _ = draw_misaligned_panels(vehicle, first_sun(case), rng)
+        if tilt is None:
+            raise InputError("the panels need misalignments", do="use the vehicle file of philae")
+        sun_z = find_true_sun_z(case, tilt)
+        if not 0.4 < sun_z < 0.75:  # also NaN: these panels show nothing like the printed n_z
+            continue
+        folded, unfolded = simulate_descent(case, rng, sun_z)
+        power = add_noise(vehicle, unfolded, tilt, None, rng)
+        sun_B, seen, delta = _directions(vehicle, power)
+        mean_z = float(sun_B[seen, 2].mean())
+        if abs(mean_z - case.published["nz_descent"].value) > CRITERIA.sun_z:
+            continue
+        if not has_printed_delta(case, delta[seen]):
+            continue
+        if abs(fit_spin(unfolded.t_s - unfolded.t_s[0], sun_B).E - printed_E) > CRITERIA.descent_E:
+            continue
+        folded_power = add_noise(vehicle, folded, tilt, None, rng)
+        return Descent(tilt, (folded, unfolded), [folded_power, power], draws)
+    raise AssertionError("unreachable")
+
+
+def find_true_sun_z(case: Case, tilt: np.ndarray) -> float:
+    """Return the true Sun's z in the descent with which panels rotated by `tilt` show the printed mean n_z, or NaN."""
+    printed = sun_z = case.published["nz_descent"].value
+    azimuth = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    for _ in range(
+        3
+    ):  # the shown n_z changes nearly as the true one does, so that this converges at once
+        if not abs(sun_z) < 1:  # also if no direction was shown
+            return np.nan
+        flat = np.sqrt(1 - sun_z**2)
+        circle = np.stack(
+            [flat * np.cos(azimuth), flat * np.sin(azimuth), np.full(azimuth.size, sun_z)], axis=1
+        )
+        power = CELL_W * case.vehicle.response_in().power(circle, tilt=tilt)
+        sun_B, seen, _ = _directions(case.vehicle, power)
+        sun_z += printed - (sun_B[seen, 2].mean() if seen.any() else np.nan)
+    return float(sun_z)
+
+
+def has_printed_delta(case: Case, delta: np.ndarray) -> bool:
+    """Return whether the mean and the largest of Delta (n) are as printed."""
+    mean, largest = (case.published[name].value for name in ("delta_mean", "delta_max"))
+    less, more = CRITERIA.delta_max
+    near_mean = abs(delta.mean() - mean) <= CRITERIA.delta_mean
+    return bool(near_mean and largest - less < delta.max() < largest + more)
+
+
+# ---- First rebound -----------------------------------------------------------------------------------------------------------
+
+
+class ReboundDraw(NamedTuple):
+    """A first rebound: true state at its first sample, samples, readings (n, n_panel), measured r_z (m) of its directions."""
+
+    start: State
+    samples: PhaseSamples
+    power: np.ndarray
+    z: np.ndarray
+
+
+def draw_rebound(case: Case, seed: int, number: int, tilt: np.ndarray) -> ReboundDraw:
+    """Draw first rebound number `number` of a seed with panels rotated by `tilt` (n_panel, 3)."""
+    vehicle, rng = case.vehicle, _stream(seed, 2, number)
+    name = list(READINGS_OF_13_S)[rng.integers(2)]
+    reading = READINGS_OF_13_S[name][rng.integers(3)]
+    omega_z = reading + rng.uniform(-READING_RANGE_RAD_S, READING_RANGE_RAD_S)
+    line = published_lines(case)[int(name[1]) - 1]
+    offset = rng.standard_normal(3)  # even in a ball
+    offset *= TRUTH_OFFSET_RAD_S * np.cbrt(rng.uniform()) / np.linalg.norm(offset)
+    start = find_first_state(case, tilt, points_on_lines([line], [omega_z])[0, 0] + offset)
+    t = draw_rebound_times(case, rng)
+    samples = PhaseSamples("first_rebound", t, propagate_directions(vehicle, start, t))
+    power = add_rebound_noise(vehicle, samples, tilt, None, rng)
+    sun_B, seen, _ = _directions(vehicle, power)
+    return ReboundDraw(start, samples, power, sun_B[seen, 2])
+
+
+def find_likely_rebounds(
+    seed: int, number: int, common_z: np.ndarray
+) -> list[tuple[int, ReboundDraw]]:
+    """Return those of the rebounds of descent `number`, with their numbers, that pass the first screen.
+
+    `common_z` (n): quantiles of the common r_z distribution of the published lines (`common_distribution`).
     """
     case = load_case("philae")
-    vehicle, timeline = case.vehicle, case.require_timeline()
-    own_sigma, common_sigma = misalignment_sigma(vehicle)
-    own_sigma = own_sigma if tilt_rad is None else tilt_rad
-    common_sigma = common_sigma if turned_rad is None else turned_rad
-    # each part has a stream of random numbers of its own, so that one can change and the others stay
-    tilt = draw_panel_rotations(vehicle, own_sigma, common_sigma, generator(seed, 7))
+    descent = draw_descent(case, seed, number)
+    first, (low, high) = number * REBOUNDS_PER_DESCENT, COMMON_EMD
+    likely = []
+    for k in range(first, first + REBOUNDS_PER_DESCENT):
+        draw = draw_rebound(case, seed, k, descent.tilt)
+        if draw.z.size >= LEAST_DIRECTIONS and low < emd(draw.z, common_z) < high:
+            likely.append((k, draw))
+    return likely
 
-    start = find_first_state(case, tilt)
-    collision = simulate_collision(case, start, generator(seed, 3))
-    before, after = collision.before, collision.after
-    first_t = draw_rebound_times(case, generator(seed, 2))
-    second_t = _draw_sparse_times(case, "collision", generator(seed, 4))
-    first_sun = _propagate_to(vehicle, start, first_t)["sun_B"].values
-    second_sun = _propagate_to(vehicle, after, second_t)["sun_B"].values
-    landed = _propagate_to(vehicle, after, np.array([timeline.event("second_touchdown").t_s]))
-    phases = [
-        *_simulate_descent(case, generator(seed, 1)),
-        PhaseSamples("first_rebound", first_t, first_sun),
-        PhaseSamples("second_rebound", second_t, second_sun),
-        *_simulate_ground_phases(case, landed["sun_B"].values[-1], seed, rest_seen),
-    ]
-    t = np.concatenate([samples.t_s for samples in phases])
-    sun = np.concatenate([samples.sun_B for samples in phases])
-    counts = [samples.t_s.size for samples in phases]
-    phase = np.repeat([samples.phase for samples in phases], counts)
-    n_panel = len(vehicle.panels)
-    transmission = [
-        np.broadcast_to(samples.transmission, (count, n_panel))
-        for samples, count in zip(phases, counts, strict=True)
-    ]
 
-    exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(transmission)
-    first = int(np.flatnonzero(phase == "first_rebound")[0])
-    power = add_noise(vehicle, sun, exact, noise, generator(seed, 0), first)
+def common_distribution(case: Case) -> np.ndarray:
+    """Return quantiles (n) of r_z over points of all four published lines, which have nearly the same distribution."""
+    points = points_on_lines(published_lines(case), np.linspace(-0.15, 0.3, COMMON_POINTS))
+    z = np.concatenate([simulate_rz(case, omega) for omega in points.reshape(-1, 3)])
+    return np.quantile(z, (np.arange(COMMON_QUANTILES) + 0.5) / COMMON_QUANTILES)
+
+
+class PrintedScan:
+    """The paper's scan, once for all rebounds, and the tubes of motions about the four published lines."""
+
+    def __init__(self, case: Case) -> None:
+        """Propagate the motions of the paper's grid: a minute and a half on one core, 430 MB."""
+        self.case = case
+        self.table: Table = propagate_grid(
+            case, first_sun(case), published_window_s(case), Options()
+        )
+        self.fine = self.table.outcome == Outcome.FINE
+        start = self.table.rows.start.take(np.arange(len(self.fine)))
+        omega, tubes = start.omega_B, []
+        in_range = (omega[:, 2] > LINE_RANGE[0]) & (omega[:, 2] < LINE_RANGE[1])
+        for point, along in published_lines(case):
+            distance = np.linalg.norm(np.cross(omega - point, along), axis=1)
+            tubes.append(np.flatnonzero((distance < TUBE_RAD_S) & in_range & self.fine))
+        self._tube_ends = np.cumsum([len(tube) for tube in tubes])[:-1]
+        self._tube_hist = np.ascontiguousarray(self.table.hist[np.concatenate(tubes)])
+
+    def may_show_lines(self, z: np.ndarray) -> bool:
+        """Return whether the near-minimum set may have motions near all four lines: the second screen, by their tubes alone."""
+        distance = distances_to(self._tube_hist, target_segments(z, None), 1)
+        least = [tube.min() for tube in np.split(distance, self._tube_ends)]
+        factor = self.case.assumptions.study.near_minimum_factor
+        printed = self.case.published["emd_min"].value
+        near_printed = abs(min(least) - printed) <= CRITERIA.emd_min
+        return bool(near_printed and max(least) < factor * min(least))
+
+    def shows_lines(self, z: np.ndarray) -> bool:
+        """Return whether the scan of measured r_z (n) has the printed smallest EMD and gives the four published lines."""
+        volume = self.table.volume(z, None, worker_count(None))
+        smallest = float(volume.values.ravel()[self.fine].min())
+        if abs(smallest - self.case.published["emd_min"].value) > CRITERIA.emd_min:
+            return False
+        factor = self.case.assumptions.study.near_minimum_factor
+        deviation = make_near_minimum_set(self.case, volume, factor, seed=0).deviation
+        return bool(deviation) and all(line["mean"] <= CRITERIA.line_rad_s for line in deviation)
+
+
+def has_printed_heights(case: Case, rebound: ReboundDraw) -> bool:
+    """Return whether the Sun's height over the xy plane ranges as printed from the first sample to the collision."""
+    start = rebound.start
+    t = start.t_s + np.arange(0.0, published_window_s(case), 5.0)
+    z = propagate_directions(case.vehicle, start, t)[:, 2]
+    heights = np.degrees(np.arcsin([z.min(), z.max()]))
+    difference = heights - case.published["sun_height_range"].value
+    return bool(np.all(np.abs(difference) <= CRITERIA.height_deg))
+
+
+def find_printed_rebounds(
+    case: Case, seed: int, first: int = 0, workers: int | None = None
+) -> Iterator[int]:
+    """Yield the numbers of the draws of a seed, from draw `first` on, that show what the paper prints; report to stderr.
+
+    Every draw follows from seed and number alone, so that a search that was interrupted goes on from any draw.
+    """
+    common_z, scan = common_distribution(case), PrintedScan(case)
+    size = worker_count(workers)
+    screen = partial(find_likely_rebounds, seed, common_z=common_z)
+    with process_pool(size) as pool:
+        # blocks of one descent for each process, in the order of the draws
+        for block in count(first // REBOUNDS_PER_DESCENT, size):
+            compute = map if pool is None else pool.map
+            for likely in compute(screen, range(block, block + size)):
+                for number, draw in likely:
+                    passes = number >= first and scan.may_show_lines(draw.z)
+                    if passes and scan.shows_lines(draw.z) and has_printed_heights(case, draw):
+                        yield number
+            print(f"{(block + size) * REBOUNDS_PER_DESCENT} drawn", file=sys.stderr, flush=True)
+
+
+# ---- The whole landing -------------------------------------------------------------------------------------------------------
+
+
+def draw_collision(
+    case: Case, seed: int, start: State, tilt: np.ndarray
+) -> tuple[Collision, PhaseSamples, np.ndarray]:
+    """Draw the collision of the motion through `start` until r_z is often negative after it.
+
+    Return the collision, the samples after it, and their readings (n, n_panel).
+    """
+    for number in count():
+        rng = _stream(seed, 3, number)
+        collision = simulate_collision(case, start, rng)
+        samples = simulate_second_rebound(case, collision.after, rng)
+        if np.mean(samples.sun_B[:, 2] < 0) >= CRITERIA.negative:
+            return collision, samples, add_noise(case.vehicle, samples, tilt, None, rng)
+    raise AssertionError("unreachable")
+
+
+def make_landing(case: Case, seed: int, number: int) -> xr.Dataset:
+    """Return the telemetry of draw `number` of a seed: the whole landing, in the form of :func:`sunspin.read_telemetry`."""
+    vehicle = case.vehicle
+    descent = draw_descent(case, seed, number // REBOUNDS_PER_DESCENT)
+    rebound = draw_rebound(case, seed, number, descent.tilt)
+    collision, after, after_power = draw_collision(case, seed, rebound.start, descent.tilt)
+    rest_rng = generator(seed, 6)
+    ground = simulate_ground_phases(case, collision.after, generator(seed, 5), rest_rng)
+    ground_power = [add_noise(vehicle, samples, descent.tilt, None, rest_rng) for samples in ground]
     truth = {
         "seed": seed,
-        "noise": vehicle.require_noise() if noise is None else noise,
-        "scale": CELL_W,
-        **start._asdict(),
-        "collision_t_s": before.t_s,
-        "collision_omega_before_B": before.omega_B,
-        "collision_omega_after_B": after.omega_B,
-        "collision_sun_B": before.sun_B,
-        "collision_wheel_speed_after_rad_s": after.wheel_speed_rad_s,
-        "collision_leg": collision.leg,
-        "collision_velocity_B": collision.velocity_B,
+        "draw": number,
+        "descent_draws": descent.draws,
+        "noise": vehicle.require_noise(),
+        **describe_truth(case, rebound.start, collision),
+        "tilt_B_rad": descent.tilt.ravel(),
     }
-    if tilt is not None:
-        truth |= {"tilt_sigma_rad": own_sigma, "turned_sigma_rad": common_sigma}
-        truth["tilt_B_rad"] = tilt.ravel()
-    truth["descent_rate_cubic"] = np.array(case.published["descent_rate_cubic"].value)
-    return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
-
-
-def draw_panel_rotations(
-    vehicle: Vehicle, tilt_rad: float | np.ndarray, turned_rad: float, rng: np.random.Generator
-) -> np.ndarray | None:
-    """Draw rotation vectors (n_panel, 3) in rad of the panels: an own misalignment each, and a common one.
-
-    None if both sigmas are zero.
-    """
-    if not (np.any(tilt_rad) or turned_rad):
-        return None
-    return turned_rad * rng.standard_normal(3) + draw_tilts(vehicle, tilt_rad, rng)
-
-
-def draw_misaligned_panels(
-    vehicle: Vehicle, shown_B: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray | None, np.ndarray]:
-    """Draw panel rotations (n_panel, 3) with the vehicle file's sigmas, and return them with the true Sun direction (3).
-
-    The true direction is the one that these panels show as `shown_B` (3). Rotations for which there is none are drawn again.
-    Without sigmas in the vehicle file the result is None and `shown_B`.
-    """
-    sigmas = misalignment_sigma(vehicle)
-    for _ in range(MAX_DRAWS):
-        tilt = draw_panel_rotations(vehicle, *sigmas, rng)
-        if tilt is None:
-            return None, shown_B
-        with suppress(InputError):
-            return tilt, true_sun_direction(vehicle, shown_B, tilt)
-    what = f"no Sun makes panels show this direction in {MAX_DRAWS} draws"
-    raise InputError(what, got=f"sigmas {sigmas}")
-
-
-def true_sun_direction(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-    """Return the true Sun direction (3) that panels rotated by `tilt` (n_panel, 3) show as `shown_B` (3) without noise.
-
-    Raises `InputError` if no Sun makes them show it.
-    """
-    response = vehicle.response_in()
-    lit = (response.power(shown_B) > 0)[:, None]
-    misaligned = response.slopes(shown_B, tilt=tilt)
-    # while the same panels are lit, power = rows @ sun is linear in the direction. The estimator inverts it with the rows of
-    # panels as drawn, pinv(drawn) @ power, so the true direction solves pinv(drawn) @ rows @ sun = shown_B.
-    rows = misaligned.to_sun + misaligned.power[:, None] * shown_B
-    drawn = np.where(lit, response.light_power(shown_B)[1], 0.0)
-    sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
-    sun /= np.linalg.norm(sun)
-    if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
-        what = "no Sun makes panels turned so far show the published direction"
-        raise InputError(what, do="take another seed")
-    return sun
-
-
-def add_noise(
-    vehicle: Vehicle,
-    sun_B: np.ndarray,
-    exact: np.ndarray,
-    sigma: float | None,
-    rng: np.random.Generator,
-    first: int = 0,
-) -> np.ndarray:
-    """Return the powers `exact` (n, n_panel) of Sun directions sun_B (n, 3) with noise of `sigma` (None: the vehicle file's).
-
-    The first direction after the touchdown is published as measured. So the noise of sample `first` is projected onto the
-    combinations of panels that raise Delta without changing the direction.
-    """
-    power = noisy_power(vehicle, exact, sigma, rng)
-    rows = np.where(
-        (exact[first] > 0)[:, None], vehicle.response_in().light_power(sun_B[first])[1], 0.0
-    )
-    noise = power[first] - exact[first]
-    power[first] = exact[first] + noise - rows @ (np.linalg.pinv(rows) @ noise)
-    return power
-
-
-def find_first_state(case: Case, tilt: np.ndarray | None = None) -> State:
-    """Return the true state at the first sample after the first touchdown; `tilt` (n_panel, 3): rotations of the panels."""
-    timeline, published = case.require_timeline(), case.published
-    t = timeline.event("first_sample_after_touchdown").t_s
-    sun = np.array(published["first_sun"].value)
-    sun = sun if tilt is None else true_sun_direction(case.vehicle, sun, tilt)
-    speed = np.array([published["wheel_speed"].value])
-    duration = timeline.event("collision").t_s - t
-    point, along = np.array(published["line_L3"].value)
-
-    def excess(step: float) -> float:
-        """Return |omega| at the collision minus the rate of one revolution in 13 s, `step` along the line L3."""
-        run = propagate(case.vehicle, point + step * along, sun, speed, [0.0, duration])
-        return float(np.linalg.norm(run["omega_B"].values[-1])) - 2 * np.pi / SPIN_PERIOD_S
-
-    step = brentq(excess, 0.0, 0.2, xtol=1e-14)
-    return State(t, point + step * along, sun, speed)
-
-
-def simulate_collision(case: Case, start: State, rng: np.random.Generator) -> Collision:
-    """Simulate the collision of the motion through `start`: draw leg and direction, apply the impact."""
-    t = case.require_timeline().event("collision").t_s
-    run = _propagate_to(case.vehicle, start, np.array([t]))
-    before = State(t, *(run[key].values[-1] for key in State._fields[1:]))
-    legs, assumed = case.vehicle.legs, case.assumptions.collision
-    leg = legs[int(rng.integers(len(legs)))].name
-    direction = rng.standard_normal(3)
-    direction /= np.linalg.norm(direction)
-    direction[2] = -abs(direction[2])  # paper, section 3.3: any direction, but towards -z
-    velocity = case.published["collision_speed"].value * direction
-    bounce: dict[str, Any] = {"restitution": assumed.restitution, "damper": assumed.damper}
-    motion = before.omega_B, before.wheel_speed_rad_s
-    after = impact(case.vehicle, *motion, velocity, leg, **bounce)
-    omega, speed = after["omega_B"].values, after["wheel_speed_rad_s"].values
-    return Collision(before, State(t, omega, before.sun_B, speed), leg, velocity)
-
-
-def _propagate_to(vehicle: Vehicle, state: State, t_s: np.ndarray) -> xr.Dataset:
-    """Propagate a state to times t_s (n), the first of which may be the state's own time."""
-    times = t_s if t_s[0] == state.t_s else np.concatenate([[state.t_s], t_s])
-    return propagate(vehicle, *state[1:], times).isel(time=slice(-t_s.size, None))
-
-
-def _add_jitter(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return times (n) shifted at random by up to `JITTER_S`."""
-    return on_time_grid(t_s + rng.uniform(-JITTER_S, JITTER_S, t_s.size))
-
-
-def draw_rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
-    """Draw times (n) in s of the samples of the first rebound: the published first one, then even ones with jitter."""
-    begin = case.require_timeline().event("first_sample_after_touchdown").t_s
-    later = begin + REBOUND_INTERVAL_S * np.arange(1, SAMPLES_OF_REBOUND)
-    return np.concatenate([on_time_grid([begin]), _add_jitter(later, rng)])
-
-
-def _draw_sparse_times(
-    case: Case, event: str, rng: np.random.Generator, duration_s: float | None = None
-) -> np.ndarray:
-    """Draw times (n) from an event on, at the mean interval of the published samples after the collision.
-
-    There are as many as published, or as fit into `duration_s`.
-    """
-    n = case.published["samples_after_collision"].value
-    interval = case.require_timeline().seconds("collision", "second_touchdown") / n
-    n = n if duration_s is None else int(duration_s / interval)
-    begin = case.require_timeline().event(event).t_s
-    return _add_jitter(begin + interval * (np.arange(n) + 0.5), rng)
-
-
-def _simulate_descent(case: Case, rng: np.random.Generator) -> tuple[PhaseSamples, PhaseSamples]:
-    """Return samples 1 to 9 with folded legs, then 10 to the touchdown, rotating about z at the published cubic rate."""
-    timeline, published = case.require_timeline(), case.published
-    begin, end = (timeline.event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
-    first, last = published["descent_samples"].value
-    interval = published["descent_span"].value * 3600.0 / (last - first)
-    count = int((end - begin - JITTER_S) / interval)
-    folded = begin - DEPLOYMENT_INTERVAL_S * np.arange(SAMPLES_BEFORE_DESCENT, 0, -1)
-    folded = _add_jitter(folded, rng)
-    unfolded = np.append(begin, _add_jitter(begin + interval * np.arange(1, count + 1), rng))
-    azimuth = rng.uniform(0, 2 * np.pi)
-    rate, z = published["descent_rate_cubic"].value, published["nz_descent"].value
-
-    def sun(t_s: np.ndarray) -> np.ndarray:
-        """Return Sun directions (n, 3): the Sun moves opposite to the body's spin; before sample 10 at the first rate."""
-        before, after = np.minimum(t_s - begin, 0.0), np.maximum(t_s - begin, 0.0)
-        angle = sum(c * after ** (k + 1) / (k + 1) for k, c in enumerate(rate)) + rate[0] * before
-        flat = np.sqrt(1 - z**2)
-        x, y = flat * np.cos(azimuth - angle), flat * np.sin(azimuth - angle)
-        return np.stack([x, y, np.full(t_s.shape, z)], axis=-1)
-
-    return (
-        PhaseSamples("deployment", folded, sun(folded), FOLDED_LEG_TRANSMISSION),
-        PhaseSamples("descent", unfolded, sun(unfolded)),
-    )
-
-
-def _simulate_ground_phases(
-    case: Case, sun_B: np.ndarray, seed: int, seen_first: bool
-) -> tuple[PhaseSamples, PhaseSamples]:
-    """Return the samples of two phases: settling after the second touchdown, and rest among the rocks.
-
-    `sun_B` (3) is the direction at the second touchdown. While settling the direction rotates evenly to that at rest. At rest the
-    Sun moves along its great circle.
-    """
-    timeline = case.require_timeline()
-    begin, end = (timeline.event(name).t_s for name in ("second_touchdown", "rest"))
-    at_first, shadow, hides, shows = np.radians(REST_ANGLES_DEG)
-    # a great circle inclined by 80 degrees to the xy plane, which it crosses at azimuth 86 degrees
-    azimuth, tilt = np.radians(86.0), np.radians(80.0)
-    node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    down = np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0])
-
-    def on_circle(angle: np.ndarray) -> np.ndarray:
-        """Return the Sun directions (n, 3) at angles (n) in rad along its great circle."""
-        return np.cos(angle)[..., None] * node + np.sin(angle)[..., None] * down
-
-    t = np.arange(begin + SETTLING_INTERVAL_S / 2, end - JITTER_S, SETTLING_INTERVAL_S)
-    t = _add_jitter(t, generator(seed, 5))
-    start, goal = sun_B / np.linalg.norm(sun_B), on_circle(at_first)
-    rotation = np.cross(start, goal)  # rotation vector from start to goal
-    rotation *= np.arctan2(np.linalg.norm(rotation), start @ goal) / np.linalg.norm(rotation)
-    sun = Rotation.from_rotvec(((t - begin) / (end - begin))[:, None] * rotation).apply(start)
-    settling = PhaseSamples("settling", t, sun)
-
-    t = _draw_sparse_times(case, "rest", generator(seed, 6), REST_DURATION_S)
-    angle = at_first + 2 * np.pi * (t - end) / COMET_TURN_S
-    hidden = (angle > hides) & (angle < shows)
-    early = seen_first & (angle < shadow)
-    by_panel = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION)
-    return settling, PhaseSamples("rest", t, on_circle(angle), by_panel * ~hidden[:, None])
-
-
-# ---- The command -------------------------------------------------------------------------------------------------------------
+    phases = [*descent.phases, rebound.samples, after, *ground]
+    power = [*descent.power, rebound.power, after_power, *ground_power]
+    return join_phases(case, phases, power, truth)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the synthetic telemetry of Philae's landing, and its truth next to it."""
+    """Write synthetic telemetry of Philae's landing that agrees with what the paper prints, and its truth next to it."""
     parser = argparse.ArgumentParser(
-        prog="python -m sunspin.philae.telemetry", description=main.__doc__
+        prog="python -m sunspin.philae.telemetry",
+        description=f"{main.__doc__} The search takes an hour or more of two cores; with --draw the landing is made at once.",
     )
     add = parser.add_argument
     add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml there")
-    add("--seed", type=int, required=True, help="of all that is drawn")
+    add("--seed", type=int, default=SEED, help="of all that is drawn (default: %(default)s)")
+    add("--draw", type=int, help="make this draw, whether it agrees with the paper or not")
+    add("--from", dest="first", type=int, default=0, help="search from this draw on")
     add("--force", action="store_true", help="replace existing files")
     options = parser.parse_args(arguments)
-    name, truth = options.out.name, options.out.parent / "twin_truth.toml"
-    comments = [
-        f"synthetic: not measured; made by sunspin {version()} from published facts",
-        f"synthetic: python -m sunspin.philae.telemetry --seed {options.seed} {name}",
-    ]
-    behind_them = "the truth behind them is in twin_truth.toml"
-    scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
-    about = f"The truth behind {name}; see sunspin.philae.telemetry for how each part was chosen."
+    case, truth = load_case("philae"), options.out.parent / "twin_truth.toml"
     try:
-        telemetry, vehicle = philae_twin(options.seed), load_case("philae").vehicle
-        write_new(options.out, csv_text(vehicle, telemetry, [*comments, scale]), options.force)
+        number = options.draw
+        if number is None:
+            number = next(find_printed_rebounds(case, options.seed, options.first))
+        telemetry = make_landing(case, options.seed, number)
+        command = f"python -m sunspin.philae.telemetry --seed {options.seed} --draw {number}"
+        comments = [
+            f"synthetic: not measured; made by sunspin {version()} from published facts",
+            f"synthetic: {command} {options.out.name}",
+            f"synthetic: draw {number} of first rebounds, selected because it shows what the paper prints of the telemetry",
+        ]
+        behind_them = "the truth behind them is in twin_truth.toml"
+        scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
+        about = f"The truth behind {options.out.name}; see sunspin.philae.simulation for how each part was chosen."
+        text = csv_text(case.vehicle, telemetry, [*comments, scale])
+        write_new(options.out, text, options.force)
         write_new(truth, truth_text(telemetry, [*comments, about]), options.force)
     except SunspinError as error:
         print(error, file=sys.stderr)

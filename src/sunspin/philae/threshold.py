@@ -38,7 +38,7 @@ from sunspin.philae.rebound import (
     motion_and_panel_parameters,
     scan_limits,
 )
-from sunspin.philae.telemetry import draw_misaligned_panels
+from sunspin.philae.simulation import draw_misaligned_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle.response.panels import brightness, misalignment_sigma
 
