@@ -31,7 +31,7 @@ from sunspin.landing.tally import (
     read_weightings,
     tally,
 )
-from sunspin.philae.candidates import Candidates, Chain
+from sunspin.philae.candidates import Candidates, CandidateSets
 from sunspin.philae.row import Row, judge_range, judge_share, make_row
 from sunspin.vehicle.timeline import utc_seconds
 
@@ -63,7 +63,7 @@ class AfterCollision(NamedTuple):
     :func:`condition`.
     """
 
-    chain: Chain
+    candidate_sets: CandidateSets
     runs: dict[str, dict[str, xr.Dataset]]
     weighted: xr.Dataset
 
@@ -79,7 +79,9 @@ class RzRange(NamedTuple):
     highest_minimum: float
 
 
-def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> AfterCollision:
+def compute(
+    case: Case, candidate_sets: CandidateSets, n: int, seed: int = 0, **options: Any
+) -> AfterCollision:
     """Simulate `n` collisions of the chosen candidates and half as many of the other two sets.
 
     `options` are passed to :func:`sunspin.landing.outcomes.outcomes`.
@@ -91,17 +93,18 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
         runs = outcomes(case.vehicle, motions.dataset(), strategy, max(count, 1), **settings)
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
-    paper, real = chain.rebound.scenarios()
+    paper, real = candidate_sets.rebound.scenarios()
     sets = (
-        ("chosen", chain.chosen, n),
-        ("scan_range", chain.scan_range, n // 2),
-        ("near_minimum", chain.near_minimum, n // 2),
+        ("chosen", candidate_sets.chosen, n),
+        ("scan_range", candidate_sets.scan_range, n // 2),
+        ("near_minimum", candidate_sets.near_minimum, n // 2),
     )
     runs = {
         name: {strategy: simulate(motions, strategy, count, paper) for strategy in ("off", "held")}
         for name, motions, count in sets
     }
-    return AfterCollision(chain, runs, condition(case, simulate(chain.chosen, "off", n, real)))
+    at_kernel_speeds = simulate(candidate_sets.chosen, "off", n, real)
+    return AfterCollision(candidate_sets, runs, condition(case, at_kernel_speeds))
 
 
 def rz_range(runs: xr.Dataset) -> RzRange:
@@ -113,8 +116,8 @@ def rz_range(runs: xr.Dataset) -> RzRange:
 
 def rows(collision: AfterCollision) -> list[Row]:
     """Return the published figures of section 3.3 compared with ours: r_z after the collision, and the collision itself."""
-    chain, runs, weighted = collision
-    case, name, chosen = chain.case, chain.name, chain.chosen
+    candidate_sets, runs, weighted = collision
+    case, name, chosen = candidate_sets.case, candidate_sets.source, candidate_sets.chosen
     # by set of candidates and strategy: shares of the runs in which something happens, and the range of r_z
     shares = {
         of_set: {strategy: tally(data) for strategy, data in by_strategy.items()}
@@ -153,8 +156,10 @@ def rows(collision: AfterCollision) -> list[Row]:
     often = bool(off["rz_time_below_0"].value >= OFTEN)
     wheel_off = row_of("rz_range_wheel_off", [low, high])
     wheel_held = row_of("rz_min_wheel_held", rz_held["near_minimum"].lowest)
-    rate = row_of("rate_at_collision", float(chain.near_minimum.speed_collision.mean()))
-    rates = (motions.range(motions.speed_collision) for motions in (chosen, chain.scan_range))
+    rate = row_of("rate_at_collision", float(candidate_sets.near_minimum.speed_collision.mean()))
+    rates = (
+        motions.range(motions.speed_collision) for motions in (chosen, candidate_sets.scan_range)
+    )
     change = float(np.nanmedian(weighted["velocity_change"]))
     # wheel off: the whole range of r_z is compared; held: the range of the runs' own minima
     whole = ((rz.lowest, rz.highest) for rz in (rz_off["chosen"], rz_off["scan_range"]))

@@ -188,10 +188,13 @@ Which panels are lit, and which patterns the Sun alone cannot make (paper, secti
 def _caption_fields(study: Study, name: str, result: Any) -> dict[str, Any]:
     """Return the values for the fields of a picture's caption."""
     fields = {"result": result, "synthetic": synthetic_words(study.synthetic)}
-    if study.chain is not None:
+    if study.candidate_sets is not None:
         bound = "every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only"
         meaning = {"scan": f"; {bound}", "published": "; this telemetry does not enter"}
-        fields |= {"about": study.chain.chosen.about, "meaning": meaning.get(study.chain.name, "")}
+        fields |= {
+            "about": study.candidate_sets.chosen.about,
+            "meaning": meaning.get(study.candidate_sets.source, ""),
+        }
     if name == "distributions":
         fields["spread"] = study.parts["published_lines"].spread
     if name == "fig09_lines":

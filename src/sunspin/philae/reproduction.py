@@ -174,7 +174,8 @@ def _hash_inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]
 
 def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[str, Any]:
     """Return the content of `summary.json`."""
-    counts, chain, missing = study.counts(), study.chain, study.missing
+    counts, missing = study.counts(), study.missing
+    calibration = study.candidate_sets and study.candidate_sets.calibration
     stop = ""
     if "candidates" in missing:
         texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
@@ -200,7 +201,7 @@ def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[
         "chain": study.options.source,
         "carries": study.parts["carries"].first_line,
         "noise": study.noise.about,
-        "calibration": str(chain.calibration) if chain and chain.calibration else None,
+        "calibration": str(calibration) if calibration else None,
         "missing": missing,
         "stop": stop,
         "headline": headline(study),
@@ -280,8 +281,8 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         "published_B": (("published", "axis"), lines.on_lines_touchdown, rate),
     }
     files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
-    if study.chain is not None:
-        chosen = study.chain.chosen
+    if study.candidate_sets is not None:
+        chosen = study.candidate_sets.chosen
         # at most 20,000 of the candidates, evenly chosen
         table, every = chosen.dataset(), -(-len(chosen) // 20_000)
         for name, unit, about in (
