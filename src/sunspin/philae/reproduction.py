@@ -106,7 +106,7 @@ def reproduce(
         what = "the telemetry lies in the results folder, which is replaced"
         raise InputError(what, do="copy it to another place first", where=str(telemetry))
     folder = results_folder(out, "reproduce")
-    options: dict[str, Any] = {"source": candidates, "twins": calibrate, "seed": seed}
+    options: dict[str, Any] = {"source": candidates, "simulations": calibrate, "seed": seed}
     options |= {"coarser": coarser, "workers": workers, "progress": progress}
     drawn: pictures.Drawn = {}
     study = compute(case, lambda so_far: pictures.draw_pictures(so_far, drawn), **options)
