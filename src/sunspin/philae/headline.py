@@ -25,8 +25,8 @@ def headline(study: Study) -> list[str]:
     elif not check.descent_has_spin or not check.consistent_with_sun:
         descent = "Descent: the rotation does not follow from this telemetry."
     else:
-        rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
-        descent = f"Descent: rotation period {period_text(rate)}."
+        middle_rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
+        descent = f"Descent: rotation period {period_text(middle_rate)}."
     synthetic = (
         "The panel powers measured in flight are not public. This run uses synthetic ones made from published facts: it tests "
         "the method and does not measure Philae again."
@@ -34,11 +34,14 @@ def headline(study: Study) -> list[str]:
     measured = "The panel powers were read from a file that does not call itself synthetic."
     origin = synthetic if study.synthetic else measured
     if candidate_sets is None:
+        # why the scan failed, else why no candidates could be selected from it
         missing = study.missing
         failed = missing.get("level_set", missing.get("candidates", "no motion was found"))
         # "STEP: not reproduced, as REASON; got ...": only the reason is repeated
         reason = failed.split(" as ", 1)[-1].split(";")[0].rstrip(".")
-        why = "; ".join(check.reasons) or reason
+        why = (
+            "; ".join(check.reasons) or reason
+        )  # the data check explains more than its consequence
         motion = f"After the first touchdown: the motion cannot be concluded, as {why}."
         return [descent, motion, "No conclusions on touchdown, collision and landing.", origin]
 

@@ -217,15 +217,17 @@ def make_figure_rows(drawings: list[Drawing]) -> list[Row]:
     """Return one row for each numbered figure of the paper: its content, and the files that show it here."""
     rows = []
     for number, shows in enumerate(PAPER_FIGURES, 1):
-        mine = [p for p in drawings if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
+        # a file such as fig10_11_descent shows two figures
+        pattern = rf"fig(\d\d_)*{number:02d}_"
+        showing = [drawing for drawing in drawings if re.match(pattern, drawing.name)]
         # Figs. 1 and 2 show the lander
         absent = "not drawn" if number > 2 else "not drawn: a picture of the lander"
         row = Row(
             id=f"figure_{number}",
             what=f"Fig. {number}",
             published=shows,
-            ours=", ".join(f"{p.name}.png" for p in mine) or absent,
-            note=" ".join(p.caption for p in mine),
+            ours=", ".join(f"{drawing.name}.png" for drawing in showing) or absent,
+            note=" ".join(drawing.caption for drawing in showing),
             source=f"paper, Fig. {number}",
             kind="not_comparable",
             chain="none",
@@ -239,11 +241,13 @@ def _contradictions(case: Case) -> Table:
     import pandas as pd
 
     study = json.loads((case.folder / "contradictions.json").read_text("utf-8"))
-    shown = {"what": "statement", "sentence": "the paper says", "published": "published"}
-    shown |= {"ours": "recomputed", "unit": "unit", "other_reading": "other reading"}
-    shown |= {"changes": "what it changes", "strength": "strength"}
+    # keys of the stored statements -> headings of the table
+    headings = {"what": "statement", "sentence": "the paper says", "published": "published"}
+    headings |= {"ours": "recomputed", "unit": "unit", "other_reading": "other reading"}
+    headings |= {"changes": "what it changes", "strength": "strength"}
     rows = [
-        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in shown}
+        # "1" is the unit of a number without unit and is not shown
+        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in headings}
         | {"strength": "weak" if row["weak"] else "strong"}
         for row in study["statements"]
     ]
@@ -251,7 +255,7 @@ def _contradictions(case: Case) -> Table:
         "Where the paper contradicts itself (it judges the paper and not this run; weak: a matter of wording, or nearly explained "
         f"by the other reading). Computed on {study['made']} by {study['command']}"
     )
-    return Table("contradictions", pd.DataFrame(rows), title, shown, prose=True)
+    return Table("contradictions", pd.DataFrame(rows), title, headings, prose=True)
 
 
 # ---- NetCDF files ------------------------------------------------------------------------------------------------------------
@@ -269,10 +273,10 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         data = near.emd.to_dataset()
         if near.lines is not None:
             data = data.merge(near.lines.rename({"axis": "line_axis", "n": "near_point"}))
-        attrs, by = rate | {"factor": near.factor}, ("published_line", "rate_axis")
-        data["near_minimum"] = ("near_point", "rate_axis"), near.points, attrs
-        data["published_point"] = by, points, rate
-        data["published_direction"] = by, directions, {"units": "1"}
+        set_attrs, line_dims = rate | {"factor": near.factor}, ("published_line", "rate_axis")
+        data["near_minimum"] = ("near_point", "rate_axis"), near.points, set_attrs
+        data["published_point"] = line_dims, points, rate
+        data["published_direction"] = line_dims, directions, {"units": "1"}
         files[name] = data.assign_attrs(kind="scan", about=f"against {target}")
     if scan is not None and scan.truth:
         files["scan_telemetry"]["truth"] = "rate_axis", scan.truth["omega_B"], rate
@@ -302,8 +306,8 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         files |= {f"outcomes-{name}": data for name, data in runs.items()}
     if "strategies" in parts:
         files["strategies"] = parts["strategies"].table
-    for name, run in parts.get("motions", {}).items():
-        files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
+    for name, motion in parts.get("motions", {}).items():
+        files[f"motion-{name.lower().replace(' ', '-')}"] = motion.assign_attrs(title=name)
     if "speeds" in parts:
         files["speed"] = parts["speeds"]
     attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
