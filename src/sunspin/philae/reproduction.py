@@ -112,8 +112,8 @@ def reproduce(
     study = compute(case, lambda so_far: pictures.draw_pictures(so_far, drawn), **options)
     drawings = pictures.write_pictures(drawn, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
-    copy = folder / f"telemetry{source.suffix or '.csv'}"
-    write_whole(copy, lambda part: part.write_bytes(source.read_bytes()))
+    telemetry_copy = folder / f"telemetry{source.suffix or '.csv'}"
+    write_whole(telemetry_copy, lambda part: part.write_bytes(source.read_bytes()))
 
     # the command that repeats this run
     command = ["sunspin", "reproduce", "--seed", str(seed)]
@@ -131,6 +131,7 @@ def reproduce(
     vehicle_text = attach_changes(
         case.name if vehicle is None else vehicle, split_changes(requested)[0]
     )
+    # the stored contradictions of the paper were computed from the unchanged case
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
@@ -176,6 +177,7 @@ def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[
     """Return the content of `summary.json`."""
     counts, missing = study.counts(), study.missing
     calibration = study.candidate_sets and study.candidate_sets.calibration
+    # the reason why the report has no conclusions on the motion; empty if it has
     stop = ""
     if "candidates" in missing:
         texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
@@ -262,7 +264,10 @@ def _contradictions(case: Case) -> Table:
 
 
 def make_datasets(study: Study) -> dict[str, xr.Dataset]:
-    """Return the data of every computed step by file name, for the report and for further computation."""
+    """Return the data of every computed step by file name, for the report and for further computation.
+
+    Files of steps that were not computed are left out.
+    """
     parts, lines, rate = study.parts, study.parts["published_lines"], {"units": "rad s-1"}
     scans = [("scan_published_lines", lines.clean, "the common distribution of the printed lines")]
     if (scan := parts.get("level_set")) is not None:
@@ -287,7 +292,7 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
     files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
     if study.candidate_sets is not None:
         chosen = study.candidate_sets.chosen
-        # at most 20,000 of the candidates, evenly chosen
+        # at most 20,000 of the candidates, evenly chosen; the division rounds up
         table, every = chosen.dataset(), -(-len(chosen) // 20_000)
         for name, unit, about in (
             ("speed_touchdown", "rad s-1", "just after the first touchdown"),

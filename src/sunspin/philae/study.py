@@ -310,11 +310,12 @@ def _run_step(step: Step, study: Study) -> None:
         study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
         return
     study.parts[step.name] = result
-    # a row without a chain has that of its section; its kind is "put_in" if the telemetry was made from its figure
-    chain, about = "telemetry" if step.section == "telemetry" else "none", read_tables(study.case)
+    # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure
+    section_source = "telemetry" if step.section == "telemetry" else "none"
+    rows = [replace(row, chain=row.chain or section_source) for row in rows]
+    tables = read_tables(study.case)
     put_in = ("always", "synthetic") if study.synthetic else ("always",)
-    rows = [replace(row, chain=row.chain or chain) for row in rows]
-    rows = [settle(row, about.get(row.id, {}).get("put_in") in put_in) for row in rows]
+    rows = [settle(row, tables.get(row.id, {}).get("put_in") in put_in) for row in rows]
     if study.synthetic:
         no_telemetry = "none", "published"
         rows = [row if row.chain in no_telemetry else label_synthetic(row) for row in rows]
