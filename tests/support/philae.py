@@ -90,4 +90,6 @@ def chain_on_the_lines(case: Case) -> candidates.CandidateSets:
         )
         for name, (source, points) in sets.items()
     )
-    return candidates.CandidateSets(case, rebound, chosen, scan_range, near_minimum, None, float("nan"))
+    return candidates.CandidateSets(
+        case, rebound, chosen, scan_range, near_minimum, None, float("nan")
+    )

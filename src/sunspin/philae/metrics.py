@@ -83,11 +83,13 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     paper = {key: figure.value for key, figure in case.published.items()}
     vehicle, samples, workers = case.vehicle, select_rebound(case, sun), options.workers
     speed, window = nominal_wheel_speeds(vehicle), published_window_s(case)
+    # the start direction as the paper quotes it is no unit vector, and the ranges (3, 2) of the rates
     quoted, box = np.array(paper["first_sun_E_study"]), paper["E_study_box"]
     length = float(np.linalg.norm(quoted))
 
     # After 45 min neighbours in rates differ by a third of a radian in phase, neighbours in parameters by 1.4 rad. The second map
     # is coarser because each of its points is another vehicle, which takes 4 ms, 30 times a point of the first map.
+    # Ranges and numbers of points of the four axes. The rate omega_z of the first map is fixed.
     spans = (*box[:2], paper["E_study_coulomb"], paper["E_study_inertia"])
     omega_x, omega_y, mu_0, theta_xx = (
         np.linspace(*span, max(n // options.coarser, 2))
@@ -116,18 +118,19 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
         .expand_dims(motion=[name])
         for name, motion in motions.items()
     ]
-    # changes of omega_x for Fig. 8 B; their number is odd so that zero is among them
+    # changes of omega_x in the motion of Fig. 8 B; their number is odd so that zero is among them
     change_rad_s = np.linspace(-0.05, 0.05, 1001 // options.coarser // 2 * 2 + 1)
     windows_s = 60.0 * np.array([5.0, 15.0, 45.0])
     return Sensitivity(
         case,
-        bool(sun.attrs.get("synthetic")),
-        int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
-        length,
-        error_growth.of_length(rates, length).assign_attrs(units="1"),
-        error_growth.of_length(parameters, length).assign_attrs(units="1"),
-        xr.concat(changes, "motion"),
-        error_growth.valleys(motion_8B, change_rad_s, windows_s, interval_s, workers),
+        synthetic=bool(sun.attrs.get("synthetic")),
+        n_directions=int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
+        start_length=length,
+        # E of a unit start direction, converted to one of the quoted length
+        rates=error_growth.of_length(rates, length).assign_attrs(units="1"),
+        parameters=error_growth.of_length(parameters, length).assign_attrs(units="1"),
+        motions=xr.concat(changes, "motion"),
+        valley=error_growth.valleys(motion_8B, change_rad_s, windows_s, interval_s, workers),
     )
 
 

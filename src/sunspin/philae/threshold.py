@@ -325,6 +325,7 @@ def read_calibration(path: Path) -> Calibration:
     """Read a calibration written by `write_calibration`; raise `InputError` for any other file."""
     try:
         data = json.loads(path.read_text("utf-8"))
+        # lists of different lengths make no array and raise a ValueError
         ratio, emd_min, directions = np.array(
             [data[name] for name in ("ratio", "emd_min", "directions")], dtype=np.float64
         )
