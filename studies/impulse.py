@@ -143,7 +143,7 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
     return sun / np.linalg.norm(sun)
 
 
-def load_motions(source: str, seed: int) -> candidates.Chain:
+def load_motions(source: str, seed: int) -> candidates.CandidateSets:
     """Return the motions of the built-in telemetry, as `sunspin reproduce --candidates` selects them."""
     case, sun = prepare_case()
     options = Options(source, seed=seed)
@@ -151,7 +151,7 @@ def load_motions(source: str, seed: int) -> candidates.Chain:
     return candidates.compute(scan, data_check.compute(case, sun, None, seed), options)
 
 
-def simulate_collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:
+def simulate_collisions(chain: candidates.CandidateSets, n: int, seed: int) -> xr.Dataset:
     """Simulate about `n` collisions of the motions at free times, with `speed_touchdown` (rad/s) of each motion.
 
     Nothing after the impact matters, so the flight ends a second later.

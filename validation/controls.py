@@ -97,7 +97,7 @@ NOT_CONCLUDED = ("each panel shuffled", "panels 1 and 2 exchanged")
 COARSER = 3
 """Grid of the scan: every third point, 34 x 34 x 14 motions."""
 
-TWINS = 60
+SIMULATIONS = 60
 """Number of simulated rebounds in the calibration."""
 
 
@@ -108,14 +108,14 @@ class ControlResult:
     case: Case
     check: data_check.DataCheck
     scan: metrics.TelemetryScan | None
-    chain: candidates.Chain | None
+    chain: candidates.CandidateSets | None
     why: str
 
     @property
     def rows(self) -> dict[str, Row]:
         """Rows of scan and touchdown by id, as they are counted."""
         rows = metrics.scan_rows(self.scan) if self.scan else []
-        rows = rows + (touchdown.rows(self.chain) if self.chain else [])
+        rows = rows + (touchdown.touchdown_rows(self.chain) if self.chain else [])
         return {row.id: settle(row) for row in rows}
 
 
@@ -133,7 +133,7 @@ def run_chain(
 ) -> ControlResult:
     """Run data check, scan and candidates on telemetry (default: the built-in one). `options` are fields of `Options`."""
     case, sun = prepare_case(telemetry)
-    options = Options(**{"coarser": COARSER, "twins": TWINS} | options)
+    options = Options(**{"coarser": COARSER, "simulations": SIMULATIONS} | options)
     try:
         fit = descent.compute(case, sun)
     except SunspinError:

@@ -7,6 +7,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
+from sunspin.dynamics.ensemble import Rows
 from sunspin.philae import candidates, data_check, touchdown
 from sunspin.philae import rebound as rb
 from validation import controls
@@ -94,6 +95,43 @@ def test_a_lander_that_never_tumbled_is_distinguished_from_one_that_did(found):
         assert "do not depend on the size" in one.rows["rate_at_touchdown_max"].note
 
 
+def candidates_with_smaller_angle(low_deg, high_deg):
+    """Two motions at the touchdown whose smaller angle of the momentum lies between these limits; the larger one is 150 degrees."""
+    pair = np.zeros(2)
+    return candidates.Candidates(
+        source="mine.csv",
+        about="two motions",
+        states=Rows(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 1))),
+        speed_touchdown=pair,
+        theta=np.radians([low_deg, high_deg]),
+        alpha=np.radians([150.0, 150.0]),
+        speed_collision=pair,
+        sun_elevation=np.zeros((2, 2)),
+        angle_cell_rad=0.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("chosen_deg", "possible_deg", "words"),
+    [
+        ((30, 85), (0, 90), "is above 30 degrees (90%)"),
+        ((0, 60), (0, 90), "is below 60 degrees (90%)"),
+        ((30, 60), (0, 90), "is above 30 degrees and below 60 degrees (90%)"),
+        ((0, 15), (0, 90), "is below 15 degrees (90%); the momentum lies within 15 degrees of z"),
+        ((0, 85), (0, 90), "is hardly constrained"),
+        # nothing smaller was possible before the data: no lower limit follows from them
+        ((10, 60), (10, 90), "is below 60 degrees (90%)"),
+        ((10.5, 85), (10, 90), "is hardly constrained"),
+    ],
+)
+def test_a_limit_of_the_smaller_angle_is_what_the_data_exclude(chosen_deg, possible_deg, words):
+    chosen, possible = (
+        candidates_with_smaller_angle(*limits) for limits in (chosen_deg, possible_deg)
+    )
+    sets = candidates.CandidateSets(CASE, None, chosen, possible, possible, None, float("nan"))
+    assert f"the smaller one {words}" in touchdown.describe_motion(sets)[0]
+
+
 @pytest.mark.long
 def test_readings_without_sunlight_give_no_conclusion(found):
     """Each panel shuffled in time, two columns exchanged: Delta and forbidden patterns catch it, and no conclusion is left."""
@@ -148,7 +186,7 @@ def test_candidates_are_read_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
     one = run_chain(source=str(path), coarser=20)
-    assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
+    assert one.chain.source == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
     for text, said in (
         ("a,b\n1,2\n", "columns omega_x"),
@@ -163,7 +201,7 @@ def test_candidates_are_read_from_a_table(tmp_path, quick):
 
 
 def test_without_a_calibration_there_is_no_conclusion(quick):
-    one = run_chain(None, coarser=20, twins=0)
+    one = run_chain(None, coarser=20, simulations=0)
     assert one.chain is None and "not calibrated for these data" in one.why
 
 

@@ -84,7 +84,7 @@ def grid():
 
 
 def test_too_few_simulated_rebounds_are_refused():
-    with pytest.raises(InputError, match="too few twins.*ask for more"):
+    with pytest.raises(InputError, match="too few simulations.*ask for more"):
         threshold.quantile_threshold(np.ones(10), 0.95)
     with pytest.raises(InputError, match="between 0 and 1"):
         threshold.threshold_index(100, 1.0)
@@ -120,7 +120,7 @@ def test_the_coverage_study_resumes_and_writes_table_and_figure(tmp_path, capsys
     assert study.main(arguments) == 0
     assert before == {name: (tmp_path / name).read_bytes() for name in names}
     assert study.main([str(tmp_path), "--twins=10"]) == 2
-    assert "too few twins" in capsys.readouterr().err
+    assert "too few simulations" in capsys.readouterr().err
 
 
 def test_a_scan_takes_a_calibrated_threshold():

@@ -41,7 +41,9 @@ def quick():
         patch.setattr(rp, "LANDING_RUNS", 1)
         patch.setattr(data_check, "SHUFFLES", 3)
         patch.setattr(published_lines, "LINE_POINTS", 3)
-        yield lambda case, **options: rp.compute(case, **({"coarser": 10, "twins": 30} | options))
+        yield lambda case, **options: rp.compute(
+            case, **({"coarser": 10, "simulations": 30} | options)
+        )
 
 
 @pytest.mark.long
@@ -126,7 +128,7 @@ def test_telemetry_of_no_landing_gives_no_conclusion(quick):
     found = quick(
         rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20
     )
-    assert found.chain is None and "touchdown" in found.missing
+    assert found.candidate_sets is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
     assert "cannot be concluded" in told[1] and "lit pattern" in told[1]

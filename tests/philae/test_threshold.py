@@ -65,8 +65,8 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
 @pytest.mark.evidence("reproduce", "verified", "new simulated rebounds of known truth")
 def test_new_truths_lie_in_the_calibrated_set(table, reached):
     """Another seed's rebounds: about nine in ten of their truths lie below the factor."""
-    factor = th.calibrate(REBOUND, table, rb.Options(twins=100)).factor()[0]
-    fresh = th.calibrate(REBOUND, table, rb.Options(twins=100, seed=1))
+    factor = th.calibrate(REBOUND, table, rb.Options(simulations=100)).factor()[0]
+    fresh = th.calibrate(REBOUND, table, rb.Options(simulations=100, seed=1))
     held = float(np.mean(fresh.ratio < factor))
     assert 0.78 < held < 0.99
     assert np.mean(fresh.ratio < 1.1) < 0.6  # negative control: the paper's factor holds far fewer
@@ -132,11 +132,14 @@ def test_the_packaged_calibration_is_used_if_its_key_matches(table, monkeypatch)
         "the built-in telemetry needs another calibration: threshold.write_calibration"
     )
     with pytest.raises(ss.TelemetryError, match="not calibrated"):  # another grid: another key
-        th.get_calibration(REBOUND, table, rb.Options(twins=0))
+        th.get_calibration(REBOUND, table, rb.Options(simulations=0))
     monkeypatch.setattr(th, "calibration_key", lambda *_: shipped.key)
-    assert th.get_calibration(REBOUND, table, rb.Options(twins=0)).source == "shipped with the case"
     assert (
-        len(th.get_calibration(REBOUND, table, rb.Options(twins=20)).ratio) == 20
+        th.get_calibration(REBOUND, table, rb.Options(simulations=0)).source
+        == "shipped with the case"
+    )
+    assert (
+        len(th.get_calibration(REBOUND, table, rb.Options(simulations=20)).ratio) == 20
     )  # asked for, it is made
 
 

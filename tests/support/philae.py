@@ -73,7 +73,7 @@ def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> tuple[xr.DataTre
     ), state
 
 
-def chain_on_the_lines(case: Case) -> candidates.Chain:
+def chain_on_the_lines(case: Case) -> candidates.CandidateSets:
     """Return the chain of the study: candidates on the published lines, a coarse grid as scan range, a few as the paper's set."""
     rebound = make_rebound(case, ss.sun_directions(case.vehicle, case.telemetry))
     axes = scan_grid(case, 15)
@@ -86,8 +86,10 @@ def chain_on_the_lines(case: Case) -> candidates.Chain:
     }
     chosen, scan_range, near_minimum = (
         candidates.make_candidates(
-            rebound, rebound.states(points), 0, chain=chain, about=f"{name} of the test"
+            rebound, rebound.states(points), 0, source=source, about=f"{name} of the test"
         )
-        for name, (chain, points) in sets.items()
+        for name, (source, points) in sets.items()
     )
-    return candidates.Chain(case, rebound, chosen, scan_range, near_minimum, None, float("nan"))
+    return candidates.CandidateSets(
+        case, rebound, chosen, scan_range, near_minimum, None, float("nan")
+    )

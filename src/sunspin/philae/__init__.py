@@ -1,1 +1,1 @@
-"""The paper, row by row: its chain from telemetry to conclusions, its figures, its page."""
+"""The Philae study: from telemetry to conclusions, each figure of the paper compared with ours, pictures and page."""

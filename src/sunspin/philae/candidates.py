@@ -36,7 +36,8 @@ from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle import Vehicle
 
 DRAWS, ELEVATION_DRAWS, POSTERIOR_DRAWS = 10_000, 2_000, 4_000
-"""Numbers of candidates drawn evenly from a set: for runs to the collision, for ranges of the Sun's elevation, from a posterior."""
+"""Largest number of candidates that are propagated to the collision, and of those whose range of the Sun's elevation is computed;
+number of draws from a posterior."""
 
 DIRECTION_ERROR = 1e-5
 """Largest error (rad) of directions at touchdown and collision; angular speeds then err far less than the grid's step."""
@@ -48,7 +49,7 @@ class Candidates:
 
     Attributes
     ----------
-    chain : source: "scan", "posterior", "published" or the file's name
+    source : "scan", "posterior", "published" or the file's name
     about : description in words
     states : `Rows` of all motions (n)
     speed_touchdown : (n) angular speed in rad/s just after the first touchdown
@@ -61,7 +62,7 @@ class Candidates:
     from_posterior : whether they are draws of a posterior. Intervals are then from 5 to 95 %, else from the least to the largest.
     """
 
-    chain: str
+    source: str
     about: str
     states: Rows
     speed_touchdown: np.ndarray
@@ -93,7 +94,7 @@ class Candidates:
         return max(low - self.cell_rad_s, 0.0), high + self.cell_rad_s
 
     def angle_range(self, which: int) -> tuple[float, float]:
-        """Return the range (rad) of the smaller (`which` 0) or larger (1) angle, widened by the angle of a grid cell."""
+        """Return the range (rad) of the smaller (`which` 0) or larger (1) of both angles, widened by the angle of a grid cell."""
         low, high = self.range(self.angles[which])
         return max(low - self.angle_cell_rad, 0.0), min(high + self.angle_cell_rad, np.pi)
 
@@ -107,14 +108,14 @@ class Candidates:
                 "wheel_speed_rad_s": (("candidate", "wheel"), speed, {"units": "rad s-1"}),
             },
             coords={"axis": ["x", "y", "z"]},
-            attrs={"about": self.about, "chain": self.chain},
+            attrs={"about": self.about, "chain": self.source},
         )
 
 
 def touchdown_speeds(rebound: Rebound, states: Rows) -> np.ndarray:
     """Return the angular speeds (n) in rad/s of motions just after the first touchdown."""
-    back = propagate_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
-    return np.linalg.norm(back, axis=1)
+    omega_touchdown_B = propagate_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
+    return np.linalg.norm(omega_touchdown_B, axis=1)
 
 
 def make_candidates(
@@ -122,41 +123,46 @@ def make_candidates(
 ) -> Candidates:
     """Return candidates with their angles and their speeds at touchdown and collision.
 
-    `speed` (n) holds the result of :func:`touchdown_speeds`, if it is known. `labels` are the fields `chain`, `about`, `cell_rad_s`
-    and `from_posterior` of `Candidates`. Runs to the collision are made for motions drawn evenly.
+    `speed` (n) holds the result of :func:`touchdown_speeds`, if it is known. `labels` are the fields `source`, `about`,
+    `cell_rad_s` and `from_posterior` of `Candidates`. At most `DRAWS` motions, drawn evenly, are propagated to the collision; the
+    range of the Sun's elevation is computed for the first `ELEVATION_DRAWS` of them.
     """
     vehicle, draws = rebound.case.vehicle, states
     speed = touchdown_speeds(rebound, states) if speed is None else speed
     if len(states) > DRAWS:
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
-    at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
-    few = draws.take(np.arange(min(ELEVATION_DRAWS, len(draws))))
-    run = run_rows(vehicle, few, rebound.window_s, emd_error=EMD_ERROR, bins=BINS)
-    # r_z between the outer edges of the first and the last bin that a motion visits
-    visited, edges = run.hist > 0, np.linspace(-1, 1, BINS + 1)
-    low, high = edges[np.argmax(visited, axis=1)], edges[BINS - np.argmax(visited[:, ::-1], axis=1)]
+    omega_collision_B = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
+    elevation_draws = draws.take(np.arange(min(ELEVATION_DRAWS, len(draws))))
+    ensemble = run_rows(vehicle, elevation_draws, rebound.window_s, emd_error=EMD_ERROR, bins=BINS)
+    # smallest and largest r_z: outer edges of the first and the last bin that a motion visits
+    visited, edges = ensemble.hist > 0, np.linspace(-1, 1, BINS + 1)
+    low_z = edges[np.argmax(visited, axis=1)]
+    high_z = edges[BINS - np.argmax(visited[:, ::-1], axis=1)]
     theta, alpha, momentum = momentum_angles(vehicle, states)
     # H changes within a cell by at most the largest moment of inertia times the change of the rate
-    largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
-    relative = largest * labels.get("cell_rad_s", 0.0) / max(float(np.median(momentum)), 1e-12)
+    largest_moment = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
+    momentum_change = largest_moment * labels.get("cell_rad_s", 0.0)  # N m s
+    # the floor avoids a division by zero if most candidates have no angular momentum
+    relative_change = momentum_change / max(float(np.median(momentum)), 1e-12)
     return Candidates(
         states=states,
         speed_touchdown=speed,
         theta=theta,
         alpha=alpha,
-        speed_collision=np.linalg.norm(at_collision, axis=1),
-        sun_elevation=np.arcsin(np.stack([low, high], axis=1)),
-        angle_cell_rad=float(np.arctan(relative)),
+        speed_collision=np.linalg.norm(omega_collision_B, axis=1),
+        sun_elevation=np.arcsin(np.stack([low_z, high_z], axis=1)),
+        angle_cell_rad=float(np.arctan(relative_change)),
         **labels,
     )
 
 
 @dataclass(frozen=True)
-class Chain:
+class CandidateSets:
     """Chosen candidates of this telemetry, with the two sets for comparison and the calibration of the threshold.
 
-    `scan_range` holds the whole scan range, `near_minimum` the paper's near-minimum set. `share` is the part of the scan range in
-    the chosen set (NaN unless it comes from the scan). `verdict` is that of the posterior, else "".
+    `scan_range` holds the whole scan range (for the source "posterior" draws of its rate prior), `near_minimum` the paper's
+    near-minimum set. `calibration` is None unless the source is "scan". `share` is the part of the scan range in the chosen set
+    (NaN unless it comes from the scan). `verdict` is that of the posterior, else "".
     """
 
     case: Case
@@ -169,80 +175,94 @@ class Chain:
     verdict: str = ""
 
     @property
-    def name(self) -> str:
+    def source(self) -> str:
         """Source of the chosen candidates."""
-        return self.chosen.chain
+        return self.chosen.source
 
 
-def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Chain:
-    """Return the candidates of this telemetry from the source in `options`.
+def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> CandidateSets:
+    """Return the candidates of this telemetry from the source in `options`, with the sets for comparison.
+
+    The published lines are taken for any telemetry; every other source needs readings that are consistent with sunlight.
 
     Raises
     ------
     TelemetryError
         The readings are not consistent with sunlight, no threshold is calibrated for the data, or no motion fits them.
     """
-    rebound, case, least, source = scan.rebound, scan.rebound.case, scan.smallest, options.source
+    rebound, case, source = scan.rebound, scan.rebound.case, options.source
     if source != "published" and check.reasons:
         raise TelemetryError(
             "nothing can be concluded from these readings",
             got="; ".join(check.reasons),
             do="check the panels' columns, gains and units",
         )
-    calibrated = get_calibration(rebound, scan.table, options) if source == "scan" else None
-    if calibrated is not None and calibrated.unusual(least):
-        usual = calibrated.emd_min
+    calibration = get_calibration(rebound, scan.table, options) if source == "scan" else None
+    if calibration is not None and calibration.unusual(scan.smallest):
+        usual = calibration.emd_min
         raise TelemetryError(
             "no motion of the model fits the distribution of r_z",
-            got=f"a smallest EMD of {least:.4f}, where {len(usual)} synthetic rebounds like these data have "
+            got=f"a smallest EMD of {scan.smallest:.4f}, where {len(usual)} synthetic rebounds like these data have "
             f"{usual.min():.4f} to {usual.max():.4f}",
             do="check the vehicle, the wheel's command and the panels' gains",
         )
     start = scan.table.rows.start
+    # grid step along each axis; 0 for an axis of one point
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
-    cell = float(np.linalg.norm(steps)) / 2
+    half_diagonal = float(np.linalg.norm(steps)) / 2
 
     # motions whose propagation failed have an infinite EMD and belong to no set
     computed = np.flatnonzero(np.isfinite(scan.emd))
-    emd = scan.emd[computed]
-    speed = None if source == "posterior" else touchdown_speeds(rebound, start.take(computed))
+    # the speeds of all motions are computed once for the sets of the scan; with a posterior only the near-minimum set is needed
+    speeds = None if source == "posterior" else touchdown_speeds(rebound, start.take(computed))
 
-    def select_below(level: float, chain: str, about: str) -> Candidates:
-        """Return the motions of the scan with an EMD below `level`."""
-        inside, labels = emd < level, {"chain": chain, "about": about, "cell_rad_s": cell}
-        speeds = None if speed is None else speed[inside]
-        states = start.take(computed[inside])
-        return make_candidates(rebound, states, options.seed, speeds, **labels)
+    def select_below(limit: float, source: str, about: str) -> Candidates:
+        """Return the motions of the scan with an EMD below `limit`."""
+        inside = scan.emd[computed] < limit
+        return make_candidates(
+            rebound,
+            start.take(computed[inside]),
+            options.seed,
+            None if speeds is None else speeds[inside],
+            source=source,
+            about=about,
+            cell_rad_s=half_diagonal,
+        )
 
     factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
-    near_minimum = select_below(factor * least, "scan", about)
+    near_minimum = select_below(factor * scan.smallest, "scan", about)
     if source == "posterior":
         chosen, prior, verdict = _from_posterior(rebound, options)
-        return Chain(case, rebound, chosen, prior, near_minimum, None, share, verdict)
+        return CandidateSets(case, rebound, chosen, prior, near_minimum, None, share, verdict)
     about = "the whole scanned box: what was possible before the data"
     scan_range = select_below(np.inf, source, about)
-    if calibrated is not None:
-        level = calibrated.factor()[0]
-        share = float(np.mean(scan.emd < level * least))
+    if calibration is not None:
+        factor = calibration.factor().value
+        limit = factor * scan.smallest
+        share = float(np.mean(scan.emd < limit))
         about = (
-            f"the {calibrated.confidence:.0%} set of the scan: EMD below {level:.3g} times the smallest, {share:.0%} of the "
+            f"the {calibration.confidence:.0%} set of the scan: EMD below {factor:.3g} times the smallest, {share:.0%} of the "
             "scanned box"
         )
-        chosen = select_below(level * least, source, about)
-    else:
-        omega, chain = published_candidates(case), source
+        chosen = select_below(limit, source, about)
+    elif source == "published":
+        states = rebound.states(published_candidates(case))
         about = "the lines that the paper publishes, for any telemetry"
-        if source != "published":
-            omega, chain = read_rates(Path(source)), Path(source).name
-            about = f"the motions of {chain}"
-        states = rebound.states(omega)
-        chosen = make_candidates(rebound, states, options.seed, chain=chain, about=about)
-    return Chain(case, rebound, chosen, scan_range, near_minimum, calibrated, share)
+        chosen = make_candidates(rebound, states, options.seed, source=source, about=about)
+    else:
+        path = Path(source)
+        states, about = rebound.states(read_rates(path)), f"the motions of {path.name}"
+        chosen = make_candidates(rebound, states, options.seed, source=path.name, about=about)
+    return CandidateSets(case, rebound, chosen, scan_range, near_minimum, calibration, share)
 
 
 def _from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Candidates, str]:
-    """Return draws of the posterior of the rebound's readings, draws of its rate prior, and its verdict."""
+    """Return candidates drawn from the posterior of the rebound's readings, candidates drawn from its rate prior, and its verdict.
+
+    The posterior has directions and wheel speeds of its own; motions of the prior begin like those of the scan. Raises
+    `TelemetryError` if no motion explains the readings.
+    """
     from sunspin.estimate.posterior.estimate import posterior
 
     times, seed = rebound.samples["utc_s"].values, options.seed
@@ -265,31 +285,36 @@ def _from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Can
         for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )
     states = Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
-    # the rate prior is uniform for |omega| < radius
-    radius, rng = float(tree.attrs["max_rate_rad_s"]), generator(seed, 11)
+    # the rate prior is uniform for |omega| < max_rate, so |omega| is distributed as max_rate times a cube root
+    max_rate, rng = float(tree.attrs["max_rate_rad_s"]), generator(seed, 11)
     direction = rng.standard_normal((DRAWS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
+    prior_states = rebound.states(direction * max_rate * np.cbrt(rng.random(DRAWS))[:, None])
     chosen, prior = (
-        make_candidates(rebound, motions, seed, chain="posterior", about=about, from_posterior=True)
-        for motions, about in (
+        make_candidates(
+            rebound, states_of_set, seed, source="posterior", about=about, from_posterior=True
+        )
+        for states_of_set, about in (
             (states, f"{len(states)} draws of the posterior of the readings ({word})"),
-            (ball, f"even in the ball of {radius:g} rad/s of the posterior's prior"),
+            (prior_states, f"even in the ball of {max_rate:g} rad/s of the posterior's prior"),
         )
     )
     return chosen, prior, verdict
 
 
 def read_rates(path: Path) -> np.ndarray:
-    """Read rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4."""
+    """Read rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4.
+
+    Raises `InputError` if there is no such file, or if a column is missing, empty or not finite.
+    """
     if not path.is_file():
         raise InputError(
             "--candidates takes scan, posterior, published or a file, and there is no such file",
             got=str(path),
             do="give a table with columns omega_x, omega_y, omega_z in rad/s",
         )
-    table, names = read_table(path), ("omega_x", "omega_y", "omega_z")
-    omega = table.numbers(names) if table.has(names) else np.zeros((0, 3))
+    table, columns = read_table(path), ("omega_x", "omega_y", "omega_z")
+    omega = table.numbers(columns) if table.has(columns) else np.zeros((0, 3))
     if not len(omega) or not np.all(np.isfinite(omega)):
         what = "candidates need columns omega_x, omega_y, omega_z with finite rates in rad/s"
         raise InputError(what, got=f"columns {', '.join(table.header)}", where=str(path))
@@ -301,15 +326,10 @@ def select_start_rates(
 ) -> tuple[np.ndarray, str]:
     """Return candidate rates (m, 3) in rad/s for `sunspin outcomes`, and a description of their source.
 
-    They are `omega` if any are given, else the near-minimum set of a stored scan, else the published lines of the case. Those lines
-    hold for the body of the case and are refused for any other.
+    They are `omega` (rad/s) if any are given, else the near-minimum set of the stored `scan` (EMD below `factor` times the
+    smallest), else the published lines of the case. Those lines hold for the body of the case and are refused for any other. A scan
+    of another body is accepted, and the description says so.
     """
-
-    def describe_body(attributes: dict[str, str]) -> str:
-        """Return the vehicle's name and its changes in one line."""
-        changes = attributes.get("changes", "as in its file").splitlines()
-        return ", ".join([attributes.get("vehicle", "a vehicle without a name"), *changes])
-
     if scan is not None and omega:
         raise InputError("candidates come from --scan or from --omega-deg-s", do="give one of them")
     if omega:
@@ -317,7 +337,7 @@ def select_start_rates(
     if scan is not None:
         scanned, about = stored_vehicle(scan), f"the near-minimum set of {scan.name}"
         if scanned != craft.result_attributes:
-            bodies = f"{describe_body(scanned)}, here {describe_body(craft.result_attributes)}"
+            bodies = f"{_describe_body(scanned)}, here {_describe_body(craft.result_attributes)}"
             about += f"; of another body than this run's: {bodies}"
         return stored_near_minimum(scan, factor), about
     case = load_case(craft.name) if craft.name in case_names() else None
@@ -327,7 +347,13 @@ def select_start_rates(
     if motion_and_panel_parameters(craft) != motion_and_panel_parameters(case.vehicle):
         raise InputError(
             "the published lines hold for another body, wheel or panels than these",
-            got=describe_body(craft.result_attributes),
+            got=_describe_body(craft.result_attributes),
             do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )
     return published_candidates(case), "the lines that the paper prints"
+
+
+def _describe_body(attributes: dict[str, str]) -> str:
+    """Return the vehicle's name and its changes in one line, from the attributes of a result."""
+    changes = attributes.get("changes", "as in its file").splitlines()
+    return ", ".join([attributes.get("vehicle", "a vehicle without a name"), *changes])

@@ -31,7 +31,7 @@ from sunspin.landing.tally import (
     read_weightings,
     tally,
 )
-from sunspin.philae.candidates import Candidates, Chain
+from sunspin.philae.candidates import Candidates, CandidateSets
 from sunspin.philae.row import Row, judge_range, judge_share, make_row
 from sunspin.vehicle.timeline import utc_seconds
 
@@ -63,7 +63,7 @@ class AfterCollision(NamedTuple):
     :func:`condition`.
     """
 
-    chain: Chain
+    candidate_sets: CandidateSets
     runs: dict[str, dict[str, xr.Dataset]]
     weighted: xr.Dataset
 
@@ -79,42 +79,47 @@ class RzRange(NamedTuple):
     highest_minimum: float
 
 
-def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> AfterCollision:
+def compute(
+    case: Case, candidate_sets: CandidateSets, n: int, seed: int = 0, **options: Any
+) -> AfterCollision:
     """Simulate `n` collisions of the chosen candidates and half as many of the other two sets.
 
     `options` are passed to :func:`sunspin.landing.outcomes.outcomes`.
     """
 
     def simulate(motions: Candidates, strategy: str, count: int, scenario: Scenario) -> xr.Dataset:
-        """Simulate collisions of a set of candidates."""
+        """Simulate `count` collisions of a set of candidates; the result says whether the telemetry is synthetic."""
         settings = dict[str, Any](seed=seed, scenario=scenario, **options)
         runs = outcomes(case.vehicle, motions.dataset(), strategy, max(count, 1), **settings)
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
-    paper, real = chain.rebound.scenarios()
+    paper, real = candidate_sets.rebound.scenarios()
     sets = (
-        ("chosen", chain.chosen, n),
-        ("scan_range", chain.scan_range, n // 2),
-        ("near_minimum", chain.near_minimum, n // 2),
+        ("chosen", candidate_sets.chosen, n),
+        ("scan_range", candidate_sets.scan_range, n // 2),
+        ("near_minimum", candidate_sets.near_minimum, n // 2),
     )
     runs = {
         name: {strategy: simulate(motions, strategy, count, paper) for strategy in ("off", "held")}
         for name, motions, count in sets
     }
-    return AfterCollision(chain, runs, condition(case, simulate(chain.chosen, "off", n, real)))
+    at_kernel_speeds = simulate(candidate_sets.chosen, "off", n, real)
+    return AfterCollision(candidate_sets, runs, condition(case, at_kernel_speeds))
 
 
 def rz_range(runs: xr.Dataset) -> RzRange:
     """Return the range of r_z over the simulated `runs`."""
-    lowest, share = lowest_rz(runs), runs["rz_share"].values
-    top = float(runs["rz"].values[np.nonzero(np.nansum(share, axis=0))[0][-1]] + 1 / share.shape[1])
-    return RzRange(float(np.nanmin(lowest)), top, float(np.nanmax(lowest)))
+    lowest, share = lowest_rz(runs), runs["rz_share"].values  # share of the time (run, bin)
+    highest_bin = np.flatnonzero(np.nansum(share, axis=0))[-1]
+    half_bin = 1 / share.shape[1]  # the bins divide the range from -1 to 1
+    highest = float(runs["rz"].values[highest_bin] + half_bin)
+    return RzRange(float(np.nanmin(lowest)), highest, float(np.nanmax(lowest)))
 
 
 def rows(collision: AfterCollision) -> list[Row]:
     """Return the published figures of section 3.3 compared with ours: r_z after the collision, and the collision itself."""
-    chain, runs, weighted = collision
-    case, name, chosen = chain.case, chain.name, chain.chosen
+    candidate_sets, runs, weighted = collision
+    case, source, chosen = candidate_sets.case, candidate_sets.source, candidate_sets.chosen
     # by set of candidates and strategy: shares of the runs in which something happens, and the range of r_z
     shares = {
         of_set: {strategy: tally(data) for strategy, data in by_strategy.items()}
@@ -124,53 +129,59 @@ def rows(collision: AfterCollision) -> list[Row]:
     rz_off = {of_set: rz_range(by_strategy["off"]) for of_set, by_strategy in runs.items()}
     rz_held = {of_set: rz_range(by_strategy["held"]) for of_set, by_strategy in runs.items()}
     n = runs["chosen"]["off"].sizes["run"]
-    low, high, reaches = rz_off["near_minimum"]
+    low, high, highest_minimum = rz_off["near_minimum"]
     densities = [density(data)["density"] for data in runs["chosen"].values()]
-    areas = [float(values.sum() * 2 / values.size) for values in densities]
+    areas = [
+        float(values.sum() * 2 / values.size) for values in densities
+    ]  # bins are 2 / size wide
 
     by_weighting = {entry["name"]: entry for entry in read_weightings(weighted)}
     facts = read_facts(weighted)
     drawn, kernel = by_weighting["as drawn"], by_weighting[f"kernel, sigma {SIGMA_M_S:g} m/s"]
     # the tip of the longest leg sticks, so the body cannot rotate more slowly than with this rate
-    slowest = facts["speed_after"] / max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
+    slowest_rad_s = facts["speed_after"] / max(
+        np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs
+    )
     texts: dict[str, Any] = {"off": off, "held": held, "kernel": kernel, "drawn": drawn}
-    texts |= {"mean": chosen.speed_collision.mean(), "runs": n, "reaches": reaches}
+    texts |= {"mean": chosen.speed_collision.mean(), "runs": n, "reaches": highest_minimum}
     texts |= {
         "explained": read_explained_share(weighted),
         "within": 2 * SIGMA_M_S,
         "rarely": RARELY,
     }
-    texts |= {"often": OFTEN, "period": 2 * np.pi / slowest}
+    texts |= {"often": OFTEN, "period": 2 * np.pi / slowest_rad_s}
     row_of = partial(make_row, case, **texts)
 
-    def judge(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
+    def share_row(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
         """Return the row of the share of runs, or of time, in which `quantity` happens."""
         by_set = {of_set: tallies[strategy][quantity] for of_set, tallies in shares.items()}
         unjudged = row_of(id, by_set["near_minimum"].value)
-        return judge_share(unjudged, name, by_set["chosen"], by_set["scan_range"], agrees)
+        return judge_share(unjudged, source, by_set["chosen"], by_set["scan_range"], agrees)
 
     rare = bool(held["rz_time_below_-0.2"].value <= RARELY)
     often = bool(off["rz_time_below_0"].value >= OFTEN)
     wheel_off = row_of("rz_range_wheel_off", [low, high])
     wheel_held = row_of("rz_min_wheel_held", rz_held["near_minimum"].lowest)
-    rate = row_of("rate_at_collision", float(chain.near_minimum.speed_collision.mean()))
-    rates = (motions.range(motions.speed_collision) for motions in (chosen, chain.scan_range))
+    rate = row_of("rate_at_collision", float(candidate_sets.near_minimum.speed_collision.mean()))
+    rates = (
+        motions.range(motions.speed_collision) for motions in (chosen, candidate_sets.scan_range)
+    )
     change = float(np.nanmedian(weighted["velocity_change"]))
     # wheel off: the whole range of r_z is compared; held: the range of the runs' own minima
     whole = ((rz.lowest, rz.highest) for rz in (rz_off["chosen"], rz_off["scan_range"]))
     minima = ((rz.lowest, rz.highest_minimum) for rz in (rz_held["chosen"], rz_held["scan_range"]))
     return [
-        judge_range(wheel_off, name, *whole),
-        judge_range(wheel_held, name, *minima),
-        judge("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
-        judge("rz_often_negative", "off", "rz_time_below_0", often),
-        row_of("rz_density_area", areas, chain=name),
-        row_of("collision_runs", n, chain=name),
-        judge_range(rate, name, *rates),
+        judge_range(wheel_off, source, *whole),
+        judge_range(wheel_held, source, *minima),
+        share_row("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
+        share_row("rz_often_negative", "off", "rz_time_below_0", often),
+        row_of("rz_density_area", areas, chain=source),
+        row_of("collision_runs", n, chain=source),
+        judge_range(rate, source, *rates),
         row_of("collision_speed", facts["speed_before"]),
         row_of("path_length", facts["path_length"]),
-        row_of("kernel_velocity_change", change, chain=name),
-        row_of("romap_period_after", kernel["median_period_after"], chain=name),
+        row_of("kernel_velocity_change", change, chain=source),
+        row_of("romap_period_after", kernel["median_period_after"], chain=source),
     ]
 
 
@@ -218,8 +229,8 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
     }
     inertia = case.vehicle.require_inertia()
     published_after = float(case.published["romap_period_after"].value)
-    agrees = np.abs(period_after - published_after) < 2 * SIGMA_PERIOD_S
-    agrees = np.where(np.isnan(period_after), np.nan, agrees)
+    period_agrees = np.abs(period_after - published_after) < 2 * SIGMA_PERIOD_S
+    period_agrees = np.where(np.isnan(period_after), np.nan, period_agrees)
     rates = {
         "rate_before": before,
         "rate_after": after,
@@ -233,11 +244,12 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
         """Return (value, error) of each quantity under weights (run); NaN if there is no error, or if all weights vanish."""
         usable, median = np.isfinite(period_after) & (weight > 0), np.nan
         if usable.any():
-            by: dict[str, Any] = {"weights": weight[usable], "method": "inverted_cdf"}
-            median = np.quantile(period_after[usable], 0.5, **by)
+            median = np.quantile(
+                period_after[usable], 0.5, weights=weight[usable], method="inverted_cdf"
+            )
         means = [estimate(values, weight) for values in rates.values()]
         effective = effective_runs(weight), np.nan
-        return [effective, *means, (median, np.nan), estimate(agrees, weight)]
+        return [effective, *means, (median, np.nan), estimate(period_agrees, weight)]
 
     table = np.array([weighted_values(weight) for weight in weights.values()])
     pure, by = {"units": "1"}, ("weighting", "quantity")
@@ -264,12 +276,16 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
 
 def published_facts(case: Case) -> dict[str, float]:
     """Return the kernel's facts stored with the case by name, without the prefix `kernel_`; m/s, or m for a path."""
-    facts = case.published.items()
-    return {key[7:]: fact.value for key, fact in facts if key.startswith("kernel_")}
+    prefix = "kernel_"
+    return {
+        key.removeprefix(prefix): figure.value
+        for key, figure in case.published.items()
+        if key.startswith(prefix)
+    }
 
 
 def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
-    """Read the same facts from the trajectory kernel in the data folder (`SUNSPIN_DATA`).
+    """Return the facts of `published_facts`, computed from the trajectory kernel in the data folder (`SUNSPIN_DATA`).
 
     Speeds (m/s) are comet-fixed, at the second of an event and one second later. `path_length` (m) is the length of the path from
     the first touchdown to the collision.
@@ -283,8 +299,9 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
     events = "first_touchdown", "collision", "second_touchdown"
     begin, impact, landing = (event_tdb_s(case, name) for name in events)
     seconds = np.arange(np.ceil(begin), impact, 1.0)
+    # four states at the events, then one at each second of the path
     states = read_kernel_states(path, [impact, impact + 1.0, landing, landing + 1.0, *seconds])
-    before, after, before_landing, after_landing = states[:4, 3:]
+    before, after, before_landing, after_landing = states[:4, 3:]  # velocities
     velocities = {"speed_before": before, "speed_after": after, "velocity_change": after - before}
     velocities |= {"speed_before_landing": before_landing, "speed_after_landing": after_landing}
     facts = {name: float(np.linalg.norm(velocity)) for name, velocity in velocities.items()}
@@ -316,9 +333,9 @@ def read_kernel_states(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
         what = f"the trajectory kernel cannot be read ({error})"
         raise InputError(what, do="download it again", where=where) from None
     states = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
-    return np.where(
-        np.abs(states) < LARGEST_KM, 1e3 * np.clip(states, -LARGEST_KM, LARGEST_KM), np.nan
-    )
+    # clipped before the multiplication, as a damaged value may overflow in it
+    metres = 1e3 * np.clip(states, -LARGEST_KM, LARGEST_KM)
+    return np.where(np.abs(states) < LARGEST_KM, metres, np.nan)
 
 
 def event_tdb_s(case: Case, event: str) -> float:

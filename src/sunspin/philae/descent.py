@@ -29,7 +29,7 @@ of the paper before the legs unfolded (0.1 to 0.2) and the largest one after it 
 """
 
 MIN_RUN_EXCESS = 2
-"""Least number by which outliers exceed good samples in a run at the beginning."""
+"""Least number by which outliers exceed good samples in the disturbed part at the beginning."""
 
 E_FACTOR = 2.0
 """Largest ratio between E of synthetic telemetry and the published E. The telemetry has the published E in the mean over seeds
@@ -80,18 +80,21 @@ def find_first_clean_sample(sun: xr.Dataset) -> tuple[int, float]:
         raise TelemetryError(what, got=f"{delta.size}")
     # sigma of a Gaussian from the median of its absolute value: four lit panels leave one degree of freedom
     limit = DELTA_SIGMAS * 1.4826 * float(np.median(delta))
-    votes = np.cumsum(np.where(delta > limit, 1, -1))
-    end = int(np.argmax(votes))
-    if votes[end] < MIN_RUN_EXCESS:
+    excess = np.cumsum(np.where(delta > limit, 1, -1))  # outliers minus good samples so far
+    last_outlier = int(np.argmax(excess))
+    if excess[last_outlier] < MIN_RUN_EXCESS:
         return 0, limit
-    if end + 1 == checked.size:
+    if last_outlier + 1 == checked.size:
         what = "no sample is clean: Delta is large to the end"
         raise TelemetryError(what, do="check the panels' gains and names")
-    return int(checked[end + 1]), limit
+    return int(checked[last_outlier + 1]), limit
 
 
 def compute(case: Case, sun: xr.Dataset) -> Descent:
-    """Select the clean samples of the descent in `sun` (of `sun_directions`, whole landing) and fit the cubic rate."""
+    """Select the clean samples of the descent in `sun` (of `sun_directions`, whole landing) and fit the cubic rate.
+
+    Raises `TelemetryError` if there is no sample before the touchdown, or no clean one (`find_first_clean_sample`).
+    """
     touchdown = event_seconds(case, sun, "first_touchdown")
     before = sun.isel(time=np.flatnonzero(sun["time"].values < touchdown))
     if before.sizes["time"] == 0:
@@ -100,8 +103,8 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     first, limit = find_first_clean_sample(before)
     time = before["time"].values - before["time"].values[first]
     # the span is published to 0.1 h, about two intervals: half an interval is added, so that its last sample is inside
-    span = 3600.0 * case.published["descent_span"].value + float(np.median(np.diff(time))) / 2
-    samples = before.isel(time=np.flatnonzero((time >= 0) & (time <= span)))
+    span_s = 3600.0 * case.published["descent_span"].value + float(np.median(np.diff(time))) / 2
+    samples = before.isel(time=np.flatnonzero((time >= 0) & (time <= span_s)))
     samples = samples.assign_coords(time=samples["time"] - samples["time"].values[0])
     t = samples["time"].values
     fit = fit_spin(t, samples["sun_B"].values)
@@ -120,10 +123,12 @@ def rows(descent: Descent) -> list[Row]:
 
     # E is the mean of sin^2(angle / 2), so the rms angle is about 2 sqrt(E)
     rms, published_rms = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, paper["descent_E"]))
+    # synthetic telemetry was made to have the published E, so that agreement is expected and no test
     holds = 1 / E_FACTOR <= fit.E / paper["descent_E"] <= E_FACTOR
     given = {"holds": holds, "notes": ("note", "note_put_in")} if synthetic else {"holds": None}
     E_row = row_of("descent_E", fit.E, rms=rms, meant=published_rms, factor=E_FACTOR, **given)
 
+    # squared distance of the fitted coefficients from the published ones, in their covariance
     cubic = np.array(paper["descent_rate_cubic"])
     difference = fit.coefficients - cubic
     distance = float(difference @ np.linalg.solve(fit.covariance, difference))
@@ -137,6 +142,7 @@ def rows(descent: Descent) -> list[Row]:
         sigmas="[" + ", ".join(f"{sigma:.1e}" for sigma in fit.sigma) + "]",
         printed_E=error_of_rate(cubic, t[seen], n[seen]),
     )
+    # mean rate and E of the second best minimum
     second = fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan])
     minima = {"minima": len(fit.aliases), "within": fit.scan_rate[-1], "gap": fit.alias_gap}
     unique_row = row_of("descent_unique", fit.unique, agrees=fit.unique, second=second, **minima)
@@ -175,7 +181,7 @@ def errors_near_fit(descent: Descent) -> tuple[np.ndarray, np.ndarray]:
     """Return constant terms of the rate (n) in rad/s near the fitted one, and E (n) with the other coefficients as fitted."""
     scan, centre = descent.fit.scan_rate, descent.fit.coefficients[0]
     omega_0 = np.unique(np.append(np.linspace(scan[0], scan[-1], 8001), centre))
-    omega_0 = omega_0[np.abs(omega_0 - centre) < 2e-3]
+    omega_0 = omega_0[np.abs(omega_0 - centre) < 2e-3]  # rad/s: the minimum and its surroundings
     rates = np.column_stack([omega_0, np.tile(descent.fit.coefficients[1:], (omega_0.size, 1))])
     seen, n = is_reconstructed(descent.sun["status"]), descent.sun["sun_B"].values
     return omega_0, errors_of_rates(rates, descent.sun["time"].values[seen], n[seen])
@@ -191,12 +197,12 @@ def descent_figure(descent: Descent) -> Figure:
 
     # Fig. 10 as a map of the sphere; lines join measured to fitted directions
     n, seen = descent.sun["sun_B"].values, is_reconstructed(descent.sun["status"])
-    azimuth, fitted = (
-        np.degrees(np.arctan2(sun[:, 1], sun[:, 0])) for sun in (n, descent.fitted_B)
+    azimuth, fitted_azimuth = (
+        np.degrees(np.arctan2(sun_B[:, 1], sun_B[:, 0])) for sun_B in (n, descent.fitted_B)
     )
     z, fitted_z = n[:, 2], descent.fitted_B[:, 2]
-    joined = seen & (np.abs(azimuth - fitted) < 180)  # not across the edge of the map
-    pairs = np.stack([azimuth, fitted])[:, joined], np.stack([z, fitted_z])[:, joined]
+    joined = seen & (np.abs(azimuth - fitted_azimuth) < 180)  # not across the edge of the map
+    pairs = np.stack([azimuth, fitted_azimuth])[:, joined], np.stack([z, fitted_z])[:, joined]
     sphere.plot(*pairs, lw=0.6, color=COLOURS[7])
     label = f"from the telemetry ({seen.sum()})"
     sphere.plot(azimuth[seen], z[seen], "o", ms=4.5, mfc="none", color=COLOURS[0], label=label)
@@ -207,7 +213,7 @@ def descent_figure(descent: Descent) -> Figure:
     ):
         if chosen.any():
             style: dict[str, Any] = {"color": colour, "label": label.format(chosen.sum())}
-            sphere.plot(fitted[chosen], fitted_z[chosen], marker, ms=size, **style)
+            sphere.plot(fitted_azimuth[chosen], fitted_z[chosen], marker, ms=size, **style)
     sphere.set(xlim=(-185, 185), ylim=(0.4, 0.8), xticks=range(-180, 181, 90))
     sphere.set(xlabel="azimuth of the Sun about z (deg)", ylabel="$z$ component")
     sphere.legend(fontsize=8, loc="upper left")

@@ -27,7 +27,8 @@ from sunspin.vehicle.timeline import utc_seconds
 def rows(case: Case) -> list[Row]:
     """Return the rows of the paper's tables, of simple checks among its figures, and of figures that are taken over.
 
-    They are in the order of `published.toml`.
+    Figures that are taken over are in the order of `published.toml`, which says for each how it is "used", or what it is only
+    "compared" with.
     """
     vehicle, timeline = case.vehicle, case.require_timeline()
     paper = {key: figure.value for key, figure in case.published.items()}
@@ -41,26 +42,29 @@ def rows(case: Case) -> list[Row]:
     # Tables 1 to 3 and the panels' cells
     schedule = [event for event in timeline.events if event.source.startswith("paper, Table 1")]
     times = {event.name: event.utc for event in schedule}
-    refined = [abs(utc_seconds(e.utc, e.refined_utc)) for e in schedule if e.refined_utc]
+    refinements_s = [abs(utc_seconds(e.utc, e.refined_utc)) for e in schedule if e.refined_utc]
     body, tips, cells = _published_tables(vehicle)
     moments = np.linalg.eigvalsh(vehicle.require_inertia())
-    texts = {
+    inertia_texts = {
         "moments": ", ".join(f"{moment:.3f}" for moment in moments),
-        "unlike": 100 * (moments[1] / moments[0] - 1),
+        "unlike": 100 * (moments[1] / moments[0] - 1),  # difference of the two smaller ones, %
     }
     result = [
-        taken_over("table_1", times, off=max(refined, default=0.0)),
-        taken_over("table_2", body, **texts),
+        taken_over("table_1", times, off=max(refinements_s, default=0.0)),
+        taken_over("table_2", body, **inertia_texts),
         taken_over("table_3", tips, middle=np.linalg.norm(np.mean(tips, axis=0)[:2])),
         taken_over("cells", cells),
     ]
 
     # statements that need no simulation: durations, shares of the sphere, ranges of E and EMD
-    mask, everywhere = reconstructible_mask(vehicle), spiral()
+    # shares of all directions, and of those below the xy plane, that the panels can reconstruct
+    mask, everywhere = reconstructible_mask(vehicle), spiral()  # directions (n, 3) evenly spread
     share = float(np.mean(allows(mask, everywhere)))
-    below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
+    share_below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
+    # E and EMD of equal and of opposite directions: the ends of their ranges
     up = np.array([[0.0, 0.0, 1.0]])
-    errors = [float(direction_error(sun, up)) for sun in (up, -up)]
+    E_range = [float(direction_error(sun, up)) for sun in (up, -up)]
+    emd_range = [emd([1.0], [1.0]), emd([-1.0], [1.0])]
     slowest = smallest_touchdown_speed(case, nominal_wheel_speeds(vehicle)[0])
     ours: dict[str, Any] = {
         "path_duration": paper["path_length"] / paper["collision_speed"] / 60,
@@ -69,13 +73,13 @@ def rows(case: Case) -> list[Row]:
         "duration_after_collision": timeline.seconds("collision", "second_touchdown") / 60,
         "sun_distance": paper["ephemeris_sun_distance"],
         "distance_from_target": paper["trajectory_distance"] / 1000,
-        "metric_ranges": [*errors, emd([1.0], [1.0]), emd([-1.0], [1.0])],
+        "metric_ranges": [*E_range, *emd_range],
         "mission": "not computed",
     }
     if vehicle.antenna is not None:
         ours["antenna_cone"] = float(np.degrees(vehicle.antenna.opening_rad))
     result += [make_row(case, name, value) for name, value in ours.items()]
-    result.append(make_row(case, "sun_below", below, share=share))
+    result.append(make_row(case, "sun_below", share_below, share=share))
 
     # figures that the study uses, or that it only compares with a computed one; these two may be changed for a run
     in_this_run: dict[str, Any] = {
@@ -87,9 +91,8 @@ def rows(case: Case) -> list[Row]:
             note = f"only compared; {about['compared']}"
             result.append(make_row(case, name, "not an input", note=note))
         elif "used" in about:
-            note, used = f"used as published; {about['used']}", in_this_run.get(name)
-            used = paper[name] if used is None else used
-            result.append(taken_over(name, used, note=note))
+            note = f"used as published; {about['used']}"
+            result.append(taken_over(name, in_this_run.get(name, paper[name]), note=note))
     return result
 
 

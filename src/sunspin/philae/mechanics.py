@@ -45,7 +45,7 @@ from sunspin.vehicle import Vehicle
 class Mechanics(NamedTuple):
     """Example motions and spin-down of the wheel.
 
-    `examples`: runs of Figs. 6 and 7 as `propagate` returns them. `spin_down`: see :func:`simulate_spin_down`.
+    `examples`: motions of Figs. 6 and 7 as `propagate` returns them. `spin_down`: see :func:`simulate_spin_down`.
     """
 
     case: Case
@@ -56,10 +56,12 @@ class Mechanics(NamedTuple):
 def compute(case: Case) -> Mechanics:
     """Propagate the example motions and simulate the spin-down. Nothing here depends on telemetry."""
     t = np.arange(0.0, 60.0 * case.published["example_duration"].value + 0.5, 1.0)
-    start = first_sun(case), nominal_wheel_speeds(case.vehicle)
-    rates = case.published["example_rates"].value
-    runs = [propagate(case.vehicle, omega, *start, t) for omega in rates]
-    return Mechanics(case, runs, simulate_spin_down(case))
+    sun_B, wheel_speeds = first_sun(case), nominal_wheel_speeds(case.vehicle)
+    examples = [
+        propagate(case.vehicle, omega_B, sun_B, wheel_speeds, t)
+        for omega_B in case.published["example_rates"].value
+    ]
+    return Mechanics(case, examples, simulate_spin_down(case))
 
 
 def simulate_spin_down(case: Case) -> dict[str, Any]:
@@ -70,15 +72,19 @@ def simulate_spin_down(case: Case) -> dict[str, Any]:
     """
     wheel = case.vehicle.wheels[0]
     rounded = case.vehicle.with_friction("printed").wheels[0].friction
-    law = rounded.coulomb_N_m, rounded.viscous_N_m_s, wheel.inertia_kg_m2
     c1, c2, c3 = case.published["spin_down_coefficients"].value
-    t = np.linspace(0.0, 0.999 * np.log(-c3 / c1) / c2, 200)  # up to just before the stop
+    # the published curve c1 exp(c2 t) + c3 reaches zero at the stop; up to just before it
+    stop_s = np.log(-c3 / c1) / c2
+    t = np.linspace(0.0, 0.999 * stop_s, 200)
     record = spin_down_curve(t, c1, c2, c3)
+    printed = spin_down_speed(
+        rounded.coulomb_N_m, rounded.viscous_N_m_s, wheel.inertia_kg_m2, record[0], t
+    )
     return {
         "t_s": t,
         "record": record,
         "fit": fit_spin_down(t, record, wheel.inertia_kg_m2),
-        "printed": spin_down_speed(*law, record[0], t),
+        "printed": printed,
         "stop_printed_s": spin_down_time(rounded, wheel.inertia_kg_m2, wheel.speed_rad_s),
     }
 
@@ -86,49 +92,58 @@ def simulate_spin_down(case: Case) -> dict[str, Any]:
 def rows(result: Mechanics) -> list[Row]:
     """Return the figures of section 2.2 compared with ours."""
     row_of, fit = partial(make_row, result.case), result.spin_down["fit"]
-    still = result.examples[0]
-    z, stops = still["sun_B"].values[:, 2], still["event_time_s"].values / 60
-    ends, still_z = [float(z.min()), float(z.max())], 0.01  # below it r_z counts as constant
-    stop, printed = float(stops[0]) if len(stops) else None, result.spin_down["stop_printed_s"] / 60
+    # the first example starts at rest: its r_z hardly changes, and its first event is the stop of the wheel
+    at_rest = result.examples[0]
+    z = at_rest["sun_B"].values[:, 2]
+    z_range, constant_z = [float(z.min()), float(z.max())], 0.01  # r_z that varies less is constant
+    stops_min = at_rest["event_time_s"].values / 60
+    stop_min = float(stops_min[0]) if len(stops_min) else None
+    printed_min = result.spin_down["stop_printed_s"] / 60
     return [
         row_of("spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]),
         row_of("friction_coulomb", fit.friction.coulomb_N_m),
         row_of("friction_viscous", fit.friction.viscous_N_m_s),
-        row_of("wheel_stop", stop, printed=printed),
-        row_of("example_still_z", ends, tolerance=still_z, agrees=bool(np.ptp(z) < still_z)),
+        row_of("wheel_stop", stop_min, printed=printed_min),
+        row_of(
+            "example_still_z",
+            z_range,
+            tolerance=constant_z,
+            agrees=bool(np.ptp(z) < constant_z),
+        ),
     ]
 
 
-def sun_tracks_figure(runs: list[xr.Dataset]) -> Figure:
+def sun_tracks_figure(motions: list[xr.Dataset]) -> Figure:
     """Draw the Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
     figure = Figure(figsize=(11, 7.5), layout="constrained")
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
-    components = lower.subplots(3, len(runs), sharex=True, sharey=True, squeeze=False)
-    for k, run in enumerate(runs):
-        r, minutes = run["sun_B"].values, run["time"].values / 60
-        axes = sphere_axes(upper, len(runs), k)
-        axes.plot(*r.T, lw=0.4, color=COLOURS[0])
-        axes.set_title(_initial_rate(run), fontsize=9)
+    components = lower.subplots(3, len(motions), sharex=True, sharey=True, squeeze=False)
+    for k, motion in enumerate(motions):
+        sun_B, minutes = motion["sun_B"].values, motion["time"].values / 60
+        axes = sphere_axes(upper, len(motions), k)
+        axes.plot(*sun_B.T, lw=0.4, color=COLOURS[0])
+        axes.set_title(_initial_rate(motion), fontsize=9)
         for i, name in enumerate("xyz"):
-            components[i, k].plot(minutes, r[:, i], lw=0.5, color=COLOURS[i])
+            components[i, k].plot(minutes, sun_B[:, i], lw=0.5, color=COLOURS[i])
             components[i, 0].set_ylabel(f"$r_{name}$")
         components[2, k].set_xlabel("time (min)")
     return figure
 
 
-def rz_histograms_figure(runs: list[xr.Dataset]) -> Figure:
-    """Draw the distribution of r_z over each run, as densities of area 1 (paper, Fig. 7)."""
+def rz_histograms_figure(motions: list[xr.Dataset]) -> Figure:
+    """Draw the distribution of r_z over each motion, as densities of area 1 (paper, Fig. 7)."""
     figure = Figure(figsize=(10, 3.2), layout="constrained")
-    for axes, run in zip(figure.subplots(1, len(runs)), runs, strict=True):
-        axes.hist(run["sun_B"].values[:, 2], bins=60, range=(-1, 1), density=True, color=COLOURS[0])
+    for axes, motion in zip(figure.subplots(1, len(motions)), motions, strict=True):
+        z = motion["sun_B"].values[:, 2]
+        axes.hist(z, bins=60, range=(-1, 1), density=True, color=COLOURS[0])
         axes.set(xlabel="$r_z$", ylabel="density")
-        axes.set_title(_initial_rate(run), fontsize=9)
+        axes.set_title(_initial_rate(motion), fontsize=9)
     return figure
 
 
-def _initial_rate(run: xr.Dataset) -> str:
-    """Return the initial rate of a run as text for a title."""
-    rate = ", ".join(f"{x:.4g}" for x in run["omega_B"].values[0])
+def _initial_rate(motion: xr.Dataset) -> str:
+    """Return the initial rate of a motion as text for a title."""
+    rate = ", ".join(f"{x:.4g}" for x in motion["omega_B"].values[0])
     return rf"$\omega(0)$ = [{rate}] rad/s"
 
 
@@ -160,44 +175,49 @@ def precession_amplitudes(
     t = np.arange(0.0, duration_s + 0.5, 1.0)
     first, last = t <= compared_s, t >= duration_s - compared_s
 
-    def ends(values: np.ndarray) -> np.ndarray:
-        """Return the least and the largest value."""
-        return np.array([values.min(), values.max()])
-
-    motions = []
+    rows = []
     for omega in starts.reshape(-1, 3):
-        run = propagate(vehicle, omega, sun_B, wheel_speed_rad_s, t, rtol=1e-10)
-        z, H = run["sun_B"].values[:, 2], run["momentum_B"].values
+        motion = propagate(vehicle, omega, sun_B, wheel_speed_rad_s, t, rtol=1e-10)
+        z, H = motion["sun_B"].values[:, 2], motion["momentum_B"].values
         nutation = np.degrees(np.arctan2(np.hypot(H[:, 0], H[:, 1]), H[:, 2]))
         nutation[~H.any(axis=1)] = np.nan  # without angular momentum there is no nutation
-        axis_N = Rotation.from_quat(run["B_from_N"].values).inv().apply([0.0, 0.0, 1.0])
-        motion = {
-            "z": ends(z),
-            "z_first": ends(z[first]),
-            "z_last": ends(z[last]),
-            "height": np.degrees(np.arcsin(np.clip(ends(z), -1, 1))),
-            "nutation": ends(nutation),
+        z_axis_N = Rotation.from_quat(motion["B_from_N"].values).inv().apply([0.0, 0.0, 1.0])
+        # cosine of the largest angle between the z axis at any two times
+        least_cosine = (z_axis_N @ z_axis_N.T).min()
+        row = {
+            "z": _extremes(z),
+            "z_first": _extremes(z[first]),
+            "z_last": _extremes(z[last]),
+            "height": np.degrees(np.arcsin(np.clip(_extremes(z), -1, 1))),
+            "nutation": _extremes(nutation),
             "nutation_first": nutation[first].mean(),
             "nutation_last": nutation[last].mean(),
-            "axis_swing": np.degrees(np.arccos(np.clip((axis_N @ axis_N.T).min(), -1, 1))),
+            "axis_swing": np.degrees(np.arccos(np.clip(least_cosine, -1, 1))),
             "peaks": count_peaks(z),
         }
-        motions.append(motion)
-    columns = {name: np.array([motion[name] for motion in motions]) for name in motions[0]}
+        rows.append(row)
+    # one array for each quantity, with the shape of the given rates in front
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     shape = starts.shape[:-1]
     return {name: values.reshape((*shape, *values.shape[1:])) for name, values in columns.items()}
+
+
+def _extremes(values: np.ndarray) -> np.ndarray:
+    """Return the least and the largest value (2)."""
+    return np.array([values.min(), values.max()])
 
 
 def count_peaks(z: np.ndarray) -> int:
     """Return the number of peaks in the distribution of values (n) that rise by a fifth of the highest peak above their
     surroundings.
 
-    It is 1 if the values hardly vary.
+    It is 1 if the values vary by less than 0.001, as a histogram of rounding errors has peaks without a meaning.
     """
     if np.ptp(z) < 1e-3:
         return 1
     density = np.histogram(z, bins=24)[0].astype(np.float64)
     smooth = np.convolve(np.pad(density, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
+    # zeros on both sides: a peak may be at an end of the range
     peaks, _ = find_peaks(np.pad(smooth, 1), prominence=0.2 * smooth.max())
     return len(peaks)
 
@@ -215,9 +235,9 @@ class Precession(NamedTuple):
 def compute_precession(case: Case) -> Precession:
     """Return the precession of the examples of Figs. 6 and 7, and of eleven points of each published line."""
     start = first_sun(case), nominal_wheel_speeds(case.vehicle)
-    duration = 60.0 * case.published["example_duration"].value
+    duration_s = 60.0 * case.published["example_duration"].value
     examples = precession_amplitudes(
-        case.vehicle, case.published["example_rates"].value, *start, duration
+        case.vehicle, case.published["example_rates"].value, *start, duration_s
     )
     points = points_on_lines(published_lines(case), np.linspace(*LINE_RANGE, 11))
     lines = precession_amplitudes(case.vehicle, points, *start, published_window_s(case))
@@ -229,18 +249,19 @@ def precession_rows(result: Precession) -> list[Row]:
     case, examples, lines = result
     low, high = case.published["sun_height_range"].value
     elevation, axis_swing = lines["height"], lines["axis_swing"].mean(axis=1)
-    typical = elevation.mean(axis=(0, 1)).tolist()
+    mean_range = elevation.mean(axis=(0, 1)).tolist()  # mean smallest and mean largest elevation
     twice_nutation = (lines["nutation_first"] + lines["nutation_last"]).mean(axis=1)
     # changes between the first and the last ten minutes: of the range of r_z, and of the mean nutation
     z_examples, z_lines = (
         np.abs(motions["z_last"] - motions["z_first"]) for motions in (examples, lines)
     )
-    nutation = (
+    nutation_changes = (
         motions["nutation_last"] - motions["nutation_first"] for motions in (examples, lines)
     )
-    nutation_change = float(max(np.nanmax(np.abs(change)) for change in nutation))
-    least, most = (end(lines["nutation"], axis=(1, 2)) for end in (np.min, np.max))
+    nutation_change = float(max(np.nanmax(np.abs(changes)) for changes in nutation_changes))
+    least, most = (extreme(lines["nutation"], axis=(1, 2)) for extreme in (np.min, np.max))
     nutation_ranges = enumerate(zip(least, most, strict=True), 1)
+    # the first example starts at rest: its r_z is constant
     peaks = np.concatenate([examples["peaks"][1:], lines["peaks"].ravel()])
     # criteria: the range of r_z is constant if its ends change by less than 0.1; the axis moves as far as the elevation of the
     # Sun if both ranges are equal within 10 degrees
@@ -262,7 +283,7 @@ def precession_rows(result: Precession) -> list[Row]:
     kept_examples, kept_lines = (bool(changes.max() <= same_z) for changes in (z_examples, z_lines))
     median_and_most, tenth = [float(np.median(z_lines)), float(z_lines.max())], (high - low) / 10
     return [
-        row_of("sun_height_lines", typical, published=[low, high], tolerance=tenth),
+        row_of("sun_height_lines", mean_range, published=[low, high], tolerance=tenth),
         row_of("axis_swing", axis_swing.tolist(), tolerance=same_deg, agrees=as_wide),
         row_of("range_of_z_examples", float(z_examples.max()), agrees=kept_examples, **z_tolerance),
         row_of("range_of_z_lines", median_and_most, agrees=kept_lines, **z_tolerance),

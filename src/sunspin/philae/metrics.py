@@ -83,11 +83,13 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     paper = {key: figure.value for key, figure in case.published.items()}
     vehicle, samples, workers = case.vehicle, select_rebound(case, sun), options.workers
     speed, window = nominal_wheel_speeds(vehicle), published_window_s(case)
+    # the start direction as the paper quotes it is no unit vector, and the ranges (3, 2) of the rates
     quoted, box = np.array(paper["first_sun_E_study"]), paper["E_study_box"]
     length = float(np.linalg.norm(quoted))
 
     # After 45 min neighbours in rates differ by a third of a radian in phase, neighbours in parameters by 1.4 rad. The second map
     # is coarser because each of its points is another vehicle, which takes 4 ms, 30 times a point of the first map.
+    # Ranges and numbers of points of the four axes. The rate omega_z of the first map is fixed.
     spans = (*box[:2], paper["E_study_coulomb"], paper["E_study_inertia"])
     omega_x, omega_y, mu_0, theta_xx = (
         np.linspace(*span, max(n // options.coarser, 2))
@@ -96,36 +98,39 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     rates = scan(
         vehicle, samples, quoted / length, omega_x, omega_y, box[2][:1], speed, workers=workers
     ).isel(omega_z=0)
-    drawn = error_growth.Motion.of(vehicle, paper["E_study_omega"], quoted, speed, window)
+    motion_8B = error_growth.Motion.of(vehicle, paper["E_study_omega"], quoted, speed, window)
     parameters = error_growth.parameter_map(
-        drawn, samples, {"mu_0": mu_0, "theta_xx": theta_xx}, workers
+        motion_8B, samples, {"mu_0": mu_0, "theta_xx": theta_xx}, workers
     )
 
-    interval, first = 60.0 * paper["sampling_interval"], first_sun(case)
-    motions = {"Fig. 8 B": drawn} | {
+    # the motion of Fig. 8 B, and one on each published line, at omega_z = 0.1 rad/s
+    interval_s, first = 60.0 * paper["sampling_interval"], first_sun(case)
+    motions = {"Fig. 8 B": motion_8B} | {
         f"L{k}": error_growth.Motion.of(vehicle, omega, first, speed, window)
         for k, (omega,) in enumerate(points_on_lines(published_lines(case), [0.1]), 1)
     }
     changes = [
         xr.merge(
-            [error_growth.growth(motion), error_growth.one_percent(motion, interval)],
+            [error_growth.growth(motion), error_growth.one_percent(motion, interval_s)],
             combine_attrs="drop",
         )
         .assign(angular_speed=float(np.linalg.norm(motion.omega_B)))
         .expand_dims(motion=[name])
         for name, motion in motions.items()
     ]
-    change = np.linspace(-0.05, 0.05, 1001 // options.coarser // 2 * 2 + 1)
-    windows = 60.0 * np.array([5.0, 15.0, 45.0])
+    # changes of omega_x in the motion of Fig. 8 B; their number is odd so that zero is among them
+    change_rad_s = np.linspace(-0.05, 0.05, 1001 // options.coarser // 2 * 2 + 1)
+    windows_s = 60.0 * np.array([5.0, 15.0, 45.0])
     return Sensitivity(
         case,
-        bool(sun.attrs.get("synthetic")),
-        int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
-        length,
-        error_growth.of_length(rates, length).assign_attrs(units="1"),
-        error_growth.of_length(parameters, length).assign_attrs(units="1"),
-        xr.concat(changes, "motion"),
-        error_growth.valleys(drawn, change, windows, interval, workers),
+        synthetic=bool(sun.attrs.get("synthetic")),
+        n_directions=int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
+        start_length=length,
+        # E of a unit start direction, converted to one of the quoted length
+        rates=error_growth.of_length(rates, length).assign_attrs(units="1"),
+        parameters=error_growth.of_length(parameters, length).assign_attrs(units="1"),
+        motions=xr.concat(changes, "motion"),
+        valley=error_growth.valleys(motion_8B, change_rad_s, windows_s, interval_s, workers),
     )
 
 
@@ -150,13 +155,15 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
     def map_row(name: str, error: xr.DataArray, start: np.ndarray, **texts: Any) -> Row:
         """Return the row of a map: its range, its valleys, and the distance of its start from the nearest published line."""
         ours = [float(error.min()), float(error.max()), *count_valleys(error.values)]
+        # the directions are unit vectors, so each cross product is as long as the distance from the line
         offsets = [np.cross(start - point, along) for point, along in published_lines(case)]
         distance = min(float(np.linalg.norm(offset)) for offset in offsets)
         return make_row(case, name, ours, apart=distance, **texts)
 
+    # the paper quotes another first direction here than for the scan
     first, quoted = first_sun(case), np.array(paper["first_sun_E_study"])
     cosine = first @ quoted / np.linalg.norm(first) / np.linalg.norm(quoted)
-    apart = float(np.degrees(np.arccos(cosine)))
+    apart_deg = float(np.degrees(np.arccos(cosine)))
 
     # largest change of E and of EMD over the inputs that are changed by 1 %, for each motion
     E_change, emd_change = (motions[name].max("input").values for name in ("E", "emd"))
@@ -166,13 +173,21 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
 
     # a frequency that is off shifts the phase in proportion to time, friction with its square
     rates, tolerance = list(error_growth.RATES), 0.3
-    linear, square = (motions["power"].sel(input=inputs).values for inputs in (rates, "mu_0"))
-    difference = max(np.abs(linear - 1).max(), np.abs(square - 2).max())
-    growth, agrees = [float(linear.mean()), float(square.mean())], bool(difference < tolerance)
+    rate_power, friction_power = (
+        motions["power"].sel(input=inputs).values for inputs in (rates, "mu_0")
+    )
+    difference = max(np.abs(rate_power - 1).max(), np.abs(friction_power - 2).max())
+    growth = [float(rate_power.mean()), float(friction_power.mean())]
+    agrees = bool(difference < tolerance)
+    # direction errors at the end of the window (rad): of a change of 1 %, and of one of a rate per angular speed
     last = motions["error_rad"].isel(time=-1)
-    at_end, per_rate = last.max("input") * error_growth.ONE_PERCENT, last / motions["angular_speed"]
-    ends = {"at_end": at_end, "per_rate": per_rate.sel(input=rates)}
-    sizes: dict[str, Any] = {name: (float(x.min()), float(x.max())) for name, x in ends.items()}
+    last_errors = {
+        "at_end": last.max("input") * error_growth.ONE_PERCENT,
+        "per_rate": (last / motions["angular_speed"]).sel(input=rates),
+    }
+    ranges: dict[str, Any] = {
+        name: (float(error.min()), float(error.max())) for name, error in last_errors.items()
+    }
 
     windows = ", ".join(f"{seconds / 60:g}" for seconds in sensitivity.valley["window"].values)
     width = error_growth.valley_width(sensitivity.valley).tolist()
@@ -192,19 +207,19 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
             "E_study_bound",
             (1 - sensitivity.start_length) / 2,
             length=sensitivity.start_length,
-            apart=apart,
+            apart=apart_deg,
         ),
         make_row(case, "one_percent_E", least_E, agrees=least_E > 0.1, of_each=of_each),
         make_row(
             case, "one_percent_emd", largest_emd, tolerance=emd_min, agrees=largest_emd < emd_min
         ),
-        make_row(case, "phase_growth", growth, tolerance=tolerance, agrees=agrees, **sizes),
+        make_row(case, "phase_growth", growth, tolerance=tolerance, agrees=agrees, **ranges),
         make_row(case, "valley_width", width, windows=windows),
     ]
 
 
 def input_symbol(name: str) -> str:
-    """Return the paper's symbol of an input."""
+    """Return the paper's symbol of an input such as "omega_x" or "theta_xx", as mathematical text for matplotlib."""
     letter, index = name.replace("wheel_speed", "omega_rot").split("_")
     return f"$\\{letter}_{{{index}}}$"
 
@@ -239,6 +254,7 @@ def growth_figure(result: Sensitivity) -> Figure:
     grow, changes = figure.subplots(1, 2)
     motions, emd_min = result.motions, result.case.published["emd_min"].value
     names, inputs = (motions[dim].values.tolist() for dim in ("motion", "input"))
+    # the error at time 0 cannot be drawn on a logarithmic axis
     minutes, drawn = motions["time"].values[1:] / 60, motions.isel(motion=0)
     for k, name in enumerate(inputs):
         error = error_growth.ONE_PERCENT * drawn["error_rad"].sel(input=name).values[1:]
@@ -255,10 +271,11 @@ def growth_figure(result: Sensitivity) -> Figure:
     grow.set_title(f"growth of errors, rates of {names[0]}", fontsize=10)
 
     for k, name in enumerate(names):
-        place = np.arange(len(inputs)) + (k - (len(names) - 1) / 2) * 0.15
-        in_E, in_emd = (motions[of].values[k] for of in ("E", "emd"))
-        changes.semilogy(place, in_E, "o", ms=5, color=COLOURS[k], label=name)
-        changes.semilogy(place, in_emd, "^", ms=5, mfc="none", color=COLOURS[k])
+        # the motions stand side by side above each input
+        x = np.arange(len(inputs)) + (k - (len(names) - 1) / 2) * 0.15
+        in_E, in_emd = (motions[metric].values[k] for metric in ("E", "emd"))
+        changes.semilogy(x, in_E, "o", ms=5, color=COLOURS[k], label=name)
+        changes.semilogy(x, in_emd, "^", ms=5, mfc="none", color=COLOURS[k])
     changes.set_xticks(np.arange(len(inputs)), [input_symbol(name) for name in inputs])
     changes.axhline(emd_min, ls="--", lw=1, color=COLOURS[7])
     text = "smallest EMD of the paper's scan"
@@ -278,17 +295,25 @@ def propagate_grid(case: Case, sun_B: np.ndarray, duration_s: float, options: Op
     """Propagate every motion of the grid from the Sun direction sun_B (3), once for any target distribution."""
     axes, speed = scan_grid(case, options.coarser), nominal_wheel_speeds(case.vehicle)
     mask = None if direction_mask(case) is None else "reconstructible"
-    how: dict[str, Any] = {"workers": options.workers, "progress": options.progress}
-    return make_table(case.vehicle, sun_B, axes, speed, duration_s, mask=mask, **how)
+    return make_table(
+        case.vehicle,
+        sun_B,
+        axes,
+        speed,
+        duration_s,
+        mask=mask,
+        workers=options.workers,
+        progress=options.progress,
+    )
 
 
 def simulate_rz(case: Case, omega_B: np.ndarray) -> np.ndarray:
     """Return the r_z (n) of one motion over the paper's window every half second, in view of the panels only."""
     t = np.arange(0.0, published_window_s(case) + 0.25, 0.5)
     speed, mask = nominal_wheel_speeds(case.vehicle), direction_mask(case)
-    run = propagate(case.vehicle, omega_B, first_sun(case), speed, t, rtol=1e-9)
-    track = run["sun_B"].values
-    return track[slice(None) if mask is None else allows(mask, track), 2]
+    sun_B = propagate(case.vehicle, omega_B, first_sun(case), speed, t, rtol=1e-9)["sun_B"].values
+    in_view = slice(None) if mask is None else allows(mask, sun_B)
+    return sun_B[in_view, 2]
 
 
 class NearMinimum(NamedTuple):
@@ -323,10 +348,11 @@ def make_near_minimum_set(case: Case, emd: xr.DataArray, factor: float, seed: in
     except InputError:  # a ragged level set may have fewer points than four lines need
         return NearMinimum(emd, factor, points, None, [])
     limits: dict[str, Any] = {"low": LINE_RANGE[0], "high": LINE_RANGE[1]}
-    ours = [list_lines(lines)[k] for k in match_lines(lines, published, **limits)]
-    pairs = zip(ours, published, strict=True)
+    fitted = list_lines(lines)
+    nearest = [fitted[k] for k in match_lines(lines, published, **limits)]
     deviation = [
-        {"line": line} | line_deviation(line, reference, **limits) for line, reference in pairs
+        {"line": line} | line_deviation(line, reference, **limits)
+        for line, reference in zip(nearest, published, strict=True)
     ]
     return NearMinimum(emd, factor, points, lines, deviation)
 
@@ -370,10 +396,11 @@ def scan_telemetry(case: Case, sun: xr.Dataset, options: Options) -> TelemetrySc
     table = propagate_grid(case, rebound.sun_B, rebound.window_s, options)
     volume = table.volume(rebound.z, rebound.weights, worker_count(options.workers))
     truth: dict[str, Any] = {}
-    if twin := read_truth(case):
-        z = simulate_rz(case, np.array(twin["omega_B"]))
-        truth = {name: np.array(twin[name]) for name in ("omega_B", "sun_B")}
+    if true_values := read_truth(case):
+        z = simulate_rz(case, np.array(true_values["omega_B"]))
+        truth = {name: np.array(true_values[name]) for name in ("omega_B", "sun_B")}
         truth |= {"emd": emd(z, rebound.z, weights_b=rebound.weights), "z": z}
+    # EMD of each motion; infinite if its propagation failed, so that it is in no set
     distance = np.where(table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
     factor = case.assumptions.study.near_minimum_factor
     near = make_near_minimum_set(case, volume, factor, options.seed)
@@ -384,33 +411,38 @@ def scan_rows(result: TelemetryScan) -> list[Row]:
     """Return the figures of section 2.3 that need telemetry, compared with ours."""
     rebound, near = result.rebound, result.near
     case = rebound.case
-    points = f"{len(near.points)} grid points below {near.factor} times the smallest"
+    set_text = f"{len(near.points)} grid points below {near.factor} times the smallest"
     if result.truth:
-        points += f"; at the true rate of the synthetic telemetry it is {result.truth['emd']:.4f}"
+        set_text += f"; at the true rate of the synthetic telemetry it is {result.truth['emd']:.4f}"
     distances = ", ".join(
         f"L{k} {deviation['mean']:.3f}" for k, deviation in enumerate(near.deviation, 1)
     )
-    each = f"mean distances of the fitted lines (rad/s): {distances}"
+    line_text = "too few points in the set for four lines"
+    if distances:
+        line_text = f"mean distances of the fitted lines (rad/s): {distances}"
     texts: dict[str, Any] = {
-        "near": points,
-        "each": each if distances else "too few points in the set for four lines",
+        "near": set_text,
+        "each": line_text,
         "within": NEAR_RAD_S,
         "omega_z": list(LINE_RANGE),
         "directions": rebound.z.size,
     }
     lines = published_lines(case)
     # the number of runs is compared only on the paper's own grid, not on a coarser one
-    whole = near.emd.size == case.published["scan_runs"].value or None
+    is_paper_grid = near.emd.size == case.published["scan_runs"].value
     return [
         make_row(case, "emd_min", result.smallest, **texts),
-        make_row(case, "scan_runs", int(near.emd.size), agrees=whole),
+        make_row(case, "scan_runs", int(near.emd.size), agrees=is_paper_grid or None),
         make_row(case, "lines_found", result.lines_recovered, published=len(lines), **texts),
     ]
 
 
-def rate_axes(figure: Figure, *place: int) -> Any:
-    """Add axes in perspective over the three rates (rad/s) to a figure, with few enough ticks to stay apart."""
-    axes, ticks = figure.add_subplot(*place, projection="3d"), (-0.4, 0.0, 0.4, 0.8)
+def rate_axes(figure: Figure, *subplot: int) -> Any:
+    """Return new axes of a figure in perspective over the three rates (rad/s), with few enough ticks to stay apart.
+
+    `subplot` holds rows, columns and number of the axes as in `Figure.add_subplot`; default: one for the whole figure.
+    """
+    axes, ticks = figure.add_subplot(*subplot, projection="3d"), (-0.4, 0.0, 0.4, 0.8)
     axes.set(xlabel=r"$\omega_x$ (rad/s)", ylabel=r"$\omega_y$ (rad/s)")
     axes.set(zlabel=r"$\omega_z$ (rad/s)", xticks=ticks, yticks=ticks)
     return axes
@@ -422,6 +454,7 @@ def near_minimum_figure(
     """Draw near-minimum points in rate space with fitted (solid) and published (dashed) lines (paper, Fig. 9)."""
     figure = Figure(figsize=(11, 5.2), layout="constrained")
     points, lines = near.points, near.lines
+    # index of the fitted line that each point belongs to
     member = np.zeros(len(points), int) if lines is None else lines["member"].values
     views = (("perspective", 22, -62), ("from +z", 90, -90))
     for k, (name, elevation, azimuth) in enumerate(views):
@@ -439,7 +472,7 @@ def near_minimum_figure(
         if truth is not None:
             label = "truth of the synthetic telemetry"
             axes.scatter(*truth, marker="*", s=130, color="#000000", label=label)
-        if k:
+        if name == "from +z":  # the z axis points at the viewer
             axes.set(zlabel="", zticks=[])
         axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
         axes.set_title(name, fontsize=9)
@@ -450,7 +483,10 @@ def near_minimum_figure(
 
 
 def distributions_figure(z: np.ndarray, label: str, motions: dict[str, np.ndarray]) -> Figure:
-    """Draw cumulative distributions of r_z that the EMD compares: of measured directions `z` (n), and of motions by name."""
+    """Draw cumulative distributions of r_z that the EMD compares: of measured directions `z` (n), and of motions by name.
+
+    A name that begins with "truth" gives a thin dotted line, as its curve lies on that of the measured directions.
+    """
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes, level = figure.subplots(), np.arange(1, len(z) + 1) / len(z)
     axes.step(np.sort(z), level, where="post", color=COLOURS[6], label=label)

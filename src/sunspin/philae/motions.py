@@ -22,7 +22,7 @@ from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.output.figures import COLOURS, titled
-from sunspin.philae.candidates import Chain
+from sunspin.philae.candidates import CandidateSets
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.rebound import Rebound, event_seconds, nominal_wheel_speeds, read_truth
@@ -31,77 +31,106 @@ from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 
 SPREAD_MOTIONS = 150
-"""Number of motions drawn from the confidence set; the slowest, the fastest and those of least and largest momentum are added."""
+"""Number of motions drawn from the chosen candidates. The slowest, the fastest and those of least and largest momentum are added.
+"""
+
+DESCENT_STEP_S = 20.0
+"""Time step of the descent's motion for display: the body rotates by less than 20 degrees in it."""
 
 
 def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dataset]:
     """Return motions by name, as Datasets of `propagate` with panel signals.
 
-    `done` holds the results of earlier steps: `level_set`, `candidates` and, if it was computed, `descent`.
+    They are the truth (of the case's own synthetic telemetry), the best grid point, the slowest, the median and the fastest
+    candidate, and the descent. `done` holds the results of earlier steps: `level_set`, `candidates` and, if it was computed,
+    `descent`. The attribute `about` of a motion says in words how it was selected.
     """
     scan: TelemetryScan = done["level_set"]
-    chain: Chain = done["candidates"]
+    candidate_sets: CandidateSets = done["candidates"]
     descent: Descent | None = done.get("descent")
-    rebound, chosen = chain.rebound, chain.chosen
-    runs = {}
+    rebound, chosen = candidate_sets.rebound, candidate_sets.chosen
+    motions = {}
     if scan.truth:
         start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
         about = "the motion from which the synthetic telemetry was made"
-        runs["Truth"] = propagate_landing(rebound, start, about, read_truth(case).get("seed", seed))
+        # with the seed of the telemetry the collision is the one that the telemetry contains
+        true_seed = read_truth(case).get("seed", seed)
+        motions["Truth"] = propagate_landing(rebound, start, about, true_seed)
     start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
     about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
-    runs["Best fit"] = propagate_landing(rebound, start, about, seed)
-    order = np.argsort(chosen.speed_touchdown)
-    for name, at in (("Slowest", 0), ("Middle", len(order) // 2), ("Fastest", -1)):
-        start, speed = chosen.states.take(order[[at]]), chosen.speed_touchdown[order[at]]
+    motions["Best fit"] = propagate_landing(rebound, start, about, seed)
+    by_speed = np.argsort(chosen.speed_touchdown)
+    for name, rank in (("Slowest", 0), ("Middle", len(by_speed) // 2), ("Fastest", -1)):
+        candidate = by_speed[rank]
+        start, speed = chosen.states.take(np.array([candidate])), chosen.speed_touchdown[candidate]
         about = f"{name.lower()} of {chosen.about}: {speed:.3f} rad/s just after the touchdown"
-        runs[f"{name} candidate"] = propagate_landing(rebound, start, about, seed)
+        motions[f"{name} candidate"] = propagate_landing(rebound, start, about, seed)
     if descent is not None:
-        runs["Descent"] = make_descent_motion(case, descent)
-    return runs
+        motions["Descent"] = make_descent_motion(case, descent)
+    return motions
 
 
 def propagate_landing(rebound: Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
     """Return the motion from the first touchdown to the second, through the collision.
 
-    `start` is one state at the candidates' instant. Times are in s from the case's epoch.
+    `start` is one state at the candidates' instant. `about` says in words how it was selected, `seed` is that of the collision.
+    Times are in s from the case's epoch, the inertial frame N is that of the body at the candidates' instant.
     """
     case, timeline = rebound.case, rebound.case.require_timeline()
     impact_s, end_s = (timeline.event(name).t_s for name in ("collision", "second_touchdown"))
-    first_s = impact_s - rebound.window_s
-    state = State(first_s, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
+    start_s = impact_s - rebound.window_s
+    state = State(start_s, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
     collision = simulate_collision(case, state, generator(seed, 3))
-
-    def run(
-        state: State, duration_s: float, sign: int = 1, wheel_mode: Any = "coast"
-    ) -> xr.Dataset:
-        """Return the motion from a state, every second; `sign` -1 runs backward in time."""
-        # the fastest motion rotates by half a radian in a step of 1 s
-        t = sign * np.arange(0.0, duration_s + 1e-6, 1.0)
-        return propagate(case.vehicle, *state[1:], t, wheel_mode=wheel_mode, rtol=1e-9)
-
-    back = run(state, rebound.lead_s, -1, mode_before(start.wheel_speed_rad_s))
-    forth = run(state, impact_s - first_s)
-    beyond = run(collision.after, end_s - impact_s)
-    # each run counts attitude from its own start: that after the collision begins at the attitude of the collision
-    at_impact = Rotation.from_quat(forth["B_from_N"].values[-1])
-    attitude = (Rotation.from_quat(beyond["B_from_N"].values) * at_impact).as_quat()
-    beyond["B_from_N"] = beyond["B_from_N"].copy(data=attitude)
-    pieces = (
-        (back.isel(time=slice(None, 0, -1)), first_s),
-        (forth.isel(time=slice(None, -1)), first_s),
-        (beyond, impact_s),
+    before_start = _propagate_each_second(
+        case, state, -rebound.lead_s, mode_before(start.wheel_speed_rad_s)
     )
-    pieces = [p.drop_dims("event").assign_coords(time=p["time"] + shift) for p, shift in pieces]
+    before_collision = _propagate_each_second(case, state, impact_s - start_s)
+    after_collision = _propagate_each_second(case, collision.after, end_s - impact_s)
+    # each part counts its attitude from its own start: refer the last part to the start of the motion
+    attitude_at_impact = Rotation.from_quat(before_collision["B_from_N"].values[-1])
+    attitude = Rotation.from_quat(after_collision["B_from_N"].values) * attitude_at_impact
+    after_collision = after_collision.assign(
+        B_from_N=after_collision["B_from_N"].copy(data=attitude.as_quat())
+    )
+    # Each part with the time at which its clock begins. The backward part is reversed. The instants at which two parts meet are
+    # taken from the later part only.
+    parts = (
+        (before_start.isel(time=slice(None, 0, -1)), start_s),
+        (before_collision.isel(time=slice(None, -1)), start_s),
+        (after_collision, impact_s),
+    )
+    on_one_clock = [
+        part.drop_dims("event").assign_coords(time=part["time"] + zero_s) for part, zero_s in parts
+    ]
+    # "event" has a length of its own in each part, and constant variables are the same in all: take those of the first part
     joining: Any = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
-    whole = xr.concat(pieces, "time", join="override", **joining)
-    changes = (forth[f"event_{key}"].values for key in ("time_s", "wheel", "what"))
-    events = [(t + first_s, f"{wheel} {what}") for t, wheel, what in zip(*changes, strict=True)]
+    motion = xr.concat(on_one_clock, "time", join="override", **joining)
+    wheel_events = (before_collision[f"event_{key}"].values for key in ("time_s", "wheel", "what"))
+    events = [
+        (t_s + start_s, f"{wheel} {what}") for t_s, wheel, what in zip(*wheel_events, strict=True)
+    ]
     about += (
         "; after the collision one of many possible motions "
         f"(leg {collision.leg} hits, drawn with seed {seed})"
     )
-    return _add_panel_signals(case, whole, about, [*events, (impact_s, "collision")])
+    return _complete_for_display(case, motion, about, [*events, (impact_s, "collision")])
+
+
+def _propagate_each_second(
+    case: Case, state: State, duration_s: float, wheel_mode: Any = "coast"
+) -> xr.Dataset:
+    """Return the motion from a state, every second up to `duration_s` (negative: backward); time in s from the state."""
+    # the fastest motion rotates by half a radian in a step of 1 s; 1e-6 s keeps the last step if the duration is whole seconds
+    t = np.copysign(np.arange(0.0, abs(duration_s) + 1e-6, 1.0), duration_s)
+    return propagate(
+        case.vehicle,
+        state.omega_B,
+        state.sun_B,
+        state.wheel_speed_rad_s,
+        t,
+        wheel_mode=wheel_mode,
+        rtol=1e-9,
+    )
 
 
 def make_descent_motion(case: Case, descent: Descent) -> xr.Dataset:
@@ -109,109 +138,130 @@ def make_descent_motion(case: Case, descent: Descent) -> xr.Dataset:
 
     The inertial frame is that of the body at the start, as the rotation about z is not known then.
     """
-    start, end = _descent_span(case, descent)
-    t = np.arange(0.0, end - start, 20.0)
-    rate = np.polynomial.Polynomial(descent.fit.coefficients)
-    axis = np.array([0.0, 0.0, 1.0])
-    omega = rate(t)[:, None] * axis
-    attitude = Rotation.from_rotvec(-rate.integ()(t)[:, None] * axis).as_quat()
-    speed = np.tile(nominal_wheel_speeds(case.vehicle), (t.size, 1))
-    momentum, body = gyrostat.total_momentum(case.vehicle, omega, speed), ("time", "axis")
-    run = xr.Dataset(
+    start_s, end_s = _descent_span(case, descent)
+    t = np.arange(0.0, end_s - start_s, DESCENT_STEP_S)
+    rate = np.polynomial.Polynomial(
+        descent.fit.coefficients
+    )  # rad/s about z, t in s from the start
+    z_axis = np.array([0.0, 0.0, 1.0])
+    omega_B = rate(t)[:, None] * z_axis
+    # the integral of the rate is the angle of the body in N; B_from_N rotates by the opposite angle
+    B_from_N = Rotation.from_rotvec(-rate.integ()(t)[:, None] * z_axis).as_quat()
+    wheel_speed = np.tile(nominal_wheel_speeds(case.vehicle), (t.size, 1))
+    momentum_B = gyrostat.total_momentum(case.vehicle, omega_B, wheel_speed)
+    by_axis = ("time", "axis")
+    motion = xr.Dataset(
         {
-            "omega_B": (body, omega, {"units": "rad s-1"}),
-            "sun_B": (body, descent.fit.directions(t), {"units": "1"}),
-            "wheel_speed_rad_s": (("time", "wheel"), speed, {"units": "rad s-1"}),
-            "momentum_B": (body, momentum, {"units": "N m s"}),
-            "B_from_N": (("time", "quaternion"), attitude, {"units": "1"}),
+            "omega_B": (by_axis, omega_B, {"units": "rad s-1"}),
+            "sun_B": (by_axis, descent.fit.directions(t), {"units": "1"}),
+            "wheel_speed_rad_s": (("time", "wheel"), wheel_speed, {"units": "rad s-1"}),
+            "momentum_B": (by_axis, momentum_B, {"units": "N m s"}),
+            "B_from_N": (("time", "quaternion"), B_from_N, {"units": "1"}),
         },
-        coords={"time": ("time", t + start, {"units": "s"}), "axis": ["x", "y", "z"]},
+        coords={"time": ("time", t + start_s, {"units": "s"}), "axis": ["x", "y", "z"]},
     )
     about = "the spin about z that fits the directions of the descent, wheel held by its motor"
-    return _add_panel_signals(case, run, about, [])
+    return _complete_for_display(case, motion, about, [])
 
 
 def _descent_span(case: Case, descent: Descent) -> tuple[float, float]:
     """Return the begin of the fit and the first touchdown, in s from the case's epoch."""
-    end = case.require_timeline().event("first_touchdown").t_s
+    touchdown_s = case.require_timeline().event("first_touchdown").t_s
     # offset from the telemetry's epoch to the case's
-    to_case = end - event_seconds(case, descent.sun, "first_touchdown")
-    return float(case.telemetry["time"].values[descent.number[0] - 1]) + to_case, end
+    to_case_s = touchdown_s - event_seconds(case, descent.sun, "first_touchdown")
+    first_sample = descent.number[0] - 1  # numbers count from 1
+    return float(case.telemetry["time"].values[first_sample]) + to_case_s, touchdown_s
 
 
-def _add_panel_signals(
-    case: Case, run: xr.Dataset, about: str, events: list[tuple[float, str]]
+def _complete_for_display(
+    case: Case, motion: xr.Dataset, about: str, events: list[tuple[float, str]]
 ) -> xr.Dataset:
-    """Return the motion with the modelled signal of each panel and its `events`: (s from the case's epoch, description)."""
-    signal = {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"}
-    event_s = np.array([t for t, _ in events], dtype=np.float64)
-    what = np.array([what for _, what in events], dtype=np.str_)
-    run["panel_signal"] = ("time", "panel"), panel_power(case.vehicle, run["sun_B"].values), signal
-    run = run.assign(event_time_s=("event", event_s, {"units": "s"}), event_what=("event", what))
-    run = run.assign_coords(panel=np.array(case.vehicle.panel_names, dtype=np.str_))
+    """Return a copy of the motion with what the report shows: modelled panel signals, events and attributes.
+
+    `about` says in words which motion it is. `events` are pairs of the time (s from the case's epoch) and a description. The
+    attributes of `motion` are replaced.
+    """
+    signal_attrs = {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"}
+    signal = panel_power(case.vehicle, motion["sun_B"].values)  # (n_time, n_panel)
+    event_s = np.array([t_s for t_s, _ in events], dtype=np.float64)
+    descriptions = np.array([description for _, description in events], dtype=np.str_)
+    completed = motion.assign(
+        panel_signal=(("time", "panel"), signal, signal_attrs),
+        event_time_s=("event", event_s, {"units": "s"}),
+        event_what=("event", descriptions),
+    ).assign_coords(panel=np.array(case.vehicle.panel_names, dtype=np.str_))
     epoch = case.require_timeline().epoch_utc
-    run.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": epoch}
-    return run
+    completed.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": epoch}
+    return completed
 
 
 def compute_speeds(
-    chain: Chain, collisions: xr.Dataset, descent: Descent | None, seed: int
+    candidate_sets: CandidateSets, collisions: xr.Dataset, descent: Descent | None, seed: int
 ) -> xr.Dataset:
     """Return the range of angular speeds of the candidates against time, as data for a figure.
 
     Before the collision: slowest, median and fastest candidate, all equally likely. After it: quantiles 0.025, 0.5 and 0.975 over
     the simulated `collisions` of the candidates. With a `descent` its fitted rate is added.
     """
-    case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
-    vehicle, states = case.vehicle, chain.chosen.states
+    case, rebound, timeline = (
+        candidate_sets.case,
+        candidate_sets.rebound,
+        candidate_sets.case.require_timeline(),
+    )
+    vehicle, states = case.vehicle, candidate_sets.chosen.states
     # an even choice of the states, with those of least and largest angular speed and momentum
     momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
     sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
-    edges = [end(size) for size in sizes for end in (np.argmin, np.argmax)]
+    extremes = [index_of(size) for size in sizes for index_of in (np.argmin, np.argmax)]
     count = min(SPREAD_MOTIONS, len(states))
-    chosen = generator(seed, 4).choice(len(states), count, replace=False)
-    states = states.take(np.unique([*edges, *chosen]))
+    drawn = generator(seed, 4).choice(len(states), count, replace=False)
+    states = states.take(np.unique([*extremes, *drawn]))
+    # every half minute, and the collision
     t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
-    run = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
-    before = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
+    later_omega_B = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
+    omega_B = np.concatenate([states.omega_B[:, None], later_omega_B], axis=1)  # (n, n_time, 3)
+    band_before = np.quantile(np.linalg.norm(omega_B, axis=2), [0.0, 0.5, 1.0], axis=0)
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
-    levels = np.nanquantile(after, [0.025, 0.5, 0.975])
-    rate, first = {"units": "rad s-1"}, timeline.event("collision").t_s - rebound.window_s
+    band_after = np.nanquantile(after, [0.025, 0.5, 0.975])
+    rate_attrs = {"units": "rad s-1"}
+    start_s = timeline.event("collision").t_s - rebound.window_s
     data = xr.Dataset(
         {
-            "speed": (("level", "time"), np.quantile(before, [0.0, 0.5, 1.0], axis=0), rate),
-            "speed_after_collision": ("level", levels, rate),
+            "speed": (("level", "time"), band_before, rate_attrs),
+            "speed_after_collision": ("level", band_after, rate_attrs),
         },
         coords={
             "level": ["low", "middle", "high"],
-            "time": ("time", t + first, {"units": "s"}),
+            "time": ("time", t + start_s, {"units": "s"}),
         },
         attrs={
             "epoch_utc": timeline.epoch_utc,
             "motions": len(states),
             "collisions": collisions.sizes["run"],
-            "chain": chain.name,
-            "about": chain.chosen.about,
+            "chain": candidate_sets.source,
+            "about": candidate_sets.chosen.about,
         },
     )
     if descent is None:
         return data
-    begin, end = _descent_span(case, descent)
-    t = np.linspace(0.0, end - begin, 100)
+    begin_s, end_s = _descent_span(case, descent)
+    t = np.linspace(0.0, end_s - begin_s, 100)
     spin = np.abs(np.polynomial.Polynomial(descent.fit.coefficients)(t))
-    data = data.assign_coords(descent_time=("descent_time", t + begin, {"units": "s"}))
-    return data.assign(descent_speed=("descent_time", spin, rate))
+    data = data.assign_coords(descent_time=("descent_time", t + begin_s, {"units": "s"}))
+    return data.assign(descent_speed=("descent_time", spin, rate_attrs))
 
 
 def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     """Draw the angular speed against time: the descent's fit, the band of the candidates, the magnetometer.
+
+    The left axes show the descent, the right ones the time from first to second touchdown.
 
     Parameters
     ----------
     speed : Dataset of :func:`compute_speeds`
     """
     timeline, published = case.require_timeline(), case.published
-    at = {event.name: event.t_s for event in timeline.events}
+    event_s = {event.name: event.t_s for event in timeline.events}
     epoch = np.datetime64(timeline.epoch_utc.removesuffix("Z"), "ms")
 
     def clock(seconds: Any) -> Any:
@@ -223,37 +273,44 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     if "descent_speed" in speed:
         t, spin = clock(speed["descent_time"].values), speed["descent_speed"].values
         left.plot(t, spin, color=COLOURS[2], lw=2.5, label="fit of the descent")
+    # the band after the collision is constant in time; a logarithmic axis needs speeds above zero
     after, floor = speed["speed_after_collision"].expand_dims(time=2, axis=-1), 1e-4
     bands = [
         (clock(speed["time"].values), speed["speed"].clip(min=floor)),
-        (clock([at["collision"], at["second_touchdown"]]), after.clip(min=floor)),
+        (clock([event_s["collision"], event_s["second_touchdown"]]), after.clip(min=floor)),
     ]
     label = "all candidates: slowest to fastest"
     for t, band in bands:
         low, _, high = band.values
         right.fill_between(t, low, high, color=COLOURS[0], alpha=0.25, lw=0, label=label)
-        label = None
+        label = None  # one entry of the legend for both bands
     marks: dict[str, Any] = {"marker": "D", "ls": "", "ms": 7, "color": COLOURS[6]}
-    middle_s = (at["separation"] + at["first_touchdown"]) / 2
+    middle_s = (event_s["separation"] + event_s["first_touchdown"]) / 2
     spin = published["descent_rate_romap"].value
     left.plot(clock(middle_s), spin, label="magnetometer (not used)", **marks)
-    for t, name in ((-240, "romap_period_before"), (600, "romap_period_after")):
-        right.plot(clock(at["collision"] + t), 2 * np.pi / published[name].value, **marks)
-    texts = "bounce", "hits crater rim", "lands"
-    events = "first_touchdown", "collision", "second_touchdown"
-    for name, text in zip(events, texts, strict=True):
-        right.axvline(clock(at[name]), color=COLOURS[7], ls=":", lw=1)
+    # no time is published for either period: the marks stand 4 min before and 10 min after the collision
+    for offset_s, name in ((-240, "romap_period_before"), (600, "romap_period_after")):
+        time = clock(event_s["collision"] + offset_s)
+        right.plot(time, 2 * np.pi / published[name].value, **marks)
+    for name, text in (
+        ("first_touchdown", "bounce"),
+        ("collision", "hits crater rim"),
+        ("second_touchdown", "lands"),
+    ):
+        right.axvline(clock(event_s[name]), color=COLOURS[7], ls=":", lw=1)
         above = right.get_xaxis_transform()
-        right.text(clock(at[name]), 1.01, text, fontsize=8, transform=above, ha="center")
-    left.set(xlim=clock([at["separation"], at["first_touchdown"]]), title="descent")
-    right.set_xlim(clock([at["first_touchdown"] - 120.0, at["second_touchdown"] + 120.0]))
-    drawn = np.concatenate([band.values.ravel() for _, band in bands])
+        right.text(clock(event_s[name]), 1.01, text, fontsize=8, transform=above, ha="center")
+    left.set(xlim=clock([event_s["separation"], event_s["first_touchdown"]]), title="descent")
+    right.set_xlim(clock([event_s["first_touchdown"] - 120.0, event_s["second_touchdown"] + 120.0]))
+    speeds = np.concatenate([band.values.ravel() for _, band in bands])
     left.set_yscale("log")
-    left.set_ylim(min(0.006, 0.8 * np.nanmin(drawn)), max(2.2, 1.2 * np.nanmax(drawn)))
+    # at least from 0.006 to 2.2 rad/s, so that figures of different telemetry can be compared
+    left.set_ylim(min(0.006, 0.8 * np.nanmin(speeds)), max(2.2, 1.2 * np.nanmax(speeds)))
     left.set_ylabel("angular speed (rad/s)")
     periods = right.secondary_yaxis("right")
-    named = {600: "10 min", 60: "1 min", 30: "30 s", 13: "13 s", 5: "5 s"}
-    periods.set_yticks([2 * np.pi / seconds for seconds in named], list(named.values()))
+    period_texts = {600: "10 min", 60: "1 min", 30: "30 s", 13: "13 s", 5: "5 s"}
+    rates = [2 * np.pi / period_s for period_s in period_texts]
+    periods.set_yticks(rates, list(period_texts.values()))
     periods.minorticks_off()
     periods.set_ylabel("rotation period")
     for axes in (left, right):

@@ -20,19 +20,24 @@ from sunspin.philae.study import Study
 
 
 def _signals_figure(study: Study, result: Any) -> Figure:
-    """Draw the powers of the panels in the true, the best and the descent's motion."""
-    shown = ("Truth", "Best fit", "Descent")
-    runs = [(title, run) for title, run in result.items() if title in shown]
-    return panel_signals_figure(study.case.telemetry, runs, study.case.vehicle)
+    """Draw the powers of the panels in the true, the best and the descent's motion; `result` is that of `motions.compute`."""
+    titles = ("Truth", "Best fit", "Descent")
+    motions = [(title, motion) for title, motion in result.items() if title in titles]
+    return panel_signals_figure(study.case.telemetry, motions, study.case.vehicle)
 
 
 def _measured_figure(study: Study, _: Any) -> Figure:
     """Draw measured powers and Sun directions against time with the events of the landing (paper, Fig. 3)."""
-    events = "separation unfolding_ends first_touchdown collision second_touchdown rest"
-    at = {name: event_seconds(study.case, study.sun, name) for name in events.split()}
-    first, last = study.sun["time"].values[[0, -1]]
-    at = {name.replace("_", " "): t for name, t in at.items() if first - 600 <= t <= last}
-    return telemetry.sun_directions_figure(study.sun, study.case.telemetry, at)
+    names = "separation unfolding_ends first_touchdown collision second_touchdown rest".split()
+    event_s = {name: event_seconds(study.case, study.sun, name) for name in names}
+    # events during the samples, or up to ten minutes before: the separation precedes the first sample
+    first_s, last_s = study.sun["time"].values[[0, -1]]
+    events = {
+        name.replace("_", " "): t_s
+        for name, t_s in event_s.items()
+        if first_s - 600 <= t_s <= last_s
+    }
+    return telemetry.sun_directions_figure(study.sun, study.case.telemetry, events)
 
 
 def _spin_down_figure(_: Study, result: Any) -> Figure:
@@ -53,13 +58,12 @@ def _scan_figure(study: Study, result: Any) -> Figure:
 
 def _distributions_figure(study: Study, result: Any) -> Figure:
     """Draw the distributions of r_z of the telemetry, of the published lines and of the truth."""
-    shown = {
-        f"L{k} as published": z for k, z in enumerate(study.parts["published_lines"].pooled, 1)
-    }
+    pooled = study.parts["published_lines"].pooled
+    rz_by_name = {f"L{k} as published": z for k, z in enumerate(pooled, 1)}
     if result.truth:
-        shown["truth of the synthetic telemetry"] = result.truth["z"]
-    about = "telemetry" + " (synthetic)" * study.synthetic
-    return metrics.distributions_figure(result.rebound.z, about, shown)
+        rz_by_name["truth of the synthetic telemetry"] = result.truth["z"]
+    label = "telemetry" + " (synthetic)" * study.synthetic
+    return metrics.distributions_figure(result.rebound.z, label, rz_by_name)
 
 
 def _lines_scan_figure(study: Study, result: Any) -> Figure:
@@ -186,12 +190,15 @@ Which panels are lit, and which patterns the Sun alone cannot make (paper, secti
 
 
 def _caption_fields(study: Study, name: str, result: Any) -> dict[str, Any]:
-    """Return the values for the fields of a picture's caption."""
+    """Return the values for the fields of the caption of picture `name`; `result` is what it is drawn from."""
     fields = {"result": result, "synthetic": synthetic_words(study.synthetic)}
-    if study.chain is not None:
+    if (candidate_sets := study.candidate_sets) is not None:
         bound = "every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only"
         meaning = {"scan": f"; {bound}", "published": "; this telemetry does not enter"}
-        fields |= {"about": study.chain.chosen.about, "meaning": meaning.get(study.chain.name, "")}
+        fields |= {
+            "about": candidate_sets.chosen.about,
+            "meaning": meaning.get(candidate_sets.source, ""),
+        }
     if name == "distributions":
         fields["spread"] = study.parts["published_lines"].spread
     if name == "fig09_lines":
@@ -206,6 +213,7 @@ def make_drawing(study: Study, name: str) -> Drawing | None:
     if not study.parts.keys() >= {*needed}:
         return None
     result = study.parts[needed[0]]
+    # a text begins with the file name; its first line, up to the period, describes the picture for those who cannot see it
     text = next(text for text in TEXTS.split("\n\n") if text.strip().startswith(f"{name}: "))
     alt, caption = text.strip().removeprefix(f"{name}: ").split(".\n", 1)
     return Drawing(

@@ -158,6 +158,7 @@ def rows(lines: PublishedLines) -> list[Row]:
 
     # section 2.3: one distribution, and the lines that a scan against it gives
     fifth, pool = paper["emd_min"] / 5, list(POOL_RANGE)
+    # "one distribution": they differ by at most a fifth of the smallest EMD of the paper's scan
     given: dict[str, Any] = {
         "tolerance": fifth,
         "omega_z": pool,
@@ -179,17 +180,17 @@ def rows(lines: PublishedLines) -> list[Row]:
 
     # section 3.2: back at the touchdown
     given = {"published": paper["rate_at_touchdown_min"], "points": len(lines.near_touchdown)}
-    near = float(np.linalg.norm(lines.near_touchdown, axis=1).min())
+    slowest_of_set = float(np.linalg.norm(lines.near_touchdown, axis=1).min())
     ends = {
         "low": min(lines.slowest),
         "high": max(lines.slowest),
         "lead": first_sample_lead_s(case),
     }
-    as_stated = lines.slowest[2]  # wheel nominal at the first sample
+    as_stated = lines.slowest[2]  # nominal time of the first sample, wheel nominal at it
     result.append(
         make_row(case, "rate_at_touchdown_min_lines", as_stated, **texts, **given, **ends)
     )
-    result.append(make_row(case, "rate_at_touchdown_min_scan", near, **texts, **given))
+    result.append(make_row(case, "rate_at_touchdown_min_scan", slowest_of_set, **texts, **given))
 
     # section 3.3: after the collision
     rz = rz_range(off)
@@ -203,13 +204,13 @@ def rows(lines: PublishedLines) -> list[Row]:
         held, lowest = tally(runs), float(np.nanmin(lowest_rz(runs)))
         # share of the runs that fall below -0.5, and of the time spent below -0.2
         ever, time = held["rz_ever_below_-0.5"], held["rz_time_below_-0.2"]
-        ours, errors = zip(ever, time, strict=True)
-        low, high = interval_90(ours, errors)
+        values, errors = (ever.value, time.value), (ever.error, time.error)
+        low, high = interval_90(values, errors)
         agrees = bool(ever.value <= NEVER and time.value <= RARELY)
         given = {"id": id, "notes": notes, "agrees": agrees, "low": low, "high": high}
         given |= {"speed": paper[speed], "where": where, "lowest": lowest, "held": held}
         given |= {"never": NEVER, "rarely": RARELY}
-        result.append(make_row(case, "rz_held", list(ours), **texts, **given))
+        result.append(make_row(case, "rz_held", list(values), **texts, **given))
     return result
 
 

@@ -43,15 +43,15 @@ class Options:
     ----------
     source : source of the candidates: "scan", "posterior", "published", or the path of a table with columns omega_x, omega_y,
         omega_z (rad/s)
-    twins : number of simulated rebounds of a calibration. None: as many as needed, if the shipped calibration does not fit the
-        data. Zero: none.
+    simulations : number of simulated rebounds of a calibration. None: the shipped calibration if it fits the data, else as many as
+        its default. Zero: none.
     seed : seed of all random choices
     coarser : use every n-th grid point of the scan and of the maps; 1 is the paper's grid
     workers, progress : threads, progress bars
     """
 
     source: str = "scan"
-    twins: int | None = None
+    simulations: int | None = None
     seed: int = 0
     coarser: int = 1
     workers: int | None = None
@@ -101,20 +101,25 @@ def scan_grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
 
 
 def line_in_scan_range(case: Case, line: Line, n: int = 2) -> np.ndarray:
-    """Return n evenly spaced points (n, 3) of a line between the two faces of the scan range that it meets; rad/s."""
+    """Return n evenly spaced points (n, 3) of a line between the two faces of the scan range that it meets; rad/s.
+
+    For a line that misses the scan range all of them are one point of the line.
+    """
     point, direction = line
     # for each pair of faces, the two positions along the line at which it crosses them; a line parallel to a pair meets neither
-    crossing = np.abs(direction) > 1e-12
+    crosses_pair = np.abs(direction) > 1e-12
     distance = scan_limits(case) - point[:, None]
-    ends = np.sort(distance[crossing] / direction[crossing, None], axis=1)
-    begin, end = ends[:, 0].max(), ends[:, 1].min()
+    positions = np.sort(distance[crosses_pair] / direction[crosses_pair, None], axis=1)
+    # inside the scan range the line is behind the first face of every pair and before the second
+    begin, end = positions[:, 0].max(), positions[:, 1].min()
     return point + np.linspace(begin, max(begin, end), n)[:, None] * direction
 
 
 def direction_mask(case: Case) -> Mask | None:
     """Return the mask of simulated directions that enter an EMD, as the study assumes; None if all directions do."""
-    everywhere = case.assumptions.study.mask != "reconstructible"
-    return None if everywhere else reconstructible_mask(case.vehicle)
+    if case.assumptions.study.mask == "reconstructible":
+        return reconstructible_mask(case.vehicle)
+    return None
 
 
 def published_lines(case: Case) -> list[Line]:
@@ -160,21 +165,23 @@ def motion_and_panel_parameters(vehicle: Vehicle) -> list[Any]:
         [{key: value for key, value in vars(part).items() if value is not None} for part in parts]
         for parts in (vehicle.panels, vehicle.channels)
     )
-    light = panels, vehicle.panel_response, vehicle.sun_rules, channels
-    return to_json([vehicle.inertia_kg_m2, wheels, *light])
+    readings = panels, vehicle.panel_response, vehicle.sun_rules, channels
+    return to_json([vehicle.inertia_kg_m2, wheels, *readings])
 
 
-def momentum_angles(vehicle: Vehicle, rows: Rows) -> MomentumAngles:
-    """Return the angles theta (from z) and alpha (from the Sun) of the angular momentum H, and |H|.
+def momentum_angles(vehicle: Vehicle, states: Rows) -> MomentumAngles:
+    """Return for each state (n) the angles theta (from z) and alpha (from the Sun) of the angular momentum H, and |H|.
 
     The angle alpha is constant in free flight. The angle theta is constant for a body that is symmetric about z, and varies by some
     degrees for Philae.
     """
-    momentum = gyrostat.total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    across = np.linalg.norm(np.cross(momentum, rows.sun_B), axis=1)
-    along = np.einsum("ni,ni->n", momentum, rows.sun_B)
+    momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
     theta = np.arctan2(np.hypot(momentum[:, 0], momentum[:, 1]), momentum[:, 2])
-    return MomentumAngles(theta, np.arctan2(across, along), np.linalg.norm(momentum, axis=1))
+    # components of H across and along the Sun direction: their ratio is exact for small angles too
+    across = np.linalg.norm(np.cross(momentum, states.sun_B), axis=1)
+    along = np.einsum("ni,ni->n", momentum, states.sun_B)
+    alpha = np.arctan2(across, along)
+    return MomentumAngles(theta, alpha, np.linalg.norm(momentum, axis=1))
 
 
 class MomentumAngles(NamedTuple):
@@ -294,19 +301,22 @@ def make_rebound(case: Case, sun: xr.Dataset) -> Rebound:
     distance = np.linalg.norm(directions - stated / np.linalg.norm(stated), axis=1)
     distance = np.where(reconstructed, distance / samples["sigma_rad"].values, np.inf)
     nearest, earliest = int(np.nanargmin(distance)), int(np.flatnonzero(reconstructed)[0])
-    published = bool(distance[nearest] < 4.0)
-    # index of the candidates' instant, and of the sample whose covariance their direction has
-    first, of_direction = (0, nearest) if published else (earliest, earliest)
-    instant = float(samples["utc_s"].values[first])
-    lead = case.assumptions.study.lead_s
+    if distance[nearest] < 4.0:  # within four sigma the file contains the published direction
+        first, sun_B, covariance_of = 0, stated, nearest
+    else:
+        first, sun_B, covariance_of = earliest, directions[earliest], earliest
+    instant_s = float(samples["utc_s"].values[first])
+    lead_s = case.assumptions.study.lead_s
+    if lead_s is None:
+        lead_s = instant_s - event_seconds(case, sun, "first_touchdown")
     return Rebound(
         case,
         samples,
         first,
-        stated if published else directions[first],
-        samples["sun_cov_B"].values[of_direction],
-        instant - event_seconds(case, sun, "first_touchdown") if lead is None else lead,
-        event_seconds(case, sun, "collision") - instant,
+        sun_B,
+        covariance=samples["sun_cov_B"].values[covariance_of],
+        lead_s=lead_s,
+        window_s=event_seconds(case, sun, "collision") - instant_s,
     )
 
 
@@ -334,11 +344,14 @@ def rates_at_touchdown(
 
 
 def wheel_speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:
-    """Return the wheel speed (rad/s) at the first sample of a wheel that was nominal at touchdown and coasted, body at rest."""
-    lead = first_sample_lead_s(case) if lead_s is None else lead_s
+    """Return the wheel speed (rad/s) at the first sample of a wheel that was nominal at touchdown and coasted, body at rest.
+
+    `lead_s` is the time between touchdown and first sample; default: that of the case.
+    """
+    lead_s = first_sample_lead_s(case) if lead_s is None else lead_s
     speed = nominal_wheel_speeds(case.vehicle)
-    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), speed, [0.0, lead])
-    return float(run["wheel_speed_rad_s"].values[-1, 0])
+    motion = propagate(case.vehicle, [0, 0, 0], first_sun(case), speed, [0.0, lead_s])
+    return float(motion["wheel_speed_rad_s"].values[-1, 0])
 
 
 def smallest_touchdown_speed(
@@ -356,20 +369,19 @@ def smallest_touchdown_speed(
 def read_truth(case: Case) -> dict[str, Any]:
     """Return the true parameters of the case's own synthetic telemetry; empty if the telemetry is any other file.
 
-    The files are recognised by their hash.
+    The telemetry in use is recognised by the hash of the case's own file.
     """
-    telemetry, truth = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
-    if not (telemetry.is_file() and truth.is_file()):
+    own_file, truth_file = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
+    if not (own_file.is_file() and truth_file.is_file()):
         return {}
-    if hashlib.sha256(telemetry.read_bytes()).hexdigest() != case.telemetry.attrs.get("sha256"):
+    if hashlib.sha256(own_file.read_bytes()).hexdigest() != case.telemetry.attrs.get("sha256"):
         return {}
-    return read_toml(truth.read_text("utf-8"), str(truth), InputError)
+    return read_toml(truth_file.read_text("utf-8"), str(truth_file), InputError)
 
 
 def with_telemetry(case: Case, telemetry: xr.Dataset) -> Case:
     """Return a copy of the case with other telemetry."""
     copy = replace(case)
-    copy.__dict__["telemetry"] = (
-        telemetry  # in place of the cached property that would read the file
-    )
+    # stored where the cached property keeps its value, so that it does not read the case's file
+    copy.__dict__["telemetry"] = telemetry
     return copy

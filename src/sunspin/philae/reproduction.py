@@ -106,14 +106,14 @@ def reproduce(
         what = "the telemetry lies in the results folder, which is replaced"
         raise InputError(what, do="copy it to another place first", where=str(telemetry))
     folder = results_folder(out, "reproduce")
-    options: dict[str, Any] = {"source": candidates, "twins": calibrate, "seed": seed}
+    options: dict[str, Any] = {"source": candidates, "simulations": calibrate, "seed": seed}
     options |= {"coarser": coarser, "workers": workers, "progress": progress}
     drawn: pictures.Drawn = {}
     study = compute(case, lambda so_far: pictures.draw_pictures(so_far, drawn), **options)
     drawings = pictures.write_pictures(drawn, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
-    copy = folder / f"telemetry{source.suffix or '.csv'}"
-    write_whole(copy, lambda part: part.write_bytes(source.read_bytes()))
+    telemetry_copy = folder / f"telemetry{source.suffix or '.csv'}"
+    write_whole(telemetry_copy, lambda part: part.write_bytes(source.read_bytes()))
 
     # the command that repeats this run
     command = ["sunspin", "reproduce", "--seed", str(seed)]
@@ -131,6 +131,7 @@ def reproduce(
     vehicle_text = attach_changes(
         case.name if vehicle is None else vehicle, split_changes(requested)[0]
     )
+    # the stored contradictions of the paper were computed from the unchanged case
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
@@ -174,7 +175,9 @@ def _hash_inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]
 
 def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[str, Any]:
     """Return the content of `summary.json`."""
-    counts, chain, missing = study.counts(), study.chain, study.missing
+    counts, missing = study.counts(), study.missing
+    calibration = study.candidate_sets and study.candidate_sets.calibration
+    # the reason why the report has no conclusions on the motion; empty if it has
     stop = ""
     if "candidates" in missing:
         texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
@@ -200,7 +203,7 @@ def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[
         "chain": study.options.source,
         "carries": study.parts["carries"].first_line,
         "noise": study.noise.about,
-        "calibration": str(chain.calibration) if chain and chain.calibration else None,
+        "calibration": str(calibration) if calibration else None,
         "missing": missing,
         "stop": stop,
         "headline": headline(study),
@@ -216,15 +219,17 @@ def make_figure_rows(drawings: list[Drawing]) -> list[Row]:
     """Return one row for each numbered figure of the paper: its content, and the files that show it here."""
     rows = []
     for number, shows in enumerate(PAPER_FIGURES, 1):
-        mine = [p for p in drawings if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
+        # a file such as fig10_11_descent shows two figures
+        pattern = rf"fig(\d\d_)*{number:02d}_"
+        showing = [drawing for drawing in drawings if re.match(pattern, drawing.name)]
         # Figs. 1 and 2 show the lander
         absent = "not drawn" if number > 2 else "not drawn: a picture of the lander"
         row = Row(
             id=f"figure_{number}",
             what=f"Fig. {number}",
             published=shows,
-            ours=", ".join(f"{p.name}.png" for p in mine) or absent,
-            note=" ".join(p.caption for p in mine),
+            ours=", ".join(f"{drawing.name}.png" for drawing in showing) or absent,
+            note=" ".join(drawing.caption for drawing in showing),
             source=f"paper, Fig. {number}",
             kind="not_comparable",
             chain="none",
@@ -238,11 +243,13 @@ def _contradictions(case: Case) -> Table:
     import pandas as pd
 
     study = json.loads((case.folder / "contradictions.json").read_text("utf-8"))
-    shown = {"what": "statement", "sentence": "the paper says", "published": "published"}
-    shown |= {"ours": "recomputed", "unit": "unit", "other_reading": "other reading"}
-    shown |= {"changes": "what it changes", "strength": "strength"}
+    # keys of the stored statements -> headings of the table
+    headings = {"what": "statement", "sentence": "the paper says", "published": "published"}
+    headings |= {"ours": "recomputed", "unit": "unit", "other_reading": "other reading"}
+    headings |= {"changes": "what it changes", "strength": "strength"}
     rows = [
-        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in shown}
+        # "1" is the unit of a number without unit and is not shown
+        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in headings}
         | {"strength": "weak" if row["weak"] else "strong"}
         for row in study["statements"]
     ]
@@ -250,14 +257,17 @@ def _contradictions(case: Case) -> Table:
         "Where the paper contradicts itself (it judges the paper and not this run; weak: a matter of wording, or nearly explained "
         f"by the other reading). Computed on {study['made']} by {study['command']}"
     )
-    return Table("contradictions", pd.DataFrame(rows), title, shown, prose=True)
+    return Table("contradictions", pd.DataFrame(rows), title, headings, prose=True)
 
 
 # ---- NetCDF files ------------------------------------------------------------------------------------------------------------
 
 
 def make_datasets(study: Study) -> dict[str, xr.Dataset]:
-    """Return the data of every computed step by file name, for the report and for further computation."""
+    """Return the data of every computed step by file name, for the report and for further computation.
+
+    Files of steps that were not computed are left out.
+    """
     parts, lines, rate = study.parts, study.parts["published_lines"], {"units": "rad s-1"}
     scans = [("scan_published_lines", lines.clean, "the common distribution of the printed lines")]
     if (scan := parts.get("level_set")) is not None:
@@ -268,10 +278,10 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         data = near.emd.to_dataset()
         if near.lines is not None:
             data = data.merge(near.lines.rename({"axis": "line_axis", "n": "near_point"}))
-        attrs, by = rate | {"factor": near.factor}, ("published_line", "rate_axis")
-        data["near_minimum"] = ("near_point", "rate_axis"), near.points, attrs
-        data["published_point"] = by, points, rate
-        data["published_direction"] = by, directions, {"units": "1"}
+        set_attrs, line_dims = rate | {"factor": near.factor}, ("published_line", "rate_axis")
+        data["near_minimum"] = ("near_point", "rate_axis"), near.points, set_attrs
+        data["published_point"] = line_dims, points, rate
+        data["published_direction"] = line_dims, directions, {"units": "1"}
         files[name] = data.assign_attrs(kind="scan", about=f"against {target}")
     if scan is not None and scan.truth:
         files["scan_telemetry"]["truth"] = "rate_axis", scan.truth["omega_B"], rate
@@ -280,9 +290,9 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         "published_B": (("published", "axis"), lines.on_lines_touchdown, rate),
     }
     files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
-    if study.chain is not None:
-        chosen = study.chain.chosen
-        # at most 20,000 of the candidates, evenly chosen
+    if study.candidate_sets is not None:
+        chosen = study.candidate_sets.chosen
+        # at most 20,000 of the candidates, evenly chosen; the division rounds up
         table, every = chosen.dataset(), -(-len(chosen) // 20_000)
         for name, unit, about in (
             ("speed_touchdown", "rad s-1", "just after the first touchdown"),
@@ -301,8 +311,8 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         files |= {f"outcomes-{name}": data for name, data in runs.items()}
     if "strategies" in parts:
         files["strategies"] = parts["strategies"].table
-    for name, run in parts.get("motions", {}).items():
-        files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
+    for name, motion in parts.get("motions", {}).items():
+        files[f"motion-{name.lower().replace(' ', '-')}"] = motion.assign_attrs(title=name)
     if "speeds" in parts:
         files["speed"] = parts["speeds"]
     attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}

@@ -115,8 +115,8 @@ def make_row(case: Case, name: str, ours: Any, **given: Any) -> Row:
     """Return the row of figure `name` with our value, and with the texts that the case's `published.toml` has for it.
 
     Without `agrees` or `holds` in `given` the numbers are compared: they agree if they differ by at most the tolerance. In a table
-    with `at_most` they agree if ours is not larger. A text names its fields in braces, with a format as in Python: `{share:.1%}`.
-    `{paper[emd_min]}` is a published figure, and `{tolerance:g}` a value of the row.
+    with `at_most` they agree if ours is not larger. Without a tolerance nothing is judged. A text names its fields in braces, with
+    a format as in Python: `{share:.1%}`. `{paper[emd_min]}` is a published figure, and `{tolerance:g}` a value of the row.
 
     Parameters
     ----------
@@ -143,7 +143,6 @@ def make_row(case: Case, name: str, ours: Any, **given: Any) -> Row:
     fields |= values | given
     if isinstance(values["published"], str):
         values["published"] = values["published"].format_map(fields)
-    # a place that begins with "not stated" names another source than the paper
     # a place that begins with "not stated" names another source than the paper
     source = about["place"].removeprefix("not stated; ")
     source = f"paper, {source}" if source == about["place"] else source
@@ -179,8 +178,8 @@ def judge_range(
     if half_digit is not None and informative:
         agrees = bool(low - half_digit <= row.published <= high + half_digit)
     ranges = {"low": low, "high": high, "prior_low": prior_low, "prior_high": prior_high}
-    about: dict[str, Any] = {"depends": "candidates", "chain": chain} | ranges
-    return replace(row, informative=informative, agrees=agrees, **about)
+    source: dict[str, Any] = {"depends": "candidates", "chain": chain}
+    return replace(row, informative=informative, agrees=agrees, **source, **ranges)
 
 
 def judge_share(
@@ -193,7 +192,8 @@ def judge_share(
     """
     difference = abs(chosen.value - possible.value)
     informative = bool(difference > 3.0 * np.hypot(chosen.error, possible.error))
+    # without a tolerance `judge_range` fills in the intervals and judges nothing
     unjudged = replace(row, tolerance=None)
-    shown = judge_range(unjudged, chain, interval_90(*chosen), interval_90(*possible))
+    with_intervals = judge_range(unjudged, chain, interval_90(*chosen), interval_90(*possible))
     agrees = agrees if informative else None
-    return replace(shown, tolerance=row.tolerance, informative=informative, agrees=agrees)
+    return replace(with_intervals, tolerance=row.tolerance, informative=informative, agrees=agrees)

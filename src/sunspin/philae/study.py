@@ -76,7 +76,7 @@ class Study:
         return bool(self.sun.attrs.get("synthetic"))
 
     @property
-    def chain(self) -> candidates.Chain | None:
+    def candidate_sets(self) -> candidates.CandidateSets | None:
         """Candidate motions on which the conclusions rest; None if nothing can be concluded."""
         return self.parts.get("candidates")
 
@@ -159,9 +159,9 @@ def _candidates(study: Study) -> Any:
     return candidates.compute(study.parts["level_set"], study.parts["carries"], study.options)
 
 
-@step("Section 3.2: after the first touchdown", touchdown.rows, needs=("candidates",))
+@step("Section 3.2: after the first touchdown", touchdown.touchdown_rows, needs=("candidates",))
 def _touchdown(study: Study) -> Any:
-    return study.chain
+    return study.candidate_sets
 
 
 @step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
@@ -187,8 +187,11 @@ def _speeds(study: Study) -> Any:
 
 @step("Section 4: wheel strategies", strategies.rows, needs=("candidates",))
 def _strategies(study: Study) -> Any:
-    chain, options, runs = study.parts["candidates"], study.options, max(study.runs // 5, 1)
-    return strategies.compute(study.case, chain, runs, options.seed, workers=options.workers)
+    candidate_sets, options = study.parts["candidates"], study.options
+    runs = max(study.runs // 5, 1)
+    return strategies.compute(
+        study.case, candidate_sets, runs, options.seed, workers=options.workers
+    )
 
 
 @step("Section 2.3: why a direct fit fails", metrics.sensitivity_rows, section="no_telemetry")
@@ -278,7 +281,7 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
         stopped.set()  # after an interrupt no further step begins
         pool.shutdown(wait=False)
 
-    if study.chain is None and (rows := study.rows_by_part.get("level_set")):
+    if study.candidate_sets is None and (rows := study.rows_by_part.get("level_set")):
         # the scan was computed but not accepted, so its rows judge nothing
         kinds = [row.kind.replace("test", "not_comparable") for row in rows]
         rows[:] = [
@@ -307,11 +310,12 @@ def _run_step(step: Step, study: Study) -> None:
         study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
         return
     study.parts[step.name] = result
-    # a row without a chain has that of its section; its kind is "put_in" if the telemetry was made from its figure
-    chain, about = "telemetry" if step.section == "telemetry" else "none", read_tables(study.case)
+    # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure
+    section_source = "telemetry" if step.section == "telemetry" else "none"
+    rows = [replace(row, chain=row.chain or section_source) for row in rows]
+    tables = read_tables(study.case)
     put_in = ("always", "synthetic") if study.synthetic else ("always",)
-    rows = [replace(row, chain=row.chain or chain) for row in rows]
-    rows = [settle(row, about.get(row.id, {}).get("put_in") in put_in) for row in rows]
+    rows = [settle(row, tables.get(row.id, {}).get("put_in") in put_in) for row in rows]
     if study.synthetic:
         no_telemetry = "none", "published"
         rows = [row if row.chain in no_telemetry else label_synthetic(row) for row in rows]

@@ -55,12 +55,14 @@ def apply_measured_noise(case: Case) -> tuple[Case, ReadingNoise]:
     with the figures of the latter, noise on dark panels would light them, in patterns that the Sun cannot make. With too few
     samples the vehicle file's figures are kept, as is a value set for this run. Noises of single panels keep their stated ratio.
     """
-    vehicle, form, power = case.vehicle, case.vehicle.telemetry, signals(case.telemetry)
-    # the estimate is the rms over all panels; `ratio` converts it to the noise of the median panel
-    stated = vehicle.input_noise
-    usual = 1.0 if stated is None else float(np.median(stated))
-    ratio = 1.0 if stated is None else float(np.sqrt(np.mean((stated / usual) ** 2)))
-    unit = vehicle.gain_unit or ("W" if form.quantity == "power_W" else "A")
+    vehicle, layout, power = case.vehicle, case.vehicle.telemetry, signals(case.telemetry)
+    # the estimate is the rms over all panels; `rms_over_median` converts it to the noise of the median panel
+    stated = vehicle.input_noise  # of each panel, or None
+    stated_median = 1.0 if stated is None else float(np.median(stated))
+    rms_over_median = 1.0
+    if stated is not None:
+        rms_over_median = float(np.sqrt(np.mean((stated / stated_median) ** 2)))
+    unit = vehicle.gain_unit or ("W" if layout.quantity == "power_W" else "A")
 
     def rounded(value: float) -> float:
         """Return the value to three digits, so that rounding errors of a machine do not change the hash of a file."""
@@ -69,37 +71,43 @@ def apply_measured_noise(case: Case) -> tuple[Case, ReadingNoise]:
     dark, n_dark = estimate_dark_sigma(vehicle, power)
     # Four sigma: of a thousand dark readings none is taken for lit. A reading above a tenth of the largest is not noise. On a dark
     # panel it must appear as an impossible lit pattern, so the threshold stays below.
-    most = 0.1 * float(np.nan_to_num(power).max(initial=0.0))
-    threshold = max(form.lit_threshold or 0.0, rounded(min(4.0 * dark, most)))
+    tenth_of_largest = 0.1 * float(np.nan_to_num(power).max(initial=0.0))
+    threshold = max(layout.lit_threshold or 0.0, rounded(min(4.0 * dark, tenth_of_largest)))
     # direction and scale are fitted to L lit panels, so the squared misfit is chi-square with L - 3 degrees of freedom
     sun = sun_directions(vehicle, case.telemetry, lit_threshold=threshold)
     checked = unshadowed_samples(case, case.telemetry) & (sun["status"].values == SunStatus.OK)
     if (n_lit := int(checked.sum())) >= LEAST:
         freedom = sun["n_lit"].values[checked] - 3
-        size = np.linalg.norm(np.nan_to_num(power[checked]), axis=1)
-        misfit = sun["delta"].values[checked] * size
-        rough = float(np.median(misfit / np.sqrt(chi2.ppf(0.5, freedom))))
-        good = misfit < ROUGH_SIGMAS * rough * np.sqrt(freedom)
-        lit = rounded(float(np.sqrt((misfit[good] ** 2).sum() / freedom[good].sum()) / ratio))
+        # Delta is the misfit relative to the readings of the sample
+        total = np.linalg.norm(np.nan_to_num(power[checked]), axis=1)
+        misfit = sun["delta"].values[checked] * total
+        # a robust estimate from the median first, then the mean square without outliers
+        rough_sigma = float(np.median(misfit / np.sqrt(chi2.ppf(0.5, freedom))))
+        good = misfit < ROUGH_SIGMAS * rough_sigma * np.sqrt(freedom)
+        rms = float(np.sqrt((misfit[good] ** 2).sum() / freedom[good].sum()))
+        lit = rounded(rms / rms_over_median)
         origin = f"from the misfit of {n_lit} samples with more than three lit panels"
     else:
-        lit = 0.0 if stated is None else usual
+        lit = 0.0 if stated is None else stated_median
         origin = "the vehicle file's: too few samples to tell"
     zero = f"0 +- {dark:.2g} {unit} ({n_dark} readings)" if dark > 0 else "zero"
     about = f"noise of a lit panel {lit:g} {unit}, {origin}; dark panels read {zero}, lit above {threshold:g} {unit}"
-    changed = {change.key for change in vehicle.changes}
-    if "telemetry.noise" in changed and form.noise is not None:
-        lit = form.noise
+    # a value that the user set for this run takes precedence over the estimate
+    set_keys = {change.key for change in vehicle.changes}
+    if "telemetry.noise" in set_keys and layout.noise is not None:
+        lit = layout.noise
         about += f"; noise set to {lit:g} for this run"
-    if "telemetry.lit_threshold" in changed and form.lit_threshold is not None:
-        threshold = form.lit_threshold
+    if "telemetry.lit_threshold" in set_keys and layout.lit_threshold is not None:
+        threshold = layout.lit_threshold
         about += f"; lit threshold set to {threshold:g} for this run"
-    form = replace(form, noise=lit * ((form.noise or usual) / usual), lit_threshold=threshold)
+    # the noise of all panels, and that of a panel with one of its own, keep their ratio to the median panel
+    common_noise = lit * ((layout.noise or stated_median) / stated_median)
+    layout = replace(layout, noise=common_noise, lit_threshold=threshold)
     panels = tuple(
-        replace(panel, noise=panel.noise and lit * (panel.noise / usual))
+        replace(panel, noise=panel.noise and lit * (panel.noise / stated_median))
         for panel in vehicle.panels
     )
-    changed_case = replace(case, vehicle=replace(vehicle, telemetry=form, panels=panels))
+    changed_case = replace(case, vehicle=replace(vehicle, telemetry=layout, panels=panels))
     return with_telemetry(changed_case, case.telemetry), ReadingNoise(lit, threshold, about)
 
 
@@ -115,14 +123,16 @@ def estimate_dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int
         lit_together |= np.outer(lit, lit)
     readings = np.where(np.isfinite(power), power, 0.0)
     bright = readings > 0.2 * readings.max(initial=0.0)  # certainly in the Sun
+    # for each panel the number of bright ones with which it is never lit is above zero
     dark = (bright.astype(int) @ (~lit_together).astype(int) > 0) & ~bright & np.isfinite(power)
     # the positive half of the noise, which is complete even if negative readings were cut to zero
     positive = readings[dark & (readings > 0)]
     if positive.size < LEAST:
         return 0.0, int(dark.sum())
-    rough = float(np.median(positive)) / HALF_NORMAL_MEDIAN
+    rough_sigma = float(np.median(positive)) / HALF_NORMAL_MEDIAN
     # once more without outliers, such as reflections
-    sigma = float(np.median(positive[positive < ROUGH_SIGMAS * rough])) / HALF_NORMAL_MEDIAN
+    usual = positive[positive < ROUGH_SIGMAS * rough_sigma]
+    sigma = float(np.median(usual)) / HALF_NORMAL_MEDIAN
     return sigma, int(dark.sum())
 
 
@@ -191,9 +201,9 @@ def _delta_rows(landing: Phases) -> list[Row]:
         result.append(row_of("delta_mean", mean, low=low, high=high, **texts))
     if checked.size:
         # 5 and 95 % quantiles of the largest of n absolute values of a Gaussian, whose sigma follows from their mean
-        ends = np.array([0.05, 0.95]) ** (1 / checked.size)
+        single = np.array([0.05, 0.95]) ** (1 / checked.size)  # probabilities of a single value
         sigma = float(checked.mean()) * np.sqrt(np.pi / 2)
-        low, high = (sigma * ndtri((1 + ends) / 2)).tolist()
+        low, high = (sigma * ndtri((1 + single) / 2)).tolist()
         verdict = {"tolerance": high - low, "agrees": bool(low <= paper["delta_max"] <= high)}
         largest = float(checked.max())
         result.append(
@@ -205,6 +215,7 @@ def _delta_rows(landing: Phases) -> list[Row]:
     by_phase = {name: delta[inside & fits] for name, inside in phases.items()}
     by_phase = {name: values for name, values in by_phase.items() if values.size}
     shadowed = ("deployment", "rest")  # phases in which Delta is large according to the paper
+    # the empty list lets the concatenation succeed if neither phase has samples
     large = np.concatenate([[], *(by_phase[name] for name in shadowed if name in by_phase)])
     least, most = paper["delta_shadowed"]
     share = float(np.mean((large >= least) & (large <= most))) if large.size else 0.0
@@ -241,9 +252,9 @@ def _pattern_rows(landing: Phases) -> list[Row]:
     # the smallest sets of panels that explain all impossible patterns, and pairs that explain them without such a panel
     impossible = health["impossible"]  # pattern -> number of samples
     explained = [list(panels) for panels in health["explanations"]]
-    single = {panel for panels in explained for panel in panels}
+    explaining = {panel for panels in explained for panel in panels}
     pairs = find_explanations(vehicle, list(impossible), size=2)
-    alternatives = ["-".join(pair) for pair in pairs if not single & {*pair}]
+    alternatives = ["-".join(pair) for pair in pairs if not explaining & {*pair}]
     allowed = ["-".join(pattern) for pattern in health["allowed"]]
 
     # probability that noise made the impossible patterns
@@ -281,7 +292,10 @@ def _pattern_rows(landing: Phases) -> list[Row]:
 
 
 def _sampling_rows(landing: Phases) -> list[Row]:
-    """Return the rows on the sampling interval before the collision, and on the number of samples after it."""
+    """Return the rows on the sampling interval before the collision, and on the number of samples after it.
+
+    With fewer than two samples before the collision there is no interval, and nothing is judged.
+    """
     case, sun = landing.case, landing.sun
     row_of, time = partial(make_row, case, attrs=sun.attrs), sun["time"].values
     first, collision, second = (
@@ -289,11 +303,11 @@ def _sampling_rows(landing: Phases) -> list[Row]:
         for name in ("first_touchdown", "collision", "second_touchdown")
     )
     flight = time[(time >= first) & (time < collision)]
-    step = float(np.median(np.diff(flight))) / 60 if flight.size > 1 else None
-    unjudged: dict[str, Any] = {"tolerance": None} if step is None else {}
+    interval_min = float(np.median(np.diff(flight))) / 60 if flight.size > 1 else None
+    unjudged: dict[str, Any] = {"tolerance": None} if interval_min is None else {}
     after = int(np.count_nonzero((time >= collision) & (time < second)))
     return [
-        row_of("sampling_interval", step, **unjudged),
+        row_of("sampling_interval", interval_min, **unjudged),
         row_of("samples_after_collision", after),
     ]
 
@@ -332,7 +346,7 @@ def directions_figure(landing: Phases) -> Figure:
 
 
 def sphere_axes(figure: Any, columns: int, k: int) -> Any:
-    """Add axes number `k` of a row of `columns` to a figure, with the unit sphere of body axes."""
+    """Return new axes, number `k` of a row of `columns`, of a figure or subfigure, with the unit sphere of body axes."""
     axes = figure.add_subplot(1, columns, k + 1, projection="3d")
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
     x, y, z = np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)
@@ -363,14 +377,18 @@ def lit_panels_figure(landing: Phases) -> Figure:
     axes.set_yticks(range(len(names)), [str(name) for name in names])
     axes.set(xlabel="number of the sample", ylabel="panel lit", ylim=(-0.6, len(names) + 0.3))
     axes.legend(ncols=2, fontsize=9, **ABOVE)
-    edge = 0.5
+    # a line where each phase begins; samples are numbered from 1, so the first one begins at 0.5
+    begin = 0.5
     for k, (name, inside) in enumerate(landing.phases.items()):
-        axes.axvline(edge, lw=0.8, color=COLOURS[7])
-        if inside.sum() > 8:
+        count = inside.sum()
+        axes.axvline(begin, lw=0.8, color=COLOURS[7])
+        if count > 8:  # a shorter phase has no space for its name
             style: dict[str, Any] = {"ha": "center", "fontsize": 8, "color": "#555555"}
-            at = edge + inside.sum() / 2, len(names) - 0.5 + 0.4 * (k % 2)
-            axes.text(*at, name.replace("_", " "), bbox=ON_PAPER, **style)
-        edge += inside.sum()
+            # names at two heights, so that neighbours do not overlap
+            height = len(names) - 0.5 + 0.4 * (k % 2)
+            text = name.replace("_", " ")
+            axes.text(begin + count / 2, height, text, bbox=ON_PAPER, **style)
+        begin += count
     explained = " or ".join("-".join(panels) for panels in landing.health["explanations"]) or "none"
     what = "Smallest set of panels in shadow or dead that explains every forbidden pattern"
     title = titled(f"{what}: {explained}", landing.sun.attrs.get("synthetic"))

@@ -48,7 +48,7 @@ CONFIDENCE = 0.9
 SHIPPED = "threshold.json"
 """File with the calibration of the case's own telemetry, in the folder of the case."""
 
-TWINS = 60
+SIMULATIONS = 60
 """Number of simulated rebounds of a calibration within a run; they give the 90 % level to some 5 %."""
 
 SIMILAR = 0.2
@@ -96,17 +96,21 @@ class Calibration:
 
 
 def threshold_index(n: int, confidence: float) -> int:
-    """Return the index of the order statistic, of n, that is the threshold of this confidence.
+    """Return the index, among the sorted values of n simulations, of the value that is the threshold of this confidence.
 
-    Raises `InputError` if n simulations are too few for the confidence.
+    It is the smallest one below which a further value lies with at least this probability: ceil(confidence (n + 1)), counted from
+    1. Raises `InputError` if n simulations are too few for the confidence, or if it does not lie between 0 and 1.
     """
     if not 0 < confidence < 1:
         raise InputError("a confidence must lie between 0 and 1", got=confidence)
-    at = ceil(confidence * (n + 1)) - 1
-    if at >= n:
-        got = f"{n} twins, {confidence:g}"
-        raise InputError("too few twins for this confidence", got=got, do="ask for more twins")
-    return at
+    index = ceil(confidence * (n + 1)) - 1
+    if index >= n:
+        raise InputError(
+            "too few simulations for this confidence",
+            got=f"{n} simulations, {confidence:g}",
+            do="ask for more simulations",
+        )
+    return index
 
 
 class Threshold(NamedTuple):
@@ -124,10 +128,11 @@ def quantile_threshold(values: np.ndarray, confidence: float) -> Threshold:
     that of the quantile, from binomial order statistics.
     """
     n, ordered = len(values), np.sort(values)
-    at = threshold_index(n, confidence)
-    low, high = binom.ppf([0.025, 0.975], n, confidence).astype(int)
-    ends = ordered[max(low - 1, 0)], ordered[min(high, n - 1)]
-    return Threshold(float(ordered[at]), *map(float, ends))
+    index = threshold_index(n, confidence)
+    # numbers of values below the true quantile, with probability 2.5 and 97.5 %
+    fewest, most = binom.ppf([0.025, 0.975], n, confidence).astype(int)
+    low, high = ordered[max(fewest - 1, 0)], ordered[min(most, n - 1)]
+    return Threshold(float(ordered[index]), float(low), float(high))
 
 
 def calibration_key(rebound: Rebound, table: Table) -> str:
@@ -163,16 +168,20 @@ def calibration_key(rebound: Rebound, table: Table) -> str:
 
 
 def _readable(rebound: Rebound) -> np.ndarray:
-    """Return the indices of the samples that can be read."""
+    """Return the indices of the samples with readings, whether they give a direction or not."""
     return np.flatnonzero(rebound.samples["status"].values != SunStatus.MISSING)
 
 
 def brightness_scale(rebound: Rebound) -> float:
-    """Return the brightness of the file's Sun: median ratio of the readings to the model, to three digits."""
+    """Return the brightness of the file's Sun: median ratio of the readings to the model, to three digits.
+
+    It is that of the samples with a checked direction and all readings; if there is none, of all that give a direction.
+    """
     data, samples = rebound.case.telemetry, rebound.samples
     power = signals(data)[np.searchsorted(data["time"].values, samples["utc_s"].values)]
     usable = (samples["status"].values == SunStatus.OK) & np.all(np.isfinite(power), axis=1)
-    usable = usable if usable.any() else rebound.reconstructed
+    if not usable.any():
+        usable = rebound.reconstructed
     return float(f"{np.median(brightness(rebound.case.vehicle, power[usable])):.3g}")
 
 
@@ -184,104 +193,127 @@ class SyntheticRebound(NamedTuple):
     weights: np.ndarray | None
 
 
-def simulate_similar_rebounds(rebound: Rebound, twins: int, seed: int) -> list[SyntheticRebound]:
-    """Return simulated rebounds with about as many directions as the data; if too few are similar, also the next best."""
-    count, tolerance = rebound.z.size, max(2.0, SIMILAR * rebound.z.size)
+def simulate_similar_rebounds(rebound: Rebound, count: int, seed: int) -> list[SyntheticRebound]:
+    """Return `count` simulated rebounds with about as many directions as the data.
+
+    At most `MAX_BLOCKS` blocks are drawn. If too few of these rebounds are similar, those nearest in number are added.
+    """
+    tolerance = max(2.0, SIMILAR * rebound.z.size)
+
+    def difference(simulated: SyntheticRebound) -> int:
+        """Return the difference between its number of directions and that of the data."""
+        return abs(len(simulated.seen_B) - rebound.z.size)
+
     drawn: list[SyntheticRebound] = []
     for block in range(MAX_BLOCKS):
         drawn += simulate_rebounds(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed)
-        similar = [twin for twin in drawn if abs(len(twin.seen_B) - count) <= tolerance]
-        if len(similar) >= twins:
-            return similar[:twins]
+        similar = [simulated for simulated in drawn if difference(simulated) <= tolerance]
+        if len(similar) >= count:
+            return similar[:count]
     # the similar ones first, in the order of drawing, then the others by the difference in number
-    return sorted(drawn, key=lambda twin: max(abs(len(twin.seen_B) - count), tolerance))[:twins]
+    return sorted(drawn, key=lambda simulated: max(difference(simulated), tolerance))[:count]
 
 
 def simulate_rebounds(rebound: Rebound, index: np.ndarray, seed: int) -> Iterator[SyntheticRebound]:
     """Yield the simulated rebounds number `index` whose propagation succeeds.
 
-    Each has random generators of its own, so that a rebound does not depend on the others.
+    Each has random generators of its own, so that a rebound does not depend on the others. Its first direction is that of the data;
+    the true one differs by a draw of the noise and by the misalignment of the panels.
     """
     case, vehicle = rebound.case, rebound.case.vehicle
-    motion, panels = (
+    # for each rebound one generator of rates and noise, and one of the panels
+    motion_rngs, panel_rngs = (
         [
             np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), *stream)))
             for i in index
         ]
         for stream in ((), (1,))
     )
-    truth = np.array([rng.uniform(*scan_limits(case).T) for rng in motion])
-    shown = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in motion])
-    shown /= np.linalg.norm(shown, axis=1, keepdims=True)
-    # rotations of the panels (None without sigmas in the vehicle file), and the true direction for the one that they show
+    true_omega_B = np.array([rng.uniform(*scan_limits(case).T) for rng in motion_rngs])
+    noiseless_B = np.array(
+        [rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in motion_rngs]
+    )
+    noiseless_B /= np.linalg.norm(noiseless_B, axis=1, keepdims=True)
+    # rotations of the panels (None without sigmas in the vehicle file), and the true direction that they show as the noiseless one
     misaligned = [
-        draw_misaligned_panels(vehicle, sun, rng) for sun, rng in zip(shown, panels, strict=True)
+        draw_misaligned_panels(vehicle, sun, rng)
+        for sun, rng in zip(noiseless_B, panel_rngs, strict=True)
     ]
     rotations = [rotation for rotation, _ in misaligned if rotation is not None]
-    states = replace(rebound.states(truth), sun_B=np.array([sun for _, sun in misaligned]))
+    states = replace(rebound.states(true_omega_B), sun_B=np.array([sun for _, sun in misaligned]))
     readable = _readable(rebound)
     later = readable[readable > rebound.first]
-    run = run_rows(vehicle, states, rebound.t_s[later], direction_error=1e-4)  # 1 % of the noise
+    # error of directions: 1 % of the noise
+    ensemble = run_rows(vehicle, states, rebound.t_s[later], direction_error=1e-4)
     tilt = np.array(rotations)[:, None] if rotations else None
-    exact = brightness_scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
+    # powers (rebound, sample, panel) without and with noise; dark panels read zero, lit ones not less
+    exact = brightness_scale(rebound) * vehicle.response_in().power(ensemble.sun_B, tilt=tilt)
     sigma, threshold = (rebound.samples[name].values for name in ("noise", "lit_threshold"))
-    noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in motion])
-    power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0).reshape(-1, exact.shape[-1])
-    sun = sun_directions(vehicle, power, noise=sigma, lit_threshold=threshold)
+    noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in motion_rngs])
+    power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0)
+    # the estimator takes all samples of all rebounds at once
+    samples = power.reshape(-1, power.shape[-1])
+    sun = sun_directions(vehicle, samples, noise=sigma, lit_threshold=threshold)
     seen = is_reconstructed(sun["status"]).reshape(exact.shape[:2])
     directions = sun["sun_B"].values.reshape(*exact.shape[:2], 3)
     first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
-    for i in np.flatnonzero(run.outcome == Outcome.FINE):
+    for i in np.flatnonzero(ensemble.outcome == Outcome.FINE):
+        seen_B = np.concatenate([first, directions[i, seen[i]]])
         times = rebound.t_s[np.concatenate([[rebound.first], later[seen[i]]])]
         weights = target_weights(case.assumptions.study.target_weights, times)
-        yield SyntheticRebound(truth[i], np.concatenate([first, directions[i, seen[i]]]), weights)
+        yield SyntheticRebound(true_omega_B[i], seen_B, weights)
 
 
 def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
     """Return the EMD (n) between the r_z of each motion, from the measured first direction, and its own target.
 
-    A target is r_z (n) and their weights (n), None for equal weights. The EMD is 1 if no direction of the motion is in view.
+    A target is r_z (m) and their weights (m), None for equal weights. The EMD is 1 if no direction of the motion is in view.
     """
     mask = direction_mask(case)
-    run = run_rows(case.vehicle, states, window_s, emd_error=EMD_ERROR, mask=mask, bins=BINS)
-    pairs = zip(run.hist, targets, strict=True)
-    return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
+    ensemble = run_rows(case.vehicle, states, window_s, emd_error=EMD_ERROR, mask=mask, bins=BINS)
+    return np.array(
+        [
+            distances_to(histogram[None], target_segments(*target))[0]
+            for histogram, target in zip(ensemble.hist, targets, strict=True)
+        ]
+    )
 
 
 def calibrate(rebound: Rebound, table: Table, options: Options) -> Calibration:
-    """Repeat the method on `options.twins` simulated rebounds similar to the data.
+    """Repeat the method on `options.simulations` simulated rebounds similar to the data (default: `SIMULATIONS`).
 
     `table` is that of the scan from the same first direction.
     """
-    rebounds = simulate_similar_rebounds(rebound, options.twins or TWINS, options.seed)
-    targets = [(twin.seen_B[:, 2], twin.weights) for twin in rebounds]
-    fine, threads = table.outcome == Outcome.FINE, worker_count(options.workers)
-    hidden = None if options.progress else True  # None: shown on a terminal only
-    shown = tqdm(targets, "calibration of the threshold", leave=False, disable=hidden)
-    smallest = np.array([table.distances(*target, threads)[fine].min() for target in shown])
-    states = rebound.states(np.array([twin.omega_B for twin in rebounds]))
+    rebounds = simulate_similar_rebounds(rebound, options.simulations or SIMULATIONS, options.seed)
+    targets = [(simulated.seen_B[:, 2], simulated.weights) for simulated in rebounds]
+    propagated, threads = table.outcome == Outcome.FINE, worker_count(options.workers)
+    bar_disabled = None if options.progress else True  # None: a bar is shown on a terminal only
+    bar = tqdm(targets, "calibration of the threshold", leave=False, disable=bar_disabled)
+    smallest = np.array([table.distances(*target, threads)[propagated].min() for target in bar])
+    true_states = rebound.states(np.array([simulated.omega_B for simulated in rebounds]))
     return Calibration(
         calibration_key(rebound, table),
         options.seed,
-        emd_of_truths(rebound.case, states, rebound.window_s, targets) / smallest,
-        smallest,
-        np.array([len(twin.seen_B) for twin in rebounds]),
-        "made for these data",
+        ratio=emd_of_truths(rebound.case, true_states, rebound.window_s, targets) / smallest,
+        emd_min=smallest,
+        directions=np.array([len(simulated.seen_B) for simulated in rebounds]),
+        source="made for these data",
     )
 
 
 def get_calibration(rebound: Rebound, table: Table, options: Options) -> Calibration:
     """Return the calibration that fits these data: the shipped one if its key is theirs, else a new one.
 
-    If `options.twins` is a number, a new one is made in any case. Raises `TelemetryError` if none fits and the number is zero.
+    If `options.simulations` is a positive number, a new one is made in any case. Raises `TelemetryError` if it is zero and the
+    shipped calibration does not fit.
     """
     path = rebound.case.folder / SHIPPED
     confidence = rebound.case.assumptions.study.confidence
-    if not options.twins and path.is_file():
+    if not options.simulations and path.is_file():
         shipped = read_calibration(path)
         if shipped.key == calibration_key(rebound, table):
             return replace(shipped, confidence=confidence)
-    if options.twins == 0:
+    if options.simulations == 0:
         raise TelemetryError(
             "the threshold of the set is not calibrated for these data",
             do="run without --calibrate 0: it takes a minute",
@@ -293,6 +325,7 @@ def read_calibration(path: Path) -> Calibration:
     """Read a calibration written by `write_calibration`; raise `InputError` for any other file."""
     try:
         data = json.loads(path.read_text("utf-8"))
+        # lists of different lengths make no array and raise a ValueError
         ratio, emd_min, directions = np.array(
             [data[name] for name in ("ratio", "emd_min", "directions")], dtype=np.float64
         )
