@@ -62,6 +62,20 @@ REST_TRANSMISSION = (0.0, 0.4, 0.4, 0.4, 0.4, 1.0)
 BEFORE_THE_SHADOW = (0.15, 0.6, 0.3, 0.4, 0.4, 1.0)
 """The same before the shadow covers panel 1: the pattern (1, 2, 3, 6) gives a direction, with Delta from 0.1 to 0.2."""
 
+
+class RestingSun(NamedTuple):
+    """The Sun at rest: its great circle in body axes, and the part of its light that reaches each panel.
+
+    The circle crosses the xy plane downwards at `azimuth_deg`, inclined to it by `inclination_deg`. `early` (n_panel): part of the
+    light at the first samples at rest; `late` (n_panel): after a rock's shadow has covered panel 1.
+    """
+
+    azimuth_deg: float = 86.0
+    inclination_deg: float = 80.0
+    early: tuple[float, ...] = BEFORE_THE_SHADOW
+    late: tuple[float, ...] = REST_TRANSMISSION
+
+
 REST_ANGLES_DEG = (-60.0, -50.0, -40.0, 3.0)
 """Angles of the Sun along its great circle, from the point where it sinks below the xy plane: when the lander comes to rest, when
 the shadow covers panel 1 (after some five samples), when the rocks begin and when they cease to hide the Sun.
@@ -424,7 +438,9 @@ def _draw_sparse_times(
 
 
 def simulate_descent(
-    case: Case, rng: np.random.Generator, sun_z: float | None = None
+    case: Case,
+    rng: np.random.Generator,
+    sun_z: float | None = None,
 ) -> tuple[PhaseSamples, PhaseSamples]:
     """Return samples 1 to 9 with folded legs, then 10 to the touchdown, rotating about z at the published cubic rate.
 
@@ -462,6 +478,7 @@ def simulate_ground_phases(
     settling_rng: np.random.Generator,
     rest_rng: np.random.Generator,
     rest_seen: bool = True,
+    resting_sun: RestingSun | None = None,
 ) -> tuple[PhaseSamples, PhaseSamples]:
     """Return the samples of two phases: settling after the second touchdown, and rest among the rocks.
 
@@ -473,11 +490,11 @@ def simulate_ground_phases(
     sun_B = propagate_directions(case.vehicle, after, touchdown)[0]
     begin, end = (timeline.event(name).t_s for name in ("second_touchdown", "rest"))
     at_first, shadow, hides, shows = np.radians(REST_ANGLES_DEG)
-    # a great circle inclined by 80 degrees to the xy plane, which it crosses at azimuth 86 degrees
-    azimuth, tilt = np.radians(86.0), np.radians(80.0)
+    resting_sun = resting_sun or RestingSun()
+    azimuth, inclination = np.radians([resting_sun.azimuth_deg, resting_sun.inclination_deg])
     node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    down = np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0])
+    down = np.cos(inclination) * flat - np.sin(inclination) * np.array([0.0, 0.0, 1.0])
 
     def on_circle(angle: np.ndarray) -> np.ndarray:
         """Return the Sun directions (n, 3) at angles (n) in rad along its great circle."""
@@ -495,5 +512,5 @@ def simulate_ground_phases(
     angle = at_first + 2 * np.pi * (t - end) / COMET_TURN_S
     hidden = (angle > hides) & (angle < shows)
     early = rest_seen & (angle < shadow)
-    by_panel = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION)
+    by_panel = np.where(early[:, None], resting_sun.early, resting_sun.late)
     return settling, PhaseSamples("rest", t, on_circle(angle), by_panel * ~hidden[:, None])

@@ -35,7 +35,7 @@ from sunspin.philae import (
     sun_directions,
     touchdown,
 )
-from sunspin.philae.rebound import Options, direction_mask, select_rebound
+from sunspin.philae.rebound import Options, direction_mask, read_truth, select_rebound
 from sunspin.philae.row import Row, count_verdicts, label_synthetic, read_tables, settle
 from sunspin.telemetry import sun as telemetry_sun
 from sunspin.vehicle import Vehicle
@@ -310,11 +310,14 @@ def _run_step(step: Step, study: Study) -> None:
         study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
         return
     study.parts[step.name] = result
-    # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure
+    # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure, or selected
+    # for it, as the case's own file was
     section_source = "telemetry" if step.section == "telemetry" else "none"
     rows = [replace(row, chain=row.chain or section_source) for row in rows]
     tables = read_tables(study.case)
-    put_in = ("always", "synthetic") if study.synthetic else ("always",)
+    put_in = {"always"}
+    put_in |= {"synthetic"} if study.synthetic else set()
+    put_in |= {"built_in"} if read_truth(study.case) else set()
     rows = [settle(row, tables.get(row.id, {}).get("put_in") in put_in) for row in rows]
     if study.synthetic:
         no_telemetry = "none", "published"

@@ -19,7 +19,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -28,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, SunspinError
+from sunspin.base.errors import InputError, SunspinError, TelemetryError
 from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import process_pool, worker_count
@@ -38,6 +39,7 @@ from sunspin.estimate.scan.rows import distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae.data_check import LEAST_DIRECTIONS
+from sunspin.philae.descent import find_first_clean_sample
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid, simulate_rz
 from sunspin.philae.rebound import (
     LINE_RANGE,
@@ -51,6 +53,7 @@ from sunspin.philae.simulation import (
     CELL_W,
     Collision,
     PhaseSamples,
+    RestingSun,
     State,
     add_noise,
     add_rebound_noise,
@@ -65,8 +68,9 @@ from sunspin.philae.simulation import (
     simulate_ground_phases,
     simulate_second_rebound,
 )
-from sunspin.telemetry.sun import is_reconstructed, sun_directions
-from sunspin.telemetry.synthetic import csv_text, generator, truth_text, write_new
+from sunspin.telemetry.health import panel_health
+from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
+from sunspin.telemetry.synthetic import csv_text, truth_text, write_new
 from sunspin.vehicle import Vehicle
 
 SEED = 0
@@ -90,6 +94,15 @@ TRUTH_OFFSET_RAD_S = 0.01
 
 TUBE_RAD_S = 0.02
 """Radius in rad/s of the tubes about the published lines in which the second screen compares motions."""
+
+FOLDED_TRANSMISSION = (0.3, 1.0)
+"""Range from which the part of the light that reaches a side panel past the folded legs is drawn."""
+
+REST_RANGE_DEG = 15.0
+"""Largest difference of azimuth and inclination of the Sun's path at rest from those of `simulation.RestingSun`, degrees."""
+
+MOST_DRAWS = 20_000
+"""Number of draws of one phase after which it is given up."""
 
 COMMON_EMD = (0.028, 0.045)
 """EMD to the common distribution of the published lines with which a rebound passes the first screen: 0.4 of the draws do.
@@ -115,6 +128,8 @@ class Criteria:
     emd_min : smallest EMD of the paper's scan (0.0326)
     line_rad_s : mean distance in rad/s of each fitted line from its published one
     height_deg : smallest and largest height of the Sun between touchdown and collision (10 and 80 degrees): a tenth of the range
+    folded_z : mean n_z of the samples before the legs unfold (0.8)
+    shadowed : least share of the Delta before the unfolding, and at rest, that is in the printed range (0.1 to 0.2)
     negative : least share of the samples after the collision with r_z < 0, which the paper calls "often"
     """
 
@@ -125,6 +140,8 @@ class Criteria:
     emd_min: float = 0.002
     line_rad_s: float = 0.02
     height_deg: float = 7.0
+    folded_z: float = 0.05
+    shadowed: float = 0.9
     negative: float = 0.3
 
 
@@ -179,9 +196,43 @@ def draw_descent(case: Case, seed: int, number: int) -> Descent:
             continue
         if abs(fit_spin(unfolded.t_s - unfolded.t_s[0], sun_B).E - printed_E) > CRITERIA.descent_E:
             continue
-        folded_power = add_noise(vehicle, folded, tilt, None, rng)
+        folded, folded_power = draw_folded_samples(case, folded, power, tilt, rng)
         return Descent(tilt, (folded, unfolded), [folded_power, power], draws)
     raise AssertionError("unreachable")
+
+
+def draw_folded_samples(
+    case: Case,
+    folded: PhaseSamples,
+    unfolded_power: np.ndarray,
+    tilt: np.ndarray,
+    rng: np.random.Generator,
+) -> tuple[PhaseSamples, np.ndarray]:
+    """Draw what the folded legs let through to each side panel, until the samples before the unfolding are as printed.
+
+    Accepted are a mean n_z and Delta as printed, and legs whose effect ends by the rule of the study just before `unfolded_power`
+    (n, n_panel), the readings of the descent. Return the samples and their readings (m, n_panel).
+    """
+    vehicle, low, high = case.vehicle, *FOLDED_TRANSMISSION
+    printed_z, (least, most) = (
+        case.published[name].value for name in ("nz_folded", "delta_shadowed")
+    )
+    for _ in range(MOST_DRAWS):
+        transmission = np.append(rng.uniform(low, high, len(vehicle.panels) - 1), 1.0)
+        samples = folded._replace(transmission=transmission)
+        power = add_noise(vehicle, samples, tilt, None, rng)
+        sun = sun_directions(vehicle, np.concatenate([power, unfolded_power]))
+        legs, seen = np.arange(sun.sizes["time"]) < len(power), is_reconstructed(sun["status"])
+        delta = sun["delta"].values[legs & (sun["status"].values == SunStatus.OK)]
+        sun_z = sun["sun_B"].values[legs & seen, 2]
+        inside = np.mean((delta >= least) & (delta <= most)) if delta.size else 0.0
+        as_printed = inside >= CRITERIA.shadowed and sun_z.size > 0
+        if as_printed and abs(sun_z.mean() - printed_z) <= CRITERIA.folded_z:
+            with suppress(TelemetryError):
+                if find_first_clean_sample(sun)[0] == len(power):
+                    return samples, power
+    what = "no folded legs show what is printed of the first samples"
+    raise InputError(what, got=f"{MOST_DRAWS} draws", do="take another seed")
 
 
 def find_true_sun_z(case: Case, tilt: np.ndarray) -> float:
@@ -319,7 +370,7 @@ def find_printed_rebounds(
 ) -> Iterator[int]:
     """Yield the numbers of the draws of a seed, from draw `first` on, that show what the paper prints; report to stderr.
 
-    Every draw follows from seed and number alone, so that a search that was interrupted goes on from any draw.
+    Every draw follows from seed and number alone, so that an interrupted search can continue from any draw.
     """
     common_z, scan = common_distribution(case), PrintedScan(case)
     size = worker_count(workers)
@@ -355,15 +406,57 @@ def draw_collision(
     raise AssertionError("unreachable")
 
 
+def draw_rest(
+    case: Case, seed: int, after: State, tilt: np.ndarray
+) -> tuple[tuple[PhaseSamples, PhaseSamples], list[np.ndarray]]:
+    """Draw the Sun's path and the shadows at rest until lit patterns and Delta are as printed; return samples and readings.
+
+    `after`: state just after the collision.
+    """
+    vehicle, usual = case.vehicle, RestingSun()
+    printed = {
+        frozenset(map(str, pattern)) for pattern in case.published["lit_patterns_at_rest"].value
+    }
+    least, most = case.published["delta_shadowed"].value
+    # the study estimates the noise from the file; the patterns must be impossible with an estimate that is too large
+    form = vehicle.telemetry
+    noisier = replace(vehicle, telemetry=replace(form, noise=1.3 * vehicle.require_noise()))
+    for number in range(MOST_DRAWS):
+        rng = _stream(seed, 4, number)
+        azimuth, inclination = rng.uniform(-REST_RANGE_DEG, REST_RANGE_DEG, 2)
+        early, late = (
+            np.clip(np.array(part) * (1 + rng.uniform(-0.3, 0.3, len(part))), 0.0, 1.0)
+            for part in (usual.early, usual.late)
+        )
+        resting = RestingSun(
+            usual.azimuth_deg + azimuth,
+            usual.inclination_deg + inclination,
+            (*early[:-1], 1.0),
+            (*late[:-1], 1.0),
+        )
+        phases = simulate_ground_phases(case, after, rng, rng, resting_sun=resting)
+        power = [add_noise(vehicle, samples, tilt, None, rng) for samples in phases]
+        data = join_phases(case, [*phases], power, {})
+        health, sun = panel_health(noisier, data), sun_directions(vehicle, data)
+        impossible = sun["status"].values == SunStatus.IMPOSSIBLE
+        rest, n_lit = data["phase"].values == "rest", sun["n_lit"].values
+        judged = rest & ((sun["status"].values == SunStatus.OK) | (impossible & (n_lit >= 3)))
+        delta = sun["delta"].values[judged]
+        inside = np.mean((delta >= least) & (delta <= most)) if delta.size else 0.0
+        as_printed = {frozenset(pattern) for pattern in health["impossible"]} == printed
+        if as_printed and [*health["explanations"]] == [("1",)] and inside >= CRITERIA.shadowed:
+            return phases, power
+    what = "no path of the Sun shows what is printed of the samples at rest"
+    raise InputError(what, got=f"{MOST_DRAWS} draws", do="take another seed")
+
+
 def make_landing(case: Case, seed: int, number: int) -> xr.Dataset:
     """Return the telemetry of draw `number` of a seed: the whole landing, in the form of :func:`sunspin.read_telemetry`."""
     vehicle = case.vehicle
     descent = draw_descent(case, seed, number // REBOUNDS_PER_DESCENT)
     rebound = draw_rebound(case, seed, number, descent.tilt)
     collision, after, after_power = draw_collision(case, seed, rebound.start, descent.tilt)
-    rest_rng = generator(seed, 6)
-    ground = simulate_ground_phases(case, collision.after, generator(seed, 5), rest_rng)
-    ground_power = [add_noise(vehicle, samples, descent.tilt, None, rest_rng) for samples in ground]
+    ground, ground_power = draw_rest(case, seed, collision.after, descent.tilt)
     truth = {
         "seed": seed,
         "draw": number,
