@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.philae.telemetry import main, philae_twin
+from sunspin.philae.simulation import philae_twin
+from sunspin.philae.telemetry import find_printed_rebounds, main, make_landing
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
 from tests.support.philae import AS_DRAWN, AS_DRAWN_FILE, AS_DRAWN_TRUTH, SUN_AS_DRAWN
@@ -23,7 +24,7 @@ published = {key: figure.value for key, figure in case.published.items()}
 
 @pytest.fixture(scope="module")
 def made():
-    return philae_twin(truth["seed"])
+    return make_landing(case, truth["seed"], truth["draw"])
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def free_flight():
 
 
 @pytest.mark.evidence("twin", "verified", "the telemetry file of the package")
-def test_the_built_in_telemetry_follows_from_its_seed(made):
+def test_the_built_in_telemetry_follows_from_its_seed_and_draw(made):
     # the file holds 6 decimals and whole milliseconds
     np.testing.assert_allclose(
         committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6
@@ -76,7 +77,8 @@ def test_the_built_in_telemetry_states_that_it_is_synthetic_and_how_it_was_made(
     assert committed.attrs["synthetic"] == 1
     assert all(comment.startswith("synthetic:") for comment in comments)
     assert re.search(r"sunspin \d+\.\d+\.\d+", comments[0])
-    assert f"python -m sunspin.philae.telemetry --seed {truth['seed']} " in comments[1]
+    command = f"python -m sunspin.philae.telemetry --seed {truth['seed']} --draw {truth['draw']} "
+    assert command in comments[1] and "selected" in comments[2]
 
 
 def test_the_first_direction_after_the_touchdown_is_the_published_one(sun):
@@ -92,8 +94,27 @@ def test_the_first_direction_after_the_touchdown_is_the_published_one(sun):
     )  # what turned panels show is not where the Sun stands
 
 
+@pytest.mark.slow
+@pytest.mark.evidence(
+    "twin", "verified", "the search that selected the telemetry file of the package"
+)
+def test_the_search_finds_the_built_in_draw():
+    """From the descent before it, to spare an hour: no other draw of the two descents is accepted."""
+    draws = find_printed_rebounds(case, truth["seed"], truth["draw"] - 500)
+    assert next(draws) == truth["draw"]
+
+
+def test_a_simulated_landing_takes_a_true_rate():
+    drawn, chosen = (ss.twin("philae", seed=3, omega_B=rate) for rate in (None, truth["omega_B"]))
+    assert chosen.attrs["truth_omega_B"].tolist() == truth["omega_B"]
+    before = drawn["phase"].values == "descent"
+    np.testing.assert_array_equal(drawn["power_W"][before], chosen["power_W"][before])
+    other = drawn["phase"].values == "first_rebound"
+    assert np.abs(drawn["power_W"][other] - chosen["power_W"][other]).max() > 1.0
+
+
 def test_sun_directions_of_noise_free_telemetry_are_the_true_ones():
-    clean = philae_twin(truth["seed"], noise=0.0, tilt_rad=0.0, turned_rad=0.0)
+    clean = philae_twin(0, noise=0.0, tilt_rad=0.0, turned_rad=0.0)
     found = ss.sun_directions(vehicle, clean)
     at = free_flight() & is_reconstructed(found["status"])
     true = clean["true_sun_B"].values / np.linalg.norm(
@@ -196,12 +217,13 @@ def test_a_truth_without_valid_rates_and_sun_is_refused(change, text):
 
 def test_synthesise_writes_the_built_in_telemetry_and_overwrites_nothing_unasked(tmp_path, capsys):
     out = tmp_path / "telemetry.csv"
-    assert main(["--seed", str(truth["seed"]), str(out)]) == 0
+    known = ["--seed", str(truth["seed"]), "--draw", str(truth["draw"])]
+    assert main([*known, str(out)]) == 0
     again = ss.read_telemetry(out, vehicle)
     np.testing.assert_allclose(
         again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6
     )
     written = out.read_bytes()
-    assert main(["--seed", "1", str(out)]) == 2
+    assert main([*known, str(out)]) == 2
     assert "the file exists" in capsys.readouterr().err
     assert out.read_bytes() == written

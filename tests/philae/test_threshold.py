@@ -115,9 +115,9 @@ def test_the_key_of_a_calibration_depends_on_the_data(table):
 def test_the_packaged_calibration_is_used_if_its_key_matches(table, monkeypatch):
     path = CASE.folder / th.SHIPPED
     shipped = th.read_calibration(path)
-    assert len(shipped.ratio) == 400 and 4.0 < shipped.factor()[0] < 5.1
+    assert len(shipped.ratio) == 400 and 3.2 < shipped.factor()[0] < 4.2
     assert (
-        np.mean(shipped.ratio < 3.04) < 0.8
+        np.mean(shipped.ratio < 3.04) < 0.87
     )  # the factor of panels as drawn, with which nine of ten were held
     grid = Start.on_grid(
         CASE.vehicle,
@@ -181,7 +181,7 @@ def test_noise_on_unlit_panels_lights_none(kind):
 
     clean = int((sun_directions(case.vehicle, case.telemetry)["status"].values == 2).sum())
     assert impossible(case.vehicle) > 3 * clean >= impossible(noisy.vehicle) - 2
-    assert rb.make_rebound(noisy, sun_directions(noisy.vehicle, data)).z.size >= 16
+    assert rb.make_rebound(noisy, sun_directions(noisy.vehicle, data)).z.size >= REBOUND.z.size - 2
 
 
 def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
@@ -209,7 +209,7 @@ def test_the_key_of_a_calibration_contains_all_that_it_depends_on():
     others = (
         "wheel.speed_rad_s=833 body.inertia_kg_m2[2][2]*=0.99 wheel.friction=printed "
         "study.lead_s=30 study.mask=everywhere study.target_weights=interval "
-        "panel[6].gain*=1.05 telemetry.noise=0.1"
+        "panel[6].gain*=1.05 telemetry.noise=0.12"
     ).split()
     keys = {key(change) for change in others}
     assert len(keys) == len(others) and shipped not in keys

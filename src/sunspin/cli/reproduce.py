@@ -27,9 +27,14 @@ from sunspin.cli.common import PATH, shared
     help="Simulated flights that calibrate the threshold of --candidates scan. Default: built-in if it applies, else 60; 0: none.",
 )
 @click.option("--coarser", type=click.IntRange(1, 50), default=1, help="Use every N-th grid point.")
+@click.option(
+    "--without",
+    type=click.Choice(["posterior"]),
+    help="Leave out the posterior of the samples, which is computed last and takes about as long as all else.",
+)
 @set_options("study", "collision", short=tuple(SHORT))
 @shared("--seed", "--workers", out="results")
-def reproduce(telemetry, output, **options) -> None:
+def reproduce(telemetry, output, without, **options) -> None:
     """Reproduce the Philae study: every figure and table of the paper next to the results of this run.
 
     All conclusions are recomputed from the telemetry given. The built-in telemetry is synthetic, and labelled so, because the
@@ -43,5 +48,19 @@ def reproduce(telemetry, output, **options) -> None:
     """
     from sunspin.philae.reproduction import reproduce as reproduce_study
 
-    written = reproduce_study(output.folder, telemetry, **options, progress=output.progress)
+    def report_page(written) -> None:
+        """Say that the page is there while the posterior is computed."""
+        if not output.quiet:
+            seconds = written.summary["seconds"]
+            text = f"{written.report} is there after {seconds:.0f} s; the posterior of the samples takes about as long"
+            click.echo(f"sunspin: {text}", err=True)
+
+    written = reproduce_study(
+        output.folder,
+        telemetry,
+        **options,
+        progress=output.progress,
+        posterior=without is None,
+        on_page=report_page,
+    )
     output.report(written.summary, written.lines)

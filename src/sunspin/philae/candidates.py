@@ -233,7 +233,7 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
     near_minimum = select_below(factor * scan.smallest, "scan", about)
     if source == "posterior":
-        chosen, prior, verdict = _from_posterior(rebound, options)
+        chosen, prior, verdict = draw_from_posterior(rebound, options)
         return CandidateSets(case, rebound, chosen, prior, near_minimum, None, share, verdict)
     about = "the whole scanned box: what was possible before the data"
     scan_range = select_below(np.inf, source, about)
@@ -257,7 +257,7 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     return CandidateSets(case, rebound, chosen, scan_range, near_minimum, calibration, share)
 
 
-def _from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Candidates, str]:
+def draw_from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Candidates, str]:
     """Return candidates drawn from the posterior of the rebound's readings, candidates drawn from its rate prior, and its verdict.
 
     The posterior has directions and wheel speeds of its own; motions of the prior begin like those of the scan. Raises

@@ -92,7 +92,7 @@ class DataCheck(NamedTuple):
                 if self.descent_has_spin
                 else f" DESCENT: NO SPIN DETECTED, E {E:.4f}, the best {orders} {best:.4f}."
             )
-        return f"{text} Rebound: the EMD compares distributions of r_z and ignores the order; only --candidates posterior uses it."
+        return f"{text} Rebound: the EMD compares distributions of r_z and ignores the order; only the posterior uses it."
 
 
 def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0) -> DataCheck:

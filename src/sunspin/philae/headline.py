@@ -8,46 +8,96 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.output.text import period_text
-from sunspin.philae import touchdown
+from sunspin.philae import timing, touchdown
+from sunspin.philae.candidates import CandidateSets
+from sunspin.philae.metrics import TelemetryScan
+from sunspin.philae.rebound import published_lines, read_truth
 from sunspin.philae.study import Study
 from sunspin.philae.threshold import CONFIDENCE
 
 
 def headline(study: Study) -> list[str]:
-    """Return the main results as sentences: descent, motion after the touchdown, their extent, and the origin of the telemetry."""
-    candidate_sets, check, fit = (
-        study.candidate_sets,
-        study.parts["carries"],
-        study.parts.get("descent"),
-    )
-    if fit is None:
-        descent = "Descent: too few samples to estimate the rotation."
-    elif not check.descent_has_spin or not check.consistent_with_sun:
-        descent = "Descent: the rotation does not follow from this telemetry."
-    else:
-        middle_rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
-        descent = f"Descent: rotation period {period_text(middle_rate)}."
+    """Return the main results in sentences: descent, the three acts of the study, and the origin of the telemetry.
+
+    The acts are the paper's method, what it cannot say, and what the times of the samples add. Without conclusions on the motion
+    two sentences say why there are none.
+    """
     synthetic = (
         "The panel powers measured in flight are not public. This run uses synthetic ones made from published facts: it tests "
         "the method and does not measure Philae again."
     )
     measured = "The panel powers were read from a file that does not call itself synthetic."
     origin = synthetic if study.synthetic else measured
-    if candidate_sets is None:
-        # why the scan failed, else why no candidates could be selected from it
-        missing = study.missing
-        failed = missing.get("level_set", missing.get("candidates", "no motion was found"))
-        # "STEP: not reproduced, as REASON; got ...": only the reason is repeated
-        reason = failed.split(" as ", 1)[-1].split(";")[0].rstrip(".")
-        why = (
-            "; ".join(check.reasons) or reason
-        )  # the data check explains more than its consequence
-        motion = f"After the first touchdown: the motion cannot be concluded, as {why}."
-        return [descent, motion, "No conclusions on touchdown, collision and landing.", origin]
+    if study.candidate_sets is None:
+        return [_descent_sentence(study), *_without_conclusions(study), origin]
+    acts = [_method_sentence(study), _limits_sentence(study.candidate_sets)]
+    if "timing" in study.parts:
+        acts.append(timing.describe(study.parts["timing"]))
+    numbered = [f"{number}. {act}" for number, act in enumerate(filter(None, acts), 1)]
+    return [_descent_sentence(study), *numbered, origin]
 
+
+def _descent_sentence(study: Study) -> str:
+    """Return the rotation period of the descent in a sentence, or why there is none."""
+    check, fit = study.parts["carries"], study.parts.get("descent")
+    if fit is None:
+        return "Descent: too few samples to estimate the rotation."
+    if not check.descent_has_spin or not check.consistent_with_sun:
+        return "Descent: the rotation does not follow from this telemetry."
+    middle_rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
+    return f"Descent: rotation period {period_text(middle_rate)}."
+
+
+def _without_conclusions(study: Study) -> list[str]:
+    """Return two sentences for telemetry from which no motion after the touchdown follows."""
+    missing, check = study.missing, study.parts["carries"]
+    # why the scan failed, else why no candidates could be selected from it
+    failed = missing.get("level_set", missing.get("candidates", "no motion was found"))
+    # "STEP: not reproduced, as REASON; got ...": only the reason is repeated
+    reason = failed.split(" as ", 1)[-1].split(";")[0].rstrip(".")
+    why = "; ".join(check.reasons) or reason  # the data check explains more than its consequence
+    motion = f"After the first touchdown: the motion cannot be concluded, as {why}."
+    return [motion, "No conclusions on touchdown, collision and landing."]
+
+
+def _method_sentence(study: Study) -> str:
+    """Return the first act: what the paper's own recipe gives with this telemetry, beside the published figures."""
+    candidate_sets, published = study.candidate_sets, study.case.published
+    if candidate_sets is None or "level_set" not in study.parts:
+        return ""
+    scan: TelemetryScan = study.parts["level_set"]
+    rows = {row.id: row for row in study.rows}
+    lines = len(published_lines(study.case))
+    text = (
+        f"The paper's method: smallest EMD {scan.smallest:.4f} (paper {published['emd_min'].value}); "
+        f"{scan.lines_recovered} of the {lines} published lines come out of the motions below {scan.near.factor:g} times it"
+    )
+    if scan.near.deviation:
+        apart = [deviation["mean"] for deviation in scan.near.deviation]
+        text += f" (mean distances {min(apart):.3f} to {max(apart):.3f} rad/s)"
+    least = float(candidate_sets.near_minimum.speed_touchdown.min())
+    text += (
+        f"; smallest angular speed just after the touchdown {least:.3f} rad/s (paper "
+        f"{published['rate_at_touchdown_min'].value})"
+    )
+    if "rz_range_wheel_off" in rows:
+        low, high = rows["rz_range_wheel_off"].ours
+        text += (
+            f"; after the collision r_z from {low:.2f} to {high:.2f} with the wheel off (paper: -1 to 1), down to "
+            f"{rows['rz_min_wheel_held'].ours:.2f} with the wheel held (paper: never below "
+            f"{published['rz_min_wheel_held'].value})"
+        )
+    if read_truth(study.case):
+        text += ". The built-in telemetry was selected for the lines and this EMD, so that they test nothing"
+    return f"{text}."
+
+
+def _limits_sentence(candidate_sets: CandidateSets) -> str:
+    """Return the second act: what remains possible if the threshold of the method is calibrated."""
     slow, fast = candidate_sets.chosen.speed_range()
+    angles = touchdown.describe_motion(candidate_sets)[0]
     if candidate_sets.source == "published":
-        motion = "After the first touchdown: the motions are those of the published lines, for any telemetry."
+        motion = "The motions are those of the published lines, for any telemetry."
     elif candidate_sets.chosen.from_posterior:
         motion = f"Just after the first touchdown: angular speed {slow:.3g} to {fast:.3g} rad/s ({CONFIDENCE:.0%})."
     elif not touchdown.has_lower_bound(candidate_sets):
@@ -59,14 +109,12 @@ def headline(study: Study) -> list[str]:
         )
     if (calibration := candidate_sets.calibration) is None:
         verdict = f" {candidate_sets.verdict.rstrip('.')}." if candidate_sets.verdict else ""
-        extent = f"The motions are {candidate_sets.chosen.about}.{verdict}"
-    else:
-        extent = (
-            f"The {calibration.confidence:.0%} confidence set contains {candidate_sets.share:.0%} of the scanned initial rates "
-            f"(EMD below "
-            f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} simulated data sets)."
-        )
-    return [descent, motion, extent, touchdown.describe_motion(candidate_sets)[0], origin]
+        return f"The chosen motions: {candidate_sets.chosen.about}.{verdict} {motion} {angles}"
+    return (
+        f"What it cannot say: the {calibration.confidence:.0%} confidence set contains {candidate_sets.share:.0%} of the scanned "
+        f"initial rates (EMD below {calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} "
+        f"simulated data sets). {motion} {angles}"
+    )
 
 
 def score(study: Study) -> list[str]:
@@ -84,7 +132,8 @@ def score(study: Study) -> list[str]:
         f"{telemetry['uninformative']} not constrained",
         f"Comparison with the paper, equations only: {equations['agree'] + paper['agree']} agree, "
         f"{equations['differ'] + paper['differ']} differ",
-        f"Not counted as tests: {put_in} inputs, {arithmetic} checks of the paper's arithmetic, {not_comparable} not comparable",
+        f"Not counted as tests: {put_in} figures from which the telemetry was made or selected, {arithmetic} checks of the paper's "
+        f"arithmetic, {not_comparable} not comparable",
     ]
 
 

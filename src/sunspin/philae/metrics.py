@@ -50,6 +50,11 @@ from sunspin.philae.row import Row, make_row
 NEAR_RAD_S = 0.03
 """Largest mean distance (rad/s) of a fitted line from a published one that counts as recovered: two grid steps."""
 
+LARGEST_GAP_RAD_S = 0.06
+"""Largest gap (rad/s) between neighbouring motions along a fitted line: four grid steps. The four lines of the case's own telemetry
+have gaps up to 0.03, lines that were fitted through separate clusters 0.1 and more.
+"""
+
 
 # ---- E: why a direct fit fails -----------------------------------------------------------------------------------------------
 
@@ -448,31 +453,57 @@ def rate_axes(figure: Figure, *subplot: int) -> Any:
     return axes
 
 
+def line_stretch(points: np.ndarray, line: Line) -> tuple[float, float] | None:
+    """Return the first and last position (rad/s, from the line's point) of points (n, 3) along a line that they make.
+
+    None if they make none: somewhere along it they leave a gap of more than `LARGEST_GAP_RAD_S`.
+    """
+    point, along = line
+    position = np.sort((points - point) @ along)
+    if position.size < 2 or np.diff(position).max() > LARGEST_GAP_RAD_S:
+        return None
+    return float(position[0]), float(position[-1])
+
+
+def draw_published_lines(axes: Any, case: Case) -> None:
+    """Draw the published lines in rate space, dashed, from one face of the scan range to another, each with its name at its end."""
+    for k, line in enumerate(published_lines(case), 1):
+        ends = line_in_scan_range(case, line)
+        label = "the paper's lines" if k == 1 else None
+        axes.plot(*ends.T, "--", lw=1.1, color="#000000", label=label, zorder=3)
+        axes.text(*ends[-1], f"L{k}", fontsize=9, zorder=5)
+
+
 def near_minimum_figure(
     case: Case, near: NearMinimum, title: str, truth: np.ndarray | None = None
 ) -> Figure:
-    """Draw near-minimum points in rate space with fitted (solid) and published (dashed) lines (paper, Fig. 9)."""
-    figure = Figure(figsize=(11, 5.2), layout="constrained")
+    """Draw near-minimum points in rate space with fitted (solid) and published (dashed) lines (paper, Fig. 9).
+
+    A fitted line is drawn from the first to the last of its points, and only if they make a line (`line_stretch`).
+    """
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
     points, lines = near.points, near.lines
-    # index of the fitted line that each point belongs to
     member = np.zeros(len(points), int) if lines is None else lines["member"].values
     views = (("perspective", 22, -62), ("from +z", 90, -90))
     for k, (name, elevation, azimuth) in enumerate(views):
         axes = rate_axes(figure, 1, 2, k + 1)
+        axes.computed_zorder = False  # lines and truth are drawn over the points
         axes.view_init(elevation, azimuth)
-        axes.scatter(*points.T, s=8, c=[COLOURS[m % 8] for m in member], depthshade=False)
-        for i, line in enumerate(published_lines(case)):
-            label = "the paper's lines" if i == 0 else None
-            axes.plot(*line_in_scan_range(case, line).T, "--", lw=1, color="#555555", label=label)
+        colours = [COLOURS[m % 8] for m in member]
+        axes.scatter(*points.T, s=5, c=colours, alpha=0.5, linewidths=0, zorder=1)
         for i, line in enumerate([] if lines is None else list_lines(lines)):
-            label = f"fitted line {i + 1} ({int((member == i).sum())} motions)"
-            axes.plot(
-                *line_in_scan_range(case, line).T, "-", lw=1.6, color=COLOURS[i % 8], label=label
-            )
+            stretch = line_stretch(points[member == i], line)
+            if stretch is None:
+                continue
+            point, along = line
+            ends = point + np.array(stretch)[:, None] * along
+            label = f"fitted line, {int((member == i).sum())} motions"
+            axes.plot(*ends.T, "-", lw=2.2, color=COLOURS[i % 8], label=label, zorder=2)
+        draw_published_lines(axes, case)
         if truth is not None:
             label = "truth of the synthetic telemetry"
-            axes.scatter(*truth, marker="*", s=130, color="#000000", label=label)
-        if name == "from +z":  # the z axis points at the viewer
+            axes.scatter(*truth, marker="*", s=150, color="#000000", label=label, zorder=4)
+        if k:
             axes.set(zlabel="", zticks=[])
         axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
         axes.set_title(name, fontsize=9)

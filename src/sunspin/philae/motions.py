@@ -53,9 +53,7 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dat
     if scan.truth:
         start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
         about = "the motion from which the synthetic telemetry was made"
-        # with the seed of the telemetry the collision is the one that the telemetry contains
-        true_seed = read_truth(case).get("seed", seed)
-        motions["Truth"] = propagate_landing(rebound, start, about, true_seed)
+        motions["Truth"] = propagate_landing(rebound, start, about, seed, read_truth(case))
     start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
     about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
     motions["Best fit"] = propagate_landing(rebound, start, about, seed)
@@ -70,22 +68,40 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dat
     return motions
 
 
-def propagate_landing(rebound: Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
+def propagate_landing(
+    rebound: Rebound, start: Rows, about: str, seed: int, truth: dict[str, Any] | None = None
+) -> xr.Dataset:
     """Return the motion from the first touchdown to the second, through the collision.
 
-    `start` is one state at the candidates' instant. `about` says in words how it was selected, `seed` is that of the collision.
+    `start` is one state at the candidates' instant. `about` says in words how it was selected. The collision is drawn with `seed`,
+    or is that of a known `truth` (`rebound.read_truth`).
     Times are in s from the case's epoch, the inertial frame N is that of the body at the candidates' instant.
     """
     case, timeline = rebound.case, rebound.case.require_timeline()
     impact_s, end_s = (timeline.event(name).t_s for name in ("collision", "second_touchdown"))
     start_s = impact_s - rebound.window_s
     state = State(start_s, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
-    collision = simulate_collision(case, state, generator(seed, 3))
+    if truth:
+        after = State(
+            impact_s,
+            *(
+                np.array(truth[f"collision_{name}"])
+                for name in ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")
+            ),
+        )
+        impact = f"the collision that the telemetry contains (leg {truth['collision_leg']} hits)"
+    else:
+        collision = simulate_collision(case, state, generator(seed, 3))
+        after = collision.after
+        impact = (
+            "after the collision one of many possible motions "
+            f"(leg {collision.leg} hits, drawn with seed {seed})"
+        )
     before_start = _propagate_each_second(
         case, state, -rebound.lead_s, mode_before(start.wheel_speed_rad_s)
     )
     before_collision = _propagate_each_second(case, state, impact_s - start_s)
-    after_collision = _propagate_each_second(case, collision.after, end_s - impact_s)
+    after_collision = _propagate_each_second(case, after, end_s - impact_s)
     # each part counts its attitude from its own start: refer the last part to the start of the motion
     attitude_at_impact = Rotation.from_quat(before_collision["B_from_N"].values[-1])
     attitude = Rotation.from_quat(after_collision["B_from_N"].values) * attitude_at_impact
@@ -109,11 +125,9 @@ def propagate_landing(rebound: Rebound, start: Rows, about: str, seed: int) -> x
     events = [
         (t_s + start_s, f"{wheel} {what}") for t_s, wheel, what in zip(*wheel_events, strict=True)
     ]
-    about += (
-        "; after the collision one of many possible motions "
-        f"(leg {collision.leg} hits, drawn with seed {seed})"
+    return _complete_for_display(
+        case, motion, f"{about}; {impact}", [*events, (impact_s, "collision")]
     )
-    return _complete_for_display(case, motion, about, [*events, (impact_s, "collision")])
 
 
 def _propagate_each_second(

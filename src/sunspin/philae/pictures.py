@@ -1,4 +1,4 @@
-"""Pictures of the study, in the paper's order: the steps that each is drawn from, its function, its caption."""
+"""Pictures of the study, first those of its three acts, then in the paper's order: the steps that each is drawn from, its function, its caption."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, strategies, telemetry
 from sunspin.output.kinds.outcomes import sun_height_figure
-from sunspin.philae import descent, mechanics, metrics, published_lines, sun_directions, touchdown
+from sunspin.philae import (
+    descent,
+    mechanics,
+    metrics,
+    published_lines,
+    sun_directions,
+    timing,
+    touchdown,
+)
 from sunspin.philae.motions import speed_figure
 from sunspin.philae.rebound import event_seconds
 from sunspin.philae.study import Study
@@ -75,6 +83,23 @@ def _lines_scan_figure(study: Study, result: Any) -> Figure:
 
 
 PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
+    "fig09_telemetry": ("level_set published_lines", _scan_figure),
+    "fig12_touchdown": (
+        "touchdown",
+        lambda study, result: touchdown.touchdown_figure(result, study.synthetic),
+    ),
+    "timing": (
+        "timing level_set",
+        lambda study, result: timing.posterior_figure(
+            result, study.parts["level_set"].near, study.synthetic
+        ),
+    ),
+    "timing_speed": (
+        "timing candidates",
+        lambda study, result: timing.speeds_figure(
+            result, study.parts["candidates"].near_minimum, study.synthetic
+        ),
+    ),
     "speed": ("speeds", lambda study, result: speed_figure(study.case, result, study.synthetic)),
     "signals": ("motions", _signals_figure),
     "fig03_measured": ("phases", _measured_figure),
@@ -87,13 +112,8 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
     ),
     "fig08_maps": ("sensitivity", lambda _, result: metrics.maps_figure(result)),
     "growth": ("sensitivity", lambda _, result: metrics.growth_figure(result)),
-    "fig09_telemetry": ("level_set published_lines", _scan_figure),
     "distributions": ("level_set published_lines", _distributions_figure),
     "fig10_11_descent": ("descent", lambda _, result: descent.descent_figure(result)),
-    "fig12_touchdown": (
-        "touchdown",
-        lambda study, result: touchdown.touchdown_figure(result, study.synthetic),
-    ),
     "fig13_after_collision": (
         "collision",
         lambda _, result: sun_height_figure(result.runs["chosen"]),
@@ -180,6 +200,14 @@ No telemetry: rates at the first touchdown by running the printed lines, and the
 fig13_lines: Densities of the z component after the collision for motions on the printed lines, wheel off and held.
 No telemetry: the Sun's height after the collision (paper, Fig. 13), {result.runs[off].sizes[run]} simulated collisions of motions \
 on the printed lines; each area is 1.
+
+timing: Draws of the posterior in rate space at one place of the four published lines.
+Past the paper: the posterior of the same samples, which uses their order and times, in the space of initial rates. Grey: the \
+motions of the paper's recipe, which uses neither.{synthetic}
+
+timing_speed: Angular speed just after the touchdown, up to the collision, and after it.
+Past the paper: what the posterior predicts. After the collision the leg that hits and the direction of the impact are not known; \
+simulated as in section 3.3 of the paper, wheel off.{synthetic}
 
 health: Lit panels sample by sample.
 Which panels are lit, and which patterns the Sun alone cannot make (paper, section 4).{synthetic}

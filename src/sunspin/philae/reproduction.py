@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,11 +22,11 @@ from sunspin.output.folder import CITE, Contents, results_folder, write_contents
 from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
-from sunspin.philae import pictures
+from sunspin.philae import pictures, timing
 from sunspin.philae.headline import conclusions, headline, score
 from sunspin.philae.rebound import published_lines, with_telemetry
 from sunspin.philae.row import Row
-from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
+from sunspin.philae.study import SECTIONS, STEPS, TIMING, Study, add_timing, compute, require_wheel
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
 from sunspin.vehicle.assumptions import split_changes
@@ -70,6 +71,8 @@ def reproduce(
     coarser: int = 1,
     changes: Changes = None,
     progress: bool = False,
+    posterior: bool = True,
+    on_page: Callable[[Written], Any] | None = None,
 ) -> Written:
     """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
 
@@ -98,6 +101,11 @@ def reproduce(
         Use every n-th point of the scan's grid, for a quick look.
     changes : dict or list of str, optional
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
+    posterior : bool
+        Add the posterior of the rebound's readings, which uses the times of the samples, when all else is written. It takes about
+        as long as the rest.
+    on_page : callable, optional
+        Called with the result as written before the posterior is added.
     """
     began = time.perf_counter()
     requested = parse_changes(changes)
@@ -110,7 +118,6 @@ def reproduce(
     options |= {"coarser": coarser, "workers": workers, "progress": progress}
     drawn: pictures.Drawn = {}
     study = compute(case, lambda so_far: pictures.draw_pictures(so_far, drawn), **options)
-    drawings = pictures.write_pictures(drawn, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
     telemetry_copy = folder / f"telemetry{source.suffix or '.csv'}"
     write_whole(telemetry_copy, lambda part: part.write_bytes(source.read_bytes()))
@@ -124,10 +131,8 @@ def reproduce(
     for change in requested:
         command += ["--set", str(change)]
     command += [] if coarser == 1 else ["--coarser", str(coarser)]
+    command += [] if posterior else ["--without", "posterior"]
 
-    summary = make_summary(study, drawings, time.perf_counter() - began)
-    summary["changes"] = [str(change) for change in case.changes]
-    summary |= {"command": shlex.join(command), "inputs": _hash_inputs(case, vehicle)}
     vehicle_text = attach_changes(
         case.name if vehicle is None else vehicle, split_changes(requested)[0]
     )
@@ -135,9 +140,25 @@ def reproduce(
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
-    contents = Contents(make_datasets(study), drawings, tables, vehicle_text, *samples)
-    write_contents(folder, summary, contents)
-    return Written(folder, write_report(folder), summary)
+
+    def write() -> Written:
+        """Write pictures, summary, data and page of the study so far."""
+        drawings = pictures.write_pictures(drawn, folder)
+        summary = make_summary(study, drawings, time.perf_counter() - began)
+        summary["changes"] = [str(change) for change in case.changes]
+        summary |= {"command": shlex.join(command), "inputs": _hash_inputs(case, vehicle)}
+        contents = Contents(make_datasets(study), drawings, tables, vehicle_text, *samples)
+        write_contents(folder, summary, contents)
+        return Written(folder, write_report(folder), summary)
+
+    written = write()
+    if not posterior or study.candidate_sets is None:
+        return written
+    if on_page is not None:
+        on_page(written)
+    add_timing(study)
+    pictures.draw_pictures(study, drawn)
+    return write()
 
 
 def _load_inputs(
@@ -186,7 +207,10 @@ def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[
         reasons = [text.split(separator, 1)[1] for text in texts if separator in text]
         why = (reasons or texts)[0].rstrip(".")
         stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
-    sections = [(step.title, step.section, study.rows_by_part.get(step.name, [])) for step in STEPS]
+    sections = [
+        (step.title, step.section, study.rows_by_part.get(step.name, []))
+        for step in (*STEPS, TIMING)
+    ]
     sections.append(("The figures of the paper", "paper", make_figure_rows(drawings)))
     rows = [
         asdict(row) | {"part": title, "section": SECTIONS[section]}
@@ -315,6 +339,8 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         files[f"motion-{name.lower().replace(' ', '-')}"] = motion.assign_attrs(title=name)
     if "speeds" in parts:
         files["speed"] = parts["speeds"]
+    if "timing" in parts:
+        files |= timing.datasets(parts["timing"])
     attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
     attrs["sunspin_version"] = version()
     return {name: data.assign_attrs(attrs) for name, data in files.items()}

@@ -33,6 +33,7 @@ from sunspin.philae import (
     published_lines,
     strategies,
     sun_directions,
+    timing,
     touchdown,
 )
 from sunspin.philae.rebound import Options, direction_mask, read_truth, select_rebound
@@ -42,6 +43,9 @@ from sunspin.vehicle import Vehicle
 
 LANDING_RUNS = 5_000
 """Number of simulated collisions. Their probabilities err by 0.007 at most. The paper had a tenth; `sunspin outcomes` runs more."""
+
+TIMING_RUNS = 2_000
+"""Number of simulated collisions of the posterior's draws."""
 
 LEAST_RUNS = 400
 """Least number of simulated collisions on a coarser grid: as many as the paper had."""
@@ -92,7 +96,9 @@ class Study:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Return for each section of `SECTIONS` how many rows agree, differ, are uninformative, and are of another kind."""
-        by_part = [(step.section, self.rows_by_part.get(step.name, [])) for step in STEPS]
+        by_part = [
+            (step.section, self.rows_by_part.get(step.name, [])) for step in (*STEPS, TIMING)
+        ]
         return {
             name: count_verdicts(
                 [row for section, rows in by_part if section == name for row in rows]
@@ -233,6 +239,23 @@ def _inputs(study: Study) -> Any:
     return study.case
 
 
+TIMING = Step(
+    "timing",
+    "Past the paper: what the times of the samples add",
+    lambda study: timing.compute(
+        study.parts["level_set"].rebound, study.candidate_sets, TIMING_RUNS, study.options
+    ),
+    timing.rows,
+    needs=("level_set", "candidates"),
+)
+"""The last step, which takes as long as all others: it is computed by `add_timing` after the page of the others is there."""
+
+
+def add_timing(study: Study) -> None:
+    """Add the last step to a study: the posterior of the rebound's readings, and what it predicts."""
+    _run_step(TIMING, study)
+
+
 def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options: Any) -> Study:
     """Run the whole study on the case's telemetry.
 
@@ -310,7 +333,7 @@ def _run_step(step: Step, study: Study) -> None:
         study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
         return
     study.parts[step.name] = result
-    # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure, or selected
+    # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure or selected
     # for it, as the case's own file was
     section_source = "telemetry" if step.section == "telemetry" else "none"
     rows = [replace(row, chain=row.chain or section_source) for row in rows]

@@ -1,0 +1,279 @@
+"""What the order and the times of the samples add: the third act of the study, past the paper.
+
+The EMD of r_z ignores when a sample was taken. The posterior (`sunspin.estimate.posterior`) compares each reading of the rebound at
+its own time, so that it may leave one motion where the EMD leaves a line. Its draws give the angular speed just after the first
+touchdown, up to the collision, and, with simulated collisions, after it. For the case's own telemetry the truth is known and shown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.landing.outcomes import outcomes
+from sunspin.output.figures import ABOVE, COLOURS, titled
+from sunspin.philae.candidates import (
+    Candidates,
+    CandidateSets,
+    draw_from_posterior,
+    touchdown_speeds,
+)
+from sunspin.philae.metrics import NearMinimum, draw_published_lines, rate_axes
+from sunspin.philae.rebound import (
+    Options,
+    Rebound,
+    read_truth,
+    scan_limits,
+)
+from sunspin.philae.row import Row, make_row
+
+QUANTILES = (0.05, 0.5, 0.95)
+"""Ends and middle of the shown intervals, which contain 90 % of the probability."""
+
+SPEED_MOTIONS, SPEED_STEP_S = 300, 20.0
+"""Number of draws, and time step in s, of the angular speed against time."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True angular speeds in rad/s of the case's own telemetry: just after the touchdown, before and after the collision.
+
+    `state`: the true state at the first sample. `speed` (n_time): true angular speed at the times of `Timing.t_s`.
+    """
+
+    state: Rows
+    touchdown: float
+    collision: float
+    after: float
+    speed: np.ndarray
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The posterior of the rebound's readings, and what it predicts.
+
+    Attributes
+    ----------
+    motions, prior : draws of the posterior, and of its prior of the rates
+    verdict : that of the posterior, in words
+    t_s : (n_time) times in s from the candidates' instant
+    speed : (3, n_time) rad/s, 5, 50 and 95 % quantiles of the angular speed at these times
+    after : (n) rad/s, angular speed after simulated collisions of the draws (section 3.3), wheel off
+    truth : true values of the case's own synthetic telemetry; None for any other telemetry
+    """
+
+    rebound: Rebound
+    motions: Candidates
+    prior: Candidates
+    verdict: str
+    t_s: np.ndarray
+    speed: np.ndarray
+    after: np.ndarray
+    truth: Truth | None
+
+    @property
+    def unique(self) -> bool:
+        """True if the posterior has a single solution."""
+        return self.verdict.startswith("unique")
+
+
+def compute(
+    rebound: Rebound, candidate_sets: CandidateSets | None, runs: int, options: Options
+) -> Timing:
+    """Sample the posterior of the rebound's readings, and simulate `runs` collisions of its draws.
+
+    If the candidates of the study are draws of the posterior already, these are used.
+
+    Raises
+    ------
+    TelemetryError
+        No motion explains the readings.
+    """
+    case = rebound.case
+    if candidate_sets is not None and candidate_sets.chosen.from_posterior:
+        motions, prior = candidate_sets.chosen, candidate_sets.scan_range
+        verdict = candidate_sets.verdict
+    else:
+        motions, prior, verdict = draw_from_posterior(rebound, options)
+    t = np.append(np.arange(0.0, rebound.window_s, SPEED_STEP_S), rebound.window_s)
+    every = -(-len(motions) // SPEED_MOTIONS)  # the division rounds up
+    some = motions.states.take(np.arange(0, len(motions), every))
+    speed = np.quantile(_speeds(rebound, some, t), QUANTILES, axis=0)
+    as_in_the_paper, _ = rebound.scenarios()
+    collisions = outcomes(
+        case.vehicle,
+        motions.dataset(),
+        "off",
+        runs,
+        options.seed,
+        scenario=as_in_the_paper,
+        workers=options.workers,
+    )
+    after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
+    after = after[np.isfinite(after)]
+    return Timing(rebound, motions, prior, verdict, t, speed, after, _find_truth(rebound, t))
+
+
+def _speeds(rebound: Rebound, states: Rows, t_s: np.ndarray) -> np.ndarray:
+    """Return the angular speeds (n, n_time) in rad/s of motions from `states` (n); the first of t_s is zero."""
+    later = run_rows(rebound.case.vehicle, states, t_s[1:], direction_error=1e-4).omega_B
+    omega_B = np.concatenate([states.omega_B[:, None], later], axis=1)
+    return np.linalg.norm(omega_B, axis=2)
+
+
+def _find_truth(rebound: Rebound, t_s: np.ndarray) -> Truth | None:
+    """Return the true values if the telemetry is the case's own synthetic one."""
+    known = read_truth(rebound.case)
+    if not known:
+        return None
+    omega, sun, wheel = (
+        np.array([known[name]]) for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
+    )
+    state = Rows(omega, sun / np.linalg.norm(sun), wheel)
+    before, after = (
+        float(np.linalg.norm(known[f"collision_omega_{when}_B"])) for when in ("before", "after")
+    )
+    touchdown = float(touchdown_speeds(rebound, state)[0])
+    return Truth(state, touchdown, before, after, _speeds(rebound, state, t_s)[0])
+
+
+def rows(timing: Timing) -> list[Row]:
+    """Return the angular speeds at the touchdown, at the collision and after it beside what the paper says of them."""
+    motions, truth = timing.motions, timing.truth
+    result = []
+    for name, speeds, true in (
+        ("timed_rate_at_touchdown", motions.speed_touchdown, truth and truth.touchdown),
+        ("timed_rate_at_collision", motions.speed_collision, truth and truth.collision),
+        ("timed_rate_after_collision", timing.after, truth and truth.after),
+    ):
+        low, middle, high = np.quantile(speeds, QUANTILES).tolist()
+        known = "not known" if true is None else f"{true:.4f} rad/s"
+        texts: dict[str, Any] = {"truth": known, "verdict": timing.verdict}
+        row = make_row(timing.rebound.case, name, middle, low=low, high=high, **texts)
+        result.append(row)
+    return result
+
+
+def describe(timing: Timing) -> str:
+    """Return the third act in a sentence or two."""
+    motions, truth = timing.motions, timing.truth
+    slow, middle, fast = np.quantile(motions.speed_touchdown, QUANTILES)
+    solutions = "one motion" if timing.unique else "more than one motion"
+    text = (
+        f"the posterior of the same samples, which uses their order and times, leaves {solutions}: {middle:.3f} rad/s "
+        f"({slow:.3f} to {fast:.3f}, 90 % probable) just after the touchdown"
+    )
+    text += f", where {truth.touchdown:.3f} is true" if truth else ""
+    slow, middle, fast = np.quantile(motions.speed_collision, QUANTILES)
+    text += f"; {middle:.3f} rad/s ({slow:.3f} to {fast:.3f}) just before the collision"
+    text += f" ({truth.collision:.3f} is true)" if truth else ""
+    slow, _, fast = np.quantile(timing.after, QUANTILES)
+    text += f". After it the unknown impact leaves {slow:.2f} to {fast:.2f} rad/s"
+    text += f" ({truth.after:.2f} is true)." if truth else "."
+    return f"What timing adds: {text}"
+
+
+def posterior_figure(timing: Timing, near: NearMinimum, synthetic: bool) -> Figure:
+    """Draw the published lines, the near-minimum set and the posterior in the space of initial rates, in two views."""
+    case, truth = timing.rebound.case, timing.truth
+    figure = Figure(figsize=(11, 5.4), layout="constrained")
+    draws = timing.motions.states.omega_B
+    draws = draws[:: max(len(draws) // 1000, 1)]
+    for k, (name, elevation, azimuth) in enumerate(
+        (("perspective", 22, -62), ("from +z", 90, -90))
+    ):
+        axes = rate_axes(figure, 1, 2, k + 1)
+        axes.computed_zorder = (
+            False  # lines, posterior and truth are drawn over the near-minimum set
+        )
+        axes.view_init(elevation, azimuth)
+        label = f"EMD < {near.factor:g} EMD_min ({len(near.points)} motions)"
+        axes.scatter(*near.points.T, s=4, c="#cccccc", linewidths=0, label=label, zorder=1)
+        draw_published_lines(axes, case)
+        label = f"posterior of the same samples ({len(draws)} of its draws)"
+        axes.scatter(*draws.T, s=7, c=COLOURS[0], linewidths=0, label=label, zorder=4)
+        if truth is not None:
+            label, at = "truth of the synthetic telemetry", truth.state.omega_B[0]
+            style: dict[str, Any] = {"facecolors": "none", "edgecolors": COLOURS[1], "zorder": 5}
+            axes.scatter(*at, marker="*", s=160, label=label, **style)
+        if k:
+            axes.set(zlabel="", zticks=[])
+        axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
+        axes.set_title(name, fontsize=9)
+    what = "one motion" if timing.unique else "the motions"
+    title = f"With the times of the samples {what} of the lines remains"
+    figure.suptitle(titled(title, synthetic), fontsize=11)
+    labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*labels, fontsize=9, ncols=2, loc="outside lower center", frameon=False)
+    return figure
+
+
+def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> Figure:
+    """Draw the angular speed just after the touchdown, up to the collision, and after it, by the posterior.
+
+    `near_minimum`: the motions of the paper's recipe, whose speeds are shown beside them.
+    """
+    truth, motions = timing.truth, timing.motions
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    first, middle, last = figure.subplots(1, 3)
+    panels: tuple[tuple[Any, np.ndarray, np.ndarray | None, Any, str], ...] = (
+        (
+            first,
+            motions.speed_touchdown,
+            near_minimum.speed_touchdown,
+            truth and truth.touchdown,
+            "just after the first touchdown",
+        ),
+        (last, timing.after, None, truth and truth.after, "after the collision"),
+    )
+    for axes, speeds, of_lines, true, title in panels:
+        both = speeds if of_lines is None else np.concatenate([speeds, of_lines])
+        edges = np.linspace(0.0, 1.05 * float(np.quantile(both, 0.999)), 60)
+        if of_lines is not None:
+            label = "EMD near its minimum"
+            axes.hist(of_lines, edges, density=True, color="#bbbbbb", label=label)
+        axes.hist(speeds, edges, density=True, color=COLOURS[0], alpha=0.8, label="posterior")
+        if true is not None:
+            axes.axvline(true, color="#000000", lw=1.4, ls=":", label="truth")
+        axes.set(xlabel="angular speed (rad/s)", ylabel="density (s/rad)", xlim=(0, edges[-1]))
+        axes.set_title(title, fontsize=9, y=-0.3)
+    published = float(timing.rebound.case.published["rate_at_touchdown_min"].value)
+    label = f"published lower bound: {published:g} rad/s"
+    first.axvline(published, color=COLOURS[1], ls="--", lw=1.4, label=label)
+    minutes = timing.t_s / 60
+    label = "posterior, 5 to 95 %"
+    low, centre, high = timing.speed
+    middle.fill_between(minutes, low, high, color=COLOURS[0], alpha=0.35, lw=0, label=label)
+    middle.plot(minutes, centre, color=COLOURS[0], lw=1.2)
+    if truth is not None:
+        middle.plot(minutes, truth.speed, color="#000000", lw=1.4, ls=":", label="truth")
+    middle.set(xlabel="time from the first sample (min)", ylabel="angular speed (rad/s)")
+    middle.set_ylim(0, 1.25 * float(high.max()))
+    middle.set_title("from the first sample to the collision", fontsize=9, y=-0.3)
+    for axes in (first, middle, last):
+        axes.legend(fontsize=8, **ABOVE)
+    title = titled(
+        "What the times of the samples add: the posterior and its predictions", synthetic
+    )
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def datasets(timing: Timing) -> dict[str, xr.Dataset]:
+    """Return the draws of the posterior, and the angular speed against time, by file name."""
+    attrs = {"units": "rad s-1"}
+    draws = timing.motions.dataset()
+    draws["speed_touchdown"] = "candidate", timing.motions.speed_touchdown, attrs
+    speed = xr.Dataset(
+        {
+            "speed": (("quantile", "time"), timing.speed, attrs),
+            "after": ("run", timing.after, attrs),
+        },
+        coords={"quantile": list(QUANTILES), "time": ("time", timing.t_s, {"units": "s"})},
+    )
+    return {"timing": draws, "timing_speed": speed}
