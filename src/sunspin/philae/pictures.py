@@ -1,4 +1,7 @@
-"""Pictures of the study, first those of its three acts, then in the paper's order: the steps that each is drawn from, its function, its caption."""
+"""Pictures of the study: the steps that each is drawn from, its function, its caption.
+
+The pictures of the three acts come first, then the others in the paper's order.
+"""
 
 from __future__ import annotations
 
