@@ -38,7 +38,7 @@ TARGETS = {
     "posterior": "posterior philae --prior=inertia=0 --prior=friction=0 --prior=wheel_speed=0 --draws=1000 --workers=2 --from=100 "
     f"--to=1500 --prior=max_rate_rad_s=0.05 {STORE}",
     "outcomes": f"outcomes philae --runs=5000 --workers=2 {STORE}",
-    "reproduce": "reproduce --coarser=25",
+    "reproduce": "reproduce --coarser=25 --without posterior",
 }
 """Name of each target -> arguments of a run of half a minute or less."""
 

@@ -19,7 +19,7 @@ COMMANDS = {
     "scan": "scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:30:0.6 --omega-y-deg-s=-30:30:3 "
     "--omega-z-deg-s=-12:12:3 --workers 1 --quiet --out OUT",
     "posterior": "posterior philae --prior max_rate_rad_s=0.33 --workers 1 --quiet --out OUT",
-    "reproduce": "reproduce --workers 1 --quiet --out OUT",
+    "reproduce": "reproduce --workers 1 --without posterior --quiet --out OUT",
 }
 """Name of each command -> its arguments; OUT is a new folder each time."""
 

@@ -65,7 +65,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         with small():
-            reproduction.reproduce(folder, coarser=25, calibrate=REBOUNDS)
+            reproduction.reproduce(folder, coarser=25, calibrate=REBOUNDS, posterior=False)
 
     return shared_folder(tmp_path_factory, "study", make)
 
@@ -90,7 +90,9 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8"
         )
         with small():
-            reproduction.reproduce(root / "results", telemetry, coarser=25, calibrate=REBOUNDS)
+            reproduction.reproduce(
+                root / "results", telemetry, coarser=25, calibrate=REBOUNDS, posterior=False
+            )
 
     return shared_folder(tmp_path_factory, "shuffled", make) / "results"
 

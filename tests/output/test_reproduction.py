@@ -34,6 +34,8 @@ LEFT_OUT = {
     # the step "sensitivity": tests/philae/test_sensitivity.py
     *("E_map_rates", "E_map_parameters", "E_study_bound", "one_percent_E", "one_percent_emd"),
     *("phase_growth", "valley_width"),
+    # the posterior of the samples: tests/philae/test_timing.py
+    *("timed_rate_at_touchdown", "timed_rate_at_collision", "timed_rate_after_collision"),
 }
 """Published figures of the steps that the small study leaves out."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -162,7 +162,7 @@ class CandidateSets:
 
     `scan_range` holds the whole scan range (for the source "posterior" draws of its rate prior), `near_minimum` the paper's
     near-minimum set. `calibration` is None unless the source is "scan". `share` is the part of the scan range in the chosen set
-    (NaN unless it comes from the scan). `verdict` is that of the posterior, else "".
+    (NaN unless it comes from the scan). `posterior` and its `verdict` are None and "" for other sources.
     """
 
     case: Case
@@ -173,6 +173,7 @@ class CandidateSets:
     calibration: Calibration | None
     share: float
     verdict: str = ""
+    posterior: xr.DataTree | None = None
 
     @property
     def source(self) -> str:
@@ -233,8 +234,18 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
     near_minimum = select_below(factor * scan.smallest, "scan", about)
     if source == "posterior":
-        chosen, prior, verdict = draw_from_posterior(rebound, options)
-        return CandidateSets(case, rebound, chosen, prior, near_minimum, None, share, verdict)
+        drawn = draw_from_posterior(rebound, options)
+        return CandidateSets(
+            case,
+            rebound,
+            drawn.motions,
+            drawn.prior,
+            near_minimum,
+            None,
+            share,
+            drawn.verdict,
+            drawn.posterior,
+        )
     about = "the whole scanned box: what was possible before the data"
     scan_range = select_below(np.inf, source, about)
     if calibration is not None:
@@ -257,8 +268,17 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     return CandidateSets(case, rebound, chosen, scan_range, near_minimum, calibration, share)
 
 
-def draw_from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Candidates, str]:
-    """Return candidates drawn from the posterior of the rebound's readings, candidates drawn from its rate prior, and its verdict.
+class DrawnPosterior(NamedTuple):
+    """The posterior of the rebound's readings, candidates drawn from it and from its prior of the rates, and its verdict."""
+
+    posterior: xr.DataTree
+    motions: Candidates
+    prior: Candidates
+    verdict: str
+
+
+def draw_from_posterior(rebound: Rebound, options: Options) -> DrawnPosterior:
+    """Sample the posterior of the rebound's readings, and return candidates drawn from it and from its rate prior.
 
     The posterior has directions and wheel speeds of its own; motions of the prior begin like those of the scan. Raises
     `TelemetryError` if no motion explains the readings.
@@ -299,7 +319,7 @@ def draw_from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates,
             (prior_states, f"even in the ball of {max_rate:g} rad/s of the posterior's prior"),
         )
     )
-    return chosen, prior, verdict
+    return DrawnPosterior(tree, chosen, prior, verdict)
 
 
 def read_rates(path: Path) -> np.ndarray:

@@ -50,9 +50,9 @@ from sunspin.philae.row import Row, make_row
 NEAR_RAD_S = 0.03
 """Largest mean distance (rad/s) of a fitted line from a published one that counts as recovered: two grid steps."""
 
-LARGEST_GAP_RAD_S = 0.06
-"""Largest gap (rad/s) between neighbouring motions along a fitted line: four grid steps. The four lines of the case's own telemetry
-have gaps up to 0.03, lines that were fitted through separate clusters 0.1 and more.
+LARGEST_GAP_STEPS = 4
+"""Largest gap, in steps of the scan's grid, between neighbouring motions along a fitted line. With the paper's step of 0.015 rad/s
+the lines of the case's own telemetry have gaps up to 0.03 rad/s, and lines fitted through separate clusters of 0.1 and more.
 """
 
 
@@ -453,14 +453,14 @@ def rate_axes(figure: Figure, *subplot: int) -> Any:
     return axes
 
 
-def line_stretch(points: np.ndarray, line: Line) -> tuple[float, float] | None:
+def line_stretch(points: np.ndarray, line: Line, step_rad_s: float) -> tuple[float, float] | None:
     """Return the first and last position (rad/s, from the line's point) of points (n, 3) along a line that they make.
 
-    None if they make none: somewhere along it they leave a gap of more than `LARGEST_GAP_RAD_S`.
+    None if they make none: somewhere along it they leave a gap of more than `LARGEST_GAP_STEPS` steps of the scan's grid.
     """
     point, along = line
     position = np.sort((points - point) @ along)
-    if position.size < 2 or np.diff(position).max() > LARGEST_GAP_RAD_S:
+    if position.size < 2 or np.diff(position).max() > LARGEST_GAP_STEPS * step_rad_s:
         return None
     return float(position[0]), float(position[-1])
 
@@ -484,6 +484,7 @@ def near_minimum_figure(
     figure = Figure(figsize=(11, 5.6), layout="constrained")
     points, lines = near.points, near.lines
     member = np.zeros(len(points), int) if lines is None else lines["member"].values
+    step = float(np.diff(near.emd["omega_x"].values[:2])[0])
     views = (("perspective", 22, -62), ("from +z", 90, -90))
     for k, (name, elevation, azimuth) in enumerate(views):
         axes = rate_axes(figure, 1, 2, k + 1)
@@ -492,7 +493,7 @@ def near_minimum_figure(
         colours = [COLOURS[m % 8] for m in member]
         axes.scatter(*points.T, s=5, c=colours, alpha=0.5, linewidths=0, zorder=1)
         for i, line in enumerate([] if lines is None else list_lines(lines)):
-            stretch = line_stretch(points[member == i], line)
+            stretch = line_stretch(points[member == i], line, step)
             if stretch is None:
                 continue
             point, along = line

@@ -15,6 +15,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.estimate.posterior.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, titled
 from sunspin.philae.candidates import (
@@ -35,8 +36,8 @@ from sunspin.philae.row import Row, make_row
 QUANTILES = (0.05, 0.5, 0.95)
 """Ends and middle of the shown intervals, which contain 90 % of the probability."""
 
-SPEED_MOTIONS, SPEED_STEP_S = 300, 20.0
-"""Number of draws, and time step in s, of the angular speed against time."""
+SPEED_STEP_S = 20.0
+"""Time step in s of the angular speed against time."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,9 @@ class Timing:
 
     Attributes
     ----------
-    motions, prior : draws of the posterior, and of its prior of the rates
+    motions : draws of the posterior, with the body as the vehicle file states it
+    touchdown, collision : (n) rad/s, angular speed of the draws just after the first touchdown and just before the collision, each
+        with inertia, wheel and friction of its own draw
     verdict : that of the posterior, in words
     t_s : (n_time) times in s from the candidates' instant
     speed : (3, n_time) rad/s, 5, 50 and 95 % quantiles of the angular speed at these times
@@ -69,7 +72,8 @@ class Timing:
 
     rebound: Rebound
     motions: Candidates
-    prior: Candidates
+    touchdown: np.ndarray
+    collision: np.ndarray
     verdict: str
     t_s: np.ndarray
     speed: np.ndarray
@@ -95,15 +99,18 @@ def compute(
         No motion explains the readings.
     """
     case = rebound.case
-    if candidate_sets is not None and candidate_sets.chosen.from_posterior:
-        motions, prior = candidate_sets.chosen, candidate_sets.scan_range
+    if candidate_sets is not None and candidate_sets.posterior is not None:
+        tree, motions = candidate_sets.posterior, candidate_sets.chosen
         verdict = candidate_sets.verdict
     else:
-        motions, prior, verdict = draw_from_posterior(rebound, options)
+        tree, motions, _, verdict = draw_from_posterior(rebound, options)
     t = np.append(np.arange(0.0, rebound.window_s, SPEED_STEP_S), rebound.window_s)
-    every = -(-len(motions) // SPEED_MOTIONS)  # the division rounds up
-    some = motions.states.take(np.arange(0, len(motions), every))
-    speed = np.quantile(_speeds(rebound, some, t), QUANTILES, axis=0)
+    # the touchdown first, then from the candidates' instant to the collision
+    instant = float(rebound.samples["utc_s"].values[rebound.first])
+    times = instant + np.concatenate([[-rebound.lead_s], t])
+    rate = predict(case.vehicle, tree, times, options.workers)["rate"].values[0]  # (draw, time)
+    rate = rate[np.all(np.isfinite(rate), axis=1)]
+    touchdown, collision, speed = rate[:, 0], rate[:, -1], np.quantile(rate[:, 1:], QUANTILES, 0)
     as_in_the_paper, _ = rebound.scenarios()
     collisions = outcomes(
         case.vehicle,
@@ -116,7 +123,8 @@ def compute(
     )
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
     after = after[np.isfinite(after)]
-    return Timing(rebound, motions, prior, verdict, t, speed, after, _find_truth(rebound, t))
+    truth = _find_truth(rebound, t)
+    return Timing(rebound, motions, touchdown, collision, verdict, t, speed, after, truth)
 
 
 def _speeds(rebound: Rebound, states: Rows, t_s: np.ndarray) -> np.ndarray:
@@ -144,11 +152,10 @@ def _find_truth(rebound: Rebound, t_s: np.ndarray) -> Truth | None:
 
 def rows(timing: Timing) -> list[Row]:
     """Return the angular speeds at the touchdown, at the collision and after it beside what the paper says of them."""
-    motions, truth = timing.motions, timing.truth
-    result = []
+    truth, result = timing.truth, []
     for name, speeds, true in (
-        ("timed_rate_at_touchdown", motions.speed_touchdown, truth and truth.touchdown),
-        ("timed_rate_at_collision", motions.speed_collision, truth and truth.collision),
+        ("timed_rate_at_touchdown", timing.touchdown, truth and truth.touchdown),
+        ("timed_rate_at_collision", timing.collision, truth and truth.collision),
         ("timed_rate_after_collision", timing.after, truth and truth.after),
     ):
         low, middle, high = np.quantile(speeds, QUANTILES).tolist()
@@ -161,17 +168,17 @@ def rows(timing: Timing) -> list[Row]:
 
 def describe(timing: Timing) -> str:
     """Return the third act in a sentence or two."""
-    motions, truth = timing.motions, timing.truth
-    slow, middle, fast = np.quantile(motions.speed_touchdown, QUANTILES)
+    truth = timing.truth
+    slow, middle, fast = np.quantile(timing.touchdown, QUANTILES)
     solutions = "one motion" if timing.unique else "more than one motion"
     text = (
         f"the posterior of the same samples, which uses their order and times, leaves {solutions}: {middle:.3f} rad/s "
         f"({slow:.3f} to {fast:.3f}, 90 % probable) just after the touchdown"
     )
     text += f", where {truth.touchdown:.3f} is true" if truth else ""
-    slow, middle, fast = np.quantile(motions.speed_collision, QUANTILES)
-    text += f"; {middle:.3f} rad/s ({slow:.3f} to {fast:.3f}) just before the collision"
-    text += f" ({truth.collision:.3f} is true)" if truth else ""
+    slow, middle, fast = np.quantile(timing.collision, QUANTILES)
+    text += f"; {middle:.4f} rad/s ({slow:.4f} to {fast:.4f}) just before the collision"
+    text += f" ({truth.collision:.4f} is true)" if truth else ""
     slow, _, fast = np.quantile(timing.after, QUANTILES)
     text += f". After it the unknown impact leaves {slow:.2f} to {fast:.2f} rad/s"
     text += f" ({truth.after:.2f} is true)." if truth else "."
@@ -218,20 +225,20 @@ def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> 
 
     `near_minimum`: the motions of the paper's recipe, whose speeds are shown beside them.
     """
-    truth, motions = timing.truth, timing.motions
+    truth = timing.truth
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     first, middle, last = figure.subplots(1, 3)
     panels: tuple[tuple[Any, np.ndarray, np.ndarray | None, Any, str], ...] = (
         (
             first,
-            motions.speed_touchdown,
+            timing.touchdown,
             near_minimum.speed_touchdown,
             truth and truth.touchdown,
             "just after the first touchdown",
         ),
         (last, timing.after, None, truth and truth.after, "after the collision"),
     )
-    for axes, speeds, of_lines, true, title in panels:
+    for axes, speeds, of_lines, true, when in panels:
         both = speeds if of_lines is None else np.concatenate([speeds, of_lines])
         edges = np.linspace(0.0, 1.05 * float(np.quantile(both, 0.999)), 60)
         if of_lines is not None:
@@ -240,8 +247,8 @@ def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> 
         axes.hist(speeds, edges, density=True, color=COLOURS[0], alpha=0.8, label="posterior")
         if true is not None:
             axes.axvline(true, color="#000000", lw=1.4, ls=":", label="truth")
-        axes.set(xlabel="angular speed (rad/s)", ylabel="density (s/rad)", xlim=(0, edges[-1]))
-        axes.set_title(title, fontsize=9, y=-0.3)
+        axes.set(xlabel=f"angular speed {when} (rad/s)", xlim=(0, edges[-1]))
+        axes.set_ylabel("density (s/rad)")
     published = float(timing.rebound.case.published["rate_at_touchdown_min"].value)
     label = f"published lower bound: {published:g} rad/s"
     first.axvline(published, color=COLOURS[1], ls="--", lw=1.4, label=label)
@@ -252,9 +259,10 @@ def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> 
     middle.plot(minutes, centre, color=COLOURS[0], lw=1.2)
     if truth is not None:
         middle.plot(minutes, truth.speed, color="#000000", lw=1.4, ls=":", label="truth")
-    middle.set(xlabel="time from the first sample (min)", ylabel="angular speed (rad/s)")
-    middle.set_ylim(0, 1.25 * float(high.max()))
-    middle.set_title("from the first sample to the collision", fontsize=9, y=-0.3)
+    middle.set(
+        xlabel="time from the first sample to the collision (min)", ylabel="angular speed (rad/s)"
+    )
+    middle.set_ylim(0.8 * float(low.min()), 1.1 * float(high.max()))
     for axes in (first, middle, last):
         axes.legend(fontsize=8, **ABOVE)
     title = titled(
@@ -267,8 +275,6 @@ def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> 
 def datasets(timing: Timing) -> dict[str, xr.Dataset]:
     """Return the draws of the posterior, and the angular speed against time, by file name."""
     attrs = {"units": "rad s-1"}
-    draws = timing.motions.dataset()
-    draws["speed_touchdown"] = "candidate", timing.motions.speed_touchdown, attrs
     speed = xr.Dataset(
         {
             "speed": (("quantile", "time"), timing.speed, attrs),
@@ -276,4 +282,6 @@ def datasets(timing: Timing) -> dict[str, xr.Dataset]:
         },
         coords={"quantile": list(QUANTILES), "time": ("time", timing.t_s, {"units": "s"})},
     )
-    return {"timing": draws, "timing_speed": speed}
+    for name, values in (("touchdown", timing.touchdown), ("collision", timing.collision)):
+        speed[name] = "draw", values, attrs
+    return {"timing": timing.motions.dataset(), "timing_speed": speed}
