@@ -79,13 +79,13 @@ def test_conclusions_from_telemetry_contain_the_truth(found, name, omega):
 @pytest.mark.long
 def test_a_lander_that_never_tumbled_is_distinguished_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
-    still, tumbled = found("never tumbled"), found("as it is")
+    still, tumbled = found("never tumbled"), found("another motion")
     small = [np.degrees(one.chain.chosen.angle_range(0)) for one in (still, tumbled)]
     assert (
-        small[0][0] == 0 and small[0][1] < 30 and small[1][1] > 60
+        small[0][0] < 3 and small[0][1] < 35 and small[1][1] > 60
     )  # 7 of the 30 degrees are the coarse grid's cells
     bounds = [one.chain.chosen.speed_range()[0] for one in (still, tumbled)]
-    assert bounds[0] == 0 and bounds[1] > 0.07
+    assert bounds[0] < 0.01 and bounds[1] > 0.07
     words = " ".join(touchdown.describe_motion(still.chain))
     assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees (90%)" in words
     assert "at least" in " ".join(touchdown.describe_motion(tumbled.chain))
