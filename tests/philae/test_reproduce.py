@@ -92,7 +92,7 @@ def test_with_measured_telemetry_input_figures_become_tests(quick):
         "descent_rate_cubic",
         "shadowed_panel",
         "lines_found",
-        "rate_at_collision",
+        "sun_height_range",
     )
     assert {kinds[name] for name in names} == {"test"}
 
