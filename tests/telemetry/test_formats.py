@@ -92,7 +92,11 @@ HOSTILE = {
     "a number of ten thousand digits": ('{"t": ' + "9" * 10000 + "}", "not valid JSON"),
     "nothing in it": ("[]", "no samples"),
     "no columns": ("{}", "no samples"),
-    "a number": ("[1]", "must be an object"),
+    "a number": ("[1]", "row 1: a row of a JSON file must be an object"),
+    "no date in a list": (
+        f"[\n{ROW},\n{ROW.replace('2026-01-01T00:00:00Z', 'noon')}\n]",
+        "row 2, column 't': an ISO-8601",
+    ),
     "no such column": ('{"t": "2026-01-01T00:00:00Z", "p": 1}', "column 'pa'"),
     "raw frames": ('[{"timestamp": "2026-01-01T00:00:00Z", "frame": "00FF"}]', "raw frames"),
     "raw frames, exported": ("2026-01-01 00:00:00|00FF\n", "raw frames"),

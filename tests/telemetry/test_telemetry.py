@@ -64,7 +64,8 @@ def test_a_wrong_cell_is_named_with_its_line_and_column(tmp_path, kind, seed):
         line += int(blank[: row + 1].sum())
         head = ["# a comment"] * comments + [",".join(names)] if kind == "csv" else []
         path.write_text("\n".join(head + lines) + "\n", "utf-8")
-    with pytest.raises(TelemetryError, match=f"line {line}, column '{column}': .* expected"):
+    place = f"{'row' if kind == 'parquet' else 'line'} {line}, column '{column}'"
+    with pytest.raises(TelemetryError, match=f"{place}: .* expected"):
         ss.read_telemetry(path, vehicle())
 
 

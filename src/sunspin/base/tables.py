@@ -53,9 +53,10 @@ FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
 
 
 class Table(NamedTuple):
-    """A table as text cells, indexed by the line of each row in the file and by the name of each column.
+    """A table as text cells, indexed by the number of each row in the file and by the name of each column.
 
-    `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file.
+    `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file. `counted` says
+    what the number of a row counts: each "line" of a text, or each "row" of a file without lines or of a JSON list.
     """
 
     cells: pd.DataFrame
@@ -63,6 +64,7 @@ class Table(NamedTuple):
     sha256: str
     where: str = ""
     data: xr.Dataset | None = None
+    counted: str = "line"
 
     @property
     def header(self) -> list[str]:
@@ -85,24 +87,30 @@ class Table(NamedTuple):
             values[:, k] = [plain_number(cell) for cell in cells]
             not_numbers = np.flatnonzero(np.isnan(values[:, k])).tolist()
             for i in not_numbers:
-                comma = DECIMAL_COMMA.fullmatch(cells[i])
-                if comma or (len(not_numbers) == len(cells) and any(map(str.isdigit, cells[i]))):
+                has_comma = DECIMAL_COMMA.fullmatch(cells[i]) is not None
+                no_numbers = len(not_numbers) == len(cells)
+                if has_comma or (no_numbers and any(map(str.isdigit, cells[i]))):
                     what = "no cell of this column is a number"
-                    what = "the number has a decimal comma" if comma else what
+                    if has_comma:
+                        what = "the number has a decimal comma"
                     do = "write plain decimals with a point, such as -1.5e-3"
                     raise TelemetryError(what, got=cells[i], do=do, where=self.place(i, name))
         return values
 
     def place(self, row: int, name: str) -> str:
-        """Return the position of a cell in words for messages: file, line and column."""
-        return f"{self.where}, line {self.cells.index[row]}, column {name!r}"
+        """Return the position of the cell in row `row` (counted from 0) and column `name`, in words for messages."""
+        return f"{self.where}, {self.row_place(row)}, column {name!r}"
+
+    def row_place(self, row: int) -> str:
+        """Return the position of row `row` (counted from 0) in the file, in words for messages, such as "line 3"."""
+        return f"{self.counted} {self.cells.index[row]}"
 
 
 def read_table(path: Path) -> Table:
     """Read a table; its first bytes, not its name, decide the file type. Raises `TelemetryError`."""
     where = str(path)
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
-    data, comments = None, []
+    data, comments, counted = None, [], "row"
     if content.startswith(b"PAR1"):
         cells = _text_cells(_read_parquet(content, where))
     elif content.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -118,12 +126,12 @@ def read_table(path: Path) -> Table:
             do = "give a CSV in UTF-8 with a header and one row per sample"
             raise TelemetryError(what, do=do, where=where)
         if text.lstrip()[0] in "{[":
-            cells = _read_json(text, where)
+            cells, counted = _read_json(text, where)
         else:
-            cells, comments = _read_csv(text, where)
+            (cells, comments), counted = _read_csv(text, where), "line"
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
-    return Table(cells, comments, hashlib.sha256(content).hexdigest(), where, data)
+    return Table(cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted)
 
 
 def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
@@ -136,30 +144,31 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     begin = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), len(lines))
     comment_lines = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
     comments = [comment for line in comment_lines if (comment := line.lstrip("# ").strip())]
-    first = lines[begin] if begin < len(lines) else ""
-    delimiter, header = max(DELIMITERS, key=first.count), {}
-    if RAW_FRAME.fullmatch(first.strip()):
-        delimiter, header = "|", {0: "|".join(FRAME_COLUMNS[: first.count("|") + 1])}
-    # line number in the file -> line; a raw frame export gets its header as line 0
-    rows = header | {
+    header = lines[begin] if begin < len(lines) else ""
+    delimiter, added_header = max(DELIMITERS, key=header.count), {}
+    if RAW_FRAME.fullmatch(header.strip()):  # a row of frames and no header: add one as line 0
+        delimiter = "|"
+        added_header = {0: delimiter.join(FRAME_COLUMNS[: header.count(delimiter) + 1])}
+    # line number in the file -> line, without comments and lines of empty cells
+    rows = added_header | {
         number: line
         for number, line in enumerate(lines[begin:], begin + 1)
         if line.strip(f' {delimiter}\t"') and line[0] != "#"
     }
-    width = 0
+    width = 0  # number of columns, that of the first row
     for number, line in rows.items():
         at = f"{where}, line {number}"
-        n = line.count(delimiter) + 1
+        n_cells = line.count(delimiter) + 1
         # quoted cells may contain the delimiter
         if '"' in line:
             try:
-                n = len(next(csv.reader([line], strict=True, delimiter=delimiter)))
+                n_cells = len(next(csv.reader([line], strict=True, delimiter=delimiter)))
             except csv.Error as error:
                 what, do = f"this is not valid CSV ({error})", "close the quotes, or remove them"
                 raise TelemetryError(what, do=do, where=at) from None
-        width = width or n
-        if n != width:
-            what = f"the row has {n} values but the header names {width} columns"
+        width = width or n_cells
+        if n_cells != width:
+            what = f"the row has {n_cells} values but the header names {width} columns"
             raise TelemetryError(what, do="complete or remove the row", where=at)
     _require_size(1, width, where)
     if len(rows) < 2:
@@ -174,52 +183,62 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     names = cells.iloc[0].str.strip()
     for name in names[names.duplicated()]:
         what, do = "two columns share a name", "rename one"
-        if re.fullmatch(r"[-+.\deE]*", name):
+        if re.fullmatch(
+            r"[-+.\deE]*", name
+        ):  # the header is missing, and two cells of the first row are equal
             what = "the first row holds numbers and no names of columns"
             do = "write a header above it"
         raise TelemetryError(what, got=name or "an empty cell", do=do, where=where)
-    cells = cells.iloc[1:].set_axis(list(rows)[1:]).set_axis(names.tolist(), axis=1)
-    if delimiter == ";":
-        cells = cells.map(lambda c: c.replace(",", ".") if DECIMAL_COMMA.fullmatch(c) else c)
+    line_numbers = list(rows)[1:]
+    cells = cells.iloc[1:].set_axis(line_numbers).set_axis(names.tolist(), axis=1)
+    if delimiter == ";":  # then a comma is no delimiter
+        cells = cells.map(
+            lambda cell: cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
+        )
     return cells, comments
 
 
-def _read_json(text: str, where: str) -> pd.DataFrame:
-    """Return the rows of a JSON text as a table of texts; a cell is empty if its row lacks the key.
+def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
+    """Return the rows of a JSON text as a table of texts, and what its index counts; a cell is empty if its row lacks the key.
 
     The text is one object a line, a list of objects, or an object whose key `results` holds the list (one page of a web API). Keys
-    of nested objects become columns of their own, in the order of their first occurrence. The index is the line of each row, in a
-    list or page its number from one.
+    of nested objects become columns of their own, in the order of their first occurrence. The index is the "line" of each row, in a
+    list or page the number of the "row" from one.
     """
-    texts = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    first = texts[0][1].strip()
+    documents = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    first_line = documents[0][1].strip()
     # JSON lines if the first line is a complete object, else one document
-    if not (first[0] == "{" and first[-1] == "}"):
-        texts = [(1, text)]
+    if not (first_line[0] == "{" and first_line[-1] == "}"):
+        documents = [(1, text)]
     rows: list[dict[str, str]] = []
-    lines: list[int] = []
-    for number, line in texts:
+    numbers: list[int] = []
+    counted = "line"
+    for line_number, document in documents:
         try:
-            item = json.loads(line, object_pairs_hook=_object_without_repeats)
+            item = json.loads(document, object_pairs_hook=_object_without_repeats)
         # ValueError also for a repeated key and for a number of thousands of digits
         except (ValueError, RecursionError) as error:
             why = getattr(error, "msg", str(error))[:100]
             why = "it is nested too deeply" if isinstance(error, RecursionError) else why
-            what, at = f"this is not valid JSON ({why})", number + getattr(error, "lineno", 1) - 1
-            do = "write one object a line"
-            raise TelemetryError(what, do=do, where=f"{where}, line {at}") from None
+            # a syntax error names its line within the document
+            error_line = line_number + getattr(error, "lineno", 1) - 1
+            what, do = f"this is not valid JSON ({why})", "write one object a line"
+            raise TelemetryError(what, do=do, where=f"{where}, line {error_line}") from None
+        objects, first_number = [item], line_number
         page = item.get("results") if isinstance(item, dict) else item
-        for at, row in enumerate(page, 1) if isinstance(page, list) else [(number, item)]:
-            place = f"{where}, line {at}"
+        if isinstance(page, list):
+            objects, first_number, counted = page, 1, "row"
+        for number, row in enumerate(objects, first_number):
+            place = f"{where}, {counted} {number}"
             if not isinstance(row, dict):
                 what = "a row of a JSON file must be an object"
                 raise TelemetryError(what, got=str(row)[:60], where=place)
             rows.append(dict(_leaves(row, "", place, 0)))
-            lines.append(at)
+            numbers.append(number)
     names = dict.fromkeys(name for row in rows for name in row)
     _require_size(len(rows), len(names), where)
     cells = [[row.get(name, "") for name in names] for row in rows]
-    return pd.DataFrame(cells, lines, list(names), dtype=object)
+    return pd.DataFrame(cells, numbers, list(names), dtype=object), counted
 
 
 def _require_size(rows: int, columns: int, where: str) -> None:
@@ -238,7 +257,11 @@ def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _leaves(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of all values in a JSON object or list, at any depth."""
+    """Yield the column names and texts of all values in a JSON object or list, at any depth.
+
+    `item` is the object or a value in it, `name` the names of the objects around it, joined by points, and `depth` their number.
+    Null gives an empty text, true and false give 1 and 0. `where` names the row in messages.
+    """
     if depth > MAX_DEPTH:
         what = f"objects lie more than {MAX_DEPTH} deep in each other"
         raise TelemetryError(what, where=where)
@@ -249,8 +272,8 @@ def _leaves(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str,
             pass  # a text in braces that is not JSON stays a text
     if isinstance(item, dict | list):
         for key, value in item.items() if isinstance(item, dict) else enumerate(item):
-            inner = f"{name}.{key}" if name else str(key).strip()
-            yield from _leaves(value, inner, where, depth + 1)
+            full_name = f"{name}.{key}" if name else str(key).strip()
+            yield from _leaves(value, full_name, where, depth + 1)
     else:
         yield name, "" if item is None else str(int(item) if isinstance(item, bool) else item)
 
@@ -285,18 +308,20 @@ def _read_netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
     # only a dimension with a coordinate, or the single one of a file, can be that of the samples
     candidates = [name for name in data.sizes if name in data.coords or len(data.sizes) == 1]
     longest = max(candidates, key=lambda name: data.sizes[name], default=None)
-    axis = "time" if "time" in data.sizes else longest
-    if axis is None:
+    sample_dimension = "time" if "time" in data.sizes else longest
+    if sample_dimension is None:
         what = "the NetCDF file has no dimension of samples"
         raise TelemetryError(what, do="name it time", where=str(path))
     columns: dict[str, np.ndarray] = {}
     for name, variable in data.variables.items():
-        if variable.dims == (axis,):
+        dimensions = set(variable.dims)
+        if variable.dims == (sample_dimension,):
             columns[str(name)] = variable.values
-        elif variable.ndim == 2 and axis in variable.dims and len(set(variable.dims)) == 2:
-            (second,) = set(variable.dims) - {axis}
+        # the second condition leaves out a dimension that occurs twice
+        elif variable.ndim == 2 and len(dimensions) == 2 and sample_dimension in dimensions:
+            (second,) = dimensions - {sample_dimension}
             labels = data[second].values if second in data.coords else range(data.sizes[second])
-            values = variable.transpose(axis, second).values
+            values = variable.transpose(sample_dimension, second).values
             columns.update((str(label), values[:, k]) for k, label in enumerate(labels))
     return columns, data
 

@@ -28,21 +28,21 @@ WHEN = "s from the epoch, or UTC such as 2014-11-12T16:20"
 class Parsed(click.ParamType):
     """A type of options whose value a function `parse` makes from the text and the name of the option.
 
-    `form` is the form of the text in --help.
+    `metavar` stands for the text in --help, such as "X,Y,Z".
     """
 
-    def __init__(self, parse: Callable[[str, str], Any], form: str = "text") -> None:
-        self.parse, self.name = parse, form
+    def __init__(self, parse: Callable[[str, str], Any], metavar: str = "text") -> None:
+        self.parse, self.name = parse, metavar
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the value of a text."""
+        """Return the value of the text `value` that was given for the option `param`."""
         return self.parse(value, param.opts[0] if param else "the option")
 
 
 def check_text(text: Any, parameter: click.Parameter, context: click.Context) -> None:
-    """Raise an error if the text of an option or argument is empty or, for a number, not a plain and finite one.
+    """Raise an error if the text of an option or argument is empty, or if it should be a number and is not a plain decimal.
 
-    Python reads more texts as numbers than people write, such as 1_000. Numbers must also be of a sensible size.
+    Python reads more texts as numbers than people write, such as 1_000. A float must also be zero or of a sensible size (`SIZES`).
     """
     if not isinstance(text, str):  # not given, or a flag
         return
@@ -55,8 +55,9 @@ def check_text(text: Any, parameter: click.Parameter, context: click.Context) ->
         if math.isnan(number):
             raise click.BadParameter(f"{text!r} is not a valid {kind.name}.", context, parameter)
         if is_float:
-            above_0 = isinstance(kind, click.FloatRange) and kind.min == 0
-            sizes = SIZES.removeprefix("0 or ") if above_0 else SIZES
+            # 0 is outside the range of such an option, so that the error does not offer it
+            excludes_0 = isinstance(kind, click.FloatRange) and kind.min == 0
+            sizes = SIZES.removeprefix("0 or ") if excludes_0 else SIZES
             _check_number(parameter.opts[0], number, sizes)
 
 
@@ -66,18 +67,31 @@ def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
         raise InputError(f"{name} must be {sizes}", got=str(value))
 
 
-def parse_numbers(text: str, name: str, count: int | None = None, form: str = "") -> list[float]:
-    """Return the comma-separated numbers of an option.
+def parse_numbers(
+    text: str, name: str, count: int | None = None, expected: str = "", separator: str = " "
+) -> list[float]:
+    """Return the comma-separated numbers of the option `name`; an empty list for an empty text if `count` is None.
 
-    `count`: how many there must be; `form`: what the option takes, for errors, if that is not only numbers.
+    Parameters
+    ----------
+    count : int, optional
+        How many numbers there must be; by default any number of them.
+    expected : str, optional
+        What the option takes, for the error, if that is not only numbers. The error then gives no example.
+    separator : str
+        Stands between the name of the option and its text in the error's example.
+
+    Raises
+    ------
+    InputError
+        A part is no plain number or is too large or small (`SIZES`), or there are not `count` numbers.
     """
     values = [plain_number(part) for part in text.split(",")] if text else []
     if any(map(math.isnan, values)) or count not in (None, len(values)):
         several = f"{count or ''} numbers separated by commas".lstrip()
-        what = f"{name} takes {form or ('a number' if count == 1 else several)}"
-        sign = "=" if name.startswith("--prior ") else " "
-        do = None if form else f"for example {name}{sign}{','.join(EXAMPLE[: count or 3])}"
-        raise InputError(what, got=text or "nothing", do=do)
+        what = f"{name} takes {expected or ('a number' if count == 1 else several)}"
+        example = f"for example {name}{separator}{','.join(EXAMPLE[: count or 3])}"
+        raise InputError(what, got=text or "nothing", do=None if expected else example)
     for value in values:
         _check_number(name, value)
     return values
@@ -92,7 +106,7 @@ VECTOR, BODY_RATE = Parsed(partial(parse_numbers, count=3), "X,Y,Z"), Parsed(par
 
 
 def parse_effort(text: str, name: str) -> float:
-    """Return the computing budget: a positive number, or infinity."""
+    """Return the computing budget: a positive number, or infinity for the text "inf"."""
     budget = math.inf if text == "inf" else plain_number(text)
     if not budget > 0:
         what, do = f"{name} must be a positive number or inf", "1 is the usual effort"
@@ -108,14 +122,15 @@ def parse_grid(text: str, name: str) -> np.ndarray:
 
     if ":" not in text:
         return np.radians(parse_numbers(text, name))
-    parts, do = text.split(":"), f"for example {name}=-6:6:1"
+    parts = text.split(":")
+    # a step of zero, which is refused below, stands for a wrong number of parts
     low, high, step = parse_numbers(",".join(parts), name, 3) if len(parts) == 3 else (0, 0, 0)
     count = (high - low) / step + 1 if step > 0 and high >= low else math.nan
     if not math.isfinite(count):
         what = f"{name} must be low:high:step in deg/s, low to high and with a positive step"
-        raise InputError(what, got=text, do=do)
+        raise InputError(what, got=text, do=f"for example {name}=-6:6:1")
     if count > MAX_GRID:
-        check_size(count, 1, 1)
+        check_size(count, 1, 1)  # its error comes first: not even this axis alone fits in memory
         what = f"{name} has {count:.3g} values, more than {MAX_GRID}"
         raise InputError(what, got=text, do="use a larger step")
     steps = round((high - low) / step)
@@ -133,9 +148,10 @@ def parse_vertical(text: str, name: str) -> Any:
 
 
 def parse_prior(text: str, name: str) -> tuple[str, float]:
-    """Return key and sigma of a text KEY=SIGMA."""
-    key, _, value = text.partition("=")
-    return key.strip(), parse_numbers(value, f"{name} {key.strip()}", 1)[0]
+    """Return key and sigma of a text KEY=SIGMA; errors name the option together with the key."""
+    key, _, sigma = text.partition("=")
+    key = key.strip()
+    return key, parse_numbers(sigma, f"{name} {key}", 1, separator="=")[0]
 
 
 def parse_observation(text: str, name: str) -> dict[str, Any]:
@@ -146,12 +162,19 @@ def parse_observation(text: str, name: str) -> dict[str, Any]:
     the result; angles are in rad in both.
     """
     kind = name.removeprefix("--").removesuffix("-deg-s")
-    t, *value, sigma = parse_numbers(text, name, {"rate": 3, "gyro": 5, "field": 6}[kind])
     if kind == "field":
-        *value, angle = value
-        return {"kind": kind, "t_s": t, "value": value, "angle_rad": angle, "sigma": sigma}
-    value = [math.radians(number) for number in value]
-    return {"kind": kind, "t_s": t, "value": value, "sigma": math.radians(sigma)}
+        t_s, x, y, z, angle_rad, sigma_rad = parse_numbers(text, name, 6)
+        value = [x, y, z]
+        return {
+            "kind": kind,
+            "t_s": t_s,
+            "value": value,
+            "angle_rad": angle_rad,
+            "sigma": sigma_rad,
+        }
+    t_s, *rate_deg_s, sigma_deg_s = parse_numbers(text, name, {"rate": 3, "gyro": 5}[kind])
+    rate = [math.radians(component) for component in rate_deg_s]
+    return {"kind": kind, "t_s": t_s, "value": rate, "sigma": math.radians(sigma_deg_s)}
 
 
 def parse_period(text: str, epoch_utc: str | None) -> Any:
@@ -209,11 +232,12 @@ def select_interval(samples: Any, begin: str | None, end: str | None) -> Any:
 
     first, last = parse_limits(samples, begin, end)
     t = samples["time"].values
-    after, before = -math.inf if first is None else first, math.inf if last is None else last
-    inside = (t >= after) & (t <= before)
+    inside = (t >= (-math.inf if first is None else first)) & (
+        t <= (math.inf if last is None else last)
+    )
     if not inside.any():
-        extent = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
+        span = " to ".join(utc_after(float(t_s), samples.attrs["epoch_utc"]) for t_s in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"
-        what, do = "no samples lie between --from and --to", f"the file has {extent}"
+        what, do = "no samples lie between --from and --to", f"the file has {span}"
         raise InputError(what, got=got, do=do)
     return samples.isel(time=inside.nonzero()[0])

@@ -106,7 +106,7 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
 def _connect_to_address(address: Any) -> Client:
     """Return a client that is connected to a scheduler; `TimeoutError` if no attempt connects.
 
-    A scheduler reports cancelled tasks to all its clients. If this message arrives together with the first answer to a new
+    A scheduler sends all its clients the tasks that were cancelled. If this message arrives together with the first answer to a new
     client, Dask's client fails with `AssertionError` (version 2026.8, `Client._ensure_connected`); it can connect a moment later.
     """
     for _ in range(CONNECT_ATTEMPTS):

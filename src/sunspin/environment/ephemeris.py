@@ -166,7 +166,10 @@ class Ephemeris:
         return states[0], states[1]
 
     def require_coverage(self, jd: np.ndarray) -> None:
-        """Raise `InputError` if a date (n) of the telemetry is not in the table."""
+        """Raise `InputError` if a date of the telemetry, UTC Julian dates (n), is not in the table.
+
+        A date up to `OUTSIDE_S` before or after a segment of the table counts as in it.
+        """
         missing = np.min([s.outside_days(jd) for s in self.segments], axis=0) > OUTSIDE_S / DAY_S
         if missing.any():
             got = f"{utc_from_jd(self.span_jd[0])} to {utc_from_jd(self.span_jd[1])}, but not {utc_from_jd(float(jd[missing][0]))}"

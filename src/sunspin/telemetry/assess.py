@@ -58,7 +58,8 @@ class Assessment:
     @cached_property
     def repeats(self) -> Repeats:
         """Samples that repeat earlier ones (frozen telemetry, copies of a frame, held values)."""
-        usable, value = ~find_late_frames(self.telemetry), None
+        usable = ~find_late_frames(self.telemetry)
+        value = None  # panel readings without errors
         if self.has_panels:
             value, _ = remove_negative_readings(self.vehicle, signals(self.telemetry))
             usable &= np.isfinite(value).any(axis=1)
@@ -69,7 +70,9 @@ class Assessment:
     def sensors(self) -> xr.Dataset:
         """Telemetry in which repeated readings of sensors other than panels are NaN."""
         masked = {}
-        for name in (name for name in (*SENSORS, *DERIVED_FROM) if name in self.telemetry):
+        for name in (*SENSORS, *DERIVED_FROM):
+            if name not in self.telemetry:
+                continue
             repeated = self.repeats.repeated(DERIVED_FROM.get(name, name))
             if repeated.any():
                 masked[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))
@@ -88,10 +91,10 @@ class Assessment:
         readings that are not light and late frames. :attr:`sun` instead estimates an unstated noise first from the redundancy of
         its directions.
         """
-        stated, value = self.vehicle.input_noise, signals(self.telemetry)
+        stated = self.vehicle.input_noise
         if stated is not None:
             return stated, "given"
-        value = np.where(self.quality["reading"].values, value, np.nan)
+        value = np.where(self.quality["reading"].values, signals(self.telemetry), np.nan)
         dark = dark_noise(value)
         sigma = assumed_noise(value) if dark is None else dark
         return np.full(value.shape[1], sigma), ASSUMED_FROM if dark is None else DARK_FROM
@@ -107,11 +110,15 @@ class Assessment:
             return None
         if self.telemetry.sizes["time"] < DEAD_SAMPLES:
             return None
-        file = self.quality.attrs
-        light = file["albedo"] * file["full_sun"] * float(self.vehicle.input_gains.max())
-        above_noise = light > SURELY_LIT * LIT_SIGMAS * self.quality["noise"].values.max()
-        known = file["albedo_samples"] >= DEAD_SAMPLES and above_noise
-        return SURELY_LIT * light if known else None
+        quality = self.quality.attrs
+        # for the panel with the largest gain, as the threshold is one for all
+        unlit_light = (
+            quality["albedo"] * quality["full_sun"] * float(self.vehicle.input_gains.max())
+        )
+        # twice the three sigma of noise from which a panel counts as lit without this threshold
+        above_noise = unlit_light > SURELY_LIT * LIT_SIGMAS * self.quality["noise"].values.max()
+        enough_readings = quality["albedo_samples"] >= DEAD_SAMPLES
+        return SURELY_LIT * unlit_light if enough_readings and above_noise else None
 
     @cached_property
     def sun(self) -> xr.Dataset:
@@ -148,13 +155,14 @@ class Assessment:
         if "sun_sensor_B" in self.telemetry:
             directions.append(self.sensors["sun_sensor_B"].values)
         if self.has_panels:
-            seen = is_reconstructed(self.sun["status"])
-            directions.append(np.where(seen[:, None], self.sun["sun_B"].values, np.nan))
+            known = is_reconstructed(self.sun["status"])
+            directions.append(np.where(known[:, None], self.sun["sun_B"].values, np.nan))
         magnetometer = self.vehicle.sensors.magnetometer
         if "field_B" in self.telemetry and magnetometer is not None and magnetometer.noise:
             field = self.sensors["field_B"].values
-            size = np.linalg.norm(field, axis=1, keepdims=True)
-            directions.append(np.where(size > 0, field / np.where(size > 0, size, 1.0), np.nan))
+            strength = np.linalg.norm(field, axis=1, keepdims=True)
+            unit = field / np.where(strength > 0, strength, 1.0)
+            directions.append(np.where(strength > 0, unit, np.nan))
         return directions
 
     @cached_property

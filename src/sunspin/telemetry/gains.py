@@ -84,18 +84,18 @@ class Gains(NamedTuple):
 def covers_all_directions(vehicle: Vehicle, lost: np.ndarray) -> bool:
     """Return whether the Sun in any direction lights three panels with independent normals that are not `lost` (n_panel)."""
     response = vehicle.response_in()
-    sun, lit = response.regions()
+    sun_B, lit = response.regions()
     return all(
-        row.sum() >= 3 and response.rank(row, at) == 3
-        for at, row in zip(sun, lit & ~lost, strict=True)
+        panels.sum() >= 3 and response.rank(panels, direction) == 3
+        for direction, panels in zip(sun_B, lit & ~lost, strict=True)
     )
 
 
 def scale_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
     """Return the vehicle with the gains of each input's panels multiplied by `factor` (n_input)."""
     gain = np.array([panel.gain for panel in vehicle.panels])
-    for channel, value in zip(vehicle.inputs, factor, strict=True):
-        gain[list(channel.panels)] *= value
+    for channel, channel_factor in zip(vehicle.inputs, factor, strict=True):
+        gain[list(channel.panels)] *= channel_factor
     panels = zip(vehicle.panels, gain.tolist(), strict=True)
     return replace(vehicle, panels=tuple(replace(panel, gain=value) for panel, value in panels))
 
@@ -131,12 +131,15 @@ def estimate_gains(
 ) -> Gains:
     """Estimate the gains from samples in full Sun; if they are not determined, return those of the vehicle file.
 
+    The gains are not determined if inputs are throttled, samples are few, or the panels do not cover all directions. If only the
+    dark panels, which may be dead, leave directions uncovered, the fit still serves to find weak panels.
+
     Parameters
     ----------
     value : (n, n_panel)
-        Readings of the samples in full Sun.
+        Readings of the samples in full Sun, in the unit of the gains.
     full : float
-        Their brightness with the gains of the vehicle file.
+        Brightness of full Sun with the gains of the vehicle file, by which the fitted gains are scaled.
     dark : (n_panel)
         The panel never reads anything: it is dead, or was never in the Sun.
     lost : (n_panel)
@@ -144,22 +147,54 @@ def estimate_gains(
     earth_light : float
         Earth's light on a panel that looks at the Earth, as a share of full Sun.
     """
-    prior, covered = prior_sigmas(vehicle), covers_all_directions(vehicle, lost)
     reason = "the panels do not cover all directions, so a low signal may only mean an oblique Sun"
+    covered = covers_all_directions(vehicle, lost)
     if vehicle.throttled:
         reason = "inputs are throttled, so no sample need be in full Sun"
     elif covered and len(value) < FEWEST_SAMPLES:
         reason = f"fewer than {FEWEST_SAMPLES} samples in full Sun"
-    undetermined = Gains(
-        np.ones(len(prior)),
-        np.diag(prior_sigmas(vehicle, READING_SIGMA) ** 2),
-        None,
-        f"not determined by the data: {reason}",
-        np.zeros(len(prior), bool),
+    unchanged = Gains(
+        factor=np.ones(len(dark)),
+        covariance=np.diag(prior_sigmas(vehicle, READING_SIGMA) ** 2),
+        spread=None,
+        source=f"not determined by the data: {reason}",
+        weak=np.zeros(len(dark), bool),
     )
     if vehicle.throttled or len(value) < FEWEST_SAMPLES or not covered:
-        return undetermined
+        return unchanged
     value = value[:: -(-len(value) // MOST_SAMPLES)]
+    fit = _fit_brightness(vehicle, value, earth_light)
+    weak = _find_weak_panels(vehicle, fit.log, fit.covariance[:-1, :-1]) & ~dark
+    # a dark panel may be dead, which the fit does not know
+    if not covers_all_directions(vehicle, dark):
+        return unchanged._replace(weak=weak)
+    # a factor is that of the fit times the common brightness: log + level
+    factor = np.exp(fit.log + fit.level) / full
+    with_level = np.column_stack([np.eye(len(fit.log)), np.ones(len(fit.log))])
+    covariance = with_level @ fit.covariance @ with_level.T + (COMMON_SHARE * fit.spread) ** 2
+    source = f"estimated from {len(value)} samples in full Sun"
+    return Gains(factor, covariance * np.outer(factor, factor), fit.spread, source, weak)
+
+
+class _BrightnessFit(NamedTuple):
+    """Gains that make the brightness of samples in full Sun constant.
+
+    `log` (n_panel): logarithm of each gain over that of the vehicle file; `level`: logarithm of the common brightness;
+    `covariance` (n_panel + 1, n_panel + 1) of both; `spread`: scatter of the logarithm of the brightness.
+    """
+
+    log: np.ndarray
+    level: float
+    covariance: np.ndarray
+    spread: float
+
+
+def _fit_brightness(vehicle: Vehicle, value: np.ndarray, earth_light: float) -> _BrightnessFit:
+    """Fit gains and a common brightness to samples in full Sun, with the readings `value` (n, n_panel).
+
+    Each iteration is a Gauss-Newton step with Student's weights at the scatter of the current residuals. `earth_light` is that of
+    `estimate_gains`: if it is not faint, differences of opposite panels are used.
+    """
     paired = earth_light > FAINT and not vehicle.channels
     pairs = np.argwhere(opposite_panels(vehicle.response_in().facing_B)) if paired else []
 
@@ -171,8 +206,8 @@ def estimate_gains(
             light[:, i] = gains[i] * np.maximum(difference, 0.0)
         return np.log(np.maximum(brightness(scale_gains(vehicle, np.exp(log)), light), 1e-6))
 
-    # Unknowns: logarithms of the factors, under the prior, and the brightness `level` common to all samples. Each iteration is a
-    # Gauss-Newton step with Student's weights at the scatter of the current residuals.
+    # the gains have a prior, the level has none
+    prior = prior_sigmas(vehicle)
     log, precision = np.zeros(len(prior)), np.diag(np.append(prior**-2, 0.0))
     level = float(np.median(log_brightness(log)))
     for _ in range(STEPS):
@@ -180,22 +215,14 @@ def estimate_gains(
         columns = [log_brightness(log + STEP * unit) - bright for unit in np.eye(len(log))]
         jacobian = np.column_stack([np.stack(columns, axis=1) / STEP, -np.ones(len(value))])
         residual = bright - level
+        # the median absolute deviation of a normal distribution is sigma / 1.4826
         spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
         weight = (FREEDOM + 1) / (FREEDOM + (residual / spread) ** 2) / spread**2
         covariance = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian) + precision)
         slope = jacobian.T @ (weight * residual) + precision @ np.append(log, 0.0)
         step = covariance @ slope
         log, level = np.clip(log - step[:-1], -1.0, 1.0), level - step[-1]
-    weak = _find_weak_panels(vehicle, log, covariance[:-1, :-1]) & ~dark
-    # a dark panel may be dead, which the fit does not know
-    if not covers_all_directions(vehicle, dark):
-        return undetermined._replace(weak=weak)
-    # a factor is that of the fit times the common brightness: log + level
-    with_level = np.column_stack([np.eye(len(log)), np.ones(len(log))])
-    covariance = with_level @ covariance @ with_level.T + (COMMON_SHARE * spread) ** 2
-    factor = np.exp(log + level) / full
-    source = f"estimated from {len(value)} samples in full Sun"
-    return Gains(factor, covariance * np.outer(factor, factor), spread, source, weak)
+    return _BrightnessFit(log, level, covariance, spread)
 
 
 def _find_weak_panels(vehicle: Vehicle, log: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -207,16 +234,20 @@ def _find_weak_panels(vehicle: Vehicle, log: np.ndarray, covariance: np.ndarray)
     n, variance = len(log), np.diag(covariance)
     stated = stated_sigmas(vehicle)
     weak = np.zeros(n, dtype=bool)
-    for k in range(n if n > 3 else 0):
+    if n <= 3:
+        return weak
+    for k in range(n):
         weight = np.where(np.arange(n) == k, 0.0, 1 / (WEAK_SIGMA**2 + variance))
         weight /= weight.sum()
         # weighted mean of the other panels minus this one: positive if the gain is low
         contrast = weight - (np.arange(n) == k)
-        low, fit = contrast @ log, float(np.sqrt(contrast @ covariance @ contrast))
+        deficit, fit_sigma = contrast @ log, float(np.sqrt(contrast @ covariance @ contrast))
         if np.isnan(stated[k]):
+            # scatter of the other n - 1 gains around their mean, with n - 2 degrees of freedom
             scatter = np.sqrt(weight @ (log - weight @ log) ** 2 * (n - 1) / (n - 2))
             by_chance = -stdtrit(n - 2, WEAK_CHANCE) * scatter
-            weak[k] = low > np.hypot(WEAK_SIGMAS * np.hypot(fit, WEAK_SIGMA), by_chance)
+            by_fit = WEAK_SIGMAS * np.hypot(fit_sigma, WEAK_SIGMA)
+            weak[k] = deficit > np.hypot(by_fit, by_chance)
         else:
-            weak[k] = low > WEAK_SIGMAS * np.hypot(fit, stated[k])
+            weak[k] = deficit > WEAK_SIGMAS * np.hypot(fit_sigma, stated[k])
     return weak

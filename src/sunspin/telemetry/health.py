@@ -62,17 +62,19 @@ class PanelHealth(xr.Dataset):
     __slots__ = ()
 
     def __getitem__(self, key: Any) -> Any:
-        sets = {"allowed": "allowed_lit", "explanations": "lost"}
-        if key in sets:
-            return named_panels(self, sets[key])
+        """Return the value of one of the additional keys, or the variable or coordinate `key` of the Dataset."""
+        variable_of_key = {"allowed": "allowed_lit", "explanations": "lost"}
+        if key in variable_of_key:
+            return named_panels(self, variable_of_key[key])
         if key not in ("impossible", "noise"):
             return super().__getitem__(key)
         patterns = named_panels(self, "impossible_lit")
         if key == "impossible":
             return dict(zip(patterns, self["samples"].values.tolist(), strict=True))
-        figures = np.column_stack([self[name].values for name in NoiseVerdict._fields]).tolist()
-        verdicts = zip(patterns, figures, strict=True)
-        return {pattern: NoiseVerdict(*f) for pattern, f in verdicts if not np.isnan(f[0])}
+        rows = zip(*(self[name].values.tolist() for name in NoiseVerdict._fields), strict=True)
+        verdicts = dict(zip(patterns, (NoiseVerdict(*row) for row in rows), strict=True))
+        # NaN: the probability of noise was not computed
+        return {pattern: v for pattern, v in verdicts.items() if not np.isnan(v.largest)}
 
 
 def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
@@ -115,8 +117,8 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     names = np.array(vehicle.input_names)
     sample_patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     patterns = list(dict.fromkeys(sample_patterns))
-    # of each pattern, which of the forbidden samples show it
-    members = [np.array([own == pattern for own in sample_patterns]) for pattern in patterns]
+    # for each pattern, which of the forbidden samples show it
+    shows = [np.array([shown == pattern for shown in sample_patterns]) for pattern in patterns]
     threshold = sun["lit_threshold"].values
     # a noise that is only assumed explains nothing
     sigma = sun["noise"].values * (np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else 1.0)
@@ -124,17 +126,20 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     if not is_sun and patterns and (sigma > 0).all():
         power = panel_readings(vehicle, telemetry)
         log_chance = noise_alone(vehicle, power[forbidden], sigma, threshold).log_probability
-        largest = np.array([np.exp(log_chance[own].max()) for own in members])
-        together = np.array([log_chance[own].sum() / np.log(10) for own in members])
+        largest = np.array([np.exp(log_chance[samples].max()) for samples in shows])
+        together = np.array([log_chance[samples].sum() / np.log(10) for samples in shows])
         if (tilt := misalignment_signal_sigma(vehicle)).any():
             # A misalignment changes a reading in proportion to the brightness of the sample. If the Sun is oblique to all panels
             # its own estimate is too low; then that of the brighter samples is taken.
             bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
             tilted = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
-            turned = np.array([tilted.probability[own].min() for own in members])
-    excused = turned * sun.sizes["time"] > NOISE_ALONE
-    unexplained = [pattern for pattern, turns in zip(patterns, excused, strict=True) if not turns]
+            turned = np.array([tilted.probability[samples].min() for samples in shows])
+    # a NaN, for a probability that was not computed, excuses no pattern
+    by_misalignment = turned * sun.sizes["time"] > NOISE_ALONE
+    unexplained = [
+        pattern for pattern, excused in zip(patterns, by_misalignment, strict=True) if not excused
+    ]
     sets = {
         "allowed_lit": ("allowed_pattern", lit_patterns(vehicle), "lit panels, as possible"),
         "impossible_lit": ("pattern", patterns, "lit panels, as seen and impossible"),
@@ -146,7 +151,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     }
     figures = {
         "samples": (
-            np.array([own.sum() for own in members], dtype=np.int64),
+            np.array([samples.sum() for samples in shows], dtype=np.int64),
             "samples that show the pattern",
         ),
         "largest": (largest, "bound on the probability that noise alone made the likeliest sample"),
@@ -161,8 +166,10 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
         attrs=provenance("panel_health", sun, **vehicle.result_attributes)
         | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
-    for key, (dimension, panels, long_name) in sets.items():
-        rows = np.array([np.isin(names, list(each)) for each in panels]).reshape(-1, len(names))
+    for key, (dimension, panel_sets, long_name) in sets.items():
+        # the reshape gives an empty list of sets its second dimension
+        rows = np.array([np.isin(names, list(panels)) for panels in panel_sets])
+        rows = rows.reshape(-1, len(names))
         health[key] = (dimension, "panel"), rows.astype(bool), {"long_name": long_name}
     for key, (values, long_name) in figures.items():
         health[key] = "pattern", values, {"units": "1", "long_name": long_name}
@@ -175,14 +182,15 @@ def find_cause_without_loss(health: PanelHealth, n: int) -> str:
     For noise, the product of the samples' probabilities is multiplied by the number of ways to choose so many of `n` samples.
     """
     count = int(health["samples"].sum())
-    if count and not health["largest"].isnull().any():
+    if count and not health["largest"].isnull().any():  # else the noise is not known
         log_ways = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
         log10 = float(health["log10_together"].sum()) + log_ways / np.log(10)
         if log10 > np.log10(NOISE_ALONE):
             return NOISE
-    # misalignments are the same in all samples, so that only the least probable sample counts
-    least = health["turned"].values
-    return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
+    # misalignments are the same in all samples, so that only the least probable sample of each pattern counts
+    least_probable = health["turned"].values
+    by_misalignment = least_probable.size > 0 and (least_probable * n > NOISE_ALONE).all()
+    return TURNS if by_misalignment else ""
 
 
 def find_explanations(
@@ -202,17 +210,19 @@ def find_explanations(
     possible = observable_patterns(vehicle)
     if not patterns:
         return []
+
+    def explains(lost: tuple[str, ...], pattern: tuple[str, ...]) -> bool:
+        """Return whether some possible pattern contains all panels of this one, and otherwise only lost panels."""
+        return any(set(pattern) <= lit and lit - set(pattern) <= set(lost) for lit in possible)
+
     for count in range(1, len(vehicle.input_names) + 1) if size is None else [size]:
-        sets = [
+        explanations = [
             lost
             for lost in combinations(vehicle.input_names, count)
-            if all(
-                any(set(p) <= lit and lit - set(p) <= set(lost) for lit in possible)
-                for p in patterns
-            )
+            if all(explains(lost, pattern) for pattern in patterns)
         ]
-        if sets:
-            return sets
+        if explanations:
+            return explanations
     return []
 
 
@@ -266,13 +276,16 @@ def noise_alone(
     sigma = per_panel(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
     message = "lit_threshold must be zero or positive"
     threshold = per_panel(vehicle, lit_threshold, np.greater_equal, message)
+    # from here on in units of the smallest noise, so that no square overflows
     unit, response = sigma.min(), vehicle.response_in()
     readings, threshold = readings / unit, threshold / unit
-    total = np.hypot(sigma / unit, np.asarray(extra_sigma) / unit)
-    weight = 1 / np.broadcast_to(total, readings.shape)
+    total_sigma = np.hypot(sigma / unit, np.asarray(extra_sigma) / unit)
+    weight = 1 / np.broadcast_to(total_sigma, readings.shape)
     scale = response.largest_power  # then the unknown vector is of the size of the readings
-    cells, _ = response.regions()
-    light, _ = response.light_power(cells, scale)
+    cells, _ = response.regions()  # a direction (n_cell, 3) in each cell of the sphere
+    light, _ = response.light_power(
+        cells, scale
+    )  # readings (n_cell, n_panel) at a brightness of one
 
     def linearise(state: tuple[np.ndarray, ...]) -> DenseSystem:
         """Return the weighted residuals of the panels and their derivatives with respect to the Sun vector.
@@ -280,29 +293,31 @@ def noise_alone(
         `state`: Sun vectors (m, 3), direction times brightness; readings and weights 1 / sigma (m, n_panel) of each.
         """
         sun, measured, weights = state
-        mean, slope = response.light_power(sun, scale)
+        model, slope = response.light_power(sun, scale)
         lit = measured > threshold
         # of a lit panel the model minus the reading, of a dark one what the model has above the threshold
-        value = np.where(lit, mean - measured, np.maximum(0.0, mean - threshold))
+        residual = np.where(lit, model - measured, np.maximum(0.0, model - threshold))
         # elsewhere the residual does not change with the Sun
-        active = (mean > 0) & (lit | (mean > threshold))
-        return DenseSystem.from_residuals(
-            weights * value, (weights * active)[..., None] * slope, np.ones_like(sun)
-        )
+        active = (model > 0) & (lit | (model > threshold))
+        jacobian = (weights * active)[..., None] * slope
+        return DenseSystem.from_residuals(weights * residual, jacobian, np.ones_like(sun))
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the state with the Sun vectors moved by `step` (m, 3); readings and weights stay."""
         return state[0] + step, *state[1:]
 
-    square = np.zeros(len(readings))
+    chi_square = np.zeros(len(readings))
     for start in range(0, len(readings), CHUNK):
-        some = slice(start, start + CHUNK)
-        # starts: a direction in each cell, with the brightness that fits best there
-        bright = np.maximum(readings[some] @ light.T, 0.0)
+        chunk = slice(start, start + CHUNK)
+        # starts: a direction in each cell, with the brightness (sample, cell) that fits best there
+        bright = np.maximum(readings[chunk] @ light.T, 0.0)
         bright /= np.maximum((light**2).sum(axis=1), 1e-300)
-        starts = (bright[:, :, None] * cells).reshape(-1, 3)
-        seen, counts = (np.repeat(each[some], len(cells), axis=0) for each in (readings, weight))
-        ends = least_squares(
-            linearise, retract, solve_dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
+        suns = (bright[:, :, None] * cells).reshape(-1, 3)
+        measured, weights = (np.repeat(each[chunk], len(cells), 0) for each in (readings, weight))
+        state = suns, measured, weights
+        solution = least_squares(
+            linearise, retract, solve_dense, state, steps=STEPS, tolerance=ROUNDING
         )
-        square[some] = 2 * ends.system.cost.reshape(-1, len(cells)).min(axis=1)
-    return NoiseFit(square, chi2.logsf(square, readings.shape[1]))
+        # the cost is half the chi-square; the best of the cells counts
+        chi_square[chunk] = 2 * solution.system.cost.reshape(-1, len(cells)).min(axis=1)
+    return NoiseFit(chi_square, chi2.logsf(chi_square, readings.shape[1]))

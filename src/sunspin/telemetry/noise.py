@@ -97,15 +97,16 @@ def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
         Readings in the unit of the stated noise; values that are not finite are left out.
     """
     if (noise := vehicle.input_noise) is not None:
-        return -NEGATIVE_SIGMAS * noise[: values.shape[1]]
+        return -NEGATIVE_SIGMAS * noise[: values.shape[1]]  # a file without panels has no columns
     below = -values[np.isfinite(values) & (values < 0)]
-    largest = np.where(np.isfinite(values), values, 0.0).max(axis=1, initial=0.0)
-    lit = largest[largest > 0]
     if not len(below):
         return 0.0
-    full = (
-        float(np.quantile(lit[lit <= WILD * np.median(lit)], BRIGHT_QUANTILE)) if len(lit) else 0.0
-    )
+    # full light: the largest reading of a bright sample, without wild ones
+    largest = np.where(np.isfinite(values), values, 0.0).max(axis=1, initial=0.0)
+    lit = largest[largest > 0]
+    full = 0.0
+    if len(lit):
+        full = float(np.quantile(lit[lit <= WILD * np.median(lit)], BRIGHT_QUANTILE))
     limit = NEGATIVE_SHARE * full
     if np.count_nonzero(below <= limit) < LEAST_NEGATIVE:
         return -min(NEGATIVE_SIGMAS * float(np.median(below)) / HALF_NORMAL_MEDIAN, limit)

@@ -29,6 +29,7 @@ from sunspin.vehicle import TelemetryForm, Vehicle
 from sunspin.vehicle.craft import CHANNEL_HINT
 from sunspin.vehicle.sensors import unwrap_counts
 
+NOT_A_NUMBER, NEGATIVE, NOT_INCREASING = np.uint8(1), np.uint8(2), np.uint8(4)
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`, and their meanings."""
 
@@ -75,7 +76,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     path = Path(path)
     if not (vehicle.sensors.sun_sensors or vehicle.sensors.sun_vector or vehicle.sensors.gyro):
         vehicle.require_panels()
-    form = vehicle.telemetry
+    form = vehicle.telemetry  # columns, units and clock of the file
     if path.suffix == ".toml":
         what = "this is a vehicle's file and not telemetry"
         do = "give the vehicle first and then a table of samples"
@@ -92,24 +93,16 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     columns = _panel_columns(vehicle, table, optional=bool(sensors))
     _require_clock(form, table)
     unused = _unused_columns(vehicle, table, columns)
-    read = header - {*_clock_columns(form), *unused}
-    times, counts = read_times(form, table, read), {}
+    reading_columns = header - {*_clock_columns(form), *unused}
+    times, counts = read_times(form, table, reading_columns), {}
     if form.bad_rows != "refuse":
-        table, times, counts = _sort_and_merge(form, table, times, read)
+        table, times, counts = _sort_and_merge(form, table, times, reading_columns)
         if counts:  # the rows of the table have changed
             sensors = read_sensors(vehicle, table)
     time, epoch, received = times.time, times.epoch, times.received
     values, flag = _read_panels(vehicle, table, columns)
     values, temperatures = _correct_for_temperature(vehicle, table, values)
-    late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
-    if form.bad_rows == "refuse" and late.any():
-        i = int(late.argmax())
-        got, where = table.cells[form.time_column].iat[i], f"line {table.cells.index[i]}"
-        do = 'sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file'
-        raise TelemetryError(
-            "time does not increase", got=got, do=do, where=f"{table.where}, {where}"
-        )
-    flag |= np.where(late, np.uint8(4), np.uint8(0))
+    flag |= np.where(_find_late_rows(form, table, time), NOT_INCREASING, np.uint8(0))
     missing = _missing_sensors(vehicle, table, unused)
     if received is not None:
         long_name = "when the row was received, from the epoch of the times"
@@ -121,21 +114,20 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     readings: dict[str, Any] = {}
     if values.shape[1]:
         coords["panel"] = list(vehicle.input_names)
-        about = {"units": UNITS[form.quantity]}
-        readings[form.quantity] = (("time", "panel"), values, about)
+        readings[form.quantity] = (("time", "panel"), values, {"units": UNITS[form.quantity]})
     if "phase" in table.header:
         phase = [cell.strip() for cell in table.cells["phase"]]
         coords["phase"] = ("time", np.array(phase, dtype=np.str_))
     if sensors or temperatures:
         coords["axis"] = ["x", "y", "z"]
-    masks = [bit for bit in FLAGS if bit]
-    about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
-    readings["flag"] = ("time", flag, about)
+    bits = [bit for bit in FLAGS if bit]
+    flag_attrs = {"flag_masks": bits, "flag_meanings": " ".join(FLAGS[bit] for bit in bits)}
+    readings["flag"] = ("time", flag, flag_attrs)
     attrs = provenance("telemetry", **vehicle.result_attributes) | {
         "quantity": form.quantity,
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),
-        "synthetic": int(any(each.lower().startswith("synthetic") for each in table.comments)),
+        "synthetic": int(any(text.lower().startswith("synthetic") for text in table.comments)),
         "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
         "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),
         "unused_columns": ", ".join(unused),
@@ -146,8 +138,30 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     return xr.Dataset(readings | sensors | temperatures, coords, attrs | counts)
 
 
+def _find_late_rows(form: TelemetryForm, table: Table, time: np.ndarray) -> np.ndarray:
+    """Return the rows (n) whose time (n, s) is not later than all times before it.
+
+    Raises
+    ------
+    TelemetryError
+        There is such a row, and the vehicle file sets ``bad_rows = "refuse"``.
+    """
+    late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
+    if form.bad_rows == "refuse" and late.any():
+        row = int(late.argmax())
+        got, where = (
+            table.cells[form.time_column].iat[row],
+            f"{table.where}, {table.row_place(row)}",
+        )
+        do = 'sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file'
+        raise TelemetryError("time does not increase", got=got, do=do, where=where)
+    return late
+
+
 def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
     """Return the name of the column of each input; an empty list if all are missing and `optional`.
+
+    The name is that of `[telemetry.columns]`, else the panel's name or one such as PXp_W, else that of the vehicle file for errors.
 
     Raises
     ------
@@ -155,15 +169,15 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
         A column is missing, or two panels have the same one.
     """
     form = vehicle.telemetry
-    powers = form.quantity == "power_W" and not form.has_voltages
-    letter, unit = ("P", "W") if powers else ("I", "A")
+    # with voltages the columns hold currents, which are multiplied by these
+    has_powers = form.quantity == "power_W" and not form.has_voltages
+    letter, unit = ("P", "W") if has_powers else ("I", "A")
     names = {}
-    for panel in vehicle.input_names:
-        usual = [panel, f"{letter}{panel}_{unit}"]
-        present = [name for name in usual if name in table.header]
-        names[panel] = form.columns.get(panel) or (present or usual[1:])[0]
-    usual = {*vehicle.input_names, *(f"{letter}{panel}_{unit}" for panel in vehicle.input_names)}
-    if optional and not {*names.values(), *usual} & set(table.header):
+    default_names = {panel: (panel, f"{letter}{panel}_{unit}") for panel in vehicle.input_names}
+    for panel, (short, long) in default_names.items():
+        names[panel] = form.columns.get(panel) or (short if short in table.header else long)
+    known_names = {*names.values(), *(name for pair in default_names.values() for name in pair)}
+    if optional and not known_names & set(table.header):
         return []
     columns = [require_column(table, name, f"panel {panel}") for panel, name in names.items()]
     if duplicates := [name for name in columns if columns.count(name) > 1]:
@@ -187,16 +201,22 @@ def _refuse_bad_cells(
 def _read_panels(
     vehicle: Vehicle, table: Table, columns: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the panel readings (n, n_input) in W or A, NaN if missing, and the flag (n) of each row."""
+    """Return the panel readings (n, n_input) in W or A, NaN if missing, and the flag (n) of each row (bits of `FLAGS`).
+
+    Raises
+    ------
+    TelemetryError
+        A column of voltages is missing. With ``bad_rows = "refuse"`` also: a cell is not a number, or negative beyond noise.
+    """
     form = vehicle.telemetry
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
     values = (unwrap_counts(values, form.wraps_at) - form.zero) * form.scale
-    if columns and form.has_voltages:
-        common = form.voltage_column or ""
+    if columns and form.has_voltages:  # the values are currents: power is current times voltage
+        common_column = form.voltage_column or ""
         names = [
             require_column(
-                table, form.voltage_columns.get(panel, common), f"voltage of panel {panel}"
+                table, form.voltage_columns.get(panel, common_column), f"voltage of panel {panel}"
             )
             for panel in vehicle.input_names
         ]
@@ -208,7 +228,7 @@ def _read_panels(
     missing, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
     _refuse_bad_cells(form, "a finite number is expected", missing, table, columns)
     _refuse_bad_cells(form, "a panel cannot give a negative value", negative, table, columns)
-    return values, (missing.any(axis=1) + 2 * negative.any(axis=1)).astype(np.uint8)
+    return values, NOT_A_NUMBER * missing.any(axis=1) | NEGATIVE * negative.any(axis=1)
 
 
 def _correct_for_temperature(
@@ -253,18 +273,19 @@ def _require_clock(form: TelemetryForm, table: Table) -> None:
 
 
 def _sort_and_merge(
-    form: TelemetryForm, table: Table, times: Times, read: set[str]
+    form: TelemetryForm, table: Table, times: Times, reading_columns: set[str]
 ) -> tuple[Table, Times, dict[str, int]]:
     """Return table and times sorted by time, and the numbers of rows sorted, merged and left out (only numbers that are not zero).
 
-    Rows of one instant are merged if the columns `read` do not contradict each other. Other columns, such as the station or the
-    time of reception, may differ. Rows dated by a reset clock are left out.
+    Rows of one instant are merged if their `reading_columns` do not contradict each other. Other columns, such as the station or
+    the time of reception, may differ. Rows dated by a reset clock are left out. Without a stated epoch, times of dates count from
+    the first row of the result.
     """
     time = times.time
     order = np.argsort(time, kind="stable")
     rows = table.cells.to_numpy(copy=True)
-    compared = np.array([name in read for name in table.header])
-    kept: list[int] = []
+    compared = np.array([name in reading_columns for name in table.header])
+    kept: list[int] = []  # rows of the result, in the order of time
     for i in order[~times.misdated[order]]:
         if kept and time[i] == time[kept[-1]]:
             first, second = rows[kept[-1]], rows[i]
@@ -274,7 +295,7 @@ def _sort_and_merge(
                 rows[kept[-1]] = np.where(empty, second, first)  # fill empty cells
                 continue
         kept.append(int(i))
-    dated = time[~times.misdated]
+    dated = time[~times.misdated]  # in the file's order
     counts = {
         "rows_sorted": int(np.count_nonzero(dated[1:] < np.maximum.accumulate(dated)[:-1])),
         "rows_merged": len(dated) - len(kept),
@@ -283,7 +304,7 @@ def _sort_and_merge(
     if not any(counts.values()):
         return table, times, {}
     epoch, received, time = times.epoch, times.received, time[kept]
-    # without a stated epoch, dates count from the first row, which may now be another
+    # the first row may now be another
     if form.epoch_utc is None and form.time_format != "elapsed":
         epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
     cells = pd.DataFrame(rows[kept], table.cells.index[kept], table.header)
@@ -314,7 +335,7 @@ def require_column(
     Raises
     ------
     TelemetryError
-        There is no such column. The message suggests a similar name.
+        There is no such column. The message suggests a similar name, if there is one.
     """
     if name not in table.header:
         near = _find_similar_name(name, table.header if candidates is None else candidates)
@@ -329,10 +350,14 @@ def require_column(
 
 
 def _find_similar_name(name: str, names: list[str]) -> str | None:
-    """Return the most similar of `names`, compared without case and punctuation; None if none is similar enough (`NEAR`)."""
-    bare = {re.sub(r"[^a-z0-9+-]", "", each.lower()): each for each in names}
-    near = get_close_matches(re.sub(r"[^a-z0-9+-]", "", name.lower()), bare, n=1, cutoff=NEAR)
-    return bare[near[0]] if near else None
+    """Return the most similar of `names`, compared without case and punctuation; None if none is similar enough (`NEAR`).
+
+    Signs count, as +x and -x are two panels.
+    """
+    name_of_letters = {re.sub(r"[^a-z0-9+-]", "", each.lower()): each for each in names}
+    letters = re.sub(r"[^a-z0-9+-]", "", name.lower())
+    nearest = get_close_matches(letters, name_of_letters, n=1, cutoff=NEAR)
+    return name_of_letters[nearest[0]] if nearest else None
 
 
 def _unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
@@ -355,9 +380,10 @@ def _missing_sensors(vehicle: Vehicle, table: Table, unused: list[str]) -> list[
     missing = []
     for sensor in sensor_columns(vehicle):
         absent = [name for name in sensor.columns if name not in table.header]
-        near = [name for name in absent if _find_similar_name(name, unused)]
-        if absent and (len(absent) < len(sensor.columns) or near):
-            require_column(table, (near or absent)[0], sensor.name, sensor.section, unused)
+        misspelt = [name for name in absent if _find_similar_name(name, unused)]
+        if misspelt or 0 < len(absent) < len(sensor.columns):
+            # raises the error for a missing column
+            require_column(table, (misspelt or absent)[0], sensor.name, sensor.section, unused)
         if absent:
             missing.append(f"{sensor.name} ({', '.join(sensor.columns)})")
     return missing

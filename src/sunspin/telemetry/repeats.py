@@ -29,14 +29,14 @@ PANELS = "panels"
 """Name of the panels among the sensors that may hold their values."""
 
 GAP_FACTOR = 6.0
-"""A gap longer than this many usual intervals separates two stretches of samples, and two passes."""
+"""A gap longer than this many median intervals separates two stretches of samples, and two passes."""
 
 COPY_SPAN_S = 60.0
-"""Largest interval between a frame and its copy, or two usual intervals if these are longer. Clocks and delays of ground stations
+"""Largest interval between a frame and its copy, or two median intervals if these are longer. Clocks and delays of ground stations
 differ by seconds."""
 
 LONGEST_LOOP = 10
-"""Largest interval, in usual intervals, between a frame and its copy if readings are noisy: a buffer may repeat its last frames."""
+"""Largest interval, in median intervals, between a frame and its copy if readings are noisy: a buffer may repeat its frames."""
 
 MOST_BETWEEN = 60
 """Largest number of samples between a frame and its copy."""
@@ -139,30 +139,35 @@ def find_repeats(telemetry: xr.Dataset, value: np.ndarray | None, usable: np.nda
         Samples that are in the order of time and have a reading.
     """
     time = np.asarray(telemetry["time"], dtype=np.float64)
-    parts = {} if value is None else {PANELS: value}
-    parts |= {
+    readings = {} if value is None else {PANELS: value}  # sensor -> (n, n_column)
+    readings |= {
         name: np.asarray(telemetry[name], dtype=np.float64)
         for name in SENSORS
         if name in telemetry and np.isfinite(telemetry[name].values).any()
     }
-    signal = {name: _has_signal(name, part) & usable for name, part in parts.items()}
+    signal = {name: _has_signal(name, columns) & usable for name, columns in readings.items()}
     no_samples = np.zeros(len(time), dtype=bool)
-    if not parts:
+    if not readings:
         return Repeats(no_samples)
-    # first the rows that repeat in all sensors, then among the rest those that repeat in one sensor
-    every = np.column_stack(list(parts.values()))
-    usable = usable & np.isfinite(every).any(axis=1)
-    frozen = find_repeated_rows(time, every, np.logical_or.reduce(list(signal.values())), usable)
-    rest, doubtful, held = usable & ~frozen.repeated, frozen.doubtful, {}
-    for name, part in parts.items() if len(parts) > 1 else ():
-        own = find_repeated_rows(time, part, rest & signal[name], rest)
-        held[name] = own.repeated
-        doubtful = doubtful | own.doubtful if name == PANELS else doubtful
-    fresh = rest & ~held.get(PANELS, no_samples)
-    columns = None if value is None else _find_held_columns(time, value, fresh)
-    distinct = len(np.unique(np.where(np.isfinite(every), every, NONE)[doubtful], axis=0))
-    times_each = round(doubtful.sum() / max(distinct, 1))
-    return Repeats(frozen.repeated, held, columns, doubtful, times_each)
+    # first the samples that repeat in all sensors, then among the rest those that repeat in one sensor
+    all_columns = np.column_stack(list(readings.values()))
+    usable = usable & np.isfinite(all_columns).any(axis=1)
+    any_signal = np.logical_or.reduce(list(signal.values()))
+    frozen = find_repeated_rows(time, all_columns, any_signal, usable)
+    rest, doubtful = usable & ~frozen.repeated, frozen.doubtful
+    held: dict[str, np.ndarray] = {}
+    if len(readings) > 1:  # with one sensor, held values are frozen samples
+        for name, columns in readings.items():
+            of_sensor = find_repeated_rows(time, columns, rest & signal[name], rest)
+            held[name] = of_sensor.repeated
+            if name == PANELS:  # doubts are reported for all sensors together and for the panels
+                doubtful = doubtful | of_sensor.doubtful
+    new_panels = rest & ~held.get(PANELS, no_samples)
+    held_columns = None if value is None else _find_held_columns(time, value, new_panels)
+    doubtful_rows = np.where(np.isfinite(all_columns), all_columns, NONE)[doubtful]
+    n_distinct = len(np.unique(doubtful_rows, axis=0))
+    times_each = round(doubtful.sum() / max(n_distinct, 1))
+    return Repeats(frozen.repeated, held, held_columns, doubtful, times_each)
 
 
 def find_repeated_rows(
@@ -193,14 +198,14 @@ def find_repeated_rows(
     equals_previous = adjacent & np.concatenate([[False], same[1:] == same[:-1]])
     if len(np.unique(same)) == len(same):
         return RepeatedRows(repeated, doubtful)
-    usual = (
-        float(np.median(np.diff(t[~equals_previous]))) if (~equals_previous).sum() > 1 else np.inf
-    )
-    stretch = np.cumsum(np.concatenate([[0], np.diff(t) > GAP_FACTOR * usual]))
+    changes = t[~equals_previous]
+    median_interval = float(np.median(np.diff(changes))) if len(changes) > 1 else np.inf
+    stretch = np.cumsum(np.concatenate([[0], np.diff(t) > GAP_FACTOR * median_interval]))
     rows = rows / resolution(rows)
     # a periodic rotation brings readings back, but not their noise
-    noisy = _is_noisy(rows[np.unique(same, return_index=True)[1]])
-    span_s = max(COPY_SPAN_S, (LONGEST_LOOP if noisy else 2) * usual)
+    distinct_rows = rows[np.unique(same, return_index=True)[1]]
+    noisy = _is_noisy(distinct_rows)
+    span_s = max(COPY_SPAN_S, (LONGEST_LOOP if noisy else 2) * median_interval)
     recurring = 0.0 if noisy else _recurrence(t[~equals_previous], same[~equals_previous], span_s)
     # 1. Copies, which have other rows in between. They come first, because the differences between distinct rows must not contain
     # them.
@@ -208,28 +213,31 @@ def find_repeated_rows(
     if not noisy:
         pairs.equal[_find_periodic_pairs(rows, equals_previous, pairs)] = False
     copied = np.zeros(len(t), dtype=bool)
-    late = np.unique(pairs.later[pairs.equal])
-    fresh = ~equals_previous & ~np.isin(np.arange(len(t)), late)
-    for which, chance in _chances(t, rows, stretch, fresh, recurring):
-        own = which[pairs.later]
-        expected = chance.at(t[pairs.later[own]] - t[pairs.earlier[own]]).sum()
-        copied[late[which[late]]] = _exceeds_chance(expected, int(which[late].sum()))
+    possible_copies = np.unique(pairs.later[pairs.equal])
+    fresh = ~equals_previous & ~np.isin(np.arange(len(t)), possible_copies)
+    # `group` (n): rows that are judged together
+    for group, chance in _chances(t, rows, stretch, fresh, recurring):
+        in_group = group[pairs.later]
+        earlier, later = pairs.earlier[in_group], pairs.later[in_group]
+        expected = chance.at(t[later] - t[earlier]).sum()
+        copies = possible_copies[group[possible_copies]]
+        copied[copies] = _exceeds_chance(expected, len(copies))
     # 2. Runs of equal neighbours
     repeats, judged = copied.copy(), np.zeros(len(t), dtype=bool)
-    for which, chance in _chances(t, rows, stretch, ~equals_previous & ~copied, recurring):
-        repeats |= _runs_beyond_chance(t, equals_previous & which, adjacent & which, chance)
-        judged |= which
+    for group, chance in _chances(t, rows, stretch, ~equals_previous & ~copied, recurring):
+        repeats |= _runs_beyond_chance(t, equals_previous & group, adjacent & group, chance)
+        judged |= group
     # 3. Stretches without enough distinct rows for a probability, in which each row occurs at least twice on average
     for number in np.unique(stretch[equals_previous & ~judged]):
-        own = stretch == number
-        if own.sum() >= 2 * (own & ~equals_previous).sum():
-            doubtful[index[own]] = True
+        in_stretch = stretch == number
+        if in_stretch.sum() >= 2 * (in_stretch & ~equals_previous).sum():
+            doubtful[index[in_stretch]] = True
     repeated[index] = repeats
     return RepeatedRows(repeated, doubtful)
 
 
 def _fill_empty_cells(rows: np.ndarray) -> np.ndarray:
-    """Return rows (n, n_column) with empty cells filled from the row before or after.
+    """Return rows (n, n_column) with empty cells filled from the row before or after; columns without any number are left out.
 
     A row is filled from a neighbour that is equal in the columns that both fill, if these are enough columns and not all zero.
     """
@@ -241,7 +249,8 @@ def _fill_empty_cells(rows: np.ndarray) -> np.ndarray:
         agree = (shared & (order[1:] != order[:-1])).sum(axis=1) == 0
         nonzero = (shared & (order[1:] != 0)).any(axis=1)
         enough = shared.sum(axis=1) >= SHARED * rows.shape[1]
-        for k in (np.flatnonzero(agree & nonzero & enough & ~known[1:].all(axis=1)) + 1).tolist():
+        has_empty = ~known[1:].all(axis=1)
+        for k in (np.flatnonzero(agree & nonzero & enough & has_empty) + 1).tolist():
             filled = np.where(known[k], order[k], order[k - 1])
             # the row before may have been filled meanwhile, so its new cells must agree as well
             shared_now = known[k] & np.isfinite(order[k - 1])
@@ -266,15 +275,19 @@ def _find_periodic_pairs(rows: np.ndarray, equals_previous: np.ndarray, pairs: P
 
     A copy of a frame, in contrast, has other neighbours than its original. `equals_previous` (n) are rows equal to the one before.
     """
-    place, equal = np.flatnonzero(~equals_previous), np.flatnonzero(pairs.equal)
-    order = np.nan_to_num(rows[place])
-    a, b = (np.searchsorted(place, each[equal]) for each in (pairs.earlier, pairs.later))
+    equal, distinct = np.flatnonzero(pairs.equal), np.flatnonzero(~equals_previous)
+    readings = np.nan_to_num(rows[distinct])
+    # places of the two samples of each pair among the distinct rows, where neighbours differ
+    earlier, later = (
+        np.searchsorted(distinct, each[equal]) for each in (pairs.earlier, pairs.later)
+    )
     agree = np.ones(len(equal), dtype=bool)
-    for step in (-1, 1):
-        exists = (a + step >= 0) & (b + step < len(place))
-        c, d = np.maximum(a + step, 0), np.minimum(b + step, len(place) - 1)
-        apart = np.abs(order[c] - order[d]).max(axis=1, initial=0.0)
-        change = np.abs(order[d] - order[b]).max(axis=1, initial=0.0)
+    for step in (-1, 1):  # the neighbours before, then those after
+        exists = (earlier + step >= 0) & (later + step < len(distinct))
+        next_to_earlier = np.maximum(earlier + step, 0)
+        next_to_later = np.minimum(later + step, len(distinct) - 1)
+        apart = np.abs(readings[next_to_earlier] - readings[next_to_later]).max(axis=1, initial=0.0)
+        change = np.abs(readings[next_to_later] - readings[later]).max(axis=1, initial=0.0)
         agree &= ~exists | (apart <= np.maximum(NOISE_STEPS, FOLLOWS * change))
     return equal[agree]
 
@@ -294,29 +307,33 @@ def resolution(value: np.ndarray) -> np.ndarray:
 class Chance:
     """Probability that two samples are equal by chance, as a function of their interval.
 
-    `parts`: for each stretch, times (m) and readings (m, n_column), in steps of their resolution, of distinct samples; `least`:
-    lower limit of the probability at any interval; `degrees`: degrees of freedom of the readings.
+    `stretches`: for each, times (m) and readings (m, n_column), in steps of their resolution, of distinct samples; `least`: lower
+    limit of the probability at any interval; `degrees`: degrees of freedom of the readings.
     """
 
-    parts: tuple[tuple[np.ndarray, np.ndarray], ...]
+    stretches: tuple[tuple[np.ndarray, np.ndarray], ...]
     least: float
     degrees: float = 2.0
 
     def at(self, interval: np.ndarray) -> np.ndarray:
         """Return the probability for each interval (m), s, rounded down to a power of `STEP`."""
+        # intervals of the same power have one probability, which is computed once
         exponent = np.floor(np.log(np.maximum(interval, 1e-9)) / np.log(STEP))
-        values, inverse = np.unique(exponent, return_inverse=True)
-        each = np.array([self._mean(STEP**value) for value in values.tolist()])
+        exponents, inverse = np.unique(exponent, return_inverse=True)
+        each = np.array([self._mean(STEP**power) for power in exponents.tolist()])
         return np.maximum(each, self.least)[inverse.ravel()] if len(each) else np.zeros(0)
 
     def _mean(self, interval: float) -> float:
-        """Return the mean of 1 / e^2 over pairs of distinct samples about an interval (s) apart; e: largest difference in steps."""
+        """Return the mean of 1 / e^degrees over pairs of distinct samples about an interval (s) apart; 1 if there are none.
+
+        e is the largest difference in steps, at least 1.
+        """
         shares = [np.zeros(0)]
-        for t, rows in self.parts:
-            # the smallest number of samples that are usually this far apart
-            lag, most = 1, len(t) // 2
-            while lag < most and np.median(t[lag:] - t[:-lag]) < interval:
-                lag = min(most, lag + max(1, lag // 4))
+        for t, rows in self.stretches:
+            # the smallest number of samples, to a quarter, whose median distance is the interval
+            lag, largest_lag = 1, len(t) // 2
+            while lag < largest_lag and np.median(t[lag:] - t[:-lag]) < interval:
+                lag = min(largest_lag, lag + max(1, lag // 4))
             apart = t[lag:] - t[:-lag]
             differ = np.abs(rows[lag:] - rows[:-lag])
             known = np.isfinite(differ).any(axis=1) & (apart > 0)
@@ -334,29 +351,28 @@ def _chances(
 
     Each stretch (`stretch` (n) is its number) is judged by its own distinct samples `fresh` (n). Stretches with too few of these
     are judged together, by those of the whole file. A stretch with a single distinct sample may be a body at rest and is not
-    judged.
+    judged. `t` (n, s) and `rows` (n, n_column) are times and readings in steps of their resolution; `least` is that of `Chance`.
     """
     count = np.bincount(stretch, weights=fresh)
-    parts = {
-        k: (t[own], rows[own])
+    distinct = {
+        k: (t[(stretch == k) & fresh], rows[(stretch == k) & fresh])
         for k in np.flatnonzero(count > 1).tolist()
-        if (own := (stretch == k) & fresh).any()
     }
-    rich = [k for k in parts if count[k] > LEAST_PAIRS]
-    poor = [k for k in parts if count[k] <= LEAST_PAIRS]
-    for k in rich:
-        yield stretch == k, Chance((parts[k],), least)
-    if poor and sum(len(times) - 1 for times, _ in parts.values()) >= LEAST_PAIRS:
-        yield np.isin(stretch, poor), Chance(tuple(parts.values()), least)
+    poor = [k for k in distinct if count[k] <= LEAST_PAIRS]
+    for k in distinct:
+        if k not in poor:
+            yield stretch == k, Chance((distinct[k],), least)
+    if poor and sum(len(times) - 1 for times, _ in distinct.values()) >= LEAST_PAIRS:
+        yield np.isin(stretch, poor), Chance(tuple(distinct.values()), least)
 
 
 def _recurrence(t: np.ndarray, same: np.ndarray, span_s: float) -> float:
     """Return the share of pairs of samples that are equal because readings are coarse or periodic.
 
     A value counts if it occurs over more than twice `span_s`, the largest interval between a frame and its copy. `same` (n) is the
-    number of the value of each sample.
+    number of the value of each sample, `t` (n, s) its time.
     """
-    order = np.lexsort((t, same))
+    order = np.lexsort((t, same))  # by value, then by time
     _, first, count = np.unique(same[order], return_index=True, return_counts=True)
     duration = t[order][first + count - 1] - t[order][first]
     equal = (count * (count - 1) / 2)[duration > 2 * span_s].sum()
@@ -379,17 +395,16 @@ def _find_near_pairs(
     Pairs with equal readings may be a frame and its copy. `t` (n): times, s, increasing; `same` (n): number of the distinct
     readings of each sample. Samples that are equal to the one just before (`equals_previous`) are left out.
     """
-    place = np.flatnonzero(~equals_previous)
-    earlier, later = [], []
+    samples = np.flatnonzero(~equals_previous)
+    earlier, later = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     # lag 1 would be neighbours: runs of equal samples are judged elsewhere
-    for lag in range(2, min(MOST_BETWEEN, len(place) - 1) + 1):
-        near = t[place[lag:]] - t[place[:-lag]] <= span_s
+    for lag in range(2, min(MOST_BETWEEN, len(samples) - 1) + 1):
+        near = t[samples[lag:]] - t[samples[:-lag]] <= span_s
         if not near.any():
             break
-        earlier.append(place[:-lag][near])
-        later.append(place[lag:][near])
-    none = np.zeros(0, dtype=int)
-    first, second = (np.concatenate([none, *each]) for each in (earlier, later))
+        earlier.append(samples[:-lag][near])
+        later.append(samples[lag:][near])
+    first, second = np.concatenate(earlier), np.concatenate(later)
     return Pairs(first, second, same[first] == same[second])
 
 
@@ -425,15 +440,16 @@ def _runs_beyond_chance(
     if not equals_previous.any():
         return by_run
     neighbours = np.flatnonzero(adjacent)
-    by_neighbours = chance.at(t[neighbours] - t[neighbours - 1])
+    equal_by_chance = chance.at(t[neighbours] - t[neighbours - 1])
+    # first and last sample of each run; the first does not equal the one before
     begins = np.flatnonzero(equals_previous & ~np.concatenate([[False], equals_previous[:-1]])) - 1
-    if _exceeds_chance(by_neighbours.sum(), len(begins)):
-        return equals_previous
     ends = np.flatnonzero(equals_previous & ~np.concatenate([equals_previous[1:], [False]]))
+    if _exceeds_chance(equal_by_chance.sum(), len(begins)):
+        return equals_previous
     between = np.minimum(ends - begins - 1, MOST_COUNTED)
-    each = chance.at(t[ends] - t[begins]) * by_neighbours.mean() ** (between / 2)
-    for begin, end, by_chance in zip(begins, ends, each, strict=True):
-        if SAFETY * len(neighbours) * by_chance < BY_CHANCE:
+    run_by_chance = chance.at(t[ends] - t[begins]) * equal_by_chance.mean() ** (between / 2)
+    for begin, end, probability in zip(begins, ends, run_by_chance, strict=True):
+        if SAFETY * len(neighbours) * probability < BY_CHANCE:
             by_run[begin + 1 : end + 1] = True
     return by_run
 
@@ -441,44 +457,49 @@ def _runs_beyond_chance(
 def _find_held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.ndarray:
     """Return the readings (n, n_panel) that a panel's column repeats although others change, if it does so throughout the file.
 
-    `fresh` (n) are samples in which some panel has a new reading.
+    `time` (n, s) and `value` (n, n_panel) are times and readings of all samples, `fresh` (n) the samples in which some panel has a
+    new reading.
     """
     held = np.zeros(value.shape, dtype=bool)
     lit = value > LIT_SHARE * bright_reading(value)
     for k in range(value.shape[1]):
-        at = np.flatnonzero(fresh & lit[:, k])
-        if len(at) < 2 * LEAST_HELD:
+        samples = np.flatnonzero(fresh & lit[:, k])
+        if len(samples) < 2 * LEAST_HELD:
             continue
-        t, column = time[at], value[at, k]
-        next_to = np.concatenate([[False], np.diff(np.cumsum(fresh)[at]) == 1])
-        equals_previous = next_to & np.concatenate([[False], column[1:] == column[:-1]])
+        # from here on, only fresh samples in which panel k is lit
+        t, column = time[samples], value[samples, k]
+        adjacent = np.concatenate([[False], np.diff(np.cumsum(fresh)[samples]) == 1])
+        equals_previous = adjacent & np.concatenate([[False], column[1:] == column[:-1]])
         # a sensor that holds its values repeats each about as often; a panel on the spin axis has one long run
         runs = np.diff(np.append(np.flatnonzero(~equals_previous), len(equals_previous)))
         if not 2 <= np.median(runs) or runs.max() > LONGEST_RUN * np.median(runs):
             continue
         step = resolution(column[:, None])
         # only differences within one lit stretch count
-        lit_stretch = np.cumsum(~next_to)
-        changed = tuple(
-            (t[own], column[own, None] / step)
+        lit_stretch = np.cumsum(~adjacent)
+        distinct = tuple(
+            (t[rows], column[rows, None] / step)
             for number in np.unique(lit_stretch)
-            if (own := (lit_stretch == number) & ~equals_previous).sum() > 1
+            if (rows := (lit_stretch == number) & ~equals_previous).sum() > 1
         )
-        few = sum(len(times) - 1 for times, _ in changed) < LEAST_PAIRS
-        if few or equals_previous.sum() < max(LEAST_HELD, HELD_SHARE * next_to.sum()):
+        n_held, n_pairs = int(equals_previous.sum()), sum(len(times) - 1 for times, _ in distinct)
+        if n_pairs < LEAST_PAIRS or n_held < max(LEAST_HELD, HELD_SHARE * adjacent.sum()):
             continue
         # one column has one degree of freedom: a rotation brings its values back more often than a direction
-        chance = Chance(changed, 0.0, 1.0)
-        places = np.flatnonzero(next_to)
-        if _exceeds_chance(chance.at(t[places] - t[places - 1]).sum(), int(equals_previous.sum())):
-            held[at[equals_previous], k] = True
+        chance = Chance(distinct, least=0.0, degrees=1.0)
+        neighbours = np.flatnonzero(adjacent)
+        expected = chance.at(t[neighbours] - t[neighbours - 1]).sum()
+        if _exceeds_chance(expected, n_held):
+            held[samples[equals_previous], k] = True
     return held
 
 
-def _has_signal(name: str, part: np.ndarray) -> np.ndarray:
-    """Return the samples (n) at which a sensor has a signal: for panels sunlight, for other sensors numbers that are not all
-    zero."""
+def _has_signal(name: str, readings: np.ndarray) -> np.ndarray:
+    """Return the samples (n) at which the sensor `name`, with readings (n, n_column), has a signal.
+
+    For panels that is sunlight, for other sensors numbers that are not all zero.
+    """
     if name != PANELS:
-        return np.isfinite(part).all(axis=1) & (part != 0).any(axis=1)
-    largest = np.where(np.isfinite(part), part, 0.0).max(axis=1, initial=0.0)
-    return largest > LIT_SHARE * bright_reading(part)
+        return np.isfinite(readings).all(axis=1) & (readings != 0).any(axis=1)
+    largest = np.where(np.isfinite(readings), readings, 0.0).max(axis=1, initial=0.0)
+    return largest > LIT_SHARE * bright_reading(readings)

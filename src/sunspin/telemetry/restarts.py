@@ -27,10 +27,10 @@ FALL_INTERVALS = 3.0
 """Times that fall back by no more than this many sampling intervals are frames that arrived out of order."""
 
 DENSE = 1.5
-"""Between two samples no farther apart than this many usual intervals, no sample is missing."""
+"""Between two samples no farther apart than this many median intervals, no sample is missing."""
 
 SAME_TIME = 0.05
-"""Samples closer than this share of the usual interval have the same time."""
+"""Samples closer than this share of the median interval have the same time."""
 
 FEWEST_BETWEEN, SHARE_BETWEEN = 3, 0.5
 """A stretch runs through known times again if at least so many of its samples lie where no sample is missing. They must also be at
@@ -65,7 +65,7 @@ MONTHS_S = 60 * 86_400.0
 """Clocks are set back in autumn: two falls within this time have another cause."""
 
 NEXT_PASS = 10.0
-"""The rows after a fall are compared up to a gap of this many usual intervals, because the rows after it may be of any later
+"""The rows after a fall are compared up to a gap of this many median intervals, because the rows after it may be of any later
 pass."""
 
 ROUNDED_S = 1.0
@@ -132,15 +132,16 @@ def find_boot_starts(uptime: np.ndarray, received: np.ndarray, frames: Frames) -
     delay = (received - uptime)[order]
     by_delay = np.argsort(delay, kind="stable")
     up, heard, delay = uptime[order][by_delay], received[order][by_delay], delay[by_delay]
+    # `starts`: first row of each boot; `begin`, `latest`: uptime zero and last sample of this boot, on the clock of `received`
+    starts, begin, latest = [0], delay[0], -np.inf
     ends = np.searchsorted(delay, delay + USUAL_DELAY_S, "right")
-    starts, begin = [0], delay[0]
-    latest = -np.inf  # when the last sample of this boot was taken
     for k in range(len(delay)):
-        grown = delay[k] - begin > USUAL_DELAY_S and delay[k] >= latest - USUAL_DELAY_S
-        here = slice(k, ends[k])
-        if grown and (
+        # the delay is the instant of uptime zero, if the row was received live: then it must follow the last sample
+        begins_later = delay[k] - begin > USUAL_DELAY_S and delay[k] >= latest - USUAL_DELAY_S
+        of_like_delay = slice(k, ends[k])
+        if begins_later and (
             delay[k] - begin > STORED_LONG_S
-            or _is_live(up, heard, delay, here, slice(starts[-1], k))
+            or _is_live(up, heard, delay, of_like_delay, slice(starts[-1], k))
         ):
             starts.append(k)
             begin, latest = delay[k], -np.inf
@@ -154,13 +155,19 @@ def _is_live(
     """Return whether `rows`, of nearly the same delay, were received live.
 
     A single row counts as live if it is the last one received and most rows of the boot `before` are live.
+
+    Parameters
+    ----------
+    uptime, heard, delay : (n), s
+        Uptime, received time and their difference, of all rows in the order of the delay.
+    rows, before : slice
+        Ranges of these arrays.
     """
-    up, late = uptime[rows][:MOST_COMPARED], delay[rows][:MOST_COMPARED]
-    if len(up) == 1:
-        last = rows.stop == len(delay) and heard[rows.start] == heard.max()
-        usual = np.mean(delay[before] - delay[before.start] <= USUAL_DELAY_S)
-        return bool(last and usual > 0.5)
-    return _has_constant_delay(up, late)
+    if rows.stop - rows.start == 1:
+        is_last = rows.stop == len(delay) and heard[rows.start] == heard.max()
+        live_share = np.mean(delay[before] - delay[before.start] <= USUAL_DELAY_S)
+        return bool(is_last and live_share > 0.5)
+    return _has_constant_delay(uptime[rows][:MOST_COMPARED], delay[rows][:MOST_COMPARED])
 
 
 def _has_constant_delay(uptime: np.ndarray, delay: np.ndarray) -> bool:
@@ -174,27 +181,28 @@ def _has_constant_delay(uptime: np.ndarray, delay: np.ndarray) -> bool:
 
 def has_live_rows(uptime: np.ndarray, received: np.ndarray) -> bool:
     """Return whether the rows of a boot (m) with the smallest delays were received live."""
-    delay = (received - uptime)[np.isfinite(received)]
-    least = delay <= delay.min(initial=np.inf) + USUAL_DELAY_S
-    if not least.any():
+    known = np.isfinite(received)
+    uptime, delay = uptime[known], (received - uptime)[known]
+    smallest = delay <= delay.min(initial=np.inf) + USUAL_DELAY_S
+    if not smallest.any():  # no row has a received time
         return False
-    return _has_constant_delay(uptime[np.isfinite(received)][least], delay[least])
+    return _has_constant_delay(uptime[smallest], delay[smallest])
 
 
 def assign_boots(uptime: np.ndarray, received: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Return the number of the boot of each row (n): the last boot of `starts` that had begun `uptime` before the reception.
 
+    `starts` are the instants of uptime zero (s, ascending, on the clock of `received`). `received` is NaN for a row without a time.
     A row without a received time gets the boot of the dated row before or after it in the file, whichever has the nearer uptime.
     """
     known = np.flatnonzero(np.isfinite(received))
     boot = np.zeros(len(uptime), dtype=int)
-    boot[known] = np.maximum(
-        np.searchsorted(starts, (received - uptime)[known] + 1e-6, "right") - 1, 0
-    )
+    zero = (received - uptime)[known] + 1e-6  # a microsecond more: the tolerance for rounding
+    boot[known] = np.maximum(np.searchsorted(starts, zero, "right") - 1, 0)
     for i in np.flatnonzero(~np.isfinite(received)).tolist():
         k = int(np.searchsorted(known, i))
-        near = known[max(k - 1, 0) : k + 1]
-        boot[i] = boot[near[np.argmin(np.abs(uptime[near] - uptime[i]))]]
+        neighbours = known[max(k - 1, 0) : k + 1]
+        boot[i] = boot[neighbours[np.argmin(np.abs(uptime[neighbours] - uptime[i]))]]
     return boot
 
 
@@ -221,13 +229,14 @@ def find_uptime_restart(uptime: np.ndarray, frames: Frames) -> Restart | None:
     """
     if not np.any(np.diff(uptime) < 0):
         return None
-    order, usual = _order_oldest_first(uptime)
-    falls = _find_falls(uptime[order], usual)
+    order, median_interval = _order_oldest_first(uptime)
+    falls = _find_falls(uptime[order], median_interval)
     for fall, end in pairwise([*falls, len(order)]):
         if _repeats_known_times(uptime, frames, order[:fall], order[fall:end]):
             row, before = order[fall], order[fall - 1]
             back = float(uptime[before] - uptime[row])
             return Restart(int(row), int(before), back, bool(uptime[row] < FIRST_UPTIME_S))
+    # no fall is certain: look for one that a reset would make, with a small first uptime or by more than telemetry is stored for
     repeated = frames.repeated(uptime, order)
     for fall in falls:
         row, before = order[fall], order[fall - 1]
@@ -240,6 +249,8 @@ def find_uptime_restart(uptime: np.ndarray, frames: Frames) -> Restart | None:
 def find_clock_set_back(time: np.ndarray, frames: Frames, local: bool) -> Restart | None:
     """Return the row from which on times (n, s) are those of a clock that was set back; None if there is no such row.
 
+    The `back_s` of the result is the step of the clock if it is one of `STEPS_IN_QUARTERS`, else how far times fall.
+
     A few late or early rows are left out. The file is cut at each row before which all rows are earlier than all rows after. A fall
     is tested if it is the only one of its part. Its size must be a step of a local clock, less one interval between samples. Times
     must also occur twice, as they do not in blocks of rows that are out of order.
@@ -250,54 +261,61 @@ def find_clock_set_back(time: np.ndarray, frames: Frames, local: bool) -> Restar
     """
     if not np.any(np.diff(time) < 0):
         return None
-    order, usual = _order_oldest_first(time)
+    order, median_interval = _order_oldest_first(time)
     order = order[~frames.repeated(time, order)[order]]
-    disorder = np.count_nonzero(np.diff(time[order]) < 0)
-    if len(_find_falls(time[order], usual)) != 1 and disorder > MANY_FALLS * len(order):
-        return None
-    order = order[_drop_stragglers(time[order], usual)]
+    n_backward = np.count_nonzero(np.diff(time[order]) < 0)
+    if len(_find_falls(time[order], median_interval)) != 1 and n_backward > MANY_FALLS * len(order):
+        return None  # the file is in disorder
+    order = order[_drop_stragglers(time[order], median_interval)]
     steps = np.diff(time[order])
-    steps = steps[(steps > 0) & (steps <= FALL_INTERVALS * usual)]
+    steps = steps[(steps > 0) & (steps <= FALL_INTERVALS * median_interval)]
     if not steps.size:
         return None
+    # limits of the interval between the last sample before the step and the first one after it
     shortest, longest = max(steps.min() - np.ptp(steps), 0.0), steps.max() + np.ptp(steps)
     if local:  # some samples may be missing at the step
-        longest = max(longest, FALL_INTERVALS * usual)
-    # `whole`: falls by a step of a clock, whose times do not occur twice; `unsure`: other falls
-    n_falls, whole, unsure = len(_find_falls(time[order], usual)), [], []
+        longest = max(longest, FALL_INTERVALS * median_interval)
+    n_falls = len(_find_falls(time[order], median_interval))
+    clock_steps: list[
+        Restart
+    ] = []  # falls by a step of a local clock, whose times do not occur twice
+    other_falls: list[Restart] = []
     for part in _split_in_order(time, order):
-        falls = _find_falls(time[part], usual)
+        falls = _find_falls(time[part], median_interval)
+        # at least two rows on each side of the fall show the order of the times there
         if len(falls) != 1 or not 2 <= falls[0] <= len(part) - 2:
             continue
         known, later = part[: falls[0]], part[falls[0] :]
         row, before = int(later[0]), int(known[-1])
         back = float(time[before] - time[row])
-        # the step is the fall plus the interval between the two samples, which is between shortest and longest
+        # the clock's step is the fall plus the interval between the two samples: the longest interval gives the most quarter hours
         quarters = int((back + longest + ROUNDED_S) // QUARTER_S)
-        fits = QUARTER_S * quarters >= back + shortest - ROUNDED_S and quarters in STEPS_IN_QUARTERS
-        size = QUARTER_S * quarters if fits else back
-        if (fits and _overlap(time[known], time[later])) or (
+        is_clock_step = (
+            QUARTER_S * quarters >= back + shortest - ROUNDED_S and quarters in STEPS_IN_QUARTERS
+        )
+        size = QUARTER_S * quarters if is_clock_step else back
+        if (is_clock_step and _overlap(time[known], time[later])) or (
             local and n_falls == 1 and _repeats_known_times(time, frames, known, later)
         ):
             return Restart(row, before, size)
-        if fits:
-            whole.append(Restart(row, before, size))
+        if is_clock_step:
+            clock_steps.append(Restart(row, before, size))
         elif local and back <= LONGEST_FALL_S:
-            unsure.append(Restart(row, before, size, sure=False))
-    apart = np.diff([time[each.row] for each in whole])
-    yearly = len({each.back_s for each in whole}) == 1 and (apart > MONTHS_S).all()
-    if local and len(whole) == n_falls and yearly:
-        return whole[0]
-    candidates = [each._replace(sure=False) for each in whole] + unsure
+            other_falls.append(Restart(row, before, size, sure=False))
+    apart = np.diff([time[step.row] for step in clock_steps])
+    yearly = len({step.back_s for step in clock_steps}) == 1 and (apart > MONTHS_S).all()
+    if local and len(clock_steps) == n_falls and yearly:
+        return clock_steps[0]
+    candidates = [step._replace(sure=False) for step in clock_steps] + other_falls
     return candidates[0] if n_falls == 1 and candidates else None
 
 
-def _drop_stragglers(time: np.ndarray, usual: float) -> np.ndarray:
+def _drop_stragglers(time: np.ndarray, median_interval: float) -> np.ndarray:
     """Return the indices of times (n, in the file's order) without blocks of up to `MOST_STRAGGLERS` late or early rows."""
     rows = np.arange(len(time))
     for count in range(1, MOST_STRAGGLERS + 1):
         t, drop = time[rows], np.zeros(len(rows), dtype=bool)
-        falls = _find_falls(t, usual)
+        falls = _find_falls(t, median_interval)
         # a block of `count` rows is late if times go on after it as before, early if they do so before it
         falls = falls[(falls > count) & (falls + count < len(t))]
         late = t[falls + count] >= t[falls - 1]
@@ -312,13 +330,13 @@ def _drop_stragglers(time: np.ndarray, usual: float) -> np.ndarray:
 def _split_in_order(time: np.ndarray, order: np.ndarray) -> list[np.ndarray]:
     """Return the rows in `order`, split wherever all rows before are earlier than all rows after."""
     t = time[order]
-    least_after = np.minimum.accumulate(t[::-1])[::-1]
-    cuts = np.flatnonzero(np.maximum.accumulate(t)[:-1] < least_after[1:]) + 1
+    earliest_from_here = np.minimum.accumulate(t[::-1])[::-1]
+    cuts = np.flatnonzero(np.maximum.accumulate(t)[:-1] < earliest_from_here[1:]) + 1
     return np.split(order, cuts)
 
 
 def _overlap(known: np.ndarray, later: np.ndarray) -> bool:
-    """Return whether enough `later` times lie between two `known` times without a missing sample in between."""
+    """Return whether enough `later` times (s) lie between two successive `known` times that have no missing sample in between."""
     known = np.unique(known)
     if len(known) < FEWEST_BETWEEN:
         return False
@@ -330,18 +348,21 @@ def _overlap(known: np.ndarray, later: np.ndarray) -> bool:
 
 
 def _order_oldest_first(time: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the rows (n) in the file's order, reversed if most times fall, and the usual interval (s)."""
+    """Return the rows (n) in the file's order, reversed if most times fall, and the median interval (s).
+
+    The median is taken over the intervals between successive rows, in either direction, without zeros; 0 if all times are equal.
+    """
     steps = np.diff(time)
     order = np.arange(len(time))
     if np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0):
         order = order[::-1]
-    moved = np.abs(steps[steps != 0])
-    return order, float(np.median(moved)) if moved.size else 0.0
+    intervals = np.abs(steps[steps != 0])
+    return order, float(np.median(intervals)) if intervals.size else 0.0
 
 
-def _find_falls(time: np.ndarray, usual: float) -> np.ndarray:
-    """Return the rows at which times fall back by more than frames out of order do (`FALL_INTERVALS` usual intervals)."""
-    return np.flatnonzero(np.diff(time) < -FALL_INTERVALS * usual) + 1
+def _find_falls(time: np.ndarray, median_interval: float) -> np.ndarray:
+    """Return the rows at which times fall back by more than frames out of order do (`FALL_INTERVALS` median intervals)."""
+    return np.flatnonzero(np.diff(time) < -FALL_INTERVALS * median_interval) + 1
 
 
 def _repeats_known_times(
@@ -354,16 +375,19 @@ def _repeats_known_times(
     known = known[np.argsort(time[known], kind="stable")]
     if len(known) < FEWEST_BETWEEN or len(later) < FEWEST_BETWEEN:
         return False
-    t, later_t = time[known], time[later]
-    usual = float(np.median(np.diff(np.unique(t)))) if len(np.unique(t)) > 1 else 0.0
-    later = later[: int(np.argmax(np.append(np.diff(later_t) > NEXT_PASS * usual, True))) + 1]
+    t = time[known]
+    median_interval = float(np.median(np.diff(np.unique(t)))) if len(np.unique(t)) > 1 else 0.0
+    # the later rows up to their first long gap
+    long_gap = np.append(np.diff(time[later]) > NEXT_PASS * median_interval, True)
+    later = later[: int(np.argmax(long_gap)) + 1]
     within = later[(time[later] >= t[0]) & (time[later] <= t[-1])]
+    # the known rows before and after each of these, and the nearer of the two
     after = np.clip(np.searchsorted(t, time[within]), 1, len(t) - 1)
     low, high = known[after - 1], known[after]
-    dense = time[high] - time[low] <= DENSE * usual
+    dense = time[high] - time[low] <= DENSE * median_interval
     nearer = np.where(time[within] - time[low] < time[high] - time[within], low, high)
-    one_time = np.abs(time[within] - time[nearer]) <= SAME_TIME * usual
-    contradicts = np.where(one_time, ~frames.agree(within, nearer), dense)
+    same_time = np.abs(time[within] - time[nearer]) <= SAME_TIME * median_interval
+    contradicts = np.where(same_time, ~frames.agree(within, nearer), dense)
     contradicts &= frames.comparable(within, nearer)
     count = int(np.count_nonzero(contradicts))
     return count >= FEWEST_BETWEEN and count >= SHARE_BETWEEN * len(within)

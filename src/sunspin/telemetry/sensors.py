@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,9 @@ AGREE = 0.5
 SHORTEST = 0.5
 """A Sun vector shorter than this share of the longest one is no reading: in the dark, some computers write zeros or small
 numbers."""
+
+NEIGHBOUR_COSINE = 0.5
+"""Smallest cosine between a sensor's y axis and the normal of a neighbour on that side."""
 
 NEIGHBOUR_RAD = 0.73
 """Angle from a sensor's normal towards a neighbouring sensor that is lit, too, if it is not measured: about 42 degrees."""
@@ -87,6 +90,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     for name, variable in VARIABLES.items():
         sensor = vehicle.sensors.with_columns.get(name)
         if sensor is not None and table.has(sensor.names):
+            # zero, scale, signs and axes of the vehicle file are applied here
             dimension, value, attrs = sensor.interpret(_numbers(table, sensor.names))
             variables[variable] = (("time", dimension), value, attrs)
     speed_columns = [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
@@ -104,14 +108,13 @@ def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Return the variables of `read_sensors` that come from Sun sensors and the Sun vector."""
     sensors, vector = vehicle.sensors.sun_sensors, vehicle.sensors.sun_vector
     vector = vector if vector is not None and table.has(vector.names) else None
-    present = {
-        k: sensor for k, sensor in enumerate(sensors) if table.has(sun_sensor_columns(sensor))
-    }
+    present = [k for k, sensor in enumerate(sensors) if table.has(sun_sensor_columns(sensor))]
     if not present and vector is None:
         return {}
-    n = len(table.cells)
-    lit, turned, ambiguous = np.zeros((3, n, len(sensors)), dtype=bool)
-    for k, sensor in present.items():
+    # for each sample and sensor: it sees the Sun; the sign of its y is reversed; this sign is uncertain
+    lit, turned, ambiguous = np.zeros((3, len(table.cells), len(sensors)), dtype=bool)
+    for k in present:
+        sensor = sensors[k]
         if sensor.light_column is None:  # then it is assumed to see the Sun always
             lit[:, k] = True
             continue
@@ -121,52 +124,81 @@ def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
             excess = light - sensor.y_turned_above
             turned[:, k] = excess > 0
             ambiguous[:, k] = np.abs(excess) < AMBIGUOUS_SIGMAS * (sensor.y_turned_sigma or 0.0)
-    angle = np.full((n, len(sensors), 2), np.nan)
-
-    def combine_sensors(y_turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Sun (n, 3) and its covariance (n, 3, 3): the mean over sensors, weighted by their information matrices.
-
-        `y_turned` (n, n_sensor) marks reversed signs of y. The angles of the sensors are written into `angle`.
-        """
-        views = [] if vector is None else [_sun_vector(vector, table)]
-        for k, sensor in present.items():
-            angle[lit[:, k], k] = _angles(sensor, table, y_turned[:, k])[lit[:, k]]
-            views.append((*_direction(k, sensors, lit, angle[:, k]), lit[:, k]))
-        information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
-        for direction, weight, sees in views:
-            use = sees & np.isfinite(direction).all(axis=1)
-            information[use] += weight[use]
-            weighted[use] += np.einsum("nij,nj->ni", weight[use], direction[use])
-        covariance, sun = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
-        seen = np.trace(information, axis1=1, axis2=2) > 0
-        covariance[seen] = np.linalg.inv(information[seen])
-        sun[seen] = np.einsum("nij,nj->ni", covariance[seen], weighted[seen])
-        size = np.linalg.norm(sun, axis=1)
-        agree = seen & (size > AGREE)
-        sun[agree] /= size[agree, None]
-        sun[~agree], covariance[~agree] = np.nan, np.nan
-        return sun, covariance
-
     variables: dict[str, Any] = {}
-    # the unlikely signs first, so that `angle` ends with the likely ones
-    alternative = combine_sensors(turned ^ ambiguous) if ambiguous.any() else None
-    sun, covariance = combine_sensors(turned)
+    sun = _combine_sensors(vehicle, table, present, vector, lit, turned)
     if present:
         long_name = "angles of each Sun sensor from its normal, along its x and its y"
         about = {"units": "rad", "long_name": long_name}
-        variables["sun_sensor_angle"] = (("time", "sun_sensor", "side"), angle, about)
+        variables["sun_sensor_angle"] = (("time", "sun_sensor", "side"), sun.angle, about)
         about = {"units": "1", "long_name": "1 where a Sun sensor's y runs the other way"}
         flags = turned.astype(np.int8)
         variables["sun_sensor_y_turned"] = (("time", "sun_sensor"), flags, about)
     name = "Sun by the Sun sensors, body axes"
-    variables |= _direction_variables("sun_sensor", sun, covariance, name)
-    if alternative is not None:
-        some = np.asarray(ambiguous.any(axis=1))
-        sun = np.where(some[:, None], alternative[0], np.nan)
-        covariance = np.where(some[:, None, None], alternative[1], np.nan)
+    variables |= _direction_variables("sun_sensor", sun.direction, sun.covariance, name)
+    if ambiguous.any():
+        # with the less likely signs, in samples in which some sign is uncertain
+        other = _combine_sensors(vehicle, table, present, vector, lit, turned ^ ambiguous)
+        uncertain = np.asarray(ambiguous.any(axis=1))
+        direction = np.where(uncertain[:, None], other.direction, np.nan)
+        covariance = np.where(uncertain[:, None, None], other.covariance, np.nan)
         name = "Sun by the Sun sensors, if their y runs the other way"
-        variables |= _direction_variables("sun_sensor_other", sun, covariance, name)
+        variables |= _direction_variables("sun_sensor_other", direction, covariance, name)
     return variables
+
+
+class _CombinedSun(NamedTuple):
+    """Sun of all sensors together.
+
+    `direction` (n, 3), body axes, and its `covariance` (n, 3, 3): NaN if no sensor sees the Sun, or if they see different Suns.
+    `angle` (n, n_sensor, 2): angles of each Sun sensor, NaN if it does not see the Sun.
+    """
+
+    direction: np.ndarray
+    covariance: np.ndarray
+    angle: np.ndarray
+
+
+def _combine_sensors(
+    vehicle: Vehicle,
+    table: Table,
+    present: Iterable[int],
+    vector: SunVector | None,
+    lit: np.ndarray,
+    y_turned: np.ndarray,
+) -> _CombinedSun:
+    """Return the mean Sun direction of the sensors, weighted by their information matrices.
+
+    Parameters
+    ----------
+    present : numbers of the Sun sensors whose columns the table has
+    vector : SunVector, optional
+        A Sun vector whose columns the table has.
+    lit : (n, n_sensor)
+        Sensors that see the Sun.
+    y_turned : (n, n_sensor)
+        Sensors whose y has the reversed sign.
+    """
+    sensors, n = vehicle.sensors.sun_sensors, len(table.cells)
+    angle = np.full((n, len(sensors), 2), np.nan)
+    # of each sensor: directions (n, 3), their information matrices (n, 3, 3), and whether it sees the Sun (n)
+    views = [] if vector is None else [_sun_vector(vector, table)]
+    for k in present:
+        angle[lit[:, k], k] = _angles(sensors[k], table, y_turned[:, k])[lit[:, k]]
+        views.append((*_direction(k, sensors, lit, angle[:, k]), lit[:, k]))
+    information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    for direction, weight, sees in views:
+        use = sees & np.isfinite(direction).all(axis=1)
+        information[use] += weight[use]
+        weighted[use] += np.einsum("nij,nj->ni", weight[use], direction[use])
+    covariance, sun = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
+    seen = np.trace(information, axis1=1, axis2=2) > 0
+    covariance[seen] = np.linalg.inv(information[seen])
+    sun[seen] = np.einsum("nij,nj->ni", covariance[seen], weighted[seen])
+    length = np.linalg.norm(sun, axis=1)
+    agree = seen & (length > AGREE)
+    sun[agree] /= length[agree, None]
+    sun[~agree], covariance[~agree] = np.nan, np.nan
+    return _CombinedSun(sun, covariance, angle)
 
 
 def _direction_variables(
@@ -185,20 +217,23 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
     """Return the readings (n, n_column) of columns; NaN for cells without a number and for fill values."""
     values = table.numbers(names)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
-    fill = np.isin(values, FILLS)
-    largest = np.max(np.where(fill, 0.0, np.nan_to_num(np.abs(values))), axis=0, initial=0.0)
-    return np.where(fill & (np.abs(values) > FILL_FACTOR * largest), np.nan, values)
+    may_be_fill = np.isin(values, FILLS)
+    others = np.where(may_be_fill, 0.0, np.nan_to_num(np.abs(values)))
+    largest_other = np.max(others, axis=0, initial=0.0)  # of each column
+    return np.where(may_be_fill & (np.abs(values) > FILL_FACTOR * largest_other), np.nan, values)
 
 
 def _sun_vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the directions (n, 3) of a Sun vector, their information matrices (n, 3, 3), and whether it sees the Sun (n)."""
     value = form.sign * _numbers(table, form.names)
-    size = np.linalg.norm(value, axis=1)
-    longest = float(np.nanmax(size, initial=0.0))
-    sees = size > max(SHORTEST * longest, 1 / ABSURD)
-    direction = value / np.where(sees, size, 1.0)[:, None]
+    length = np.linalg.norm(value, axis=1)
+    longest = float(np.nanmax(length, initial=0.0))
+    sees = length > max(SHORTEST * longest, 1 / ABSURD)
+    direction = value / np.where(sees, length, 1.0)[:, None]
+    # projections along the direction and, by their complement, across it
     along = direction[:, :, None] * direction[:, None, :]
-    return direction, along / RADIAL_SIGMA**2 + (np.eye(3) - along) / form.sigma_rad**2, sees
+    information = along / RADIAL_SIGMA**2 + (np.eye(3) - along) / form.sigma_rad**2
+    return direction, information, sees
 
 
 def _angles(sensor: SunSensor, table: Table, y_turned: np.ndarray) -> np.ndarray:
@@ -219,19 +254,21 @@ def _direction(
     If the sensor does not measure y, the angle is estimated from which of its neighbours are lit (`lit`, (n, n_sensor)).
     """
     sensor, n = sensors[k], len(angle)
-    u, v = sensor.x_axis_B, np.cross(sensor.normal_B, sensor.x_axis_B)
+    x_axis_B, y_axis_B = sensor.x_axis_B, np.cross(sensor.normal_B, sensor.x_axis_B)
     x, y = angle.T
     y_sigma = np.full(n, sensor.y_sigma_rad)
     if sensor.y_column is None:
-        towards = np.array([neighbour.normal_B @ v for neighbour in sensors])
-        side = (lit * (np.abs(towards) > 0.5)) @ np.sign(towards)
+        # lit neighbours that look within 60 degrees of +y or -y: their sum is positive if the Sun is on the side of +y
+        cosine = np.array([neighbour.normal_B @ y_axis_B for neighbour in sensors])
+        side = (lit * (np.abs(cosine) > NEIGHBOUR_COSINE)) @ np.sign(cosine)
         y = NEIGHBOUR_RAD * np.clip(side, -1, 1)
         y_sigma[side != 0] = min(NEIGHBOUR_SIGMA_RAD, sensor.y_sigma_rad)
-    direction = sensor.normal_B + np.tan(x)[:, None] * u + np.tan(y)[:, None] * v
+    direction = sensor.normal_B + np.tan(x)[:, None] * x_axis_B + np.tan(y)[:, None] * y_axis_B
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    across = np.cross(direction, u)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    along = np.cross(across, direction)
-    axes = np.stack([along, across, direction], axis=1)
+    # unit vectors along which the two angles move the direction, and the direction itself
+    along_y = np.cross(direction, x_axis_B)
+    along_y /= np.linalg.norm(along_y, axis=1, keepdims=True)
+    along_x = np.cross(along_y, direction)
+    axes = np.stack([along_x, along_y, direction], axis=1)
     sigma = np.stack([np.full(n, sensor.x_sigma_rad), y_sigma, np.full(n, RADIAL_SIGMA)], axis=1)
     return direction, np.einsum("nki,nkj,nk->nij", axes, axes, sigma**-2.0)

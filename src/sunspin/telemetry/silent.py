@@ -33,7 +33,7 @@ CLEARLY = 10.0
 """Decrease of chi-square, in at least one sample, from which a panel is taken as lost. In 70 files with misaligned panels, none of
 them lost, the largest decrease was below 3."""
 
-UNEXPLAINED, ODD_SHARE = 1e-3, 0.1
+UNEXPLAINED, UNEXPLAINED_SHARE = 1e-3, 0.1
 """A sample whose chi-square is less probable than the first number is not explained by the loss either. If there are more of these
 than the second number times the samples that miss the panel, the cause is the battery or something else."""
 
@@ -66,6 +66,7 @@ def find_lost_panels(
     """
     gains = vehicle.input_gains
     lost = np.zeros(len(gains), dtype=bool)
+    # complete samples with some panel lit
     lit = np.isfinite(relative).all(axis=1) & (np.nan_to_num(relative) > DARK).any(axis=1)
     t_s, readings = t_s[lit], relative[lit]
     silent = (readings < np.maximum(DARK, QUIET_SIGMAS * noise / gains)).all(axis=0)
@@ -74,38 +75,43 @@ def find_lost_panels(
     # with throttled inputs the battery may limit any sample, so no sample is known to be in full Sun
     if vehicle.throttled or silent.all() or not len(readings):
         return lost
-    light = panel_power(vehicle, sphere(DIRECTIONS)) / gains
+    light = (
+        panel_power(vehicle, sphere(DIRECTIONS)) / gains
+    )  # model of the readings for each trial direction
     # error of a reading, as a share of full Sun, with the misalignments that the vehicle file states
     sigma = np.sqrt(ERROR**2 + (misalignment_signal_sigma(vehicle) ** 2 + noise**2) / gains**2)
     while (candidates := np.flatnonzero(silent & ~lost)).size:
         fits = {k: _fit_without(k, readings, light, sigma, lost) for k in candidates}
-        k = max(candidates, key=lambda panel: fits[panel].evidence)
-        if fits[k].evidence < CLEARLY:
+        clearest = max(candidates, key=lambda k: fits[k].evidence)
+        fit = fits[clearest]
+        if fit.evidence < CLEARLY:
             break
-        if _explained_by_battery(k, fits[k], t_s, readings, light, sigma, lost):
+        if _explained_by_battery(clearest, fit, t_s, readings, light, sigma, lost):
             break
-        lost[k] = True
+        lost[clearest] = True
     return lost
 
 
 class Fit(NamedTuple):
     """Fit of the Sun in each sample (n) without a silent panel.
 
-    `sun`: index of the best trial direction; `square`: chi-square; `odd`: not explained without the panel either; `missing`: not
-    odd, and clearly better without the panel, which should have been lit; `gain`: decrease of chi-square without the panel.
+    `sun`: index of the best trial direction; `square`: chi-square; `unexplained`: not explained without the panel either;
+    `missing`: explained, and clearly better without the panel, which should have been lit; `decrease` of chi-square without the
+    panel.
     """
 
     sun: np.ndarray
     square: np.ndarray
-    odd: np.ndarray
+    unexplained: np.ndarray
     missing: np.ndarray
-    gain: np.ndarray
+    decrease: np.ndarray
 
     @property
     def evidence(self) -> float:
-        """Largest decrease of chi-square of a sample without the panel; 0 if too many samples are odd."""
-        few = self.odd.sum() <= ODD_SHARE * self.missing.sum()
-        return float(self.gain[self.missing].max(initial=0.0)) if few else 0.0
+        """Largest decrease of chi-square of a sample that misses the panel; 0 if too many samples are unexplained."""
+        if self.unexplained.sum() > UNEXPLAINED_SHARE * self.missing.sum():
+            return 0.0
+        return float(self.decrease[self.missing].max(initial=0.0))
 
 
 def _fit_without(
@@ -120,15 +126,18 @@ def _fit_without(
     # chi-square that panel k adds by reading nothing, for each direction
     penalty = (np.maximum(light[:, k] - DARK, 0.0) / sigma[k]) ** 2
     n = len(readings)
-    sun, best, gain = np.empty(n, dtype=np.intp), np.empty(n), np.empty(n)
+    sun, best, decrease = np.empty(n, dtype=np.intp), np.empty(n), np.empty(n)
     for start in range(0, n, CHUNK):
         part = slice(start, start + CHUNK)
-        seen = (readings[part] / sigma)[:, used]
-        square = (seen**2).sum(axis=1)[:, None] - 2 * seen @ model.T + (model**2).sum(axis=1)
+        measured = (readings[part] / sigma)[:, used]
+        # |measured - model|^2 of each sample and direction, multiplied out
+        square = (
+            (measured**2).sum(axis=1)[:, None] - 2 * measured @ model.T + (model**2).sum(axis=1)
+        )
         sun[part], best[part] = square.argmin(axis=1), square.min(axis=1)
-        gain[part] = (square + penalty).min(axis=1) - best[part]
-    odd = chdtrc(used.sum(), best) < UNEXPLAINED
-    return Fit(sun, best, odd, ~odd & (gain > CLEARLY), gain)
+        decrease[part] = (square + penalty).min(axis=1) - best[part]
+    unexplained = chdtrc(used.sum(), best) < UNEXPLAINED
+    return Fit(sun, best, unexplained, ~unexplained & (decrease > CLEARLY), decrease)
 
 
 def _explained_by_battery(
@@ -140,22 +149,33 @@ def _explained_by_battery(
     sigma: np.ndarray,
     lost: np.ndarray,
 ) -> bool:
-    """Return whether a battery that limits the current explains the samples that miss panel `k` (`fit`) as well as its loss."""
+    """Return whether a battery that limits the current explains the samples that miss panel `k` as well as its loss does.
+
+    Compares chi-squares, then how much the Sun's path bends under both explanations. If neither decides, the other samples show how
+    often dimmed samples would miss the panel by chance.
+
+    Parameters
+    ----------
+    fit : Fit
+        Fit of the samples without panel `k`, at the times `t_s` (n, s).
+    readings, light, sigma, lost
+        As in `_fit_without`.
+    """
     dimmed = _fit_dimmed((readings / sigma)[:, ~lost], (light / sigma)[:, ~lost])
     if (dimmed.square - fit.square)[fit.missing].sum() > CLEARLY:
         return False
-    bends_lost = _bend(t_s, fit.sun, fit.missing)
-    bends = bends_lost / max(_bend(t_s, dimmed.sun, fit.missing), 1e-9)
-    every = np.ones(len(readings))
-    if (
-        bends > ROUGHER
-        or bends < SMOOTHER
-        or _bend(t_s, dimmed.sun, every) < FOLLOWED * len(readings)
-    ):
-        return bends > ROUGHER
+    bend_if_lost = _bend(t_s, fit.sun, fit.missing)
+    bend_if_dimmed = _bend(t_s, dimmed.sun, fit.missing)
+    bend_ratio = bend_if_lost / max(bend_if_dimmed, 1e-9)
+    if bend_ratio > ROUGHER:
+        return True
+    every_sample = np.ones(len(readings))
+    can_be_followed = _bend(t_s, dimmed.sun, every_sample) < FOLLOWED * len(readings)
+    if bend_ratio < SMOOTHER or can_be_followed:
+        return False
     # the path cannot be followed: how often would the remaining samples miss the panel, too, if they were dimmed as much?
     level = np.median(dimmed.brightness[fit.missing])
-    control = level * readings[~fit.missing & ~fit.odd]
+    control = level * readings[~fit.missing & ~fit.unexplained]
     share = _fit_without(k, control, light, sigma, lost).missing.mean() if len(control) else 1.0
     return share ** fit.missing.sum() > BY_CHANCE
 
@@ -171,21 +191,25 @@ class DimmedFit(NamedTuple):
     brightness: np.ndarray
 
 
-def _fit_dimmed(seen: np.ndarray, model: np.ndarray) -> DimmedFit:
-    """Fit a trial direction and a brightness to each sample of readings (n, n_panel), with the model (n_direction, n_panel).
+def _fit_dimmed(readings: np.ndarray, model: np.ndarray) -> DimmedFit:
+    """Fit a trial direction and a brightness to each sample of `readings` (n, n_panel), with the model (n_direction, n_panel).
 
     Both are in units of the error of a reading.
     """
-    sun, best, level = np.empty(len(seen), dtype=np.intp), np.empty(len(seen)), np.empty(len(seen))
-    size = np.maximum((model**2).sum(axis=1), 1e-12)
-    for start in range(0, len(seen), CHUNK):
+    n = len(readings)
+    sun, best, brightness = np.empty(n, dtype=np.intp), np.empty(n), np.empty(n)
+    model_square = np.maximum((model**2).sum(axis=1), 1e-12)
+    for start in range(0, n, CHUNK):
         part = slice(start, start + CHUNK)
-        along = seen[part] @ model.T
-        bright = np.clip(along / size, 0.0, 1.0)  # the best factor for each direction
-        square = (seen[part] ** 2).sum(axis=1)[:, None] + bright * (bright * size - 2 * along)
+        product = readings[part] @ model.T
+        factor = np.clip(product / model_square, 0.0, 1.0)  # the best brightness for each direction
+        # |reading - factor * model|^2, multiplied out
+        square = (readings[part] ** 2).sum(axis=1)[:, None] + factor * (
+            factor * model_square - 2 * product
+        )
         sun[part], best[part] = square.argmin(axis=1), square.min(axis=1)
-        level[part] = bright[np.arange(len(along)), sun[part]]
-    return DimmedFit(sun, best, level)
+        brightness[part] = factor[np.arange(len(product)), sun[part]]
+    return DimmedFit(sun, best, brightness)
 
 
 def _bend(t_s: np.ndarray, sun: np.ndarray, which: np.ndarray) -> float:
@@ -194,8 +218,8 @@ def _bend(t_s: np.ndarray, sun: np.ndarray, which: np.ndarray) -> float:
     `sun` (n) are indices of trial directions. The change of velocity is multiplied by the shorter of the two adjacent intervals, so
     that a gap does not count as a bend.
     """
-    near = np.convolve(which, [1, 1, 1], "same") > 0
+    with_neighbours = np.convolve(which, [1, 1, 1], "same") > 0
     step_s = np.maximum(np.diff(t_s), 1e-9)
-    change = np.diff(np.diff(sphere(DIRECTIONS)[sun], axis=0) / step_s[:, None], axis=0)
-    bend = np.linalg.norm(change, axis=1) * np.minimum(step_s[1:], step_s[:-1])
-    return float(bend[near[1:-1]].sum())
+    velocity = np.diff(sphere(DIRECTIONS)[sun], axis=0) / step_s[:, None]
+    bend = np.linalg.norm(np.diff(velocity, axis=0), axis=1) * np.minimum(step_s[1:], step_s[:-1])
+    return float(bend[with_neighbours[1:-1]].sum())

@@ -57,11 +57,16 @@ def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
     for name in ("B", "cov_B"):
         if f"sun_sensor_{name}" in sensor_variables:
             sensor_variables[f"sun_sensor_other_{name}"] = sensor_variables[f"sun_sensor_{name}"]
-    number, panels = np.zeros(1), (("time", "panel"), np.zeros((1, len(vehicle.input_names))))
-    panel_variables = {vehicle.telemetry.quantity: panels, "panel_temperature_C": panels}
-    row_variables = {"flag": ("time", number.astype(np.uint8)), "received_s": ("time", number)}
-    forms = (row_variables | panel_variables | sensor_variables).items()
-    return {name: xr.Variable(*form[:2]) for name, form in forms}
+    panels = (("time", "panel"), np.zeros((1, len(vehicle.input_names))))
+    variables = {
+        "flag": ("time", np.zeros(1, dtype=np.uint8)),
+        "received_s": ("time", np.zeros(1)),
+        vehicle.telemetry.quantity: panels,
+        "panel_temperature_C": panels,
+        **sensor_variables,
+    }
+    # attributes, which follow dimensions and values, are left out
+    return {name: xr.Variable(*parts[:2]) for name, parts in variables.items()}
 
 
 def _describe_mismatch(data: xr.Dataset, vehicle: Vehicle, expected: dict[str, xr.Variable]) -> str:
@@ -73,22 +78,24 @@ def _describe_mismatch(data: xr.Dataset, vehicle: Vehicle, expected: dict[str, x
     ):
         return "no epoch, or no word on its columns"
     time, phase = data.variables.get("time"), data.variables.get("phase")
-    plain = time is not None and time.dims == ("time",) and time.dtype.kind == "f"
-    if not plain or not time.size or not (np.abs(time.values) < ABSURD).all():
+    has_floats = time is not None and time.dims == ("time",) and time.dtype.kind == "f"
+    if not has_floats or not time.size or not (np.abs(time.values) < ABSURD).all():
         return "no times, or times that are no numbers"
     if phase is not None and (phase.dims != ("time",) or phase.dtype.kind not in "UO"):
         return "phases that are no texts"
     panels = [str(name) for name in data["panel"].values] if "panel" in data.coords else []
     if "panel" in data.sizes and panels != list(vehicle.input_names):
         return "other panels"
-    if "flag" not in data or len(data.data_vars) == 1:
+    if "flag" not in data or len(data.data_vars) == 1:  # the flags alone
         return "no flags, or no reading"
     for name, stored in data.variables.items():
-        if (form := expected.get(str(name))) is None:
+        if (model := expected.get(str(name))) is None:  # time, panel, axis or phase
             continue
         # shapes are compared without the first dimension, the number of samples
-        forms = [(each.dims, each.shape[1:], each.dtype.kind) for each in (stored, form)]
-        if forms[0] != forms[1]:
+        form, expected_form = (
+            (each.dims, each.shape[1:], each.dtype.kind) for each in (stored, model)
+        )
+        if form != expected_form:
             return f"another form of {name}"
         if np.any(np.abs(stored.values[~np.isnan(stored.values)]) > ABSURD):
             return f"{name} beyond all measure"

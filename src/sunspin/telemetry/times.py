@@ -82,14 +82,18 @@ def parse_utc(text: str) -> datetime | None:
 
 
 def _to_iso(text: str) -> str | None:
-    """Return a time in the notation of ISO 8601; None for a day of the year that does not exist."""
+    """Return a time in the notation of ISO 8601; None for a day of the year that does not exist.
+
+    Converts "UTC" or "GMT" at the end, slashes in dates, and days of the year. Any other text is returned as it is.
+    """
     text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
-    # year and day of the year, as in CCSDS 301.0-B, ASCII code B
-    day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text, re.ASCII)
+    # year, day of the year and time of day, as in CCSDS 301.0-B, ASCII code B
+    ordinal = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text, re.ASCII)
     try:
-        if day:
-            start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
-            return start.date().isoformat() + (day[3] or "")
+        if ordinal:
+            new_year = datetime(int(ordinal[1]), 1, 1, tzinfo=UTC)
+            day = new_year + timedelta(days=int(ordinal[2]) - 1)
+            return day.date().isoformat() + (ordinal[3] or "")
     except (ValueError, OverflowError):  # no such year or day
         return None
     return text
@@ -133,7 +137,7 @@ def read_received_times(form: TelemetryForm, table: Table) -> np.ndarray | None:
     return received
 
 
-def read_times(form: TelemetryForm, table: Table, read: set[str]) -> Times:
+def read_times(form: TelemetryForm, table: Table, reading_columns: set[str]) -> Times:
     """Read the times of all rows in the file's order.
 
     The epoch is that of the vehicle file. If it states none, the epoch follows from received times, or it is the time of the first
@@ -141,14 +145,17 @@ def read_times(form: TelemetryForm, table: Table, read: set[str]) -> Times:
 
     Parameters
     ----------
-    read : set of str
+    reading_columns : set of str
         Columns with readings: rows that repeat them are one frame, received again.
 
     Raises
     ------
     TelemetryError
-        A cell is not a time, or the clock was set back or started again so that rows have no date. With ``bad_rows = "refuse"``
-        also: rows are misdated.
+        A cell is not a time, or the epoch of the vehicle file is none. The setting ``bad_rows`` of the vehicle file adds:
+
+        - "refuse": the clock was set back or started again, or rows are dated years from all others;
+        - "flag": the clock was set back or started again; misdated rows are only marked in the result;
+        - "sort": nothing. Rows may be in any order, so that falling times are no evidence of a clock that was set back.
     """
     received = read_received_times(form, table)
     notes = []
@@ -160,20 +167,22 @@ def read_times(form: TelemetryForm, table: Table, read: set[str]) -> Times:
         zones = [_kind_of_zone(cell) for cell in table.cells[form.receive_time_column]]
         if np.isfinite(received).any() and not any(zones):
             notes.append(NO_ZONE_RECEIVED)
-    names = [name for name in table.header if name in read]
+    names = [name for name in table.header if name in reading_columns]
     frames = Frames(np.char.strip(table.cells[names].to_numpy().astype(str)))
     if form.time_format == "elapsed":
-        time, epoch, remarks = _read_elapsed(form, table, received, fixed, frames)
-        return Times(time, epoch, received, (*notes, *remarks), np.zeros(len(time), dtype=bool))
-    time, epoch, local, remarks = _read_calendar(form, table, fixed)
+        # elapsed times name no dates: no row is misdated, and clocks that start again are handled there as boots
+        time, epoch, clock_notes = _read_elapsed(form, table, received, fixed, frames)
+        misdated = np.zeros(len(time), dtype=bool)
+        return Times(time, epoch, received, (*notes, *clock_notes), misdated)
+    time, epoch, local, clock_notes = _read_calendar(form, table, fixed)
     misdated, misdated_notes = _find_misdated(time, epoch)
     if form.bad_rows != "sort":
-        remarks += _check_set_back(form, table, time, frames, local, ~misdated)
+        clock_notes += _check_set_back(form, table, time, frames, local, ~misdated)
     if form.bad_rows == "refuse" and misdated.any():
         do = 'correct or remove them, or set bad_rows = "flag" under [telemetry], which leaves them out'
         where = table.place(int(misdated.argmax()), form.time_column)
         raise TelemetryError(misdated_notes[0], do=do, where=where)
-    return Times(time, epoch, received, (*notes, *remarks, *misdated_notes), misdated)
+    return Times(time, epoch, received, (*notes, *clock_notes, *misdated_notes), misdated)
 
 
 def _cell_error(
@@ -218,9 +227,9 @@ def _read_elapsed(
             raise _restart_error(form, table, restart)
         time, zero, epoch, notes = uptime, np.zeros(len(uptime)), fixed, []
         if restart is not None:
-            line = table.cells.index[restart.row]
+            at = table.row_place(restart.row)
             notes = [
-                f"elapsed times fall by {_format_span(restart.back_s)} at line {line}: taken for rows out of order; "
+                f"elapsed times fall by {_format_span(restart.back_s)} at {at}: taken for rows out of order; "
                 "if the clock was reset there, set receive_time_column under [telemetry]"
             ]
     if fixed is not None:
@@ -234,6 +243,14 @@ def _date_boots(
 ) -> tuple[np.ndarray, np.ndarray, datetime, list[str]]:
     """Return the times of rows from their uptime and the received times of their boot.
 
+    Parameters
+    ----------
+    uptime : (n), s
+    received : (n), Unix seconds
+        NaN for a row without a received time.
+    fixed : datetime or None
+        Epoch of the vehicle file, if it states one.
+
     Returns
     -------
     time : (n), s from the epoch
@@ -244,29 +261,36 @@ def _date_boots(
     notes : list of str
     """
     starts, notes = find_boot_starts(uptime, received, frames), []
-    boot = assign_boots(uptime, received, starts)
-    zeros = estimate_boot_epochs(uptime, received, boot, len(starts))
-    own = 0 if fixed is None else int(np.argmin(np.abs(zeros - _unix(fixed))))  # boot of the epoch
-    epoch = fixed or UNIX_ZERO + timedelta(seconds=round(float(zeros[0]), 3))
-    zero = np.round(zeros - zeros[own], 3)[boot]
+    boot = assign_boots(uptime, received, starts)  # number of each row's boot
+    boot_zeros = estimate_boot_epochs(uptime, received, boot, len(starts))  # Unix seconds
+    epoch_boot = 0 if fixed is None else int(np.argmin(np.abs(boot_zeros - _unix(fixed))))
+    epoch = fixed or UNIX_ZERO + timedelta(seconds=round(float(boot_zeros[0]), 3))
+    # from here on, times of the other boots relative to that of the epoch
+    zero = np.round(boot_zeros - boot_zeros[epoch_boot], 3)[boot]
     time = uptime + zero
-    live = has_live_rows(uptime[boot == own], received[boot == own])
-    if live and abs(zeros[own] - _unix(epoch)) > USUAL_DELAY_S:
-        by_received = utc_after(float(zeros[own]), UNIX_ZERO.isoformat())
+    of_epoch = boot == epoch_boot
+    live = has_live_rows(uptime[of_epoch], received[of_epoch])
+    if live and abs(boot_zeros[epoch_boot] - _unix(epoch)) > USUAL_DELAY_S:
+        by_received = utc_after(float(boot_zeros[epoch_boot]), UNIX_ZERO.isoformat())
         notes.append(
             f"received times put time zero at {by_received}; epoch_utc says {utc_after(0, epoch.isoformat())}"
         )
-    if len(zeros) > 1:
-        shown = [
-            utc_after(float(zero - zeros[own]), epoch.isoformat()) for zero in zeros[:SHOWN_BOOTS]
+    if len(boot_zeros) > 1:
+        boot_dates = [
+            utc_after(float(boot_zero - boot_zeros[epoch_boot]), epoch.isoformat())
+            for boot_zero in boot_zeros[:SHOWN_BOOTS]
         ]
-        ellipsis = ", ..." if len(zeros) > SHOWN_BOOTS else ""
+        ellipsis = ", ..." if len(boot_zeros) > SHOWN_BOOTS else ""
         notes.append(
-            f"the uptime starts again: {len(zeros)} boots, each dated by its received times, from {', '.join(shown)}{ellipsis}"
+            f"the uptime starts again: {len(boot_zeros)} boots, each dated by its received times, from "
+            f"{', '.join(boot_dates)}{ellipsis}"
         )
-    stored = received - _unix(epoch) - time  # time from the sample to its reception
-    length = np.diff(zeros, prepend=zeros[0])[boot]  # duration of the boot before a row's own
-    ambiguous = (stored > USUAL_DELAY_S) & (uptime < length)
+    stored = received - _unix(epoch) - time  # s from the sample to its reception
+    boot_before_s = np.diff(boot_zeros, prepend=boot_zeros[0])[
+        boot
+    ]  # duration of the boot before a row's own
+    # stored telemetry whose uptime the boot before had reached as well
+    ambiguous = (stored > USUAL_DELAY_S) & (uptime < boot_before_s)
     if ambiguous.any():
         notes.append(
             f"{_rows_are(ambiguous)} stored telemetry of this boot or of the one before: dated by the last boot before reception"
@@ -310,17 +334,18 @@ def _apply_leap_seconds(
     If the vehicle file does not state whether the clock counts leap seconds, and there were some, they are not counted, and a
     sentence says so.
     """
-    begin, time = _unix(epoch) + zero, uptime + zero
+    begin, time = (
+        _unix(epoch) + zero,
+        uptime + zero,
+    )  # `begin` (n): start of each row's boot, UTC in s from 1970
     leaps = round(float(np.max(tai_ahead(begin + uptime) - tai_ahead(begin))))
     if leaps <= 0 or form.counts_leap_seconds is False:
         return time, []
     if form.counts_leap_seconds:
         return utc_of_tai(begin + tai_ahead(begin) + uptime) - _unix(epoch), []
-    clock = (
-        'such as GPS time (time_format = "gps")'
-        if _unix(epoch) == GPS_ZERO_S
-        else "as GPS time and TAI do"
-    )
+    clock = "as GPS time and TAI do"
+    if _unix(epoch) == GPS_ZERO_S:  # then the clock is probably GPS time itself
+        clock = 'such as GPS time (time_format = "gps")'
     return time, [
         f"{leaps} leap second{'s' * (leaps > 1)} after epoch_utc not counted: if the clock counts them, {clock}, all times are "
         f"{leaps} s late; set counts_leap_seconds = true or false under [telemetry]"
@@ -335,10 +360,13 @@ def _unix(moment: datetime) -> float:
 def _read_calendar(
     form: TelemetryForm, table: Table, fixed: datetime | None
 ) -> tuple[np.ndarray, datetime, bool, list[str]]:
-    """Return dated times (n, s) from an epoch, that epoch, whether they name no zone, and sentences on the clock."""
+    """Return dated times (n, s) from an epoch, that epoch, whether they name no zone, and sentences on the clock.
+
+    The epoch is `fixed` if the vehicle file states it, else the time of the first row.
+    """
     notes, local = [], False
     if form.time_format == "utc":
-        # whole microseconds: s from 1970 as a float would lose digits
+        # subtracted as whole microseconds: s from 1970 as a float would lose digits
         micro, local, notes = _read_utc(form, table)
         epoch = fixed or UNIX_ZERO + timedelta(microseconds=int(micro[0]))
         time = (micro - (epoch - UNIX_ZERO) // timedelta(microseconds=1)) / 1e6
@@ -379,8 +407,7 @@ def _check_set_back(
     else:
         do = "if the clock was set back there, correct the times from there on"
     return [
-        f"times fall back once, by {_format_span(back.back_s)} at line {table.cells.index[back.row]}: taken for rows out of order; "
-        f"{do}"
+        f"times fall back once, by {_format_span(back.back_s)} at {table.row_place(back.row)}: taken for rows out of order; {do}"
     ]
 
 
@@ -418,9 +445,10 @@ def _read_utc(form: TelemetryForm, table: Table) -> tuple[np.ndarray, bool, list
         raise _cell_error(table, form.time_column, i, what, _advise_on_cell(cells[i]))
     zones = np.array([_kind_of_zone(cell) or "" for cell in cells])
     bare = zones == ""
-    micro = np.array([(each - UNIX_ZERO) // timedelta(microseconds=1) for each in moments])
-    if form.time_zone is not None:
-        return _convert_local_times(form, table, micro, bare)
+    micro = np.array([(moment - UNIX_ZERO) // timedelta(microseconds=1) for moment in moments])
+    if form.time_zone is not None:  # of the times that name no zone
+        utc, zone_notes = _convert_local_times(form, table, micro, bare)
+        return utc, False, zone_notes
     if bare.any() and (zones == "local").any():  # those without a zone may be local or UTC
         what = "other times of this file have a time zone and this one has none"
         do = "give each its zone, or Z for UTC"
@@ -436,11 +464,8 @@ def _read_utc(form: TelemetryForm, table: Table) -> tuple[np.ndarray, bool, list
 
 def _convert_local_times(
     form: TelemetryForm, table: Table, micro: np.ndarray, bare: np.ndarray
-) -> tuple[np.ndarray, bool, list[str]]:
-    """Convert local times of the stated zone to UTC; return them with False (they have a zone) and sentences on the zone.
-
-    At the end of summer time a clock shows one hour twice, first in summer time. The second pass begins where the times fall back.
-    If they do not fall, the pass that is nearer to the neighbouring times is taken.
+) -> tuple[np.ndarray, list[str]]:
+    """Convert local times of the stated zone to UTC; return them (n), microseconds from 1970, and sentences on the zone.
 
     Parameters
     ----------
@@ -449,36 +474,72 @@ def _convert_local_times(
     bare : (n)
         The time names no zone; the others are UTC.
     """
-    # `hour` (2, n): UTC of each time in the first and in the second pass of a double hour; equal for all other times
-    zone, hour = parse_zone(str(form.time_zone)), np.zeros((2, len(micro)), dtype=np.int64)
+    first, second = _utc_of_both_passes(form, table, micro, bare)
+    utc, undecided = _decide_double_hours(micro, first, second)
+    notes = [f"times without a zone are read in {form.time_zone}"] if bare.any() else []
+    if undecided:
+        lie = "1 time lies" if undecided == 1 else f"{undecided} times lie"
+        notes.append(f"{lie} in the hour that a clock there shows twice, and may be an hour off")
+    return utc, notes
+
+
+def _utc_of_both_passes(
+    form: TelemetryForm, table: Table, micro: np.ndarray, bare: np.ndarray
+) -> np.ndarray:
+    """Return the UTC of each time in the first and in the second pass of a double hour (2, n), microseconds from 1970.
+
+    At the end of summer time a clock shows one hour twice, first in summer time. For all other times both rows are equal. `micro`
+    and `bare` are those of `_convert_local_times`.
+
+    Raises
+    ------
+    TelemetryError
+        A time does not exist in the zone: the clock skips an hour at the beginning of summer time.
+    """
+    zone, zero = parse_zone(str(form.time_zone)), datetime(1970, 1, 1)
+    both = np.stack([micro, micro])
     for i in np.flatnonzero(bare).tolist():
-        shown = datetime(1970, 1, 1) + timedelta(microseconds=int(micro[i]))
-        for fold in (0, 1):
+        local = zero + timedelta(microseconds=int(micro[i]))
+        for fold in (0, 1):  # Python's name of the first and the second pass
             try:
-                offset = shown.replace(tzinfo=zone, fold=fold).utcoffset() or timedelta()
-                utc_shown = shown - offset
+                utc = local - (local.replace(tzinfo=zone, fold=fold).utcoffset() or timedelta())
             except OverflowError:  # at the ends of the calendar
-                utc_shown = shown
-            hour[fold, i] = (utc_shown - datetime(1970, 1, 1)) // timedelta(microseconds=1)
-        if hour[0, i] > hour[1, i]:
-            what = f"{shown:%H:%M:%S} does not exist in {form.time_zone} on {shown:%Y-%m-%d}: the times are not of this zone"
+                utc = local
+            both[fold, i] = (utc - zero) // timedelta(microseconds=1)
+        if both[0, i] > both[1, i]:  # Python's sign of a time in the skipped hour
+            what = f"{local:%H:%M:%S} does not exist in {form.time_zone} on {local:%Y-%m-%d}: the times are not of this zone"
             do = "correct time_zone under [telemetry], or leave it out for times in UTC"
             raise _cell_error(table, form.time_column, i, what, do)
-    first, second = np.where(bare, hour, micro)
+    return both
+
+
+def _decide_double_hours(
+    micro: np.ndarray, first: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Return the UTC of local times (n), microseconds from 1970, and the number of times in double hours that may be an hour off.
+
+    The second pass of a double hour begins where the times fall back. If they do not fall, the pass that is nearer to the
+    neighbouring times is taken. If the neighbours are far away, that decides nothing.
+
+    Parameters
+    ----------
+    micro : (n), microseconds from 1970
+        Times as the clock shows them.
+    first, second : (n), microseconds from 1970
+        Their UTC in the first and in the second pass; equal outside the double hours.
+    """
     rises, falls = (np.count_nonzero(sign * np.diff(micro) > 0) for sign in (1, -1))
     # a file with the newest row first is read backward
     rows = np.arange(len(micro))[:: 1 if rises >= falls else -1]
-    moved = np.abs(np.diff(micro)[np.diff(micro) != 0])
-    disorder = FALL_INTERVALS * float(np.median(moved)) if moved.size else 0.0
-    utc, undecided = first.copy(), 0
+    intervals = np.abs(np.diff(micro)[np.diff(micro) != 0])
+    few_intervals = FALL_INTERVALS * float(np.median(intervals)) if intervals.size else 0.0
     double = second[rows] > first[rows]
-    outside = (np.diff(micro[rows]) < 0) & ~(double[1:] & double[:-1])
-    # if rows are in order outside the double hours, any fall inside them is the clock's
-    if not outside.any():
-        disorder = 0.0
-    near = max(disorder, FALL_INTERVALS * float(np.median(moved)) if moved.size else 0.0)
-    apart = np.abs(np.diff(micro[rows])) > DAY_S * 1e6
-    stretches = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(double) | apart) + 1)
+    falls_outside = (np.diff(micro[rows]) < 0) & ~(double[1:] & double[:-1])
+    # if rows are in order outside the double hours, any fall inside them is the clock's, else only one of many intervals
+    disorder = few_intervals if falls_outside.any() else 0.0
+    far_apart = np.abs(np.diff(micro[rows])) > DAY_S * 1e6
+    stretches = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(double) | far_apart) + 1)
+    utc, undecided = first.copy(), 0
     for part in (part for part in stretches if double[part[0]]):
         stretch = rows[part]
         steps = np.diff(first[stretch])
@@ -486,21 +547,16 @@ def _convert_local_times(
             second_pass = stretch[int(steps.argmin()) + 1 :]
             utc[second_pass] = second[second_pass]
             continue
-        # gaps to the row before if this is the first pass, and to the row after if it is the second
-        gaps = [np.inf, np.inf]
+        # to the row before if this is the first pass, and to the row after if it is the second
+        gap_before, gap_after = np.inf, np.inf
         if part[0] > 0 and first[stretch[0]] >= utc[rows[part[0] - 1]] - disorder:
-            gaps[0] = first[stretch[0]] - utc[rows[part[0] - 1]]
+            gap_before = first[stretch[0]] - utc[rows[part[0] - 1]]
         if part[-1] + 1 < len(rows):
-            gaps[1] = max(first[rows[part[-1] + 1]] - second[stretch[-1]], 0)
-        if gaps[1] < gaps[0]:
+            gap_after = max(first[rows[part[-1] + 1]] - second[stretch[-1]], 0)
+        if gap_after < gap_before:
             utc[stretch] = second[stretch]
-        # a neighbour that is far away decides nothing
-        undecided += len(stretch) if min(gaps) > near else 0
-    notes = [f"times without a zone are read in {form.time_zone}"] if bare.any() else []
-    if undecided:
-        lie = "1 time lies" if undecided == 1 else f"{undecided} times lie"
-        notes.append(f"{lie} in the hour that a clock there shows twice, and may be an hour off")
-    return utc, False, notes
+        undecided += len(stretch) if min(gap_before, gap_after) > few_intervals else 0
+    return utc, undecided
 
 
 def _read_atomic(form: TelemetryForm, table: Table) -> np.ndarray:
@@ -508,22 +564,35 @@ def _read_atomic(form: TelemetryForm, table: Table) -> np.ndarray:
 
     Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale.
     """
-    gps = form.time_format == "gps"
+    is_gps = form.time_format == "gps"
+    scale, ahead_s = ("GPS", TAI_AHEAD_OF_GPS_S) if is_gps else ("TAI", 0.0)
     cells = table.cells[form.time_column].tolist()
-    ahead = TAI_AHEAD_OF_GPS_S if gps else 0.0
-    name = "GPS" if gps else "TAI"
-    cells = [cell.strip().removesuffix(name).rstrip() for cell in cells]
+    cells = [cell.strip().removesuffix(scale).rstrip() for cell in cells]
     if form.week_column is None and not np.isfinite([plain_number(cell) for cell in cells]).any():
         moments = [parse_utc(cell) for cell in cells]
         for i, (cell, moment) in enumerate(zip(cells, moments, strict=True)):
             if moment is None or _kind_of_zone(cell) is not None:
-                what = f"{name} seconds are expected, or a date in {name} time without a zone"
+                what = f"{scale} seconds are expected, or a date in {scale} time without a zone"
                 do = 'correct it, or set time_format = "utc" under [telemetry]'
                 raise _cell_error(table, form.time_column, i, what, do)
-        return utc_of_tai(np.array([_unix(each) for each in moments if each]) + ahead)
-    seconds = _read_seconds(form, table, f"{name} seconds")
-    if not gps:
+        return utc_of_tai(np.array([_unix(moment) for moment in moments if moment]) + ahead_s)
+    seconds = _read_seconds(form, table, f"{scale} seconds")
+    if not is_gps:
         return utc_of_tai(seconds + TAI_ZERO_S)
+    return utc_of_tai(_add_gps_weeks(form, table, seconds) + GPS_ZERO_S + ahead_s)
+
+
+def _add_gps_weeks(form: TelemetryForm, table: Table, seconds: np.ndarray) -> np.ndarray:
+    """Return GPS time (n), s from its epoch of 1980, from the numbers of the time column (n, s).
+
+    With a column of GPS weeks, these are seconds of the week. The rollovers that the vehicle file states are added to weeks of ten
+    bits.
+
+    Raises
+    ------
+    TelemetryError
+        The week is missing, wrong or does not advance, or it is unknown how often it has begun again.
+    """
     weeks = seconds / WEEK_S
     if form.week_column is None and (np.abs(seconds) <= WEEK_S).all():
         what = "these are seconds of the week, and no column names the week"
@@ -547,6 +616,7 @@ def _read_atomic(form: TelemetryForm, table: Table) -> np.ndarray:
             do = "correct the weeks from here on"
             raise _cell_error(table, form.week_column, int(stuck.argmax()) + 1, what, do)
         seconds = seconds + WEEK_S * weeks
+    # a week below 1024 is ambiguous unless the file states the rollovers; with rollovers, one above is no week of ten bits
     if form.gps_rollovers is None and (early := weeks < WEEKS_TO_ROLLOVER).any():
         raise _rollover_error(form, table, int(early.argmax()), seconds)
     if form.gps_rollovers and (full := weeks >= WEEKS_TO_ROLLOVER).any():
@@ -554,21 +624,21 @@ def _read_atomic(form: TelemetryForm, table: Table) -> np.ndarray:
         what = f"the GPS week is not of ten bits, which end at {WEEKS_TO_ROLLOVER - 1}: it has not begun again"
         do = "leave gps_rollovers out under [telemetry]"
         raise _cell_error(table, column, int(full.argmax()), what, do)
-    seconds = seconds + WEEKS_TO_ROLLOVER * WEEK_S * (form.gps_rollovers or 0)
-    return utc_of_tai(seconds + GPS_ZERO_S + ahead)
+    return seconds + WEEKS_TO_ROLLOVER * WEEK_S * (form.gps_rollovers or 0)
 
 
 def _rollover_error(
     form: TelemetryForm, table: Table, row: int, seconds: np.ndarray
 ) -> TelemetryError:
-    """Return the error for ambiguous GPS weeks, with the date of a row for each possible number of rollovers."""
-    days = [
-        (
-            UNIX_ZERO
-            + timedelta(seconds=GPS_ZERO_S + float(seconds[row]) + k * WEEKS_TO_ROLLOVER * WEEK_S)
-        ).date()
-        for k in range(3)
+    """Return the error for ambiguous GPS weeks, with the date of a row for each possible number of rollovers.
+
+    `seconds` (n) are GPS time in s from its epoch without rollovers.
+    """
+    unix_s = [
+        GPS_ZERO_S + float(seconds[row]) + rollovers * WEEKS_TO_ROLLOVER * WEEK_S
+        for rollovers in range(3)
     ]
+    days = [(UNIX_ZERO + timedelta(seconds=each)).date() for each in unix_s]
     what = f"the GPS week is below {WEEKS_TO_ROLLOVER}, which is {days[0]}, or a week number that has begun again"
     do = f"set gps_rollovers under [telemetry]: 2 for {days[2]}, 1 for {days[1]}, 0 for {days[0]}"
     return _cell_error(table, form.week_column or form.time_column, row, what, do)
@@ -582,12 +652,12 @@ def _find_misdated(time: np.ndarray, epoch: datetime) -> tuple[np.ndarray, list[
     """
     ordered = np.sort(time)
     edges = np.flatnonzero(np.diff(ordered) > DECADES_S) + 1
-    groups = np.split(ordered, edges)
-    end = (CLOCKS_END - epoch).total_seconds()
+    groups = np.split(ordered, edges)  # ascending
+    end_s = (CLOCKS_END - epoch).total_seconds()
     large = [group for group in groups if len(group) > MANY_MISDATED * len(time)]
-    past = [group for group in large if group[0] < end]
-    kept = past[-1] if past else max(groups, key=len)
-    notes = {}
+    plausible = [group for group in large if group[0] < end_s]
+    kept = plausible[-1] if plausible else max(groups, key=len)
+    notes = {}  # first row of a group in the file -> its sentence
     for group in groups:
         if group is kept:
             continue
@@ -598,8 +668,8 @@ def _find_misdated(time: np.ndarray, epoch: datetime) -> tuple[np.ndarray, list[
         rows = f"{len(group)} row{'s' * (len(group) > 1)} dated {first}{until}"
         share = len(group) / len(time)
         many = f": {100 * share:.0f} % of the file, check that" if share > MANY_MISDATED else ""
-        begins = int(np.argmax((time >= group[0]) & (time <= group[-1])))
-        notes[begins] = (
+        first_row = int(np.argmax((time >= group[0]) & (time <= group[-1])))
+        notes[first_row] = (
             f"{rows}, {years:.0f} years {side} the others, by a clock that was reset{many}"
         )
     return (time < kept[0]) | (time > kept[-1]), [notes[row] for row in sorted(notes)]

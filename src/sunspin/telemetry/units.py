@@ -15,8 +15,9 @@ import xarray as xr
 from sunspin.telemetry.noise import BRIGHT_QUANTILE
 from sunspin.telemetry.sensors import STEEPEST_RAD
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.parts import Wheel
 from sunspin.vehicle.response.panels import brightness
-from sunspin.vehicle.sensors import Gyro, Magnetometer
+from sunspin.vehicle.sensors import Gyro, Magnetometer, SunSensor
 
 UNITS = {"power_W": "W", "current_A": "A"}
 """Quantity of panel readings -> its unit."""
@@ -88,12 +89,15 @@ def reading_unit(vehicle: Vehicle, value: np.ndarray) -> str:
     largest = np.where(np.isfinite(value), value, 0.0).max(axis=1, initial=0.0)
     lit = largest[largest > 0]
     full = float(np.quantile(lit, BRIGHT_QUANTILE)) if lit.size else 0.0
-    return unit if "telemetry.scale" in vehicle.facts and full <= LARGEST[unit] else ""
+    states_scale = "telemetry.scale" in vehicle.facts
+    return unit if states_scale and full <= LARGEST[unit] else ""
 
 
 def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
-    """Return the wrong unit of panel readings (n, n_panel), compared with gains, stated noise and lit threshold; None if all
-    agree."""
+    """Return the wrong unit of panel readings (n, n_panel), compared with gains, stated noise and lit threshold.
+
+    Returns None if all agree, or if fewer than `LEAST_SAMPLES` samples have a reading above zero.
+    """
     form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
     value = np.where(np.isfinite(value), value, 0.0)
     largest = value.max(axis=1, initial=0.0)
@@ -108,10 +112,10 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
     above = [key for key, limit in limits.items() if limit is not None and full < limit]
     if above and _sunlit(vehicle, value, largest):
         key = above[0]
-        shown = reading_unit(vehicle, value)
+        known_unit = reading_unit(vehicle, value)  # may be empty
         what = (
-            f"the brightest samples ({f'{full:.3g} {shown}'.strip()}) show the Sun but do not reach the stated {key} "
-            f"({f'{limits[key]:g} {shown}'.strip()})"
+            f"the brightest samples ({f'{full:.3g} {known_unit}'.strip()}) show the Sun but do not reach the stated {key} "
+            f"({f'{limits[key]:g} {known_unit}'.strip()})"
         )
         scales = "scale, voltage_scale" if form.has_voltages else "scale"
         return WrongUnit(f"{what}: {other_unit}", "telemetry", f"{scales} or {key}")
@@ -130,16 +134,17 @@ def _compare_with_gains(
     `largest` (n) is the largest reading of each sample.
     """
     form, gains = vehicle.telemetry, vehicle.input_gains
-    share = float(np.quantile((value / gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
-    if 1 / BEYOND < share < BEYOND:
+    # two estimates of full Sun in the readings over that of the gains: a quick one, which usually suffices, and a careful one
+    quick = float(np.quantile((value / gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
+    if 1 / BEYOND < quick < BEYOND:
         return None
     bright = _brightest(value, largest)
     ratio = float(np.median(brightness(vehicle, bright)))
     if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, value, largest)):
         return None
-    step = round(np.log10(ratio) / 3)  # the nearest power of 1000
-    exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
-    times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
+    power = round(np.log10(ratio) / 3)  # exponent of the nearest power of 1000
+    is_power = power != 0 and 1 / THOUSANDS < ratio / 1000.0**power < THOUSANDS
+    times = f"{1000.0 ** abs(power):g}" if is_power else f"{max(ratio, 1 / ratio):.2g}"
     stated = f"{float(gains.max()):.3g} {UNITS[form.quantity]}"
     what = (
         f"the brightest samples read about {times} times {'more' if ratio > 1 else 'less'} than the stated full signal "
@@ -147,7 +152,7 @@ def _compare_with_gains(
     )
     if form.has_voltages:  # currents or voltages may be at fault
         return WrongUnit(what, "telemetry", "scale or voltage_scale")
-    scale = float(f"{form.scale * 1000.0**-step:.6g}") if exact else None
+    scale = float(f"{form.scale * 1000.0**-power:.6g}") if is_power else None
     return WrongUnit(what, "telemetry", "scale", scale)
 
 
@@ -164,20 +169,24 @@ def _sunlit(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> bool:
     are tested for noise that is equal for all panels in the readings' unit, and for noise that is equal as a share of each gain.
     """
     bright = _brightest(value, largest)
-    two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
-    if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
+    n_lit = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1))
+    # three panels or fewer fit any readings
+    if len(vehicle.inputs) <= 3 or not n_lit >= 2 or len(np.unique(bright)) < DISTINCT:
         return False
-    best = vehicle.response_in().best_direction
-    if not float(np.median(best(bright)[1])) < FITS:
+    best_direction = vehicle.response_in().best_direction
+    _, misfit = best_direction(bright)
+    if not float(np.median(misfit)) < FITS:
         return False
     order = np.argsort(-largest, kind="stable")[:SHUFFLED]
     floor = BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))
-    seen = np.maximum(value[order[largest[order] > floor]], 0.0)
+    true_order = np.maximum(value[order[largest[order] > floor]], 0.0)
     rng, gains = np.random.default_rng(0), vehicle.input_gains
-    for unit in (np.ones_like(gains), gains)[: 1 if np.ptp(gains) == 0 else 2]:
-        shuffled = rng.permuted(np.tile(seen / unit, (SHUFFLES, 1)), axis=1) * unit
-        misfit = best(np.concatenate([seen, shuffled]))[1].reshape(-1, len(seen))
-        square = np.mean(misfit**2, axis=1)
+    # unit of each panel's noise; with equal gains both cases are the same
+    for unit in [np.ones_like(gains)] if np.ptp(gains) == 0 else [np.ones_like(gains), gains]:
+        shuffled = rng.permuted(np.tile(true_order / unit, (SHUFFLES, 1)), axis=1) * unit
+        _, misfit = best_direction(np.concatenate([true_order, shuffled]))
+        # mean square of the samples for each order, the true one first
+        square = np.mean(misfit.reshape(-1, len(true_order)) ** 2, axis=1)
         if not square[0] < square[1:].min():
             return False
     return True
@@ -199,9 +208,15 @@ second."""
 BETTER = 0.35
 """A factor is accepted if its median angle is at most this share of that without a factor and of that of a body at rest."""
 
-PAIRS, MOST_PAIRS, LAGS = 10, 2000, (1, 2, 4, 8)
-"""Pairs of samples that are needed, and used at most, and their distances in samples. A slow body needs long intervals to rotate
-far enough."""
+FEWEST_PAIRS, MOST_PAIRS, LAGS = 10, 2000, (1, 2, 4, 8)
+"""Smallest number of pairs of samples between which a direction is propagated, largest number used, and their distances in samples.
+A slow body needs long intervals to rotate far enough."""
+
+FEWEST_READINGS = 10
+"""Smallest number of readings of a gyro or magnetometer from which its unit is judged."""
+
+FIRST_SPEEDS = 10
+"""Number of a wheel's first readings that are compared with its nominal speed; afterwards it may coast down."""
 
 TOO_FAST = 3.0
 """Ratio of the gyro's median rate to the largest rate of the vehicle file from which the unit is wrong."""
@@ -217,11 +232,11 @@ STEEP_SHARE, STEEP_SAMPLES = 0.85, 30
 is 0.55 for a sensor that continues to read while the Sun is behind it. It is 0.96 for angles spread over 40 degrees to each side,
 in degrees read as radians."""
 
-RPM = 60 / (2 * np.pi)
+RPM_PER_RAD_S = 60 / (2 * np.pi)
 """One rad/s in revolutions per minute."""
 
 RPM_WITHIN = 0.15
-"""Relative tolerance within which the ratio of a wheel's speed to its nominal speed is taken as `RPM`, or as its inverse."""
+"""Relative tolerance within which the ratio of a wheel's speed to its nominal speed is taken as `RPM_PER_RAD_S`, or its inverse."""
 
 
 def wrong_units(
@@ -243,36 +258,47 @@ def wrong_units(
         field, dipole = telemetry["field_B"].values, sensors.disturbance.dipole
         wrong += _check_magnetometer(sensors.magnetometer, dipole, field)
     if "sun_sensor_angle" in telemetry:
-        angles = telemetry["sun_sensor_angle"].values[:, :, 0].T
-        for sensor, angle in zip(sensors.sun_sensors, angles, strict=True):
-            steep = np.abs(angle[np.isfinite(angle)]) >= STEEPEST_RAD
-            if len(steep) >= STEEP_SAMPLES and steep.mean() > STEEP_SHARE:
-                what = (
-                    f"Sun sensor {sensor.name} nearly always reads {np.degrees(STEEPEST_RAD):.0f} degrees or more from its normal: "
-                    "degrees read as radians"
-                )
-                value = sensor.x_scale * np.pi / 180
-                wrong.append(WrongUnit(what, "[sun_sensor]", "x_scale", value))
+        x_angles = telemetry["sun_sensor_angle"].values[:, :, 0].T
+        for sensor, x_angle in zip(sensors.sun_sensors, x_angles, strict=True):
+            wrong += _check_sun_sensor(sensor, x_angle)
     if "wheel_speed_rad_s" in telemetry:
         speeds = telemetry["wheel_speed_rad_s"].values.T
         for wheel, speed in zip(vehicle.wheels, speeds, strict=True):
-            # only the first ones: the wheel may coast down afterwards
-            speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]
-            known = len(speed) and wheel.speed_rad_s
-            ratio = float(np.median(speed)) / abs(wheel.speed_rad_s) if known else 0.0
-            for factor in (RPM, 1 / RPM):
-                if abs(ratio / factor - 1) < RPM_WITHIN:
-                    what = (
-                        f"wheel {wheel.name} reads {ratio:.3g} times its nominal speed: "
-                        "revolutions a minute taken for rad/s or back"
-                    )
-                    value = wheel.speed_scale_rad_s / factor
-                    wrong.append(WrongUnit(what, "[wheel]", "speed_scale_rad_s", value))
-    warmth = telemetry.get("panel_temperature_C")
-    if warmth is not None and not np.isfinite(warmth.values).any():
+            wrong += _check_wheel(wheel, speed)
+    temperatures = telemetry.get("panel_temperature_C")
+    if temperatures is not None and not np.isfinite(temperatures.values).any():
         what = "no reading of the temperature columns is a panel's temperature in degrees Celsius, and none is used"
         wrong.append(WrongUnit(what, "telemetry", "temperature_scale"))
     return wrong
+
+
+def _check_sun_sensor(sensor: SunSensor, x_angle: np.ndarray) -> list[WrongUnit]:
+    """Return the wrong unit of a Sun sensor, if its angles `x_angle` (n, rad) are nearly always the steepest that it measures."""
+    is_steep = np.abs(x_angle[np.isfinite(x_angle)]) >= STEEPEST_RAD
+    if len(is_steep) < STEEP_SAMPLES or is_steep.mean() <= STEEP_SHARE:
+        return []
+    what = (
+        f"Sun sensor {sensor.name} nearly always reads {np.degrees(STEEPEST_RAD):.0f} degrees or more from its normal: "
+        "degrees read as radians"
+    )
+    return [WrongUnit(what, "[sun_sensor]", "x_scale", sensor.x_scale * np.pi / 180)]
+
+
+def _check_wheel(wheel: Wheel, speed: np.ndarray) -> list[WrongUnit]:
+    """Return the wrong unit of a wheel, if its first speeds (n, rad/s) are its nominal speed in revolutions per minute, or back."""
+    first_speeds = np.abs(speed[np.isfinite(speed)])[:FIRST_SPEEDS]
+    if not len(first_speeds) or not wheel.speed_rad_s:
+        return []
+    ratio = float(np.median(first_speeds)) / abs(wheel.speed_rad_s)
+    for factor in (RPM_PER_RAD_S, 1 / RPM_PER_RAD_S):
+        if abs(ratio / factor - 1) < RPM_WITHIN:
+            what = (
+                f"wheel {wheel.name} reads {ratio:.3g} times its nominal speed: "
+                "revolutions a minute taken for rad/s or back"
+            )
+            scale = wheel.speed_scale_rad_s / factor
+            return [WrongUnit(what, "[wheel]", "speed_scale_rad_s", scale)]
+    return []
 
 
 def _check_gyro(
@@ -280,23 +306,23 @@ def _check_gyro(
 ) -> list[WrongUnit]:
     """Return the wrong unit of a gyro, if there is one.
 
-    Its rates are compared with the rotation of measured directions `seen` (n, 3) that are fixed in space, else with the largest
-    rate `limit` (rad/s) of the vehicle file.
+    Its rates are compared with the rotation of measured directions `seen` (n, 3) that are fixed in space. If these do not
+    contradict, they are compared with the largest rate `limit` (rad/s) of the vehicle file.
     """
     time, rate = telemetry["time"].values, telemetry["gyro_B"].values
     rotations = rotations_between_samples(time, rate)
-    # nominal, a body at rest, and with each factor
+    # with the stated unit, for a body at rest, and with each factor
     hypotheses = [factor * rotations for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
     for lag in LAGS:
-        stated, still, *angles = median_direction_errors(time, seen, hypotheses, lag)
-        best = int(np.argmin(angles))
-        least = min(RIGHT_RAD, BETTER * stated, BETTER * still)
-        if stated > WRONG_RAD and angles[best] < least:
+        stated_rad, still_rad, *factor_rad = median_direction_errors(time, seen, hypotheses, lag)
+        best = int(np.argmin(factor_rad))
+        limit_rad = min(RIGHT_RAD, BETTER * stated_rad, BETTER * still_rad)
+        if stated_rad > WRONG_RAD and factor_rad[best] < limit_rad:
             name, factor = list(GYRO_FACTORS.items())[best]
             what = f"with its rates times {factor:.4g} the gyro agrees with the Sun directions, and without it does not: {name}"
             return [WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)]
     size = np.linalg.norm(rate[np.isfinite(rate).all(axis=1)], axis=1)
-    if limit is None or len(size) < PAIRS or np.median(size) < TOO_FAST * limit:
+    if limit is None or len(size) < FEWEST_READINGS or np.median(size) < TOO_FAST * limit:
         return []
     what = f"the gyro reads {np.degrees(np.median(size)):.3g} deg/s, and max_rate_rad_s says at most {np.degrees(limit):.3g} deg/s"
     return [WrongUnit(what, "gyro", "scale_rad_s")]
@@ -312,7 +338,7 @@ def median_direction_errors(
 ) -> list[float]:
     """Return for each hypothesis the median angle (rad) between propagated and measured directions that are fixed in space.
 
-    With fewer than `PAIRS` pairs of measured directions, all angles are zero.
+    With fewer than `FEWEST_PAIRS` pairs of measured directions, all angles are zero.
 
     Parameters
     ----------
@@ -325,28 +351,31 @@ def median_direction_errors(
     """
     from scipy.spatial.transform import Rotation
 
-    n = len(time) - lag
-    begin = np.arange(max(n, 0))
-    good = np.isfinite(rotations[0]).all(axis=1) & (np.diff(time) > 0)
-    good = np.all([good[begin + k] for k in range(lag)], axis=0)
-    # of each direction k, the samples from which it is propagated
-    pairs = [
-        (k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)])
-        for k, each in enumerate(seen)
-    ]
-    pairs = [(k, at[:: -(-len(at) // MOST_PAIRS) or 1]) for k, at in pairs]
-    if sum(len(at) for _, at in pairs) < PAIRS:
+    begin = np.arange(max(len(time) - lag, 0))
+    # samples from which all rotations over the next `lag` samples are known, which are the same for all hypotheses
+    known = np.isfinite(rotations[0]).all(axis=1) & (np.diff(time) > 0)
+    known = np.all([known[begin + k] for k in range(lag)], axis=0)
+    starts = []  # of each direction: the samples from which it is propagated
+    for direction in seen:
+        measured = np.isfinite(direction[begin] + direction[begin + lag]).all(axis=1)
+        samples = begin[known & measured]
+        starts.append(samples[:: -(-len(samples) // MOST_PAIRS) or 1])
+    start = np.concatenate([np.zeros(0, dtype=int), *starts])
+    if len(start) < FEWEST_PAIRS:
         return [0.0] * len(rotations)
-    at = np.concatenate([at for _, at in pairs])
-    first, last = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
+    first, last = (
+        np.concatenate([each[samples + k] for each, samples in zip(seen, starts, strict=True)])
+        for k in (0, lag)
+    )
     angles = []
-    for each in rotations:
+    for hypothesis in rotations:
         direction = first
         for k in range(lag):
             # in body axes a fixed direction rotates opposite to the body
-            direction = Rotation.from_rotvec(-each[at + k]).apply(direction)
-        across = np.linalg.norm(np.cross(direction, last), axis=1)
-        angles.append(float(np.median(np.arctan2(across, (direction * last).sum(axis=1)))))
+            direction = Rotation.from_rotvec(-hypothesis[start + k]).apply(direction)
+        sine = np.linalg.norm(np.cross(direction, last), axis=1)
+        cosine = (direction * last).sum(axis=1)
+        angles.append(float(np.median(np.arctan2(sine, cosine))))
     return angles
 
 
@@ -355,8 +384,10 @@ def _check_magnetometer(
 ) -> list[WrongUnit]:
     """Return the wrong units of a magnetometer's zero or noise and of the residual dipole, from the field (n, 3) in body axes."""
     field = field[np.isfinite(field).all(axis=1)]
-    size = float(np.median(np.linalg.norm(field, axis=1))) if len(field) >= PAIRS else 0.0
-    if size == 0:
+    strength = 0.0
+    if len(field) >= FEWEST_READINGS:
+        strength = float(np.median(np.linalg.norm(field, axis=1)))
+    if strength == 0:  # too few readings, or a sensor that reads zero
         return []
     zero, noise = np.linalg.norm(magnetometer.zero), magnetometer.noise
     # back to the readings of the columns, before zero and matrix were applied
@@ -366,10 +397,13 @@ def _check_magnetometer(
         what = f"the magnetometer reads {reading:.3g} and its stated zero is {zero:.3g}: the zero is in another unit"
         return [WrongUnit(what, "magnetometer", "zero")]
     wrong = []
-    if noise is not None and not 0.5 * noise < size < FINEST * noise:
-        what = f"the field reads {size:.3g} and its stated noise is {noise:g}: the noise is in another unit than the columns"
+    # a field below half of its noise would not be measured at all
+    if noise is not None and not 0.5 * noise < strength < FINEST * noise:
+        what = f"the field reads {strength:.3g} and its stated noise is {noise:g}: the noise is in another unit than the columns"
         wrong.append(WrongUnit(what, "magnetometer", "noise"))
-    if dipole is not None and (turn := np.linalg.norm(dipole) * size) > ABSURD_ACCELERATION:
-        what = f"dipole times field is {turn:.2g} rad/s2, more than any dipole's: it is per another unit than the columns"
+    # the dipole is per moment of inertia, so that dipole times field is an angular acceleration
+    acceleration = 0.0 if dipole is None else float(np.linalg.norm(dipole)) * strength
+    if acceleration > ABSURD_ACCELERATION:
+        what = f"dipole times field is {acceleration:.2g} rad/s2, more than any dipole's: it is per another unit than the columns"
         wrong.append(WrongUnit(what, "disturbance", "dipole"))
     return wrong

@@ -37,6 +37,7 @@ MAX_FRAMES, MAX_FRAME_BYTES = 1_000_000, 4096
 
 
 def _names(text: str) -> tuple[str, ...]:
+    """Return the names of fields from a text in which spaces separate them."""
     return tuple(text.split())
 
 
@@ -157,7 +158,7 @@ def decode_beacons(path: Any) -> Beacons:
             unread["too short for a beacon"] += 1
         elif kind == OTHER:
             rows.setdefault(OTHER, []).append((time, station, (content.hex(),)))
-        elif len(content) <= KINDS[kind][0].size:
+        elif len(content) <= KINDS[kind][0].size:  # the fields come after the type byte
             unread[f"a {kind} beacon is cut off"] += 1
         else:
             fields = KINDS[kind][0].unpack_from(content[1:])
@@ -192,9 +193,8 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
 def _read_frames(path: Path) -> Iterator[Frame]:
     """Yield the frames of a folder, a SatNOGS export or a zip archive."""
     if path.is_dir():
-        for file in sorted(entry for entry in path.iterdir() if is_nonempty_file(entry))[
-            :MAX_FRAMES
-        ]:
+        files = sorted(entry for entry in path.iterdir() if is_nonempty_file(entry))
+        for file in files[:MAX_FRAMES]:
             with open(file, "rb") as stream:
                 yield _parse_collector_frame(file.name, stream.read(MAX_FRAME_BYTES))
     # exports of SatNOGS are CSV, which begins with a date, or JSON; a zip archive begins with "PK"
@@ -205,6 +205,7 @@ def _read_frames(path: Path) -> Iterator[Frame]:
 
 
 def _read_first_byte(path: Path) -> bytes:
+    """Return the first byte of a file."""
     with open(path, "rb") as stream:
         return stream.read(1)
 
@@ -242,13 +243,16 @@ def _read_satnogs_frames(path: Path) -> Iterator[Frame]:
         what = "raw frames of SatNOGS have a time and a frame each"
         raise TelemetryError(what, got="columns " + ", ".join(table.header)[:200], where=str(path))
     cells = table.cells.iloc[:MAX_FRAMES]
-    for line, row in zip(cells.index, cells.to_dict("records"), strict=True):
-        moment, frame = parse_utc(row["timestamp"]), row["frame"]
+    for k, row in enumerate(cells.to_dict("records")):
+        moment, digits = parse_utc(row["timestamp"]), row["frame"]
         try:
-            content = bytes.fromhex(frame[: 2 * MAX_FRAME_BYTES])
+            content = bytes.fromhex(digits[: 2 * MAX_FRAME_BYTES])
         except ValueError:
-            what, where = "a frame is written in hexadecimal digits", f"{path}, line {line}"
-            got = frame[:60] or "an empty cell"
+            what, where = (
+                "a frame is written in hexadecimal digits",
+                f"{path}, {table.row_place(k)}",
+            )
+            got = digits[:60] or "an empty cell"
             raise TelemetryError(what, got=got, where=where) from None
         station = row.get("observer", "")
         time = None if moment is None else moment.timestamp()
