@@ -140,7 +140,7 @@ def apply_changes(table: dict[str, Any], changes: Iterable[Change]) -> tuple[Set
 
 
 def find_path(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
-    """Return the tables and lists that lead to a value, each with the key or index by which the path goes on.
+    """Return the tables and lists that lead to a value, each with its key or index of the next.
 
     `key` is written as users do: the index or name of a list's only element may be omitted, "gain" stands for the gain key of
     the panel, and "value" of a value table is implied. `table` changes in two cases: absent tables are added, and a measured
