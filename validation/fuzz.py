@@ -269,7 +269,7 @@ def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
         values = hostile.OPTION_NUMBERS
     else:
         values = hostile.TEXTS
-    # any other address or number would start processes, or wait for a network
+    # addresses of no cluster, and numbers that start few processes
     if parameter.name == "executor":
         values = ("", "nonsense", "tcp://", "tcp://127.0.0.1:1", "http://x", "\n", "tcp://[::1")
     if parameter.name == "workers":
