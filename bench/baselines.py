@@ -91,6 +91,7 @@ class TaylorBatch:
         self.stuck = hk.taylor_adaptive_batch(stuck_system(problem), np.zeros((6, size)), tol=tol)
 
     def __call__(self, starts: np.ndarray) -> End:
+        """Propagate states (n, 7) over the window, batch by batch."""
         ends = [self._batch(starts[i : i + self.size]) for i in range(0, len(starts), self.size)]
         return End(
             np.concatenate([end.sun_B for end in ends]),
@@ -144,6 +145,8 @@ class DormandPrince:
         )
 
     def __call__(self, starts: np.ndarray) -> End:
+        """Propagate states (n, 7) over the window, one after the other."""
+
         def stop(t: float, y: np.ndarray, p: gyrostat.Parameters) -> float:
             """Return the wheel speed, whose zero ends the run."""
             values = y.tolist()

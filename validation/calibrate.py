@@ -117,7 +117,7 @@ def judge(
     # u of the draws, in the order of the model that knows the scale's centre
     data, _, _ = readings(vehicle, telemetry)
     model_, _ = model(vehicle, priors, brightness(vehicle, data))
-    u = np.stack([_value(draws, x.name) for x in model_.unknowns], axis=1)
+    u = np.stack([_draws_of_unknown(draws, x.name) for x in model_.unknowns], axis=1)
     centre, sigma = (
         np.array([getattr(x, key) for x in model_.unknowns]) for key in ("centre", "sigma")
     )
@@ -147,7 +147,7 @@ def judge(
     }
 
 
-def _value(draws: xr.Dataset, name: str) -> np.ndarray:
+def _draws_of_unknown(draws: xr.Dataset, name: str) -> np.ndarray:
     """Return the draws (n) of an unknown by its name; the speed of the only wheel is in a variable of all wheels."""
     return (
         draws["wheel_speed_rad_s"].values[0][:, 0]

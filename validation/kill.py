@@ -56,8 +56,8 @@ class KillReport:
 
 def command(name: str, folder: Path) -> list[str]:
     """Return the command line of a target with its results and rows in a folder."""
-    given = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
-    return [sys.executable, "-m", "sunspin.cli", *given.split(), "--out", f"{folder}/out"]
+    text = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
+    return [sys.executable, "-m", "sunspin.cli", *text.split(), "--out", f"{folder}/out"]
 
 
 def environment() -> dict[str, str]:
