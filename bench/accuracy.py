@@ -29,8 +29,8 @@ def run(quick: bool) -> Table:
             fine = result.outcome == Outcome.FINE
             refused += int((~fine).sum())
             error = np.linalg.norm(result.sun_B[fine, 0] - exact[fine], axis=1)
-            run = partial(run_rows, vehicle, rows, window, direction_error=requested)
-            seconds = medians({"run": run}, 1 if quick else 3)["run"]
+            propagation = partial(run_rows, vehicle, rows, window, direction_error=requested)
+            seconds = medians({"rows": propagation}, 1 if quick else 3)["rows"]
             quantiles = np.quantile(error, [0.5, 0.99, 1.0])
             table.rows.append((name, requested, *quantiles, 1e6 * seconds / n))
     table.notes.append(f"Rows that are not counted, as their outcome is not FINE: {refused}")
@@ -48,26 +48,24 @@ class Case(NamedTuple):
 
 
 def cases(n: int) -> list[Case]:
-    """Return the kinds of motion: name, vehicle, initial states (n), window in s."""
+    """Return the kinds of motion that are measured, each with n initial states."""
     problem = philae()
     axes, vehicle, speed = problem.axes(101, 101, 41), problem.vehicle, problem.wheel_speed_rad_s
     grid = grid_sample(axes, n, seed=5)
-    corners = np.sign(grid - 0.2) * [
-        0.9,
-        0.9,
-        0.3,
-    ]  # corners beyond the grid, where the body rotates fast
+    # rates (rad/s) at corners beyond the grid, where the body rotates fast
+    corners = np.sign(grid - 0.2) * [0.9, 0.9, 0.3]
     (wheel,) = vehicle.wheels
     across = replace(wheel, name="across", axis_B=np.array([1.0, 0.0, 0.0]))
-    two, none = replace(vehicle, wheels=(wheel, across)), replace(vehicle, wheels=())
+    two_wheels = replace(vehicle, wheels=(wheel, across))
+    no_wheel = replace(vehicle, wheels=())
     window = problem.window_s
     return [
         Case("grid of the paper, wheel stops", vehicle, states(problem.sun_B, grid, speed), window),
         Case("its fast corners", vehicle, states(problem.sun_B, corners, speed), window),
-        Case("no wheel", none, states(problem.sun_B, grid, []), window),
+        Case("no wheel", no_wheel, states(problem.sun_B, grid, []), window),
         Case(
             "two wheels, both stop",
-            two,
+            two_wheels,
             states(problem.sun_B, grid, [float(speed[0]), -0.7 * float(speed[0])]),
             window,
         ),

@@ -36,8 +36,8 @@ class End(NamedTuple):
 Contestant = Callable[[np.ndarray], End]
 
 
-def sun(r: Any) -> gyrostat.Directions:
-    """Return the single direction of these motions in the form of the equations."""
+def sun_direction(r: Any) -> gyrostat.Directions:
+    """Return the Sun direction r (3), the only one of these motions, in the form of the equations of motion."""
     return {"sun": gyrostat.Direction(r)}
 
 
@@ -49,7 +49,7 @@ def free_system(problem: Problem) -> tuple[list, Any]:
     variables = hk.make_vars("Hx", "Hy", "Hz", "h", "rx", "ry", "rz")
     H, h, r = variables[:3], variables[3:4], variables[4:]
     p = problem.parameters(True)
-    dH, dh, dr = gyrostat.rhs(H, h, sun(r), p)
+    dH, dh, dr = gyrostat.rhs(H, h, sun_direction(r), p)
     speed = gyrostat.wheel_speed(h[0], gyrostat.body_rate(H, h, p), p.wheels[0])
     return list(zip(variables, [*dH, *dh, *dr], strict=True)), speed
 
@@ -57,7 +57,8 @@ def free_system(problem: Problem) -> tuple[list, Any]:
 def stuck_system(problem: Problem) -> list:
     """Return heyoka's system of (H, r) after the wheel has stopped, when its momentum is no variable."""
     variables = hk.make_vars("Hx", "Hy", "Hz", "rx", "ry", "rz")
-    dH, _, dr = gyrostat.rhs(variables[:3], [0.0], sun(variables[3:]), problem.parameters(False))
+    H, r = variables[:3], variables[3:]
+    dH, _, dr = gyrostat.rhs(H, [0.0], sun_direction(r), problem.parameters(False))
     return list(zip(variables, [*dH, *dr], strict=True))
 
 
@@ -90,6 +91,7 @@ class TaylorBatch:
         self.stuck = hk.taylor_adaptive_batch(stuck_system(problem), np.zeros((6, size)), tol=tol)
 
     def __call__(self, starts: np.ndarray) -> End:
+        """Propagate states (n, 7) over the window, batch by batch."""
         ends = [self._batch(starts[i : i + self.size]) for i in range(0, len(starts), self.size)]
         return End(
             np.concatenate([end.sun_B for end in ends]),
@@ -97,8 +99,9 @@ class TaylorBatch:
         )
 
     def _batch(self, starts: np.ndarray) -> End:
-        """Propagate one batch of at most `size` motions."""
+        """Return the ends of one batch of at most `size` motions."""
         n, free, stuck = len(starts), self.free, self.stuck
+        # heyoka's batches are full: the last motion is repeated
         full = np.concatenate([starts, np.repeat(starts[-1:], self.size - n, axis=0)])
         self.stops.clear()
         free.set_time(0.0)
@@ -111,7 +114,7 @@ class TaylorBatch:
         times = np.array([time for time, _ in stops])
         states = np.array([state for _, state in stops])
         stuck.set_time(times)
-        stuck.state[:] = np.delete(states, 3, axis=1).T
+        stuck.state[:] = np.delete(states, 3, axis=1).T  # without the wheel's momentum
         stuck.propagate_until(self.problem.window_s)
         return End(stuck.state[3:, :n].T.copy(), times[:n])
 
@@ -127,21 +130,23 @@ class DormandPrince:
         self.free, self.stuck = problem.parameters(True), problem.parameters(False)
 
     def _rate(self, t: float, y: np.ndarray, p: gyrostat.Parameters) -> list[float]:
-        """Return the derivative of a state."""
+        """Return the derivative (7) of a state y (7)."""
         values = y.tolist()
-        dH, dh, dr = gyrostat.rhs(values[:3], values[3:4], sun(values[4:]), p)
+        dH, dh, dr = gyrostat.rhs(values[:3], values[3:4], sun_direction(values[4:]), p)
         return [*dH, *dh, *dr]
 
     def _piece(
         self, start: float, y: np.ndarray, p: gyrostat.Parameters, events: list | None
     ) -> Any:
-        """Integrate from a time to the end of the window or to an event."""
+        """Return SciPy's solution from time `start` to the end of the window or to a terminal event."""
         span = (start, self.window_s)
         return solve_ivp(
             self._rate, span, y, "DOP853", args=(p,), rtol=self.rtol, atol=self.rtol, events=events
         )
 
     def __call__(self, starts: np.ndarray) -> End:
+        """Propagate states (n, 7) over the window, one after the other."""
+
         def stop(t: float, y: np.ndarray, p: gyrostat.Parameters) -> float:
             """Return the wheel speed, whose zero ends the run."""
             values = y.tolist()
@@ -150,12 +155,12 @@ class DormandPrince:
             )
 
         stop.terminal, stop.direction = True, -1.0
-        sun, when = np.empty((len(starts), 3)), np.empty(len(starts))
+        sun_B, stop_s = np.empty((len(starts), 3)), np.empty(len(starts))
         for i, start in enumerate(starts):
             before = self._piece(0.0, start, self.free, [stop])
             after = self._piece(before.t[-1], before.y[:, -1], self.stuck, None)
-            sun[i], when[i] = after.y[4:, -1], before.t[-1]
-        return End(sun, when)
+            sun_B[i], stop_s[i] = after.y[4:, -1], before.t[-1]
+        return End(sun_B, stop_s)
 
 
 def on_cores(
@@ -166,8 +171,8 @@ def on_cores(
     Blocks of rows are assigned in turn, so that all threads have equal work. heyoka releases the interpreter while it integrates. A
     thread that has finished its rows waits for the others.
     """
-    number = np.arange(len(starts)) // block % len(contestants)
-    parts = [starts[number == k] for k in range(len(contestants))]
+    thread = np.arange(len(starts)) // block % len(contestants)  # of each row
+    parts = [starts[thread == k] for k in range(len(contestants))]
 
     def work() -> None:
         """Propagate all rows."""

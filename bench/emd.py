@@ -36,13 +36,14 @@ def run(quick: bool) -> Table:
         table.notes.append("POT is not installed (the extra `bench`): its rows are left out.")
     values = {name: call() for name, call in ways.items()}
     work: dict[str, Callable] = dict(ways)
+    # a whole scan, whose time is divided by its number of motions
     axes = philae().axes(8, 8, 8) if quick else philae().axes(16, 16, 16)
     work[FUSED] = lambda: philae().scan(axes, workers=1)
     seconds = medians(work, 3 if quick else 9)
     for name in ways:
         table.rows.append((name, 1e3 * seconds[name], abs(values[name] - values["ss.emd"])))
-    fused = seconds[FUSED] / np.prod([len(axis) for axis in axes.values()])
-    table.rows.append((FUSED, 1e3 * fused, None))
+    seconds_per_motion = seconds[FUSED] / np.prod([len(axis) for axis in axes.values()])
+    table.rows.append((FUSED, 1e3 * seconds_per_motion, None))
     table.notes.append(
         "SciPy's and POT's values are halved: the paper's distance is half of theirs."
     )

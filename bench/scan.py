@@ -51,11 +51,12 @@ class Entry(NamedTuple):
 
 def run(quick: bool) -> Table:
     """Measure the time of a row, and the largest error of the Sun direction at the end of the window."""
-    problem, repeats, judged = philae(), 1 if quick else 5, 8 if quick else 48
+    problem, repeats = philae(), 1 if quick else 5
+    n_judged = 8 if quick else 48  # motions whose final direction is compared with the reference
     axes = problem.axes(*((24, 24, 29) if quick else (51, 51, 21)))
     many = problem.starts(grid_sample(axes, 512 if quick else 2048))
     lanes = hk.recommended_simd_size()
-    teams = tuple(sorted({cores(), 1}, reverse=True))
+    teams = tuple(sorted({cores(), 1}, reverse=True))  # numbers of threads
     entries = {
         f"heyoka {tol:g}, batches of {lanes}": Entry(
             partial(TaylorBatch, problem, tol, lanes), many, lanes, teams
@@ -74,13 +75,14 @@ def run(quick: bool) -> Table:
     for n in teams:
         work[OURS, n] = partial(problem.scan, axes, n)
         work[OURS_DIRECTIONS, n] = partial(problem.scan, axes, n, DIRECTION_ERROR)
-    errors = {OURS_DIRECTIONS: our_direction_error(problem, axes, judged)}
+    errors = {OURS_DIRECTIONS: our_direction_error(problem, axes, n_judged)}
     for name, entry in entries.items():
         rows[name] = len(entry.starts)
         for n in entry.teams:
+            # an integrator for each thread, as they keep their state
             team = [entry.make() for _ in range(n)]
             work[name, n] = on_cores(team, entry.starts, entry.block)
-        sample = problem.starts(grid_sample(axes, min(judged, len(entry.starts)), seed=2))
+        sample = problem.starts(grid_sample(axes, min(n_judged, len(entry.starts)), seed=2))
         reference = last_suns(problem, problem.rates(sample))
         error = np.linalg.norm(entry.make()(sample).sun_B - reference, axis=1)
         errors[name] = float(error.max())

@@ -41,6 +41,7 @@ def run(quick: bool) -> Table:
 
 def call(arguments: tuple[str, ...], cache: str | None = None) -> float:
     """Return the wall time (s) of ``python ARGUMENTS``; `cache` is a folder for the kernels, if given."""
+    # this repository first, so that `bench` can be imported from any folder
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"PYTHONPATH": path} | ({"SUNSPIN_CACHE": cache} if cache else {})
     start = time.perf_counter()

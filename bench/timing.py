@@ -78,14 +78,14 @@ class Table:
     def text(self) -> str:
         """Return the table in Markdown, with three digits, and a dash for values that were not measured."""
         lines = [self.columns, ("---",) * len(self.columns), *self.rows]
-        cells = [[_shown(cell) for cell in line] for line in lines]
+        cells = [[_format_cell(cell) for cell in line] for line in lines]
         return "\n".join(
             [self.title, "", *(f"| {' | '.join(line)} |" for line in cells), "", *self.notes]
         )
 
 
-def _shown(cell: str | float | None) -> str:
-    """Return a cell as text."""
+def _format_cell(cell: str | float | None) -> str:
+    """Return a cell as text: a number with three digits, or in whole numbers from 1000 on; "-" for None and empty text."""
     if cell is None or isinstance(cell, str):
         return cell or "-"
     return f"{cell:,.0f}" if abs(cell) >= 1000 else f"{cell:.3g}"

@@ -33,7 +33,10 @@ min).
 
 
 def histograms(rebound: Rebound, omega_B: np.ndarray) -> np.ndarray:
-    """Return histograms (3, n, BINS) of r_x, r_y, r_z in view of the panels, for motions with rates omega_B (n, 3) in rad/s."""
+    """Return histograms (3, n, BINS) of r_x, r_y, r_z, for motions with rates omega_B (n, 3) in rad/s at the first sample.
+
+    Only instants count at which the panels determine the direction.
+    """
     vehicle, states = rebound.case.vehicle, rebound.states(omega_B)
     t = np.arange(STEP_S, rebound.window_s + STEP_S / 2, STEP_S)
     hist, mask = np.zeros((3, len(states), BINS), dtype=np.float32), reconstructible_mask(vehicle)
@@ -41,26 +44,31 @@ def histograms(rebound: Rebound, omega_B: np.ndarray) -> np.ndarray:
         index = np.arange(begin, min(begin + CHUNK, len(states)))
         track = run_rows(vehicle, states.take(index), t, direction_error=DIRECTION_ERROR).sun_B
         row, instant = np.nonzero(allows(mask, track))
-        place = np.clip(((track + 1) * BINS / 2).astype(int), 0, BINS - 1)[row, instant]
+        bins = np.clip(((track + 1) * BINS / 2).astype(int), 0, BINS - 1)[row, instant]
         for axis in range(3):
-            np.add.at(hist[axis], (index[row], place[:, axis]), 1)
+            np.add.at(hist[axis], (index[row], bins[:, axis]), 1)
     return hist
 
 
-def calibrate_scans(rebound: Rebound, coarser: int, twins: int) -> list[dict]:
-    """Return for x, y and z the EMD (n) of each motion of the grid, "emd", and the calibrated "factor" of the 90 % set."""
+def calibrate_scans(rebound: Rebound, coarser: int, n_rebounds: int) -> list[dict]:
+    """Return for x, y and z the EMD (n) of each motion of the grid, "emd", and the calibrated "factor" of the 90 % set.
+
+    The factor is a quantile, over simulated rebounds, of the EMD of the true motion over the smallest of the scan.
+    """
     axes = scan_grid(rebound.case, coarser).values()
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    rebounds = simulate_similar_rebounds(rebound, twins, seed=0)
-    hist = histograms(rebound, np.concatenate([grid, [scans.omega_B for scans in rebounds]]))
-    measured, at, scans = rebound.samples["sun_B"].values[rebound.reconstructed], len(grid), []
+    simulated = simulate_similar_rebounds(rebound, n_rebounds, seed=0)
+    # the motions of the grid, and after them the true motions of the simulated rebounds
+    n_grid = len(grid)
+    hist = histograms(rebound, np.concatenate([grid, [each.omega_B for each in simulated]]))
+    measured, scans = rebound.samples["sun_B"].values[rebound.reconstructed], []
     for axis in range(3):
         ratio = []
-        for k, twin in enumerate(rebounds):
-            emd = distances_to(hist[axis], target_segments(twin.seen_B[:, axis]))
-            ratio.append(emd[at + k] / emd[:at].min())
+        for k, each in enumerate(simulated):
+            emd = distances_to(hist[axis], target_segments(each.seen_B[:, axis]))
+            ratio.append(emd[n_grid + k] / emd[:n_grid].min())
         factor = np.sort(ratio)[threshold_index(len(ratio), CONFIDENCE)]
-        emd = distances_to(hist[axis, :at], target_segments(measured[:, axis]))
+        emd = distances_to(hist[axis, :n_grid], target_segments(measured[:, axis]))
         scans.append({"emd": emd, "factor": float(factor)})
     return scans
 

@@ -37,37 +37,41 @@ def evaluate_statements(case: Case, lines: Lines) -> list[dict[str, Any]]:
     `holds` is true if both numbers differ by no more than the tolerance, and None for a statement without one.
     """
     tables = {**TEXTS}
+    # published figures, facts and numbers of this study, by the names that the file uses
     paper = {key: figure.value for key, figure in case.published.items()} | tables.pop("facts")
     numbers = descent_numbers(case, paper) | motion_numbers(case, paper, lines)
-
-    def value(name: Any) -> Any:
-        """Return the number with this name, or numbers for a list of names."""
-        if isinstance(name, list):
-            return [value(item) for item in name]
-        number = (paper | numbers).get(name, name) if isinstance(name, str) else name
-        return number if isinstance(number, str) else np.asarray(number).tolist()
-
+    known, fields = paper | numbers, numbers | {"paper": paper}
     statements = []
     for name, table in tables.items():
-        published, ours = value(table["published"]), value(table["ours"])
+        published, ours = look_up(table["published"], known), look_up(table["ours"], known)
         row = {"id": name, "published": published, "ours": ours, "holds": None}
-        if (tolerance := value(table.get("tolerance"))) is not None:
+        if (tolerance := look_up(table.get("tolerance"), known)) is not None:
             row["holds"] = bool(np.all(np.abs(np.subtract(ours, published)) <= tolerance))
-        row["weak"], fields = table.get("weak", False), numbers | {"paper": paper}
+        row["weak"] = table.get("weak", False)
         texts = [key for key in table if key not in {*row, "tolerance"}]
         statements.append(row | {key: table[key].format_map(fields) for key in texts})
     return statements
+
+
+def look_up(name: Any, known: dict[str, Any]) -> Any:
+    """Return the value with this name, or the values of a list of names; a name that is not known is itself the value."""
+    if isinstance(name, list):
+        return [look_up(item, known) for item in name]
+    value = known.get(name, name) if isinstance(name, str) else name
+    return value if isinstance(value, str) else np.asarray(value).tolist()
 
 
 def make_table(statements: list[dict[str, Any]]) -> str:
     """Return the statements in Markdown, weak ones last."""
     text = "| statement | the paper | recomputed | what it changes |\n|---|---|---|---|\n"
     for row in sorted(statements, key=lambda row: row["weak"]):
-        what = f"{row['what']} ({row['place']}){'; weak' if row['weak'] else ''}"
+        statement = f"{row['what']} ({row['place']}){'; weak' if row['weak'] else ''}"
         unit = "" if row["unit"] in ("1", "section") else f" {row['unit']}"
-        values = (row["published"], row["ours"])
-        cells = [what, *(v if isinstance(v, str) else number_text(v) + unit for v in values)]
-        text += "| " + " | ".join([*cells, row["changes"]]) + " |\n"
+        published, ours = (
+            value if isinstance(value, str) else number_text(value) + unit
+            for value in (row["published"], row["ours"])
+        )
+        text += f"| {statement} | {published} | {ours} | {row['changes']} |\n"
     return text
 
 
@@ -82,6 +86,7 @@ def contradictions_figure(case: Case, lines: Lines) -> Figure:
     ends = 1e3 * np.array(paper["descent_rate_range"])
     descent.axhspan(*ends, color=COLOURS[1], alpha=0.3, label="printed range")
     descent.set(xlabel="time from the start of the fit (h)", ylabel="rate about z (mrad/s)")
+    # the z axis moves by twice its angle to the angular momentum
     for k, angle in enumerate(2 * lines.nutation_deg):
         nutation.plot(
             lines.omega_z, angle, "-" if k < 2 else "--", color=COLOURS[k], label=f"L{k + 1}"

@@ -68,17 +68,25 @@ class Grid(NamedTuple):
 
 
 def make_grid(case: Case, coarser: int) -> Grid:
-    """Propagate every motion of the grid once."""
+    """Return the scan of every motion of the grid, each propagated once, with its speed at the touchdown.
+
+    `coarser`: only every n-th point of the paper's grid is used.
+    """
     table = propagate_grid(
         case, first_sun(case), published_window_s(case), Options(coarser=coarser)
     )
-    every = table.rows.start.take(np.arange(len(table.hist)))
-    back = propagate_back(case, every, first_sample_lead_s(case))
-    return Grid(case, table, np.linalg.norm(back, axis=1))
+    starts = table.rows.start.take(np.arange(len(table.hist)))
+    touchdown_B = propagate_back(case, starts, first_sample_lead_s(case))
+    return Grid(case, table, np.linalg.norm(touchdown_B, axis=1))
 
 
 def simulate_rebound(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
-    """Simulate a rebound of this kind, scan it, and return what the method concludes. Speeds are in rad/s at the touchdown."""
+    """Simulate a rebound of this kind, scan it, and return what the method concludes, with the true values.
+
+    Rebounds with fewer than `LEAST_DIRECTIONS` measured directions are drawn again. Speeds are in rad/s at the touchdown:
+    `bound_set` is the smallest in the near-minimum set, `factor_speed` that in the set of each of `FACTORS`, and `factor_count` the
+    number of motions in it. `line_angle`: angles (rad) of the fitted lines to the published ones, NaN if no four lines are fitted.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     case, z = grid.case, np.array([])
     while z.size < LEAST_DIRECTIONS:
@@ -87,17 +95,18 @@ def simulate_rebound(grid: Grid, kind: str, number: int, seed: int) -> dict[str,
     volume = grid.table.volume(z)
     emd = np.where(grid.table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
     smallest = float(emd.min())
+    # motions by increasing EMD: a set holds the first ones, `count` of them
     order = np.argsort(emd, kind="stable")
     slowest = np.minimum.accumulate(grid.speed[order])
     count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
     state = start_states(case, truth, first_sun(case))
-    back = propagate_back(case, state, first_sample_lead_s(case))
+    touchdown_B = propagate_back(case, state, first_sample_lead_s(case))
     near = make_near_minimum_set(case, volume, FACTOR, seed=0)
     angles = [float("nan")] * 4  # too few points for four lines
     if near.lines is not None:
         angles = [apart["angle_rad"] for apart in near.deviation]
     return {
-        "truth_touchdown_speed": float(np.linalg.norm(back)),
+        "truth_touchdown_speed": float(np.linalg.norm(touchdown_B)),
         "emd_min": smallest,
         "emd_truth": float(emd_of_truths(case, state, published_window_s(case), [(z, None)])[0]),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
@@ -117,7 +126,10 @@ def draw_true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarra
 
 
 def simulate_measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return r_z (n) of the directions from the simulated readings of a motion."""
+    """Return the r_z (n) that the panels of a simulated motion measure: its reconstructed directions, with noise.
+
+    `truth`: rates (3) in rad/s at the first sample. Misaligned panels make the readings, which are read as those of the drawn ones.
+    """
     vehicle = case.vehicle
     t = draw_rebound_times(case, rng)
     tilt, first = draw_misaligned_panels(vehicle, first_sun(case), rng)
@@ -134,9 +146,9 @@ def collect_values(rebounds: list[dict[str, Any]]) -> dict[str, np.ndarray]:
     return values | {"ratio": values["emd_truth"] / values["emd_min"]}
 
 
-def format_share(true: np.ndarray) -> str:
-    """Return the share of true values as text, with the 95 % interval (Wilson's)."""
-    test = binomtest(int(true.sum()), true.size)
+def format_share(holds: np.ndarray) -> str:
+    """Return the share of rebounds (n) for which something `holds` as text, with the 95 % interval (Wilson's)."""
+    test = binomtest(int(holds.sum()), holds.size)
     interval = test.proportion_ci(method="wilson")
     return f"{test.statistic:.1%} ({interval.low:.1%} to {interval.high:.1%})"
 
@@ -154,7 +166,7 @@ def table(rebounds: dict[str, dict[str, np.ndarray]], motions: int) -> str:
         factor, low, high = quantile_threshold(values["ratio"], CONFIDENCE)
         # calibrated on every second rebound and judged by the others
         half_threshold = quantile_threshold(values["ratio"][::2], CONFIDENCE).value
-        k = min(int(np.searchsorted(FACTORS, factor)), len(FACTORS) - 1)
+        k = min(int(np.searchsorted(FACTORS, factor)), len(FACTORS) - 1)  # the next larger factor
         size = np.median(values["factor_count"][:, k]) / motions
         speed = np.quantile(values["factor_speed"][:, k], 0.5, method="higher")
         fitted = values["line_angle"][np.isfinite(values["line_angle"][:, 0])]
@@ -171,14 +183,15 @@ def table(rebounds: dict[str, dict[str, np.ndarray]], motions: int) -> str:
 def coverage_figure(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
     """Draw the EMD of the truth against the smallest, how often a set contains the truth, and the angles of the fitted lines."""
     figure = Figure(figsize=(13.0, 4.4), layout="constrained")
-    scatter, cover, turned = figure.subplots(1, 3)
-    at = np.geomspace(1.0, 10.0, 200)
+    scatter, coverage, line_angles = figure.subplots(1, 3)
+    factors = np.geomspace(1.0, 10.0, 200)
     for k, (kind, values) in enumerate(rebounds.items()):
         style = {"color": COLOURS[k], "label": KINDS[kind]}
         scatter.loglog(
             values["emd_min"], values["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, **style
         )
-        cover.semilogx(at, (values["ratio"][:, None] < at).mean(axis=0), ("-", "--")[k], **style)
+        share = (values["ratio"][:, None] < factors).mean(axis=0)
+        coverage.semilogx(factors, share, ("-", "--")[k], **style)
     ends = np.array(scatter.get_xlim())
     limit = {"ls": "--", "lw": 1, "color": COLOURS[6], "label": f"{FACTOR:g} times the smallest"}
     scatter.loglog(ends, FACTOR * ends, **limit)
@@ -187,19 +200,21 @@ def coverage_figure(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
         axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
-    cover.axvline(FACTOR, **limit)
-    cover.axhline(CONFIDENCE, ls=":", lw=1, color=COLOURS[7])
-    cover.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
-    cover.minorticks_off()
-    cover.set(
+    coverage.axvline(FACTOR, **limit)
+    coverage.axhline(CONFIDENCE, ls=":", lw=1, color=COLOURS[7])
+    coverage.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
+    coverage.minorticks_off()
+    coverage.set(
         xlabel="factor on the smallest EMD", ylabel="share of rebounds with the truth in the set"
     )
     bins = np.linspace(0, 90, 31)
     for k, angle in enumerate(rebounds["lines"]["line_angle"].T):
         known = np.degrees(angle[np.isfinite(angle)])
-        turned.hist(known, bins, histtype="step", lw=1.3, color=COLOURS[k], label=f"L{k + 1}")
-    turned.set(xlabel="angle between fitted and published line (deg)", ylabel="rebounds per 3 deg")
-    for axes in (scatter, cover, turned):
+        line_angles.hist(known, bins, histtype="step", lw=1.3, color=COLOURS[k], label=f"L{k + 1}")
+    line_angles.set(
+        xlabel="angle between fitted and published line (deg)", ylabel="rebounds per 3 deg"
+    )
+    for axes in (scatter, coverage, line_angles):
         axes.legend(fontsize=8)
     figure.suptitle(
         f"The paper's method on {len(rebounds['lines']['ratio'])} synthetic rebounds of each kind"
@@ -216,16 +231,17 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--coarser", type=int, default=1, help="every n-th point of the grid only")
     options = parser.parse_args(arguments)
-    threshold_index(options.twins // 2, CONFIDENCE)
+    threshold_index(options.twins // 2, CONFIDENCE)  # refuses too few rebounds before any is made
     grid, values = make_grid(load_case("philae"), options.coarser), {}
     for kind in KINDS:
         folder = rows_folder(options.out / f"{kind}-seed{options.seed}-coarser{options.coarser}")
-        make = [
-            partial(simulate_rebound, grid, kind, k, options.seed) for k in range(options.twins)
+        rebounds = [
+            load_or_make(
+                folder / f"{k}.json", partial(simulate_rebound, grid, kind, k, options.seed)
+            )
+            for k in range(options.twins)
         ]
-        values[kind] = collect_values(
-            [load_or_make(folder / f"{k}.json", m) for k, m in enumerate(make)]
-        )
+        values[kind] = collect_values(rebounds)
     text = table(values, len(grid.speed))
     (options.out / "coverage.md").write_text(text + "\n", "utf-8")
     coverage_figure(values).savefig(options.out / "coverage.png", dpi=150)

@@ -92,16 +92,19 @@ class VelocityChange:
     def weights(self, runs: xr.Dataset, numbers: int = 2) -> np.ndarray:
         """Return the likelihood (n) of simulated collisions for the first `numbers` of size, angle to the Sun and angle about it.
 
-        It is 1 if these are exact.
+        It is 1 if these are exact, and 0 for runs that could not be computed (NaN).
         """
         about = runs["change_about_sun"].values - self.about_sun_rad
         about = np.remainder(about + np.pi, 2 * np.pi) - np.pi
-        off = [
+        # in sigmas; a rotation about the Sun moves a direction at angle a to it by sin(a) of it
+        differences = [
             (runs["velocity_change"].values - self.change_m_s) / SIGMA_M_S,
             (runs["change_to_sun"].values - self.to_sun_rad) / self.direction_sigma_rad,
             about * np.sin(self.to_sun_rad) / self.direction_sigma_rad,
         ]
-        return np.nan_to_num(np.exp(-0.5 * np.sum(np.square(off[:numbers]), axis=0)), nan=0.0)
+        return np.nan_to_num(
+            np.exp(-0.5 * np.sum(np.square(differences[:numbers]), axis=0)), nan=0.0
+        )
 
 
 def read_velocity_change(case: Case, folder: Path) -> VelocityChange:
@@ -114,15 +117,18 @@ def read_velocity_change(case: Case, folder: Path) -> VelocityChange:
     """
     path = folder.joinpath(*KERNEL)
     touchdown, before = (event_tdb_s(case, name) for name in ("first_touchdown", "collision"))
-    states = read_kernel_states(path, [np.ceil(touchdown), before, before + 1.0])
+    after = before + 1.0  # the kernel has a state each second
+    at_touchdown, state_before, state_after = read_kernel_states(
+        path, [np.ceil(touchdown), before, after]
+    )
     sun = sun_J2000(folder, before)
-    change = velocity_J2000(before + 1.0, states[2]) - velocity_J2000(before, states[1])
-    up = comet_from_J2000(touchdown).T @ states[0][:3]
+    change = velocity_J2000(after, state_after) - velocity_J2000(before, state_before)
+    up = comet_from_J2000(touchdown).T @ at_touchdown[:3]  # away from the comet's centre
     size = float(np.linalg.norm(change))
     if not (np.isfinite(size) and size > 0):
         what = "the trajectory kernel holds no collision"
         raise InputError(what, do="download it again", where=str(path))
-    to_sun, about = (float(x[0]) for x in angle_about(change[None], sun[None], up[None]))
+    to_sun, about = (float(angle[0]) for angle in angle_about(change[None], sun[None], up[None]))
     return VelocityChange(size, to_sun, about)
 
 
@@ -133,9 +139,9 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
         do = "docs/data.md says where they come from"
         raise InputError("the Sun's directions are not there", do=do, where=str(path))
     try:
-        values = read_table(path).cells.iloc[:, 1:5].astype(float).to_numpy()
+        values = read_table(path).cells.iloc[:, 1:5].astype(float).to_numpy()  # time, x, y, z
     except ValueError:
-        values = np.zeros((0, 4))
+        values = np.zeros((0, 4))  # refused below
     if values.shape[1] < 4 or not len(values) or not values[0, 0] <= tdb_s <= values[-1, 0]:
         what = "the file has no direction of the Sun at the collision"
         raise InputError(what, do="download it again", where=str(path))
@@ -157,13 +163,17 @@ def simulate_collisions(chain: candidates.CandidateSets, n: int, seed: int) -> x
     Nothing after the impact matters, so the flight ends a second later.
     """
     (_, real), starts = chain.rebound.scenarios(), chain.chosen.dataset()
-    each = []
-    for k, shift in enumerate(FREE_S * (2 * (np.arange(INSTANTS) + 0.5) / INSTANTS - 1)):
-        before_s = real.before_s + float(shift)
+    vehicle, count = chain.case.vehicle, max(n // INSTANTS, 1)
+    runs_at_instant = []
+    # middles of equal parts of the interval from -FREE_S to FREE_S
+    for k, shift_s in enumerate(FREE_S * (2 * (np.arange(INSTANTS) + 0.5) / INSTANTS - 1)):
+        before_s = real.before_s + float(shift_s)
         scenario = replace(real, before_s=before_s, after_s=1.0, vertical=CONE_RAD)
-        count, number = max(n // INSTANTS, 1), seed + 1000 + k
-        each.append(outcomes(chain.case.vehicle, starts, "off", count, number, scenario=scenario))
-    runs = xr.concat(each, "run", combine_attrs="drop_conflicts")
+        instant_seed = seed + 1000 + k
+        runs_at_instant.append(
+            outcomes(vehicle, starts, "off", count, instant_seed, scenario=scenario)
+        )
+    runs = xr.concat(runs_at_instant, "run", combine_attrs="drop_conflicts")
     speed = chain.chosen.speed_touchdown[runs["candidate"].values]
     return runs.assign(speed_touchdown=("run", speed))
 
@@ -181,16 +191,17 @@ def angular_speeds(runs: xr.Dataset) -> dict[str, np.ndarray]:
 
 
 def make_table(name: str, runs: xr.Dataset, change: VelocityChange) -> str:
-    """Return the mean rates in Markdown: without the impulse, and with one, two and three of its numbers."""
+    """Return the mean rates in Markdown: without the impulse, and with one, two and three of its numbers.
+
+    A mean of fewer than `LEAST_RUNS` effective collisions is "not known".
+    """
     weights = [
         np.ones(runs.sizes["run"]),
         *(change.weights(runs, numbers) for numbers in (1, 2, 3)),
     ]
     effective = [effective_runs(weight) for weight in weights]
-    text = (
-        f"| {name}: mean angular speed, rad/s | without | size | size and angle | with the third "
-    )
-    text += "number |\n|---|---|---|---|---|\n"
+    text = f"| {name}: mean angular speed, rad/s "
+    text += "| without | size | size and angle | with the third number |\n|---|---|---|---|---|\n"
     for instant, values in angular_speeds(runs).items():
         cells = [
             str(estimate(values, weight)) if size >= LEAST_RUNS else "not known"
@@ -201,13 +212,14 @@ def make_table(name: str, runs: xr.Dataset, change: VelocityChange) -> str:
     return text + "| " + " | ".join(["effective number of collisions", *counts]) + " |\n"
 
 
-def impulse_figure(each: dict[str, xr.Dataset], change: VelocityChange) -> Figure:
-    """Draw size and direction of the simulated impulses with the kernel's, and the rate after the collision with and without
-    weights.
+def impulse_figure(runs_of: dict[str, xr.Dataset], change: VelocityChange) -> Figure:
+    """Draw the simulated impulses with the kernel's (size, angle to the Sun), and the rate after the collision.
+
+    The rate is drawn with the weights of the impulse and without. `runs_of`: name of `SOURCES` -> its simulated collisions.
     """
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
     impacts, after = figure.subplots(1, 2)
-    runs = each["scan"]
+    runs = runs_of["scan"]
     angle = np.degrees(runs["change_to_sun"].values[::20])
     impacts.plot(runs["velocity_change"].values[::20], angle, ".", ms=2, color=COLOURS[5])
     sigma = np.degrees(change.direction_sigma_rad)
@@ -216,14 +228,14 @@ def impulse_figure(each: dict[str, xr.Dataset], change: VelocityChange) -> Figur
     impacts.plot([], [], ".", color=COLOURS[5], label="simulated collisions, every 20th")
     impacts.set(xlabel="change of velocity (m/s)", ylabel="angle to the Sun (deg)")
     bins = np.linspace(0.0, 1.5, 46)
-    for k, (source, simulated) in enumerate(each.items()):
+    for k, (source, simulated) in enumerate(runs_of.items()):
         speed = angular_speeds(simulated)["just after the collision"]
-        for weight, line, what in (
-            (None, ":", "without"),
-            (change.weights(simulated), "-", "with"),
+        for weight, line_style, label in (
+            (None, ":", f"{SOURCES[source]}, without"),
+            (change.weights(simulated), "-", f"{SOURCES[source]}, with"),
         ):
-            style = {"histtype": "step", "density": True, "color": COLOURS[k], "ls": line}
-            after.hist(speed, bins, weights=weight, label=f"{SOURCES[source]}, {what}", **style)
+            style = {"histtype": "step", "density": True, "color": COLOURS[k], "ls": line_style}
+            after.hist(speed, bins, weights=weight, label=label, **style)
     after.set(xlabel="angular speed just after the collision (rad/s)", ylabel="density (s/rad)")
     for axes in (impacts, after):
         axes.legend(fontsize=8)
@@ -244,16 +256,15 @@ def main(arguments: list[str] | None = None) -> None:
         do = "give --data, or set SUNSPIN_DATA (docs/data.md)"
         raise InputError("the landing kernel is not in this repository", do=do)
     change, out = read_velocity_change(case, Path(options.data)), rows_folder(options.out)
-    each = {}
-    for source in SOURCES:
-        each[source] = simulate_collisions(
-            load_motions(source, options.seed), options.runs, options.seed
-        )
+    runs_of = {
+        source: simulate_collisions(load_motions(source, options.seed), options.runs, options.seed)
+        for source in SOURCES
+    }
     text = f"Change of velocity {change.change_m_s:.4f} m/s, {np.degrees(change.to_sun_rad):.1f} deg from the Sun.\n"
-    for source, runs in each.items():
+    for source, runs in runs_of.items():
         text += "\n" + make_table(SOURCES[source], runs, change)
     (out / "impulse.md").write_text(text, "utf-8")
-    impulse_figure(each, change).savefig(out / "impulse.png", dpi=150)
+    impulse_figure(runs_of, change).savefig(out / "impulse.png", dpi=150)
     print(text)
 
 

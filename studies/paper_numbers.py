@@ -63,10 +63,8 @@ def simulate_lines(case: Case) -> Lines:
     range.
     """
     omega_z, printed = np.linspace(*LINE_RANGE, LINE_POINTS), published_lines(case)
-    even, inside = (
-        points_on_lines(printed, omega_z),
-        [line_in_scan_range(case, line, LINE_POINTS) for line in printed],
-    )
+    even = points_on_lines(printed, omega_z)
+    inside = [line_in_scan_range(case, line, LINE_POINTS) for line in printed]
     starts = {
         f"evenly in omega_z over {list(LINE_RANGE)}": even.reshape(-1, 3),
         "evenly along the lines within the scanned box": np.concatenate(inside),
@@ -75,48 +73,56 @@ def simulate_lines(case: Case) -> Lines:
         rule: np.array([speed_at_collision(case, omega) for omega in omegas])
         for rule, omegas in starts.items()
     }
-    nutation = momentum_angles(case.vehicle, start_states(case, even, first_sun(case)))[0]
+    nutation, *_ = momentum_angles(case.vehicle, start_states(case, even, first_sun(case)))
     return Lines(at_collision, np.degrees(nutation.reshape(len(even), -1)), omega_z)
 
 
 def speed_at_collision(case: Case, omega_B: np.ndarray) -> float:
     """Return the angular speed (rad/s) just before the collision of a motion with this rate at the first sample."""
     first, speeds = first_sun(case), nominal_wheel_speeds(case.vehicle)
-    run = propagate(
+    motion = propagate(
         case.vehicle, omega_B, first, speeds, [0.0, published_window_s(case)], rtol=1e-8
     )
-    return float(np.linalg.norm(run["omega_B"].values[-1]))
+    return float(np.linalg.norm(motion["omega_B"].values[-1]))
 
 
 def descent_numbers(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
     """Return the numbers on measured directions, times and the descent (sections 1, 2.1, 2.3 and 3.1)."""
-    between, (number, last) = case.require_timeline().seconds, paper["descent_samples"]
+    between = case.require_timeline().seconds
+    # first Sun direction as quoted for the study of E, which is no unit vector, and as printed elsewhere
     quoted, first = np.array(paper["first_sun_E_study"]), first_sun(case)
     length = np.linalg.norm(quoted)
+    # x and y as quoted, and the z that makes it a unit vector
     unit_length = np.array([*quoted[:2], np.sqrt(1 - quoted[:2] @ quoted[:2])])
     cosines = np.array([first @ quoted / length, first @ unit_length]) / np.linalg.norm(first)
-    angle, still = np.degrees(np.arccos(cosines))
+    angle, still_apart = np.degrees(np.arccos(cosines))
 
-    span, interval = 3600.0 * paper["descent_span"], 60.0 * paper["sampling_interval"]
-    spacing, early = span / (last - number) / 60, between("descent_fit_begins", "unfolding_ends")
+    # samples of the descent, numbered from the first to the last of the fit
+    first_number, last_number = paper["descent_samples"]
+    span, interval = 3600.0 * paper["descent_span"], 60.0 * paper["sampling_interval"]  # s
+    spacing = span / (last_number - first_number) / 60  # min
+    early = between("descent_fit_begins", "unfolding_ends")
+    # Sun directions of one revolution about z, and the share that the panels determine
     z = paper["nz_descent"]
     start, axis = [np.sqrt(1 - z**2), 0.0, z], [0, 0, 1]
     azimuth = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
     share = np.mean(allows(reconstructible_mask(case.vehicle), turned(start, axis, azimuth)))
     flight = between("first_touchdown", "collision") / 60
 
+    # rate of the descent by the printed cubic
     cubic, (low, high) = paper["descent_rate_cubic"], paper["descent_rate_range"]
     t = np.linspace(0.0, span, 100_001)
     rate = np.polynomial.polynomial.polyval(t, cubic)
-    half = HALF_DIGITS[0]
+    half_digit = HALF_DIGITS[0]
     ratio = case.vehicle.require_inertia()[2, 2] / case.vehicle.wheels[0].inertia_kg_m2
-    tied = cubic[0] + 2 * np.pi / interval * np.array([-1, 0, 1])
+    # rates that differ by one revolution between regular samples give the same directions
+    aliases = cubic[0] + 2 * np.pi / interval * np.array([-1, 0, 1])
     regular = interval * np.arange(ALIASES)
     seen = turned(start, axis, cubic[0] * regular)
     return {
         "length": length,
         "apart_deg": angle,
-        "still_apart_deg": still,
+        "still_apart_deg": still_apart,
         "other_z": unit_length[2],
         "E_bound": (1 - length) / 2,
         "rms_deg": np.degrees(2 * np.arcsin(np.sqrt(paper["descent_E"]))),
@@ -132,15 +138,15 @@ def descent_numbers(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
         "largest_at_s": t[np.argmax(rate)],
         "mean_rate": rate.mean(),
         "rounding": np.polynomial.polynomial.polyval(span, HALF_DIGITS),
-        "inside_percent": 100 * np.mean((rate >= low - half) & (rate <= high + half)),
+        "inside_percent": 100 * np.mean((rate >= low - half_digit) & (rate <= high + half_digit)),
         "change": ratio * np.array([high - low, np.ptp(rate)]),
         "early_min": -early / 60,
-        "first_at_min": (number - 1) * spacing,
+        "first_at_min": (first_number - 1) * spacing,
         "shadowed": early / 60 / spacing,
         "interval_s": interval,
         "slow": np.pi / interval,
-        "tied_rates": tied,
-        "worst_E": max(1e-15, *(error_of_rate([alias], regular, seen) for alias in tied)),
+        "tied_rates": aliases,
+        "worst_E": max(1e-15, *(error_of_rate([alias], regular, seen) for alias in aliases)),
     }
 
 
@@ -149,10 +155,11 @@ def motion_numbers(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str,
     wheel, since = case.vehicle.wheels[0], first_sample_lead_s(case)
     ratio = wheel.friction.coulomb_N_m / wheel.friction.viscous_N_m_s
     decay = wheel.friction.viscous_N_m_s / wheel.inertia_kg_m2
-    # of a wheel that coasts on a body at rest
+    # speed of a wheel that coasts on a body at rest: at the touchdown, and at the earliest and latest first sample after it if
+    # the nominal speed is that at the touchdown
     speed = wheel.speed_rad_s
-    ends = since + SAMPLE_TIME_UNCERTAINTY_S * np.array([-1, 1])
-    before, *later = (speed + ratio) * np.exp(-decay * np.array([-since, *ends])) - ratio
+    sample_times = since + SAMPLE_TIME_UNCERTAINTY_S * np.array([-1, 1])
+    before, *later = (speed + ratio) * np.exp(-decay * np.array([-since, *sample_times])) - ratio
     now, printed = wheel_speed_at_first_sample(case), published_lines(case)
     _, c2, c3 = paper["spin_down_coefficients"]
 

@@ -38,8 +38,10 @@ def true_motion(case: Case, times_s: np.ndarray) -> xr.Dataset:
     for t in times_s:
         rows, begin_s = (after, collision) if t > collision else (start, truth["t_s"])
         parts.append(run_to(case.vehicle, rows, [t - begin_s]))
-    run = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
-    return predictions(model(case.vehicle, None, 1.0)[0], start, run, times_s)
+    motion = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
+    # the form of predictions needs a model, whose priors have no effect on them
+    nominal_model, *_ = model(case.vehicle, None, 1.0)
+    return predictions(nominal_model, start, motion, times_s)
 
 
 def read_predictions(folder: Path) -> xr.Dataset:

@@ -106,10 +106,11 @@ class Coordinates:
     def __init__(self, state: State) -> None:
         direction = state.sun.mean(axis=0)
         direction /= np.linalg.norm(direction)
-        across = np.linalg.svd(direction[None])[2][1:]
+        across = np.linalg.svd(direction[None])[2][1:]  # two unit vectors at right angles to it
         self.frame = np.stack([*across, direction])
         x = self.mapped(state)
         self.mean = x.mean(axis=0)
+        # 1e-16 keeps the covariance of almost fixed values positive definite
         self.root = np.linalg.cholesky(np.cov(x.T) + 1e-16 * np.eye(x.shape[1]))
 
     def mapped(self, state: State) -> np.ndarray:
@@ -126,7 +127,7 @@ class Coordinates:
         """Return the states at coordinates (n, D), and a mask (n) of those inside the map, which ends at the antipode."""
         x = self.mean + y @ self.root.T
         square = np.sum(x[:, 3:5] ** 2, axis=1)
-        inside = square < 4.0
+        inside = square < 4.0  # the map is a disk of radius 2
         square = np.minimum(square, 4.0)
         across = np.sqrt(1.0 - square / 4)[:, None] * x[:, 3:5]
         along = (1.0 - square / 2)[:, None]
@@ -174,6 +175,7 @@ def nautilus_in_box(
     points, log_weight, _ = sampler.posterior()
     weight = np.exp(log_weight - logsumexp(log_weight))
     drawn = points[np.random.default_rng(seed).choice(len(points), DRAWS, p=weight)]
+    # nautilus integrates over a unit cube: the volume of the box is that of the cube of 2 HALF_WIDTH sigmas
     evidence = float(sampler.log_z) + dimensions * np.log(2 * HALF_WIDTH) + coordinates.log_volume
     return evidence, states(drawn)[0], sampler.n_like
 
@@ -208,19 +210,21 @@ def emcee_from(
 def state_of_draws(model_: Model, draws: xr.Dataset) -> State:
     """Return the draws of a posterior as states, their nuisance parameters (n, k) in sigmas of the prior."""
     u = np.zeros((draws.sizes["draw"], len(model_.unknowns)))
-    for i, x in enumerate(model_.unknowns):
-        wheel = x.kind == "wheel_speed"
-        name = "wheel_speed_rad_s" if wheel else x.name
-        value = draws[name].values[0, :, x.index] if wheel else draws[name].values[0]
-        u[:, i] = (value - x.centre) / x.sigma
+    for i, unknown in enumerate(model_.unknowns):
+        if unknown.kind == "wheel_speed":  # one variable for all wheels
+            value = draws["wheel_speed_rad_s"].values[0, :, unknown.index]
+        else:
+            value = draws[unknown.name].values[0]
+        u[:, i] = (value - unknown.centre) / unknown.sigma
     return State(draws["omega_B"].values[0], draws["sun_B"].values[0], u)
 
 
 def summary(omega: np.ndarray) -> str:
-    """Return 5, 50 and 95 % quantiles of the angular speed and the sigmas of rates (n, 3), in 1e-3 rad/s, as text."""
+    """Return 5, 50 and 95 % quantiles of the angular speed and the sigmas of rates (n, 3) in rad/s, as text in 1e-3 rad/s."""
     quantiles = 1e3 * np.quantile(np.linalg.norm(omega, axis=1), [0.05, 0.5, 0.95])
-    speed = " ".join(f"{q:8.2f}" for q in quantiles)
-    return f"|omega| {speed}; sigmas {' '.join(f'{s:6.3f}' for s in 1e3 * omega.std(axis=0))}"
+    speed = " ".join(f"{quantile:8.2f}" for quantile in quantiles)
+    sigmas = " ".join(f"{sigma:6.3f}" for sigma in 1e3 * omega.std(axis=0))
+    return f"|omega| {speed}; sigmas {sigmas}"
 
 
 def compare(kind: str, case: int, walk: bool) -> None:
@@ -239,30 +243,32 @@ def compare(kind: str, case: int, walk: bool) -> None:
     draws, solutions = tree["posterior"].to_dataset(), tree["solutions"]
     state, solution_id = state_of_draws(likelihood.model, draws), draws["solution_id"].values[0]
     # sunspin's prior of the rates is uniform in the searched ball at its reference time, that of the box in the ball of max_rate
-    wider = 3 * np.log(tree.attrs["searched_rate_rad_s"] / max_rate)
-    probability, evidence = (
-        solutions["probability"].values,
-        solutions["log_evidence"].values + wider,
-    )
+    log_volume_ratio = 3 * np.log(tree.attrs["searched_rate_rad_s"] / max_rate)
+    probability = solutions["probability"].values
+    evidence = solutions["log_evidence"].values + log_volume_ratio
     listed = np.flatnonzero(probability > LEAST_PROBABILITY)
     begin, box_evidence = time.process_time(), []
     for m in listed:
-        own = state.take(solution_id == m)
-        coordinates = Coordinates(own)
+        in_solution = state.take(solution_id == m)
+        coordinates = Coordinates(in_solution)
         log_evidence, drawn, calls = nautilus_in_box(likelihood, coordinates)
         box_evidence.append(log_evidence)
         took = time.process_time() - begin
         values = f"sunspin {evidence[m]:.2f}, nautilus {log_evidence:.2f}"
         print(f"  solution {m}: log evidence {values} ({calls} calls, {took:.0f} s)")
-        print(f"    sunspin  {summary(own.omega)}\n    nautilus {summary(drawn.omega)}", flush=True)
+        print(
+            f"    sunspin  {summary(in_solution.omega)}\n    nautilus {summary(drawn.omega)}",
+            flush=True,
+        )
         if walk:
-            walked, steps = emcee_from(likelihood, coordinates, own)
+            walked, steps = emcee_from(likelihood, coordinates, in_solution)
             print(
                 f"    emcee    {summary(walked.omega)}; correlation {steps:.0f} steps", flush=True
             )
-    share = np.exp(np.array(box_evidence) - logsumexp(box_evidence))
-    ours, theirs = np.round(probability[listed], 3), np.round(share, 3)
-    print(f"  probabilities: sunspin {ours}, nautilus {theirs}", flush=True)
+    # probability of each solution by nautilus: its share of the evidence
+    box_share = np.exp(np.array(box_evidence) - logsumexp(box_evidence))
+    by_sunspin, by_nautilus = np.round(probability[listed], 3), np.round(box_share, 3)
+    print(f"  probabilities: sunspin {by_sunspin}, nautilus {by_nautilus}", flush=True)
 
 
 @command

@@ -48,5 +48,5 @@ def read_beacons(craft: ss.Vehicle, folder: Path | None, name: str = ATTITUDE) -
 
 def utc(beacons: xr.Dataset) -> np.ndarray:
     """Return the UTC (n) of the samples as datetime64."""
-    epoch = np.datetime64(beacons.attrs["epoch_utc"][:-1])
+    epoch = np.datetime64(beacons.attrs["epoch_utc"][:-1])  # without the "Z"
     return epoch + (1e9 * beacons["time"].values).astype("timedelta64[ns]")

@@ -111,7 +111,7 @@ def draw(currents: xr.Dataset, sensors: xr.Dataset, beacons: xr.Dataset, offset_
 
 
 def epoch(telemetry: xr.Dataset) -> np.datetime64:
-    """Return the UTC of time zero."""
+    """Return the UTC of time zero, which the attribute has with a final "Z"."""
     return np.datetime64(telemetry.attrs["epoch_utc"][:-1])
 
 

@@ -51,9 +51,9 @@ class Pairs(NamedTuple):
     second_cov: np.ndarray
     day: np.ndarray
 
-    def take(self, which: np.ndarray) -> Pairs:
+    def take(self, chosen: np.ndarray) -> Pairs:
         """Return some of the pairs, chosen by index or mask."""
-        return Pairs(*(part[which] for part in self))
+        return Pairs(*(values[chosen] for values in self))
 
 
 def neighbouring_beacons(craft: ss.Vehicle, beacons: xr.Dataset) -> Pairs:
@@ -62,9 +62,11 @@ def neighbouring_beacons(craft: ss.Vehicle, beacons: xr.Dataset) -> Pairs:
     assert gyro is not None
     t, day = beacons["time"].values, utc(beacons).astype("datetime64[D]")
     sun, cov = beacons["sun_sensor_B"].values, beacons["sun_sensor_cov_B"].values
+    # the readings again, from the rates that the vehicle file makes of them
     counts = beacons["gyro_B"].values / gyro.scale_rad_s + gyro.zero
     measured = np.isfinite(sun).all(axis=1) & np.isfinite(counts).all(axis=1)
     usable, dt = measured & (day < LAST_DAY), np.diff(t)
+    # i: index of the first beacon of each pair
     i = np.flatnonzero(usable[:-1] & usable[1:] & (dt < LONGEST_S) & (dt > 0))
     mean = (counts[i] + counts[i + 1]) / 2
     return Pairs(t[i], dt[i], mean, sun[i], sun[i + 1], cov[i], cov[i + 1], day[i])
@@ -90,7 +92,10 @@ def cost(unknowns: np.ndarray, pairs: Pairs, acceleration_noise: float) -> float
 
 
 def fit(pairs: Pairs, acceleration_noise: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return scale (deg/s per count) and zero (counts) as (4), their sigmas (4), and the cost at the best fit."""
+    """Return scale (deg/s per count) and zero (counts) as (4), their sigmas (4), and the cost at the best fit.
+
+    The sigmas are those of the inverse Hessian of the cost, by second differences.
+    """
     zero = np.median(pairs.counts, axis=0) / UNITS[1:]
     starts = [np.array([scale / UNITS[0], *zero]) for scale in START_SCALES]
     options = {"maxiter": 2000, "xatol": 1e-3, "fatol": 1e-3}
@@ -102,6 +107,7 @@ def fit(pairs: Pairs, acceleration_noise: float) -> tuple[np.ndarray, np.ndarray
     hessian = np.empty((4, 4))
     for a, row in enumerate(np.eye(4)):
         for b, column in enumerate(np.eye(4)):
+            # costs at (+, +), (+, -), (-, +), (-, -) steps along both unknowns
             corners = [
                 cost(best.x + STEPS * (i * row + j * column), pairs, acceleration_noise)
                 for i in (1, -1)
@@ -115,6 +121,7 @@ def fit(pairs: Pairs, acceleration_noise: float) -> tuple[np.ndarray, np.ndarray
 
 def lines_of_fits(pairs: Pairs, acceleration_noise: float) -> list[str]:
     """Return a line of text for each selection of pairs, with scale, zero and their sigmas."""
+    # before and after the coils were switched off, and without each day
     selections = {
         "all": np.ones(len(pairs.t_s), dtype=bool),
         "free": pairs.t_s > FREE_S,
@@ -122,11 +129,11 @@ def lines_of_fits(pairs: Pairs, acceleration_noise: float) -> list[str]:
     }
     selections |= {f"without {day}": pairs.day != day for day in np.unique(pairs.day)}
     lines = []
-    for name, which in selections.items():
-        value, sigma, _ = fit(pairs.take(which), acceleration_noise)
+    for name, chosen in selections.items():
+        value, sigma, _ = fit(pairs.take(chosen), acceleration_noise)
         scale = f"{value[0]:.4f} +- {sigma[0]:.4f} deg/s per count"
         zero = ", ".join(f"{z:.0f} +- {s:.0f}" for z, s in zip(value[1:], sigma[1:], strict=True))
-        lines.append(f"{name:20s} {which.sum():4d} pairs  {scale}  zero ({zero})")
+        lines.append(f"{name:20s} {chosen.sum():4d} pairs  {scale}  zero ({zero})")
     return lines
 
 

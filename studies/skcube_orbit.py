@@ -59,6 +59,7 @@ def print_offsets_by_part(
             # the residual of the whole file is no limit for a part
             start = start_of(check, unknown)._replace(left_T=np.inf)
             alone = by_sun_sensors(unknown, assess(craft, samples), start)
+            # offset of the whole file in this part
             expected = float(orbit.ahead_s(orbit.instants(t[part])).mean())
             expected_sigma = float(orbit.ahead_sigma_s(orbit.instants([t[part].mean()]))[0])
             sigma = np.hypot(alone.shift_sigma_s, expected_sigma)
@@ -71,7 +72,10 @@ def print_offsets_by_part(
 def normalised_errors(
     craft: ss.Vehicle, result: xr.Dataset, gyro_B: xr.DataArray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Print each pass of a result of `rates`; return normalised errors (n, 3) of the mean rates, and sigmas (n, 3) in rad/s."""
+    """Print each pass of a result of `rates`; return normalised errors (n, 3) of the mean rates, and sigmas (n, 3) in rad/s.
+
+    `gyro_B` has the gyro's rates in rad/s. The normalised errors include the gyro's errors, the sigmas do not.
+    """
     gyro, errors = craft.sensors.gyro, []
     assert gyro is not None
     sigmas = result["omega_sigma_all_B"].values

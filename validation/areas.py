@@ -45,7 +45,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     row = judge(kind, seed, i)
     if "pull" not in row:
         return {"outcome": "open", "says": row["why"], "listed": False}
-    # where columns are exchanged the mirror image is what the file says
+    # a mirrored motion is the right reading of a file whose columns are exchanged
     wrong = row["wrong"] or row["empty"] or (row["mirrored"] and kind != "columns exchanged")
     if row["decided"] and wrong:
         outcome = "wrong"
@@ -54,6 +54,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     elif row["decided"]:
         outcome = "right"
     else:
+        # undecided counts against the package only if its best solution is right and constrained
         best_is_right = not (row["wrong"] or row["empty"])
         outcome = "undecided" if row["leads"] and best_is_right else "open"
     return {
@@ -77,13 +78,13 @@ def _any_vehicle(seed: int, i: int) -> Row:
         outcome = "wrong" if row["probability"] < 1 - DECIDED else "right"
     else:
         outcome = "undecided" if row["best"] else "open"
-    off = np.array(row["miss_deg_s"])
+    error = np.array(row["miss_deg_s"])
     return {
         "outcome": outcome,
         "says": row["verdict"],
         "listed": row["listed"],
-        "off": off.tolist(),
-        "sigma": (off / row["pulls"]).tolist(),
+        "off": error.tolist(),
+        "sigma": (error / row["pulls"]).tolist(),  # a normalised error is error / sigma
     }
 
 
@@ -159,7 +160,7 @@ def posteriors(level: str, seed: int) -> Iterator[Task]:
     counts = {"known": (1, 6), "unknown": (3, 10), "swapped": (1, 6), "wheel_off": (1, 6)}
     for kind, (few, many) in counts.items():
         for i in range(few if level == "quick" else many):
-            yield Task("posterior", kind, f"{seed}/{i}", partial(_twin, kind, seed, i))
+            yield Task("posterior", kind, f"{seed}/{i}", partial(_philae_by_package, kind, seed, i))
     for i in range(2 if level == "quick" else 12):
         yield Task("posterior", "any vehicle", f"{seed}/{i}", partial(_any_posterior, seed, i))
     if level == "full":
@@ -168,10 +169,15 @@ def posteriors(level: str, seed: int) -> Iterator[Task]:
                 "posterior",
                 "turned, two minutes apart",
                 f"{seed}/{i}",
-                partial(_twin, "turned", seed, i, 0.3, 23, 120.0),
+                partial(_philae_by_package, "turned", seed, i, 0.3, 23, 120.0),
             )
     for i in (2,) if level == "quick" else (0, 2, 3, 5, 6, 10, 11, 12, 13, 14, 15, 16):
-        yield Task("posterior", "Philae, simulated", f"{seed}/{i}", partial(_simulated, seed, i))
+        yield Task(
+            "posterior",
+            "Philae, simulated",
+            f"{seed}/{i}",
+            partial(_philae_without_package, seed, i),
+        )
 
 
 _KINDS_OF_TORQUE = {"0": "right model", "inertia": "moments off by 5 %"}
@@ -197,16 +203,22 @@ def _torque(kind: str, seed: int, i: int) -> Row:
 
 
 def _of_word(word: str, near: bool) -> str:
-    """Return the outcome for a file whose model is right; `near` says whether a listed solution is the truth."""
+    """Return the outcome for the `word` of a posterior's verdict, if the file's model is right.
+
+    `near` says whether a listed solution is the truth.
+    """
     if word in CONFIDENT:
         return "right" if near else "wrong"
     return "wrong" if word == "not explained" else "undecided" if near else "open"
 
 
-def _twin(
+def _philae_by_package(
     kind: str, seed: int, i: int, max_rate: float = 0.25, samples: int = 16, apart_s: float = 20.0
 ) -> Row:
-    """Run and judge the posterior of simulated Philae case `i` of a kind."""
+    """Run and judge the posterior of Philae case `i` of a kind, simulated with the package's own model.
+
+    Telemetry of "swapped" and "wheel_off" follows another model: right is to refuse it, or to find that no motion explains it.
+    """
     from sunspin.cases import load_case
     from validation.calibrate import judge, make
 
@@ -254,7 +266,7 @@ def _any_posterior(seed: int, i: int) -> Row:
     }
 
 
-def _simulated(seed: int, i: int) -> Row:
+def _philae_without_package(seed: int, i: int) -> Row:
     """Run and judge the posterior of Philae case `i` that was simulated without the package."""
     from validation.posterior_cases import LIMIT_S, cases, run_limited
 
@@ -338,14 +350,11 @@ def _elements(seed: int, i: int) -> Row:
 
     row = judge_check(seed, i)
     verdicts = {name: row[name].verdict.name.lower() for name in ("0 deg", "20 deg", "clock")}
-    outcomes = [
-        _of_orbit(verdicts["0 deg"], True),
-        _of_orbit(verdicts["20 deg"], False),
-        _of_orbit(verdicts["clock"], False),
-    ]
+    outcomes = [_of_orbit(verdict, right=name == "0 deg") for name, verdict in verdicts.items()]
     worst = next(word for word in ("wrong", "undecided", "open", "right") if word in outcomes)
-    right = row["0 deg"]
-    shift = {"off": right.shift_s - row["ahead_s"], "sigma": right.shift_sigma_s}
+    # error of the along-track offset in s, with the right elements
+    with_right = row["0 deg"]
+    shift = {"off": with_right.shift_s - row["ahead_s"], "sigma": with_right.shift_sigma_s}
     return {"outcome": worst, "says": str(verdicts)} | shift
 
 
@@ -360,15 +369,21 @@ def _calibration(seed: int, i: int) -> Row:
     """Run and judge the calibration of sensors of file `i`."""
     from tests.support.calibration_cases import judge_calibration
 
-    (row,) = judge_calibration(seed, i).values()
-    pulls = [pull for each in row.values() for pull in each]
+    # normalised errors of each calibrated key of the vehicle file
+    (errors_of_key,) = judge_calibration(seed, i).values()
+    errors = [error for values in errors_of_key.values() for error in values]
     wrong = [
-        f"{key}: {max(each, key=abs):.1f} sigma off"
-        for key, each in row.items()
-        if max(map(abs, each)) > WRONG_SIGMAS
+        f"{key}: {max(values, key=abs):.1f} sigma off"
+        for key, values in errors_of_key.items()
+        if max(map(abs, values)) > WRONG_SIGMAS
     ]
-    outcome = "wrong" if wrong else "right" if pulls else "undecided"
-    return {"outcome": outcome, "says": "; ".join(wrong), "off": pulls, "sigma": [1.0] * len(pulls)}
+    outcome = "wrong" if wrong else "right" if errors else "undecided"
+    return {
+        "outcome": outcome,
+        "says": "; ".join(wrong),
+        "off": errors,
+        "sigma": [1.0] * len(errors),
+    }
 
 
 def exchanges(level: str, seed: int) -> Iterator[Task]:
@@ -427,49 +442,42 @@ def _right_file(command: str, seed: int, i: int) -> Row:
     return {"outcome": "wrong" if accused else "right", "says": "; ".join(accused)}
 
 
-def _dead(rows: list[Row]) -> None:
-    """Set the readings of the brightest panel to zero."""
+def _scale_brightest_panel(rows: list[Row], factor: float) -> None:
+    """Multiply the readings of the panel with the largest sum by a factor."""
     panels = [key for key in rows[0] if key.startswith("i.")]
     brightest = max(panels, key=lambda name: sum(row[name] for row in rows))
     for row in rows:
-        row[brightest] = 0.0
+        row[brightest] *= factor
 
 
-def _weak(rows: list[Row]) -> None:
-    """Reduce the readings of the brightest panel by 15 %."""
-    panels = [key for key in rows[0] if key.startswith("i.")]
-    brightest = max(panels, key=lambda name: sum(row[name] for row in rows))
-    for row in rows:
-        row[brightest] *= 0.85
-
-
-def _milli(rows: list[Row]) -> None:
-    """Convert all panels to a thousandth of the unit."""
+def _write_panels_in_thousandths(rows: list[Row]) -> None:
+    """Convert the readings of all panels to a thousandth of the unit."""
     for row in rows:
         row |= {key: 1e3 * value for key, value in row.items() if key.startswith("i.")}
 
 
-def _turned(rows: list[Row]) -> None:
-    """Rotate the axes of the Sun vector."""
+def _rotate_sun_vector(rows: list[Row]) -> None:
+    """Rotate the axes of the Sun vector by 90 degrees about z."""
     for row in rows:
         x, y, z = row["vector"]
         row["vector"] = [y, -x, z]
 
 
-def _no_gyro(rows: list[Row]) -> None:
+def _delete_gyro(rows: list[Row]) -> None:
     """Delete the gyro's columns."""
     for row in rows:
         del row["gyro"]
 
 
 FAULTS: dict[str, tuple[str, str, Callable[[list[Row]], None]]] = {
-    "dead panel": ("", "dead_panels", _dead),
-    "weak panel": ("", "weak_panels", _weak),
-    "thousandths": ("", "wrong_units", _milli),
-    "Sun vector along other axes": ("vector", "wrong_axes", _turned),
-    "columns of the gyro missing": ("gyro", "missing_sensors", _no_gyro),
+    "dead panel": ("", "dead_panels", partial(_scale_brightest_panel, factor=0.0)),
+    "weak panel": ("", "weak_panels", partial(_scale_brightest_panel, factor=0.85)),
+    "thousandths": ("", "wrong_units", _write_panels_in_thousandths),
+    "Sun vector along other axes": ("vector", "wrong_axes", _rotate_sun_vector),
+    "columns of the gyro missing": ("gyro", "missing_sensors", _delete_gyro),
 }
-"""Each fault -> the sensor that it needs, the key of `check --json` that has to name it, and the change of the rows."""
+"""Each fault -> the sensor that it needs (empty: none), the key of `check --json` that has to name it, and the change of the rows,
+which is made in place."""
 
 
 def _fault(fault: str, seed: int, i: int) -> Row:
@@ -477,7 +485,7 @@ def _fault(fault: str, seed: int, i: int) -> Row:
     from sunspin.cli.check import check
     from validation.right_files import make
 
-    sensor, named, spoil = FAULTS[fault]
+    sensor, report_key, spoil = FAULTS[fault]
     with tempfile.TemporaryDirectory() as folder:
         vehicle, telemetry, form = make(Path(folder), seed, i)
         if sensor not in form:
@@ -486,7 +494,7 @@ def _fault(fault: str, seed: int, i: int) -> Row:
         spoil(rows)
         telemetry.write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
         done = CliRunner().invoke(check, [str(vehicle), str(telemetry), "--json"])
-    says = json.loads(done.stdout)["telemetry"].get(named) if done.exit_code == 0 else None
+    says = json.loads(done.stdout)["telemetry"].get(report_key) if done.exit_code == 0 else None
     refused = done.exit_code == 2
     return {
         "outcome": "right" if says or refused else "undecided",
@@ -512,11 +520,11 @@ def _witness(name: str) -> Row:
     from validation import witnesses
 
     rows = list(getattr(witnesses, name)())
-    fails = [row.what for row in rows if not row.holds]
+    failed = [row.what for row in rows if not row.holds]
     return {
-        "outcome": "wrong" if fails else "right",
-        "says": "; ".join(fails),
-        "measured": {f"digits, {r.what}": r.digits for r in rows},
+        "outcome": "wrong" if failed else "right",
+        "says": "; ".join(failed),
+        "measured": {f"digits, {row.what}": row.digits for row in rows},
     }
 
 
@@ -528,7 +536,7 @@ def _emd_bound() -> float:
 
 
 def _distances(seed: int, block: int) -> Row:
-    """Compare the EMD of 50 random motions with that of the reference integrator."""
+    """Compare the EMD of 50 random motions, each rate within 0.4 rad/s, with that of the reference integrator."""
     from bench.problem import philae
     from bench.scan import reference_emd, scanned_emd
 
@@ -546,12 +554,13 @@ def study(level: str, seed: int) -> Iterator[Task]:
     """Yield tasks of `reproduce`: every row of the paper with its verdict, and negative controls."""
     from validation.controls import CONTROLS
 
-    if seed:
+    if seed:  # these cases do not depend on the seed
         return
-    coarse = {"rows of the paper, coarse grid": 3}
-    for kind, coarser in (
-        coarse if level == "quick" else coarse | {"rows of the paper": 1}
-    ).items():
+    # kind -> grid of the scan: every n-th point
+    grids = {"rows of the paper, coarse grid": 3}
+    if level == "full":
+        grids["rows of the paper"] = 1
+    for kind, coarser in grids.items():
         yield Task("reproduce", kind, "built-in telemetry", partial(_reproduced, coarser))
     names = ("as it is", "each panel shuffled") if level == "quick" else tuple(CONTROLS)
     for name in names:
@@ -559,7 +568,7 @@ def study(level: str, seed: int) -> Iterator[Task]:
 
 
 def _reproduced(coarser: int) -> Row:
-    """Run `reproduce` on a grid `coarser` than the paper's and return a case for each of its rows."""
+    """Run `reproduce` on every n-th point (`coarser`) of the paper's grid, and return a case for each of its rows."""
     import sunspin as ss
 
     with tempfile.TemporaryDirectory() as folder:
@@ -589,7 +598,8 @@ def _control(name: str) -> Row:
 
     result = run_chain(CONTROLS[name](load_case("philae")))
     concluded = result.scan is not None and result.chain is not None
-    outcome = "wrong" if concluded is (name in NOT_CONCLUDED) else "right"
+    may_conclude = name not in NOT_CONCLUDED
+    outcome = "right" if concluded is may_conclude else "wrong"
     if not concluded:
         return {"outcome": outcome, "says": result.why}
     measured = {
@@ -628,9 +638,10 @@ def _skcube(side: str) -> Row:
         for row in compare_with_gyro(craft, data, result, fit_gyros(craft, data))
         if np.isfinite(row.miss).all()
     ]
-    free = [row for row in rows if row.free and row.status == "decided"]
-    off = [value for row in free for value in row.miss]
-    sigma = [value for row in free for value in np.hypot(row.sigma, row.gyro_sigma)]
+    # decided passes with the coils off, as the torque of driven coils is not modelled
+    judged = [row for row in rows if row.free and row.status == "decided"]
+    off = [value for row in judged for value in row.miss]
+    sigma = [value for row in judged for value in np.hypot(row.sigma, row.gyro_sigma)]
     wrong = bool((np.abs(off) > WRONG_SIGMAS * np.array(sigma)).any())
     measured = {
         "decided": float(sum(row.status == "decided" for row in rows)),
@@ -644,7 +655,7 @@ def _skcube(side: str) -> Row:
     }
 
 
-HOSTILE = 20
+INPUTS_PER_TASK = 20
 """Number of hostile inputs of one task."""
 
 
@@ -652,16 +663,19 @@ def hostile(level: str, seed: int) -> Iterator[Task]:
     """Yield tasks on hostile files and options: a result or an error message is right."""
     for block in range(3 if level == "quick" else 13):
         yield Task(
-            "hostile", f"{HOSTILE} inputs", f"{seed}/{block}", partial(_hostile, seed, block)
+            "hostile",
+            f"{INPUTS_PER_TASK} inputs",
+            f"{seed}/{block}",
+            partial(_hostile, seed, block),
         )
 
 
 def _hostile(seed: int, block: int) -> Row:
-    """Run a block of hostile inputs."""
+    """Run the hostile inputs number `block` * `INPUTS_PER_TASK` and following; each finding is a defect."""
     from validation import pool
     from validation.fuzz import Fuzz
 
-    report = pool.run(Fuzz, HOSTILE, first=HOSTILE * block, workers=1, seed=seed)
+    report = pool.run(Fuzz, INPUTS_PER_TASK, first=INPUTS_PER_TASK * block, workers=1, seed=seed)
     says = "; ".join(
         f"{index}: {verdict.what}: {verdict.shown}" for index, verdict in report.findings
     )

@@ -34,28 +34,31 @@ class CommandResult(NamedTuple):
 
 @contextmanager
 def _quiet_descriptor():
-    """Redirect standard error of the C libraries to a file."""
+    """Redirect file descriptor 2, to which C libraries write their errors, to a file, and yield the file."""
     with tempfile.TemporaryFile() as file:
-        kept = os.dup(2)
+        saved = os.dup(2)
         os.dup2(file.fileno(), 2)
         try:
             yield file
         finally:
-            os.dup2(kept, 2)
-            os.close(kept)
+            os.dup2(saved, 2)
+            os.close(saved)
 
 
 def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
-    """Run the entry point with these arguments. Output is strict UTF-8 and every warning is shown, as on a strict terminal."""
+    """Run the entry point with these arguments and `piped` on standard input, and return the result.
+
+    Output is strict UTF-8 and every warning is shown, as on a strict terminal. Standard error includes that of C libraries.
+    """
     from sunspin import cli
 
-    kept = sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook
+    saved = sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook
     out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     err = io.TextIOWrapper(
         io.BytesIO(), encoding="utf-8", errors="backslashreplace", write_through=True
     )
     code, escaped, accepted = None, "", False
-    with _quiet_descriptor() as below, warnings.catch_warnings():
+    with _quiet_descriptor() as c_errors, warnings.catch_warnings():
         warnings.simplefilter("always")
         for kind in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
             warnings.simplefilter("ignore", kind)
@@ -71,9 +74,9 @@ def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
         except BaseException:
             escaped = traceback.format_exc(limit=-4)
         finally:
-            sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = kept
-        below.seek(0)
-        errors = err.buffer.getvalue() + below.read()
+            sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = saved
+        c_errors.seek(0)
+        errors = err.buffer.getvalue() + c_errors.read()
     return CommandResult(
         code,
         out.buffer.getvalue().decode("utf-8"),
@@ -90,7 +93,7 @@ BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
 def judge(result: CommandResult) -> Verdict:
     """Return the verdict on a result: exit code 0 without a message, or 2 with one printable sentence on stderr and no output.
 
-    Lines that match `BEGUN` are ignored.
+    Lines that match `BEGUN` are ignored. `accepted` work (see `Accepted`) must have printed no error.
     """
     result = result._replace(err=BEGUN.sub("", result.err))
     if result.escaped:

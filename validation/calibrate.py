@@ -67,13 +67,15 @@ def make(
 ) -> SimulatedCase:
     """Return telemetry of case i, its truth, the model it was drawn from, and the priors that the posterior is given.
 
-    No torque acts, and the priors say so; `validation/torques.py` covers torques.
+    No torque acts, and the priors say so; `validation/torques.py` covers torques. `max_rate` is in rad/s. Intervals vary by
+    `JITTER_S`, or by a quarter if they are short.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS[kind])))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate, "steady_torque": 0.0} | (
         KNOWN if kind == "known" else {}
     )
     priors |= TURNED if kind == "turned" else AS_DRAWN
+    # full Sun is so bright that the stated noise is 2 % of the largest panel's signal
     scale = vehicle.require_noise() / (0.02 * float(vehicle.panel_gains.max()))
     unknown, _ = model(vehicle, priors, scale)
     truth = prior_truth(unknown, rng)
@@ -82,9 +84,10 @@ def make(
     ) * min(JITTER_S, interval_s / 4)
     noise = vehicle.require_noise() * float(np.exp(unknown.relative(truth.u, "noise", 1)[0, 0]))
     speeds = unknown.wheel_speeds(truth.u)[0] * (0.0 if kind == "wheel_off" else 1.0)
-    off = 0.0 if unknown.turns is None else np.tensordot(truth.u[0], unknown.turns, axes=1)
+    # rotation vectors (n_panel, 3) of the panels
+    tilt = 0.0 if unknown.turns is None else np.tensordot(truth.u[0], unknown.turns, axes=1)
     truth_of_case = Truth(
-        truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise, tilt_B_rad=off
+        truth.omega[0], truth.sun[0], t, speeds, scale=scale, noise=noise, tilt_B_rad=tilt
     )
     telemetry = synthetic_telemetry(
         unknown.bodies(truth.u).vehicle(vehicle, 0), truth_of_case, seed=int(rng.integers(2**31))
@@ -104,44 +107,48 @@ def judge(
     priors: dict[str, Any],
     seed: int,
 ) -> dict[str, Any]:
-    """Run the posterior on a case and compare it with the truth; "level" is the share of draws with a higher density than the
-    truth.
+    """Run the posterior on a case and return its verdict and a comparison with the truth.
+
+    "level": share of draws with a higher density than the truth. "listed": the truth is in the list that a user reads. "recalled":
+    a solution is within `NEAR_SIGMAS` of it. "error" and "sigma" of the rate in rad/s.
     """
     tree = posterior(vehicle, telemetry, priors, seed, workers=1)
-    draws, modes = group(tree, "posterior"), group(tree, "solutions")
+    draws, solutions = group(tree, "posterior"), group(tree, "solutions")
     # u of the draws, in the order of the model that knows the scale's centre
     data, _, _ = readings(vehicle, telemetry)
     model_, _ = model(vehicle, priors, brightness(vehicle, data))
-    u = np.stack([_value(draws, x.name) for x in model_.unknowns], axis=1)
+    u = np.stack([_draws_of_unknown(draws, x.name) for x in model_.unknowns], axis=1)
     centre, sigma = (
         np.array([getattr(x, key) for x in model_.unknowns]) for key in ("centre", "sigma")
     )
     drawn = State(draws["omega_B"].values[0], draws["sun_B"].values[0], (u - centre) / sigma)
-    own = np.array(truth.u)
+    # the true state in the units of this model, whose scale has another centre
+    true_u = np.array(truth.u)
     for i in model_.where("scale"):
-        own[:, i] = (unknown.values(truth.u)[:, i] - centre[i]) / sigma[i]
-    exact = State(truth.omega, truth.sun, own)
+        true_u[:, i] = (unknown.values(truth.u)[:, i] - centre[i]) / sigma[i]
+    true_state = State(truth.omega, truth.sun, true_u)
     likelihood = Likelihood(
         replace(model_, time_sigma_s=tree.attrs["time_sigma_s"]), data, DIRECTION_ERROR
     )
     density = draws["log_likelihood_sum"].values[0] + model_.log_prior(drawn)
-    true = float(likelihood(exact)[0] + model_.log_prior(exact)[0])
-    off = truth.omega[0] - modes["omega_B"].values
-    spread = modes["omega_cov_B"].values + 1e-14 * np.eye(3)
-    sigmas = np.sqrt(np.einsum("mi,mij,mj->m", off, np.linalg.inv(spread), off))
+    true_density = float(likelihood(true_state)[0] + model_.log_prior(true_state)[0])
+    off = truth.omega[0] - solutions["omega_B"].values
+    # 1e-14 (rad/s)^2 keeps the covariance of a solution without spread invertible
+    covariance = solutions["omega_cov_B"].values + 1e-14 * np.eye(3)
+    distance = np.sqrt(np.einsum("mi,mij,mj->m", off, np.linalg.inv(covariance), off))  # sigmas
     return {
-        "level": float(np.mean(density > true)),
-        "listed": is_in_solutions(modes, truth.omega[0]),
-        "recalled": bool(sigmas.min() < NEAR_SIGMAS),
+        "level": float(np.mean(density > true_density)),
+        "listed": is_in_solutions(solutions, truth.omega[0]),
+        "recalled": bool(distance.min() < NEAR_SIGMAS),
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],
         "error": float(np.min(np.linalg.norm(off, axis=1))),
-        "sigma": float(np.sqrt(np.trace(spread[0]))),
+        "sigma": float(np.sqrt(np.trace(covariance[0]))),
     }
 
 
-def _value(draws: xr.Dataset, name: str) -> np.ndarray:
-    """Return the draws of an unknown by its name."""
+def _draws_of_unknown(draws: xr.Dataset, name: str) -> np.ndarray:
+    """Return the draws (n) of an unknown by its name; the speed of the only wheel is in a variable of all wheels."""
     return (
         draws["wheel_speed_rad_s"].values[0][:, 0]
         if name.startswith("wheel_speed")

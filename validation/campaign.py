@@ -25,7 +25,7 @@ def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
         except KeyboardInterrupt:
             print("interrupted; the same command goes on where it stopped", file=sys.stderr)
             return 130
-        except (OSError, ValueError) as error:  # those of sunspin are values that make no sense
+        except (OSError, ValueError) as error:  # sunspin's own errors are ValueErrors
             print(error, file=sys.stderr)
             return 2
         return 0
@@ -54,7 +54,10 @@ def rows_folder(folder: Path) -> Path:
 
 
 def load_or_make(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Return a row of results from its JSON file; if there is none, make it and write the file."""
+    """Return a row of results from its JSON file; if there is none, make it and write the file.
+
+    Raises ValueError if the file has something else.
+    """
     if not path.is_file():
         text = json.dumps(make())
         write_atomically(path, lambda new: new.write_text(text, "utf-8"))

@@ -35,7 +35,8 @@ FORMATS = (
     "earth.bsp",
     "frames.zip",
 )
-SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
+ROWS = 60
+"""Number of rows in the store."""
 
 
 def damage(content: bytes, rng: np.random.Generator) -> bytes:
@@ -66,6 +67,7 @@ class Corrupt(Suite):
         place = self.home / "case"
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
+        # the method of the format: telemetry.nc -> try_telemetry_nc
         verdict = getattr(self, "try_" + self.last.replace(".", "_"))(place, rng)
         return verdict._replace(shown=f"{self.last}: {verdict.shown}") if verdict.bad else verdict
 
@@ -146,9 +148,8 @@ class Corrupt(Suite):
         shutil.copytree("store", place / "store")
         files = sorted(path for path in (place / "store").rglob("*") if path.is_file())
         for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 4))):
-            path.write_bytes(
-                damage(path.read_bytes(), rng)
-            ) if path.stat().st_size else path.write_bytes(b"x")
+            content = path.read_bytes()
+            path.write_bytes(damage(content, rng) if content else b"x")
         resumed: dict[str, Any] = {}
         verdict = _judge_call(
             lambda: resumed.update(
@@ -205,7 +206,9 @@ def _judge_call(call: Any) -> Verdict:
             return Verdict("refused", not str(error).isprintable(), repr(str(error)))
         except Exception as error:
             return Verdict("traceback", True, f"{type(error).__name__}: {error}")
-    noise = [str(w.message) for w in caught if issubclass(w.category, RuntimeWarning)]
+    noise = [
+        str(warning.message) for warning in caught if issubclass(warning.category, RuntimeWarning)
+    ]
     return Verdict("noise", True, "; ".join(noise)) if noise else Verdict("fine")
 
 

@@ -61,17 +61,20 @@ def _unit(vector: Any) -> np.ndarray:
 
 
 def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Draw 4 to 9 panels: sides, of which some are missing and some canted, and wings in mirrored pairs."""
+    """Draw names, normals (n, 3) and gains (n) of 4 to 9 panels: sides, some missing and some canted, and mirrored pairs of wings.
+
+    Sides are named by axis or "S" and a number, wings "W".
+    """
     wings = int(rng.choice([0, 0, 1, 2]))
     count = int(rng.integers(max(4, 3 + 2 * wings), 10))
     kept = np.sort(rng.permutation(6)[: min(count - 2 * wings, 6)])
     names, normals = [NAMES[k] for k in kept], [FACES[k] for k in kept]
     while len(names) + 2 * wings < count:  # more than six: sides of an octagon
-        normals.append(_unit([*rng.choice([-1.0, 1.0], 2), 0.0]))
-        if np.abs(np.array(normals[:-1]) - normals[-1]).max(axis=1).min() < 0.1:
-            normals.pop()
-            continue
-        names.append(f"S{len(names)}")
+        side = _unit([*rng.choice([-1.0, 1.0], 2), 0.0])
+        is_new = np.abs(np.array(normals) - side).max(axis=1).min() >= 0.1
+        if is_new:
+            normals.append(side)
+            names.append(f"S{len(names)}")
     if rng.uniform() < 0.4:
         for k in range(len(normals)):
             if rng.uniform() < 0.4:
@@ -79,6 +82,7 @@ def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray
                     normals[k] + np.tan(np.radians(rng.uniform(10, 30))) * _unit(rng.normal(size=3))
                 )
     for k in range(wings):
+        # axes: across the plane between the two wings, along the hinge, and that which the wings face most
         side, along, up = rng.permutation(3)
         wing = np.zeros(3)
         wing[side], wing[along], wing[up] = (
@@ -90,11 +94,12 @@ def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray
         mirror[side] = -1
         normals += [_unit(wing), _unit(wing * mirror)]
         names += [f"W{k}a", f"W{k}b"]
-    three = rng.uniform(1.0, 3.0, 3) if rng.uniform() < 0.5 else np.ones(3)
+    # half of the satellites have other gains on each pair of opposite sides
+    gain_of_axis = rng.uniform(1.0, 3.0, 3) if rng.uniform() < 0.5 else np.ones(3)
     gains = np.array(
         [
-            three[np.argmax(np.abs(n))] if name[0] in "+-" else 2.0
-            for name, n in zip(names, normals, strict=True)
+            gain_of_axis[np.argmax(np.abs(normal))] if name[0] in "+-" else 2.0
+            for name, normal in zip(names, normals, strict=True)
         ]
     )
     return names, np.array(normals), gains
@@ -103,13 +108,16 @@ def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray
 def _integrate(
     inertia: np.ndarray, wheel: np.ndarray, omega: np.ndarray, sun: np.ndarray, t_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rates and Sun directions (n, 3) at times (n), in Runge-Kutta steps of 0.25 s: dH/dt = H x omega, ds/dt = s x omega."""
+    """Return rates and Sun directions (n, 3) at times (n), from `omega` and `sun` (3) at the first.
+
+    The wheels' momentum `wheel` (3) is constant in the body. Runge-Kutta steps of 0.25 s: dH/dt = H x omega, ds/dt = s x omega.
+    """
     inverse = np.linalg.inv(inertia)
 
     def slope(y: np.ndarray) -> np.ndarray:
-        """Return the derivatives of H and s."""
-        turning = inverse @ (y[0] - wheel)
-        return np.stack([np.cross(y[0], turning), np.cross(y[1], turning)])
+        """Return the derivatives (2, 3) of H and s."""
+        rate = inverse @ (y[0] - wheel)
+        return np.stack([np.cross(y[0], rate), np.cross(y[1], rate)])
 
     y, rates, suns = np.stack([inertia @ omega + wheel, sun]), [], []
     for k, t in enumerate(t_s):
@@ -126,7 +134,11 @@ def _integrate(
 
 
 def draw_satellite(seed: int, i: int) -> Satellite:
-    """Draw satellite number `i`; every second one has a wheel, every eighth two."""
+    """Draw satellite number `i` and its telemetry; every second one has a wheel, every eighth two.
+
+    It is drawn again if its panels are nearly in one plane, its moments are hardly possible, or too few samples have two lit
+    panels. The true inertia differs from that of the file by 1 % and a rotation of about a degree.
+    """
     for attempt in range(100):
         rng = np.random.default_rng([43, seed, i, attempt])
         names, normals, gains = _panels(rng)
@@ -134,7 +146,7 @@ def draw_satellite(seed: int, i: int) -> Satellite:
             continue
         moments = 0.04 * rng.uniform(0.5, 1.0, 3)
         moments[2] = moments[1] if rng.uniform() < 0.2 else moments[2]
-        if moments.max() > 0.95 * (moments.sum() - moments.max()):
+        if moments.max() > 0.95 * (moments.sum() - moments.max()):  # triangle inequality
             continue
         omega = np.radians(10 ** rng.uniform(-0.2, 0.6)) * _unit(rng.normal(size=3))
         count = 2 if i % 8 == 7 else i % 2
@@ -145,13 +157,14 @@ def draw_satellite(seed: int, i: int) -> Satellite:
         momenta = np.array(
             [moments.mean() * np.radians(rng.uniform(2, 8)) * axis for axis in axes]
         ).reshape(-1, 3)
-        turn = np.cross(np.eye(3), np.radians(1.0) * rng.normal(size=3)) + np.eye(3)
-        q, r = np.linalg.qr(turn)
-        turn = q * np.sign(np.diag(r))
-        real = turn @ np.diag(moments * (1 + 0.01 * rng.normal(size=3))) @ turn.T
+        small_rotation = np.cross(np.eye(3), np.radians(1.0) * rng.normal(size=3)) + np.eye(3)
+        q, r = np.linalg.qr(small_rotation)
+        rotation = q * np.sign(np.diag(r))  # the nearby orthogonal matrix
+        true_moments = np.diag(moments * (1 + 0.01 * rng.normal(size=3)))
+        true_inertia = rotation @ true_moments @ rotation.T
         t_s = np.round(np.cumsum(rng.uniform(8.0, 16.0, SAMPLES)), 1)
         rates, sun = _integrate(
-            real, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0]
+            true_inertia, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0]
         )
         light = gains * (1 + NOISE * rng.normal(size=len(gains))) * np.maximum(sun @ normals.T, 0.0)
         readings = np.maximum(light + NOISE * rng.normal(size=light.shape), 0.0)
@@ -173,13 +186,17 @@ def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, in
     """Draw two pairs of columns, exchanged one at a time: any two, and two that are mirror images along an axis."""
     pairs = list(combinations(range(len(normals)), 2))
     drawn = [pairs[k] for k in np.random.default_rng([44, seed, i]).permutation(len(pairs))]
-    mirrored = [p for p in drawn if (np.abs(normals[p[0]] - normals[p[1]]) > ALIKE).sum() == 1]
-    second = next(p for p in [*mirrored, *drawn] if p != drawn[0])
+    # normals of mirror images differ in one component
+    mirrored = [(a, b) for a, b in drawn if (np.abs(normals[a] - normals[b]) > ALIKE).sum() == 1]
+    second = next(pair for pair in [*mirrored, *drawn] if pair != drawn[0])
     return [drawn[0], second]
 
 
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
-    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true."""
+    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
+
+    Exchange -1 is the right file. The outcomes are the keys of `validation.areas._EXCHANGES`.
+    """
     seed, i, which = case
     craft = draw_satellite(seed, i)
     pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
@@ -225,16 +242,22 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
 def _classify(
     craft: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the outcome, and the error in sigmas of a decided motion from the truth and from equivalent motions."""
+    """Return the outcome, and "pull", the least normalised error of the rate against the truth and equivalent motions.
+
+    `order`: panel that each column reads; `pair`: the exchanged panels, None for a right file; `row`: verdict and named changes.
+    """
     omega, sigma = (
         np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
         for name in ("omega", "sigma")
     )
+    # the rates of a pass are those at the sample nearest to its middle
     t = result["time"].values[result["pass_of"].values == 0]
-    at = int(np.argmin(np.abs(craft.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
+    middle_s = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
+    true_rate = craft.omega[int(np.argmin(np.abs(craft.t_s - middle_s)))]
     alike = equivalents(craft, order)
-    motions = [craft.omega[at], *(np.linalg.det(m) * m @ craft.omega[at] for m in alike)]
-    off = [is_wrong(omega, sigma, motion) for motion in motions]
+    # rates are an axial vector: a mirror also changes their sign
+    motions = [true_rate, *(np.linalg.det(m) * m @ true_rate for m in alike)]
+    wrong = [is_wrong(omega, sigma, motion) for motion in motions]
     pulls = [float((np.abs(omega - motion) / sigma).max()) for motion in motions]
     truth = (
         None
@@ -242,14 +265,18 @@ def _classify(
         else f"the columns of panels {craft.names[pair[0]]} and {craft.names[pair[1]]} exchanged"
     )
     named, accused = row["named"], "CHECK" in row["verdict"]
-    if row["decided"] and all(off):
+    if row["decided"] and all(wrong):
         outcome = "decided wrongly"
     elif truth is None:
-        outcome = "decided" if row["decided"] else "undecided"
-        outcome = "accused" if named or accused else outcome
+        if named or accused:
+            outcome = "accused"
+        else:
+            outcome = "decided" if row["decided"] else "undecided"
     elif named:
-        outcome = "named rightly" if named == [truth] else "named among several"
-        outcome = outcome if truth in named else "a false change named"
+        if truth not in named:
+            outcome = "a false change named"
+        else:
+            outcome = "named rightly" if named == [truth] else "named among several"
     elif accused:
         outcome = "named rightly" if truth in row["verdict"] else "a false change named"
     else:
@@ -261,18 +288,22 @@ def _classify(
 def equivalents(craft: Satellite, order: np.ndarray) -> list[np.ndarray]:
     """Return rotations and mirrors (3, 3) that make the true satellite look like the one that the file describes.
 
-    Column k reads panel `order[k]`, and the file takes it for panel k.
+    Column k reads panel `order[k]`, and the file takes it for panel k. Only panels that are lit at some sample count. Each matrix
+    takes the true normals, inertia and wheels to those of the file within `ALIKE` (3 % for the inertia, 15 % for gains).
     """
     lit = (craft.readings[:, order] > LIT * craft.gains[order]).any(axis=0)
     true, stated = craft.normals[order][lit], craft.normals[lit]
     if np.abs(craft.gains[order][lit] / craft.gains[lit] - 1).max() > 0.15:
         return []
-    u, size, v = np.linalg.svd(stated.T @ true)
-    ends = [1.0, -1.0] if size[2] < 0.05 else [1.0]
+    # orthogonal matrix that fits the normals best (Procrustes); for normals in one plane its mirror fits as well
+    u, singular, v = np.linalg.svd(stated.T @ true)
+    signs = [1.0, -1.0] if singular[2] < 0.05 else [1.0]
     result = []
-    for end in ends:
-        m = u @ np.diag([1.0, 1.0, end]) @ v
-        side = np.linalg.det(m)
+    for sign in signs:
+        m = u @ np.diag([1.0, 1.0, sign]) @ v
+        handedness = np.linalg.det(
+            m
+        )  # -1 for a mirror, under which angular momentum changes its sign
         h = craft.momenta.sum(axis=0)
         if np.abs(true @ m.T - stated).max() > ALIKE:
             continue
@@ -281,7 +312,7 @@ def equivalents(craft: Satellite, order: np.ndarray) -> list[np.ndarray]:
             > 0.03 * np.trace(craft.inertia) / 3
         ):
             continue
-        if np.linalg.norm(side * m @ h - h) > ALIKE * max(np.linalg.norm(h), 1e-12):
+        if np.linalg.norm(handedness * m @ h - h) > ALIKE * max(np.linalg.norm(h), 1e-12):
             continue
         result.append(m)
     return result

@@ -77,13 +77,13 @@ def vehicles() -> tuple[str, ...]:
     return template, template, template, opened, *built_in
 
 
-def _pick(rng: np.random.Generator, things: tuple | list):
-    """Return a random element."""
-    return things[int(rng.integers(len(things)))]
+def _pick(rng: np.random.Generator, choices: tuple | list):
+    """Draw one of the choices; all are equally probable, and one that is listed twice is drawn twice as often."""
+    return choices[int(rng.integers(len(choices)))]
 
 
 def vehicle(rng: np.random.Generator) -> bytes:
-    """Return a vehicle file with one to four errors, or a bomb."""
+    """Return a vehicle file with one to four errors, one with damaged bytes, or a bomb (a huge or unusual file of `BOMBS`)."""
     text = _pick(rng, vehicles())
     if rng.random() < 0.06:
         return _pick(rng, BOMBS)(text).encode("utf-8", "surrogatepass")
@@ -100,7 +100,7 @@ def _assignments(text: str) -> list[re.Match]:
 
 
 def _replace_value(text: str, rng: np.random.Generator) -> str:
-    """Replace the value of a key."""
+    """Replace the value of a key; a text without keys gets one at its beginning."""
     match = _pick(rng, _assignments(text) or [re.match("", text)])
     return (
         text[: match.start()]
@@ -237,7 +237,7 @@ BOMBS: tuple[Callable[[str], str], ...] = (
 
 
 def table(content: bytes, rng: np.random.Generator) -> bytes:
-    """Return a CSV with one to three errors, or a bomb."""
+    """Return a CSV with one to three errors, or a bomb of `TABLE_BOMBS`. A table of fewer than four lines is left as it is."""
     if rng.random() < 0.08:
         return _pick(rng, TABLE_BOMBS)(content)
     for _ in range(int(rng.integers(1, 4))):
@@ -272,8 +272,13 @@ TIMES = (
 def _map_cells(
     content: bytes, cell: Callable[[int, bytes], bytes], other: bytes | None = None
 ) -> bytes:
-    """Return the table with `cell` of number and content as the first cell of each sample, and `other` in its remaining cells."""
+    """Return the table with changed cells, below its comments and header.
+
+    The first cell of each sample is `cell` of the sample's number and the old content. Its remaining cells are `other`, or
+    unchanged without it.
+    """
     lines = content.splitlines()
+    # number of lines before the first sample
     head = next((i for i, line in enumerate(lines) if not line.startswith(b"#")), 0) + 1
     rows = [line.split(b",") for line in lines[head:]]
     lines_out = [

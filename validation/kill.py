@@ -56,8 +56,8 @@ class KillReport:
 
 def command(name: str, folder: Path) -> list[str]:
     """Return the command line of a target with its results and rows in a folder."""
-    given = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
-    return [sys.executable, "-m", "sunspin.cli", *given.split(), "--out", f"{folder}/out"]
+    text = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
+    return [sys.executable, "-m", "sunspin.cli", *text.split(), "--out", f"{folder}/out"]
 
 
 def environment() -> dict[str, str]:
@@ -89,23 +89,24 @@ def is_whole(path: Path) -> bool:
 
 
 def content(path: Path) -> dict[str, Any]:
-    """Return the content of a results file by name."""
+    """Return the content of a JSON or NetCDF file of results by name; in NetCDF "GROUP:NAME" of variables and attributes."""
     import xarray as xr
 
     if path.suffix == ".json":
         summary = json.loads(path.read_text("utf-8"))
         return summary if isinstance(summary, dict) else {"": summary}
-    held: dict[str, Any] = {"": ""}
+    values: dict[str, Any] = {"": ""}
     for group, data in xr.open_groups(path, engine="h5netcdf", decode_timedelta=False).items():
-        held |= {f"{group}:{name}": variable.values for name, variable in data.variables.items()}
-        held |= {f"{group}:{name}": str(value) for name, value in data.attrs.items()}
+        values |= {f"{group}:{name}": variable.values for name, variable in data.variables.items()}
+        values |= {f"{group}:{name}": str(value) for name, value in data.attrs.items()}
         data.close()
-    return held
+    return values
 
 
 def differences(folder: Path, reference: Path) -> list[str]:
     """Return the names of files that differ between the results of two folders."""
-    files, others = (
+    # path below each folder -> file
+    files, reference_files = (
         {
             str(path.relative_to(at)): path
             for path in at.rglob("*")
@@ -113,9 +114,9 @@ def differences(folder: Path, reference: Path) -> list[str]:
         }
         for at in (folder, reference)
     )
-    different = sorted(set(files) ^ set(others))
-    for name in set(files) & set(others):
-        ours, theirs = content(files[name]), content(others[name])
+    different = sorted(set(files) ^ set(reference_files))
+    for name in set(files) & set(reference_files):
+        ours, theirs = content(files[name]), content(reference_files[name])
         keys = [key for key in {**ours, **theirs} if key.split(":")[-1] not in RUN_DEPENDENT]
         if not all(agree_to_rounding(ours.get(key), theirs.get(key)) for key in keys):
             different.append(name)
@@ -142,7 +143,10 @@ def agree_to_rounding(ours: Any, theirs: Any) -> bool:
 def campaign(
     name: str, kills: int, folder: Path, seed: int, say: Callable[[str], None] = print
 ) -> KillReport:
-    """Kill one target `kills` times and return its report."""
+    """Kill runs of one target `kills` times, resume each until it finishes, and return the report.
+
+    `report.wrong` has a sentence for each difference from an undisturbed run. If no run finishes, the campaign gives up.
+    """
     report, draw, undisturbed = KillReport(), random.Random(f"{seed} {name}"), folder / "calm"
     for _ in range(2):  # the first compiles
         shutil.rmtree(undisturbed, ignore_errors=True)
@@ -155,7 +159,7 @@ def campaign(
     say(f"{name}: undisturbed in {report.seconds:.1f} s")
     while report.kills < kills:
         place = folder / f"round{report.runs_through}"
-        while not _finishes(name, place, draw, report):
+        while not _run_or_kill(name, place, draw, report):
             if report.kills > 3 * kills + 20:
                 report.wrong.append("no run gets through")
                 return report
@@ -167,8 +171,11 @@ def campaign(
     return report
 
 
-def _finishes(name: str, place: Path, draw: random.Random, report: KillReport) -> bool:
-    """Start a run and kill it at a random moment; return whether it finished before."""
+def _run_or_kill(name: str, place: Path, draw: random.Random, report: KillReport) -> bool:
+    """Start or resume a run in the folder `place` and kill it at a random moment; return whether it finished before.
+
+    A kill is counted in `report`, which also gets what is wrong: files half written, or a failed run.
+    """
     place.mkdir(parents=True, exist_ok=True)
     process = start(command(name, place))
     try:
@@ -179,9 +186,9 @@ def _finishes(name: str, place: Path, draw: random.Random, report: KillReport) -
         report.kills += 1
         files = [path for path in (place / "out").rglob("[!.]*") if path.is_file()]
         report.after_files += bool(files)
-        half = [path.name for path in files if path.name != LOCK and not is_whole(path)]
-        if half:
-            report.wrong.append(f"half written: {', '.join(half)}")
+        half_written = [path.name for path in files if path.name != LOCK and not is_whole(path)]
+        if half_written:
+            report.wrong.append(f"half written: {', '.join(half_written)}")
         return False
     if process.returncode:
         report.wrong.append(f"a resumed run ended with {process.returncode}")

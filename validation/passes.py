@@ -79,7 +79,10 @@ def spin(
     push: Push | None = None,
     moments: np.ndarray = MOMENTS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rates (n, 3) and attitudes (n, 3, 3) of a body with these principal moments (3) at times (n)."""
+    """Return rates (n, 3) and attitudes (n, 3, 3) from space to body of a body with these principal moments (3) at times (n).
+
+    `omega` (3) in rad/s and the identity at the first time; `push` is an angular acceleration in addition to the free motion.
+    """
 
     def change(w: np.ndarray, t: float, attitude: np.ndarray) -> np.ndarray:
         """Return dw/dt of Euler's equations in principal axes."""
@@ -122,15 +125,16 @@ def observe(
         telemetry=TelemetryForm(noise=noise),
         sensors=Sensors(gyro=GYRO) if gyro else Sensors(),
     )
-    light = np.maximum((attitude @ unit(rng)) @ normals.T, 0.0)
+    light = np.maximum((attitude @ unit(rng)) @ normals.T, 0.0)  # of a Sun in a random direction
     power = np.maximum(light + noise * rng.normal(size=light.shape), 0.0)
     data = {
         "power_W": (("time", "panel"), power),
         "flag": ("time", np.zeros(len(t_s), dtype=np.uint8)),
     }
     if gyro:
-        read = omega * (1 + GYRO.scale_sigma * rng.normal()) + GYRO.zero_sigma * rng.normal(size=3)
-        data["gyro_B"] = (("time", "axis"), read + GYRO.noise_rad_s * rng.normal(size=omega.shape))
+        scale_error, zero_error = rng.normal(), rng.normal(size=3)
+        rates = omega * (1 + GYRO.scale_sigma * scale_error) + GYRO.zero_sigma * zero_error
+        data["gyro_B"] = (("time", "axis"), rates + GYRO.noise_rad_s * rng.normal(size=omega.shape))
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return SimulatedPass(
         vehicle, xr.Dataset(data, {"time": t_s, "panel": list(names)}, attrs), omega, max_rate_rad_s
@@ -164,34 +168,37 @@ def steady_torque(
     rng: np.random.Generator, span_s: float, change: float = CHANGE, in_body: bool | None = None
 ) -> Push:
     """Draw a torque that changes the rate by `change` over the pass, fixed in the body or in space."""
-    size = change / span_s * unit(rng)
+    acceleration = change / span_s * unit(rng)
     in_body = rng.random() < 0.5 if in_body is None else in_body
-    return lambda _, attitude: size if in_body else attitude @ size * MOMENTS.mean() / MOMENTS
+    if in_body:
+        return lambda _, attitude: acceleration
+    # a torque fixed in space accelerates a body with the mean moment by this
+    return lambda _, attitude: attitude @ acceleration * MOMENTS.mean() / MOMENTS
 
 
 def rate_step(rng: np.random.Generator, span_s: float) -> Push:
     """Draw a thrust of two seconds that changes the rate by `CHANGE`."""
-    size, at = CHANGE / 2 * unit(rng), rng.uniform(0.2, 0.8) * span_s
-    return lambda t, _: size if at <= t < at + 2 else np.zeros(3)
+    acceleration, begin_s = CHANGE / 2 * unit(rng), rng.uniform(0.2, 0.8) * span_s
+    return lambda t, _: acceleration if begin_s <= t < begin_s + 2 else np.zeros(3)
 
 
 def several_thrusts(rng: np.random.Generator, span_s: float) -> Push:
     """Draw two to four thrusts of two seconds, each of which changes the rate by half of `CHANGE` to twice that."""
     count = int(rng.integers(2, 5))
-    sizes = np.array([CHANGE / 2 * rng.uniform(0.5, 2.0) * unit(rng) for _ in range(count)])
-    at = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / count * span_s
-    return lambda t, _: sizes[(at <= t) & (t < at + 2)].sum(axis=0)
+    accelerations = np.array([CHANGE / 2 * rng.uniform(0.5, 2.0) * unit(rng) for _ in range(count)])
+    begin_s = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / count * span_s
+    return lambda t, _: accelerations[(begin_s <= t) & (t < begin_s + 2)].sum(axis=0)
 
 
 def shift_time_tags(simulated: SimulatedPass, rng: np.random.Generator) -> SimulatedPass:
-    """Return the pass with every time tag off by a second or two at random, in whole seconds."""
+    """Return the pass with every time tag off by a second or two at random, in whole seconds.
+
+    Tags that would not increase are raised to a millisecond after the one before.
+    """
     t = simulated.telemetry["time"].values
     tags = np.round(t + rng.uniform(0.5, 2.0) * rng.normal(size=len(t)))
-    return simulated._replace(
-        telemetry=simulated.telemetry.assign_coords(
-            time=np.maximum.accumulate(tags + 1e-3 * np.arange(len(t)))
-        )
-    )
+    increasing = np.maximum.accumulate(tags + 1e-3 * np.arange(len(t)))
+    return simulated._replace(telemetry=simulated.telemetry.assign_coords(time=increasing))
 
 
 def make_unconstrained(rng: np.random.Generator) -> SimulatedPass:
@@ -228,12 +235,12 @@ def make_jitter(rng: np.random.Generator) -> SimulatedPass:
             )
         )
     )
-    at = t.astype(int)
+    second = t.astype(int)  # of each sample
     return observe(
         normals,
-        rates[at],
-        attitude[at],
-        at.astype(float),
+        rates[second],
+        attitude[second],
+        second.astype(float),
         rng.uniform(0.05, 0.3),
         rng,
         False,
@@ -324,12 +331,12 @@ def make_stop_and_go(rng: np.random.Generator) -> SimulatedPass:
     Samples are 1 s apart.
     """
     t = np.arange(int(rng.integers(200, 320)), dtype=float)
-    omega, at = np.zeros((len(t), 3)), 0
-    while at < len(t):
+    omega, begin = np.zeros((len(t), 3)), 0
+    while begin < len(t):
         axis = rng.choice([-1.0, 1.0]) * np.eye(3)[rng.integers(3)]
-        turning, resting = rng.integers(5, 21), rng.integers(5, 31)
-        omega[at : at + turning] = np.radians(rng.uniform(2.0, 6.0)) * axis
-        at += turning + resting
+        rotating_s, resting_s = rng.integers(5, 21), rng.integers(5, 31)
+        omega[begin : begin + rotating_s] = np.radians(rng.uniform(2.0, 6.0)) * axis
+        begin += rotating_s + resting_s
     attitude = [np.eye(3)]
     for rate in omega[:-1]:
         attitude.append(Rotation.from_rotvec(-rate).as_matrix() @ attitude[-1])
@@ -343,12 +350,13 @@ def make(kind: str, seed: int, i: int) -> SimulatedPass:
 
     Passes with exchanged columns, wrong time tags or bad readings are passes of another kind with that change.
     """
-    of_others = {
+    # kind -> kind of the passes that it changes
+    unchanged_kinds = {
         "columns exchanged": "right model",
         "time tags": "right model",
         "few samples, bad readings": "few samples",
     }
-    base = of_others.get(kind, kind)
+    base = unchanged_kinds.get(kind, kind)
     rng = np.random.default_rng(
         np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i))
     )
@@ -378,7 +386,7 @@ def make(kind: str, seed: int, i: int) -> SimulatedPass:
         "time tags": shift_time_tags,
         "few samples, bad readings": rotate_sun_directions,
     }
-    return changes.get(kind, lambda simulated, _: simulated)(simulated, rng)
+    return changes[kind](simulated, rng) if kind in changes else simulated
 
 
 def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
@@ -405,10 +413,14 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
 
 
 def compare_with_truth(result: Any, simulated: SimulatedPass) -> dict[str, Any]:
-    """Return the comparison of the first pass of a result with the truth."""
+    """Return the comparison of the first pass of a result with the truth, at the sample nearest to its middle.
+
+    "mirrored": the rate is not wrong if the signs of two of its components are changed. "empty": its sigma is too large for
+    the rate to be constrained by the data. "pull": largest normalised error of a component.
+    """
     t = result["time"].values[result["pass_of"].values == 0]
-    at = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
-    truth = simulated.omega[np.argmin(np.abs(simulated.telemetry["time"].values - at))]
+    middle_s = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
+    truth = simulated.omega[np.argmin(np.abs(simulated.telemetry["time"].values - middle_s))]
     omegas, sigmas = (
         np.stack([result[f"{name}_{axis}"].values[0] for axis in "xyz"], axis=1)
         for name in ("omega", "sigma")

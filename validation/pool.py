@@ -57,9 +57,10 @@ class Suite:
         self.stack.callback(os.chdir, os.getcwd())
         self.prepare()
         if self.memory is not None:
+            # address space in use now, in pages
             pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
-            most = pages * resource.getpagesize() + self.memory
-            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            limit = pages * resource.getpagesize() + self.memory
+            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -97,22 +98,26 @@ class Report:
 
 
 def _serve(suite: Callable[..., Any], options: dict[str, Any], pipe: Any, cpu_s: float) -> None:
-    """Run the cases whose numbers come through the pipe. The kernel ends this process if one computes for too long."""
+    """Run the cases whose numbers come through the pipe, and send verdict, processor time (s) and peak memory (MB) of each.
+
+    None as a number ends the process. The kernel ends it if a case computes for longer than `cpu_s`.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.setsid()  # what it starts is ended with it
     with suite(**options) as case:
         pipe.send("ready")
         while (index := pipe.recv()) is not None:
             begun = time.process_time()
-            most = resource.getrlimit(resource.RLIMIT_CPU)[1]
-            resource.setrlimit(resource.RLIMIT_CPU, (int(begun + cpu_s) + 1, most))
+            # the limit counts all time of the process, earlier cases included
+            _, hard_limit = resource.getrlimit(resource.RLIMIT_CPU)
+            resource.setrlimit(resource.RLIMIT_CPU, (int(begun + cpu_s) + 1, hard_limit))
             verdict = case(index)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             pipe.send((tuple(verdict), time.process_time() - begun, peak))
 
 
 class _Worker:
-    """A process that runs a suite."""
+    """A process that runs a suite. Raises `RuntimeError` if the suite cannot be built there."""
 
     def __init__(self, suite: Callable[..., Any], options: dict[str, Any], cpu_s: float) -> None:
         context = multiprocessing.get_context("spawn")
@@ -163,7 +168,10 @@ def run(
     say: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Report:
-    """Run cases first .. first + n - 1 of a suite; `say` is called with each finding."""
+    """Run cases first .. first + n - 1 of a suite in worker processes and return the report.
+
+    `cpu_s` limits the processor time of a case; `options` are those of the suite; `say` is called with each finding.
+    """
     report, numbers, begun = Report(n), SimpleQueue[int](), time.monotonic()
     for index in range(first, first + n):
         numbers.put(index)
@@ -175,12 +183,14 @@ def run(
             while True:
                 index = numbers.get_nowait()
                 worker = worker or _Worker(suite, options, cpu_s)
-                if (ended := worker.run(index)) is None:
-                    ended, worker = (worker.end(), cpu_s, 0.0), None
-                report.take(index, *ended)
-                if ended[0].bad and say is not None:
-                    say(f"case {index}: {ended[0].what}: {ended[0].shown}")
-        except Empty:
+                result = worker.run(index)
+                if result is None:  # the process is lost; the next case gets a new one
+                    result, worker = (worker.end(), cpu_s, 0.0), None
+                report.take(index, *result)
+                verdict = result[0]
+                if verdict.bad and say is not None:
+                    say(f"case {index}: {verdict.what}: {verdict.shown}")
+        except Empty:  # no more numbers
             pass
         finally:
             if worker is not None:
@@ -206,18 +216,24 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(suite: type[Suite], arguments: argparse.Namespace) -> int:
-    """Run the requested cases, in other processes or in this one; return 1 if there are findings."""
-    about = {"seed": arguments.seed, "only": arguments.only}
+    """Run the requested cases and print the results; return 1 if there are findings, always 0 for cases in this process."""
+    suite_options = {"seed": arguments.seed, "only": arguments.only}
     if arguments.here:
-        with suite(memory=None, **about) as case:
+        with suite(memory=None, **suite_options) as case:
             for index in range(arguments.first, arguments.first + arguments.n):
                 begun, verdict = time.process_time(), case(index)
                 shown = verdict.shown or getattr(getattr(case, "result", None), "err", "")
                 took = time.process_time() - begun
                 print(f"case {index}: {verdict.what}, {took:.1f} s: {case.last}\n{shown}")
         return 0
-    about |= {"first": arguments.first, "workers": arguments.workers, "say": print}
-    report = run(suite, arguments.n, **about)
+    report = run(
+        suite,
+        arguments.n,
+        first=arguments.first,
+        workers=arguments.workers,
+        say=print,
+        **suite_options,
+    )
     counts = ", ".join(f"{n} {what}" for what, n in report.counts.most_common())
     print(f"{report.n} cases in {report.seconds:.0f} s: {counts}")
     slowest = f"slowest {report.slowest_s:.1f} s of CPU (case {report.slowest})"

@@ -71,10 +71,8 @@ def cases(seed: int = 0) -> Iterator[Case]:
     yield Case(seed, 2, 17, 30.0, 0.45, 0.03, 1.15)
     for i in range(3, CASES):
         rng = np.random.default_rng([seed, i])
-        samples, interval = (
-            int(rng.integers(SAMPLES[0], SAMPLES[1] + 1)),
-            round(rng.uniform(*INTERVALS_S), 1),
-        )
+        samples = int(rng.integers(SAMPLES[0], SAMPLES[1] + 1))
+        interval = round(rng.uniform(*INTERVALS_S), 1)
         fastest = min(MAX_RATES[1], MOST_TURNS * 2 * np.pi / interval)
         limit = round(rng.uniform(MAX_RATES[0], fastest), 3)
         yield Case(seed, i, samples, interval, limit, round(rng.uniform(*NOISES), 4), STATED[i % 3])
@@ -94,29 +92,31 @@ def simulate(case: Case) -> Simulation:
     philae = tomllib.loads(
         files("sunspin").joinpath("cases/philae/vehicle.toml").read_text("utf-8")
     )
-    wheel, spin_down = (
-        philae["wheel"][0],
-        {k: v["value"] for k, v in philae["wheel"][0]["friction"]["spin_down"].items()},
-    )
+    wheel = philae["wheel"][0]
+    spin_down = {name: entry["value"] for name, entry in wheel["friction"]["spin_down"].items()}
     inertia = np.array(philae["body"]["inertia_kg_m2"]["value"])
     inertia[np.diag_indices(3)] *= 1 + MOMENTS * rng.standard_normal(3)
-    own, speed = (
-        wheel["inertia_kg_m2"]["value"],
-        wheel["speed_rad_s"]["value"] * (1 + SPEED * rng.standard_normal()),
-    )
+    wheel_inertia = wheel["inertia_kg_m2"]["value"]
+    speed = wheel["speed_rad_s"]["value"] * (1 + SPEED * rng.standard_normal())
+    # friction of the spin-down c1 exp(c2 t) + c3: dry c2 c3 J, viscous -c2 J
     dry = (
         spin_down["c2_per_s"]
         * spin_down["c3_rad_s"]
-        * own
+        * wheel_inertia
         * np.exp(FRICTION * rng.standard_normal())
     )
-    viscous = -spin_down["c2_per_s"] * own * np.exp(FRICTION * rng.standard_normal())
-    way, sun = (x / np.linalg.norm(x) for x in rng.standard_normal((2, 3)))
-    size = case.max_rate * rng.random() ** (1 / 3)
-    omega = way * (case.rate if np.isfinite(case.rate) else size)
+    viscous = -spin_down["c2_per_s"] * wheel_inertia * np.exp(FRICTION * rng.standard_normal())
+    axis, sun = (vector / np.linalg.norm(vector) for vector in rng.standard_normal((2, 3)))
+    drawn_rate = case.max_rate * rng.random() ** (1 / 3)  # uniform in the ball of rates
+    omega = axis * (case.rate if np.isfinite(case.rate) else drawn_rate)
     t = case.interval_s * np.arange(case.samples)
     seen = simulate_directions(
-        inertia, np.array(wheel["axis_B"]["value"]), own, (dry, viscous), (omega, sun, speed), t
+        inertia,
+        np.array(wheel["axis_B"]["value"]),
+        wheel_inertia,
+        (dry, viscous),
+        (omega, sun, speed),
+        t,
     )
     normals = np.array([panel["normal_B"]["value"] for panel in philae["panel"]])
     cells = np.array([panel["cells"]["value"] for panel in philae["panel"]])
@@ -136,43 +136,59 @@ def simulate(case: Case) -> Simulation:
 def simulate_directions(
     inertia: np.ndarray,
     axis: np.ndarray,
-    own: float,
+    wheel_inertia: float,
     friction: tuple[float, float],
     start: tuple[np.ndarray, np.ndarray, float],
     t: np.ndarray,
 ) -> np.ndarray:
     """Return Sun directions (n, 3) in body axes at times `t` (n) of a gyrostat whose wheel coasts and then sticks to the body.
 
-    `own`: the wheel's moment, `friction`: dry (N m) and viscous (N m s), `start`: rate, Sun, the wheel's speed at ``t[0]``. The
-    state is total momentum H, Sun r and the wheel's own momentum h in body axes: dH/dt = H x omega, dh/dt = M(W), dr/dt = r x
-    omega, omega = A^-1 (H - h u).
+    `friction`: dry (N m) and viscous (N m s); `start`: rate, Sun, the wheel's speed at ``t[0]``. The state is total
+    momentum H, Sun r and the wheel's own momentum h in body axes: dH/dt = H x omega, dh/dt = M(W), dr/dt = r x omega, omega =
+    A^-1 (H - h u), with A the inertia less the wheel's about its axis u. A stuck wheel leaves omega = I^-1 H.
     """
     omega, sun, speed = start
-    free, whole = np.linalg.inv(inertia - own * np.outer(axis, axis)), np.linalg.inv(inertia)
+    free_inverse = np.linalg.inv(inertia - wheel_inertia * np.outer(axis, axis))
+    stuck_inverse = np.linalg.inv(inertia)
 
-    def turning(_, y, coasting):
+    def derivative(_, y, coasting):
         """Return the derivative of (H, r, h)."""
-        momentum, seen, spin = y[:3], y[3:6], y[6]
-        rate = free @ (momentum - spin * axis) if coasting else whole @ momentum
-        w = spin / own - axis @ rate
+        momentum, sun_B, wheel_momentum = y[:3], y[3:6], y[6]
+        rate = (
+            free_inverse @ (momentum - wheel_momentum * axis)
+            if coasting
+            else stuck_inverse @ momentum
+        )
+        w = wheel_momentum / wheel_inertia - axis @ rate
         torque = -np.sign(w) * (friction[0] + friction[1] * abs(w)) if coasting else 0.0
-        return np.concatenate([np.cross(momentum, rate), np.cross(seen, rate), [torque]])
+        return np.concatenate([np.cross(momentum, rate), np.cross(sun_B, rate), [torque]])
 
-    def stands(_, y, coasting):
-        """Return the speed of the wheel relative to the body, whose zero is the stop."""
-        return y[6] / own - axis @ (free @ (y[:3] - y[6] * axis)) if coasting else 1.0
+    def relative_speed(_, y, coasting):
+        """Return the speed of the wheel relative to the body, whose zero is the stop; 1 for a stuck wheel."""
+        if not coasting:
+            return 1.0
+        return y[6] / wheel_inertia - axis @ (free_inverse @ (y[:3] - y[6] * axis))
 
-    stands.terminal = True  # ty: ignore[unresolved-attribute]
-    y = np.concatenate([inertia @ omega + own * speed * axis, sun, [own * (speed + axis @ omega)]])
+    relative_speed.terminal = True  # ty: ignore[unresolved-attribute]
+    momentum = inertia @ omega + wheel_inertia * speed * axis
+    y = np.concatenate([momentum, sun, [wheel_inertia * (speed + axis @ omega)]])
     options = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
     first = solve_ivp(
-        turning, (t[0], t[-1] + 1e-9), y, t_eval=t, events=stands, args=(True,), **options
+        derivative,
+        (t[0], t[-1] + 1e-9),
+        y,
+        t_eval=t,
+        events=relative_speed,
+        args=(True,),
+        **options,
     )
     seen = first.y[3:6].T
-    if len(seen) < len(t):
+    if len(seen) < len(t):  # the wheel has stopped before the last sample
         rest = t[len(seen) :]
-        begin, y = float(first.t_events[0][0]), first.y_events[0][0]
-        later = solve_ivp(turning, (begin, t[-1] + 1e-9), y, t_eval=rest, args=(False,), **options)
+        stop_s, y = float(first.t_events[0][0]), first.y_events[0][0]
+        later = solve_ivp(
+            derivative, (stop_s, t[-1] + 1e-9), y, t_eval=rest, args=(False,), **options
+        )
         seen = np.concatenate([seen, later.y[3:6].T])
     return seen
 
@@ -195,22 +211,24 @@ def run(case: Case) -> dict[str, Any]:
             "processor_s": took,
         }
     solutions = tree["solutions"]
-    off, spread = (
-        omega - solutions["omega_B"].values,
-        solutions["omega_cov_B"].values + 1e-14 * np.eye(3),
-    )
-    far = [np.sqrt(o @ np.linalg.solve(c, o)) for o, c in zip(off, spread, strict=True)]
+    # distances of the solutions from the truth in sigmas; 1e-14 (rad/s)^2 keeps each covariance invertible
+    errors = omega - solutions["omega_B"].values
+    covariances = solutions["omega_cov_B"].values + 1e-14 * np.eye(3)
+    distances = [
+        np.sqrt(error @ np.linalg.solve(covariance, error))
+        for error, covariance in zip(errors, covariances, strict=True)
+    ]
     return {
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],
-        "recalled": bool(min(far) < NEAR_SIGMAS),
+        "recalled": bool(min(distances) < NEAR_SIGMAS),
         "listed": is_in_solutions(solutions.to_dataset(), omega),
         "processor_s": time.process_time() - began,
     }
 
 
 def run_limited(case: Case, limit_s: float) -> dict[str, Any]:
-    """Run a case in its own process, which ends after `limit_s` of processor time."""
+    """Run a case in its own process and return its row; after `limit_s` of processor time the word is "did not end"."""
 
     def work(pipe: Any) -> None:
         """Run the case in the new process and send its row."""

@@ -65,7 +65,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: Any) -> int:
-    """Write the page; return 1 if the data are missing."""
+    """Estimate the rates of skCUBE and write the page that compares them with its gyro; return 1 if the data are missing."""
     if options.data is None or not (Path(options.data) / "skcube" / "skcube_adcs.csv").is_file():
         print(
             "no skcube/skcube_adcs.csv: name the folder with --data or SUNSPIN_DATA (docs/data.md says what is in it)"
@@ -88,40 +88,44 @@ def main(options: Any) -> int:
 
 def fit_gyros(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
     """Return, for each day with a gyro, its scale and zero as fitted to the Sun sensors of all other days."""
-    every = neighbouring_beacons(craft, data)
+    pairs = neighbouring_beacons(craft, data)
     noise = craft.sensors.disturbance.acceleration_noise
-    comparisons = {}
-    for day in np.unique(every.day):
-        value, sigma, _ = fit(every.take(every.day != day), noise)
-        comparisons[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
-    return comparisons
+    gyros = {}
+    for day in np.unique(pairs.day):
+        value, sigma, _ = fit(pairs.take(pairs.day != day), noise)
+        gyros[str(day)] = Gyro(value[0], value[1:], sigma[0], sigma[1:])
+    return gyros
 
 
 def compare_with_gyro(
     craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]
 ) -> list[PassComparison]:
-    """Return the comparison of each pass of a result with the gyro's counts at the same samples."""
+    """Return the comparison of each pass of a result with the gyro's counts at the same samples.
+
+    `gyros` has the calibration of each UTC day. A pass of another day, or without counts, has no difference (NaN).
+    """
     gyro = craft.sensors.gyro
     assert gyro is not None
     counts = (data["gyro_B"] / gyro.scale_rad_s + gyro.zero).sel(time=result["time"]).values
     rows = []
     for k in range(result.sizes["pass_id"]):
-        at = result["pass_of"].values == k
+        in_pass = result["pass_of"].values == k
         utc = str(result["utc_start"].values[k])
-        known = at & np.isfinite(counts).all(axis=1)
+        with_gyro = in_pass & np.isfinite(counts).all(axis=1)
         miss, gyro_sigma = np.full(3, np.nan), np.full(3, np.nan)
-        if known.any() and utc[:10] in gyros:
-            own = gyros[utc[:10]]
-            read = own.scale * (counts[known] - own.zero)
-            miss = (np.degrees(result["omega_B"].values[known]) - read).mean(axis=0)
+        if with_gyro.any() and utc[:10] in gyros:
+            of_day = gyros[utc[:10]]
+            gyro_rate = of_day.scale * (counts[with_gyro] - of_day.zero)  # deg/s
+            miss = (np.degrees(result["omega_B"].values[with_gyro]) - gyro_rate).mean(axis=0)
             gyro_sigma = np.hypot(
-                own.scale * own.zero_sigma, read.mean(axis=0) * own.scale_sigma / own.scale
+                of_day.scale * of_day.zero_sigma,
+                gyro_rate.mean(axis=0) * of_day.scale_sigma / of_day.scale,
             )
         rows.append(
             PassComparison(
                 utc[:16].replace("T", " "),
-                int(at.sum()),
-                bool(result["time"].values[at][0] > FREE_S),
+                int(in_pass.sum()),
+                bool(result["time"].values[in_pass][0] > FREE_S),
                 str(result["why_not_decided"].values[k]) or "decided",
                 np.degrees(result["omega_mean_B"].values[k, 0]),
                 np.degrees(result["omega_sigma_all_B"].values[k]),
@@ -142,11 +146,11 @@ def figures(rows: list[PassComparison]) -> str:
     if not rows:
         return "0 | | | | | | | "
     pull = np.abs([row.pull for row in rows])
-    drawn = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
+    resampled = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
     shares = []
     for limit in (1.0, 2.0):
-        inside = (pull < limit).mean(axis=1)
-        low, high = np.quantile(inside[drawn].mean(axis=1), [0.05, 0.95])
+        inside = (pull < limit).mean(axis=1)  # share of the components of each pass
+        low, high = np.quantile(inside[resampled].mean(axis=1), [0.05, 0.95])
         shares.append(f"{inside.mean():.0%} ({low:.0%} to {high:.0%})")
     decided = sum(row.status == "decided" for row in rows)
     sigma, miss = (
@@ -156,11 +160,11 @@ def figures(rows: list[PassComparison]) -> str:
     return f"{len(rows)} | {decided} | {' | '.join(shares)} | {rms:.2f} | {pull.max():.1f} | {sigma:.2f} | {miss:.2f}"
 
 
-SHORT = (
+SUMMARY_HEADER = (
     "| given | passes | with gyro | decided | in 1 sigma (68 %) | in 2 sigma (95 %) | rms normalised error "
     "| largest | median sigma, deg/s | median error, deg/s |"
 )
-ALL = "| began (UTC) | samples | coils | status | rate, deg/s | one sigma | error, deg/s | largest normalised error |"
+PASSES_HEADER = "| began (UTC) | samples | coils | status | rate, deg/s | one sigma | error, deg/s | largest normalised error |"
 
 KINDS = {
     "free, decided": (True, True),
@@ -172,31 +176,39 @@ KINDS = {
 
 def page(comparisons: dict[str, list[PassComparison]], gyros: dict[str, Gyro]) -> str:
     """Return the page in Markdown."""
-    lines = [HEAD, SHORT, "|---" * SHORT.count(" |") + "|"]
+    lines = [HEAD, SUMMARY_HEADER, "|---" * SUMMARY_HEADER.count(" |") + "|"]
     for name, rows in comparisons.items():
         for kind, (free, decided) in KINDS.items():
-            own = [row for row in rows if row.free == free and (row.status == "decided") == decided]
-            lines.append(f"| {name} | {kind} | {figures(own)} |")
+            of_kind = [
+                row for row in rows if row.free == free and (row.status == "decided") == decided
+            ]
+            lines.append(f"| {name} | {kind} | {figures(of_kind)} |")
     lines += [GYRO, "| day left out | scale, deg/s per count | zero, counts |", "|---|---|---|"]
-    for day, own in gyros.items():
+    for day, gyro in gyros.items():
         zero = ", ".join(
-            f"{z:.0f} +- {s:.0f}" for z, s in zip(own.zero, own.zero_sigma, strict=True)
+            f"{value:.0f} +- {sigma:.0f}"
+            for value, sigma in zip(gyro.zero, gyro.zero_sigma, strict=True)
         )
-        lines.append(f"| {day} | {own.scale:.4f} +- {own.scale_sigma:.4f} | {zero} |")
+        lines.append(f"| {day} | {gyro.scale:.4f} +- {gyro.scale_sigma:.4f} | {zero} |")
     for name, rows in comparisons.items():
-        lines += [f"\n## All passes: {name}\n", ALL, "|---" * ALL.count(" |") + "|"]
+        lines += [
+            f"\n## All passes: {name}\n",
+            PASSES_HEADER,
+            "|---" * PASSES_HEADER.count(" |") + "|",
+        ]
+        # largest normalised error first, passes without a gyro last
         for row in sorted(rows, key=lambda row: -np.nan_to_num(np.abs(row.pull).max(), nan=-1.0)):
             rate, sigma, miss = (
                 ", ".join(f"{v:.2f}" for v in part) for part in (row.rate, row.sigma, row.miss)
             )
-            shown = (
+            error_cells = (
                 (miss, f"{np.abs(row.pull).max():.1f}")
                 if np.isfinite(row.miss).all()
                 else ("no gyro in this file", "")
             )
             coils = "off" if row.free else "driven"
             lines.append(
-                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(shown)} |"
+                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(error_cells)} |"
             )
     return "\n".join(lines) + "\n"
 

@@ -37,15 +37,18 @@ ACCUSED = (
 """Words in the verdict of `rates` that accuse the file."""
 
 
-def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
-    """Return the accusations of one file by `check` or `rates`."""
+def judge(folder: Path, seed: int, i: int, command: str) -> dict[str, Any]:
+    """Return the accusations of one file by the command "check" or "rates": "form" has its features, "accused" the texts."""
     vehicle, telemetry, form = make(folder, seed, i)
-    command = [str(vehicle), str(telemetry), "--json"]
-    done = CliRunner().invoke(check if what == "check" else rates, command, catch_exceptions=False)
+    arguments = [str(vehicle), str(telemetry), "--json"]
+    done = CliRunner().invoke(
+        check if command == "check" else rates, arguments, catch_exceptions=False
+    )
     report = json.loads(done.stdout)
-    if what == "rates":
+    if command == "rates":
         return {"form": form, "accused": [words for words in ACCUSED if words in report["verdict"]]}
     about = report["telemetry"]
+    # readings that sunlight cannot give are no accusation if the file says that it is synthetic
     kinds = (
         "wrong_units",
         "wrong_axes",
@@ -78,6 +81,7 @@ def make(folder: Path, seed: int, i: int) -> RightFile:
         else np.vstack([FACES[:5], [unit(rng) for _ in range(rng.integers(1, 4))]])
     )
     names = [*NAMES, "p6", "p7", "p8"][: len(normals)]
+    # of each panel, and common to all: s, zero without the feature
     offset = np.round(rng.uniform(0, 2, len(normals)), 1) * features["turn"]
     averaged = round(float(rng.uniform(0.5, 2.0)), 1) * features["mean"]
     moments = np.array([0.04, 0.045, 0.02]) * rng.uniform(0.9, 1.1, 3)
@@ -85,20 +89,22 @@ def make(folder: Path, seed: int, i: int) -> RightFile:
     craft = parse_vehicle(text, "right")
     n, apart = int(rng.integers(15, 41)), rng.uniform(5, 15)
     t = np.round(np.cumsum(apart * rng.uniform(0.8, 1.2, n)), 2)
-    run = ss.propagate(
+    motion = ss.propagate(
         craft, np.radians(10 ** rng.uniform(-0.5, 0.5)) * unit(rng), unit(rng), None, t
     )
-    omega, sun = run["omega_B"].values, run["sun_B"].values
-    places = np.linspace(-0.5, 0.5, 21)
+    omega, sun = motion["omega_B"].values, motion["sun_B"].values
+    # each panel is averaged over 21 instants about the one at which it is read
+    shares = np.linspace(-0.5, 0.5, 21)
     light = [
         [
             ss.panel_power(
-                craft, components_after_rotation(sun, (late + averaged * place) * omega)
+                craft, components_after_rotation(sun, (offset_s + averaged * share) * omega)
             )[:, k]
-            for place in places
+            for share in shares
         ]
-        for k, late in enumerate(offset)
+        for k, offset_s in enumerate(offset)
     ]
+    # noise of 2 % of the full signal, 7 W
     power = 7 * (np.mean(light, axis=1).T / 7 + 0.02 * rng.normal(size=(n, len(names))))
     rows = [
         {
@@ -109,7 +115,7 @@ def make(folder: Path, seed: int, i: int) -> RightFile:
         | {f"i.{name}": round(float(p), 4) for name, p in zip(names, each, strict=True)}
         for s, each in zip(t.tolist(), power, strict=True)
     ]
-    field = Rotation.from_quat(run["B_from_N"].values).apply(unit(rng)) + 0.03 * rng.normal(
+    field = Rotation.from_quat(motion["B_from_N"].values).apply(unit(rng)) + 0.03 * rng.normal(
         size=(n, 3)
     )
     gyro = np.degrees(omega + 1e-3 * rng.normal(size=3) + 1e-3 * rng.normal(size=(n, 3)))
@@ -161,7 +167,7 @@ def _vehicle(
     if features["turn"]:
         lines += [
             "[telemetry.offset_s]",
-            *(f'"{name}" = {late}' for name, late in zip(names, offset, strict=True)),
+            *(f'"{name}" = {offset_s}' for name, offset_s in zip(names, offset, strict=True)),
         ]
 
     def columns(name: str) -> str:

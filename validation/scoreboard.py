@@ -84,10 +84,10 @@ def run_tasks(
 
     Rows are kept in `folder`, so an interruption loses only the cases in progress.
     """
-    paths = {}
+    paths = {}  # file of each row -> its task
     for task in tasks:
-        place = rows_folder(folder / _as_file(task.name))
-        paths[place / f"{_as_file(task.case)}.json"] = task
+        set_folder = rows_folder(folder / _as_file(task.name))
+        paths[set_folder / f"{_as_file(task.case)}.json"] = task
     missing = [path for path in paths if not path.is_file()]
     begin = time.monotonic()
     # each case in a process that starts afresh: none inherits what another has computed
@@ -103,11 +103,12 @@ def run_tasks(
     rows: dict[str, dict[str, dict[str, Any]]] = {}
     for path, task in paths.items():
         row = json.loads(path.read_text("utf-8"))
-        inside = {
+        # a run that judges many cases has a row for each, all with the processor time of the run
+        rows_of_cases = {
             case: {"processor_s": row["processor_s"]} | each
             for case, each in row.get("cases", {}).items()
         }
-        rows.setdefault(task.name, {}).update(inside or {task.case: row})
+        rows.setdefault(task.name, {}).update(rows_of_cases or {task.case: row})
     return rows
 
 
@@ -214,7 +215,14 @@ def lost_truths(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     ]
 
 
-MOVED = ("contradiction_", "cited_", "last_section", "window_", "trajectory_s", "touchdown_energy_")
+JUDGED_BY_STUDY = (
+    "contradiction_",
+    "cited_",
+    "last_section",
+    "window_",
+    "trajectory_s",
+    "touchdown_energy_",
+)
 """Beginnings of the names of cases that `studies/contradictions.py` judges instead of the scoreboard."""
 
 
@@ -226,8 +234,9 @@ def missing_cases(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
         f"{name}, case {case}: not run"
         for name, each in before["sets"].items()
         for case in each["cases"]
+        # sets that were not asked for are not missing
         if name in now["sets"] and case not in now["sets"][name]["cases"]
-        if not case.startswith(MOVED)
+        if not case.startswith(JUDGED_BY_STUDY)
     ]
 
 
@@ -250,14 +259,14 @@ def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
     for name, each in now["sets"].items():
         old = (before or {"sets": {}})["sets"].get(name)
         common = [case for case in each["cases"] if old is None or case in old["cases"]]
-        states = [each] if old is None else [old, each]
+        states = [each] if old is None else [old, each]  # versions of this set
         cells = [name, str(len(common))]
         for key in OUTCOMES:
             counts = [sum(state["cases"][case] == key for case in common) for state in states]
             cells.append(" / ".join(map(str, counts)))
-        cells.append(" / ".join(_listed(state, common) for state in states))
+        cells.append(" / ".join(_count_listed(state, common) for state in states))
         for key in ("in_68", "in_95", "rms_pull", "sigma", "in_50", "in_90", "processor_s"):
-            cells.append(" / ".join(_shown(state["figures"], key) for state in states))
+            cells.append(" / ".join(_format_figure(state["figures"], key) for state in states))
         lines.append("| " + " | ".join(cells) + " |")
         for case, measured in each["measured"].items():
             for key, value in measured.items():
@@ -268,15 +277,15 @@ def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
     return "\n".join(lines)
 
 
-def _listed(each: dict[str, Any], cases: list[str]) -> str:
-    """Return in how many of these cases the truth is listed, of those that have one truth."""
-    of_cases = [each.get("listed", {}).get(case) for case in cases]
-    known = [listed for listed in of_cases if listed is not None]
+def _count_listed(board_set: dict[str, Any], cases: list[str]) -> str:
+    """Return in how many of these cases of a set the truth is listed, of those that have one truth, as text; else a dash."""
+    listed_or_none = [board_set.get("listed", {}).get(case) for case in cases]
+    known = [listed for listed in listed_or_none if listed is not None]
     return f"{sum(known)} of {len(known)}" if known else "-"
 
 
-def _shown(numbers: dict[str, float], key: str) -> str:
-    """Return a figure as text; a dash if there is none."""
+def _format_figure(numbers: dict[str, float], key: str) -> str:
+    """Return a figure as text, shares ("in_68") in percent; a dash if there is none."""
     value = numbers.get(key)
     if value is None:
         return "-"

@@ -74,8 +74,8 @@ def measure_folders(source: Path = SOURCE) -> dict[str, Size]:
 
     by_folder: dict[str, list[Path]] = {}
     for path in texts:
-        place = path.relative_to(source).parts
-        by_folder.setdefault(place[0] if len(place) > 1 else ".", []).append(path)
+        parts = path.relative_to(source).parts
+        by_folder.setdefault(parts[0] if len(parts) > 1 else ".", []).append(path)
     return {name: size(paths) for name, paths in sorted(by_folder.items())} | {
         "src": size(list(texts))
     }
@@ -124,12 +124,14 @@ def table() -> str:
         for values in count_everything().values()
         for name, value in values.items()
     ]
-    first = max(len(cell) for row in rows for cell in row[:1])
+    # widths of the first column and of all others
+    first_width = max(len(cell) for row in rows for cell in row[:1])
     width = max(len(cell) for row in rows for cell in row[1:])
-    return "\n".join(
-        f"{row[0]:<{first}}" + "".join(f"{cell:>{width + 2}}" for cell in row[1:]) if row else ""
-        for row in rows
-    )
+    lines = []
+    for row in rows:
+        cells = "".join(f"{cell:>{width + 2}}" for cell in row[1:])
+        lines.append(f"{row[0]:<{first_width}}{cells}" if row else "")
+    return "\n".join(lines)
 
 
 def _used(nodes: list[ast.AST]) -> Iterator[str]:
@@ -161,13 +163,11 @@ def _public(init: ast.Module | None) -> set[str]:
 def _constants(tree: ast.Module) -> Iterator[str]:
     """Yield the upper-case names that a module assigns."""
     for node in tree.body:
-        targets = (
-            node.targets
-            if isinstance(node, ast.Assign)
-            else [node.target]
-            if isinstance(node, ast.AnnAssign)
-            else []
-        )
+        targets: list[ast.expr] = []
+        if isinstance(node, ast.Assign):
+            targets = node.targets
+        elif isinstance(node, ast.AnnAssign):
+            targets = [node.target]
         for target in targets:
             for name in ast.walk(target):
                 if isinstance(name, ast.Name) and name.id.isupper():
@@ -176,9 +176,9 @@ def _constants(tree: ast.Module) -> Iterator[str]:
 
 def _is_vague(node: ast.AST) -> bool:
     """Return whether a node is a variable or parameter named as in `VAGUE`."""
-    return (
-        node.id if isinstance(node, ast.Name) else node.arg if isinstance(node, ast.arg) else ""
-    ) in VAGUE
+    if isinstance(node, ast.Name):
+        return node.id in VAGUE
+    return isinstance(node, ast.arg) and node.arg in VAGUE
 
 
 def options(parser: argparse.ArgumentParser) -> None:

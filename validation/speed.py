@@ -32,25 +32,26 @@ MOST_RATIO = 1.1
 
 def install_commit(commit: str, folder: Path) -> Path:
     """Install a commit in its own environment below `folder`, unless that is done, and return its interpreter."""
-    place = folder / commit
-    if not (place / ".venv" / ".ready").is_file():
-        shutil.rmtree(place, ignore_errors=True)
+    tree = folder / commit
+    # the Makefile writes .venv/.ready last
+    if not (tree / ".venv" / ".ready").is_file():
+        shutil.rmtree(tree, ignore_errors=True)
         archive = subprocess.run(
             ["git", "archive", commit], cwd=ROOT, capture_output=True, check=True
         ).stdout
         with tarfile.open(fileobj=BytesIO(archive)) as files:
-            files.extractall(place, filter="data")
+            files.extractall(tree, filter="data")
         subprocess.run(
-            ["make", "--silent", f"PYTHON={sys.executable}", ".venv/.ready"], cwd=place, check=True
+            ["make", "--silent", f"PYTHON={sys.executable}", ".venv/.ready"], cwd=tree, check=True
         )
-    return place / ".venv" / "bin" / "python"
+    return tree / ".venv" / "bin" / "python"
 
 
 def measure_ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
     """Return the ratio of the processor time of each command to that of the earlier commit, and the sizes of both packages.
 
-    Each ratio is the median over rounds in which the two follow each other. One more is that of the first run with an empty cache
-    of kernels.
+    `before` is the interpreter of the earlier commit; the other is that of this process. Each ratio is the median over rounds in
+    which the two follow each other. One more is that of the first run with an empty cache of kernels.
     """
     here = Path(sys.executable)
     names = QUICK if level == "quick" else tuple(COMMANDS)
@@ -62,30 +63,34 @@ def measure_ratios(before: Path, level: str, repeats: int = 3) -> dict[str, floa
                 [time_command(python, Path(home), COMMANDS[name]) for python in (before, here)]
                 for _ in range(repeats)
             ]
-            numbers[f"{name}, now / before"] = statistics.median(now / then for then, now in rounds)
-        then, now = (
+            numbers[f"{name}, now / before"] = statistics.median(
+                now_s / before_s for before_s, now_s in rounds
+            )
+        before_s, now_s = (
             time_command(python, Path(home), COMMANDS["rates"], cache=f"{home}/{k}")
             for k, python in enumerate((before, here))
         )
-        numbers[f"{FIRST_RUN}, now / before"] = now / then
-    sizes = [size_MB(python) for python in (before, here)]
+        numbers[f"{FIRST_RUN}, now / before"] = now_s / before_s
     return numbers | {
-        "installed package before, MB": sizes[0],
-        "installed package now, MB": sizes[1],
+        "installed package before, MB": size_MB(before),
+        "installed package now, MB": size_MB(here),
     }
 
 
 def time_command(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
-    """Return the processor time (s) of one command in its own process, with all processes that it starts."""
+    """Return the processor time (s) of one command in its own process, with all processes that it starts.
+
+    `cache`: folder of its compiled kernels, default: that of the environment. Raises `RuntimeError` if the command fails.
+    """
     out = tempfile.mkdtemp(dir=home)
-    given = arguments.replace("OUT", out + "/results").split()
-    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {
-        "OPENBLAS_NUM_THREADS": "1"
-    }
+    words = arguments.replace("OUT", out + "/results").split()
+    # without PYTHONPATH each interpreter imports the package of its own environment
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    variables |= {"OPENBLAS_NUM_THREADS": "1"}
     variables |= {} if cache is None else {"SUNSPIN_CACHE": cache}
     begin = os.times()
     done = subprocess.run(
-        [str(python), "-m", "sunspin.cli", *given],
+        [str(python), "-m", "sunspin.cli", *words],
         cwd=home,
         env=variables,
         capture_output=True,
@@ -106,7 +111,10 @@ def size_MB(python: Path) -> float:
 
 
 def make_row(before: str, level: str, folder: Path) -> dict[str, object]:
-    """Return the row of the scoreboard on processor times."""
+    """Return the row of the scoreboard on processor times, compared with the commit `before` installed below `folder`.
+
+    It is wrong if any ratio of processor times exceeds `MOST_RATIO`.
+    """
     measured = measure_ratios(install_commit(before, folder), level)
     slower = [
         name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO

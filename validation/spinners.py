@@ -23,17 +23,10 @@ from sgp4.api import Satrec, jday
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
 from tests.support.orbits import with_check_digit, with_node_turned
+from tests.support.vehicles import FACES
 from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
-FACES = {
-    "+X": (1, 0, 0),
-    "-X": (-1, 0, 0),
-    "+Y": (0, 1, 0),
-    "-Y": (0, -1, 0),
-    "+Z": (0, 0, 1),
-    "-Z": (0, 0, -1),
-}
 SUN_NOISE = 0.01
 """Noise of a coarse Sun sensor, as a part of its full reading."""
 
@@ -90,7 +83,10 @@ def cases(seed: int, count: int, whole: bool | None = None) -> list[Case]:
 
 
 def _draw_case(seed: int, number: int, whole: bool) -> Case:
-    """Draw the parameters of one case."""
+    """Draw the parameters of one case; a file has at least 76 samples, over an orbit if `whole`.
+
+    The interval is the longest or the second longest of four in which the body rotates by less than 100 degrees.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     speed = float(10 ** rng.uniform(np.log10(0.2), np.log10(60)))
     steps = [step for step in (1.0, 2.0, 5.0, 10.0) if step * speed < 100]
@@ -205,7 +201,8 @@ def spin(case: Case, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndar
     assert np.allclose(
         np.linalg.norm(rates[:, :2], axis=1), abs(across) * stretched, rtol=1e-9, atol=0
     )
-    permuted = np.roll(np.eye(3), case.axis - 2, axis=0)  # the axis of the spin is that of the case
+    # the spin so far is about z; the axes are permuted so that it is about the axis of the case
+    permuted = np.roll(np.eye(3), case.axis - 2, axis=0)
     body = (
         own * tilt * momentum * Rotation.random(random_state=int(rng.integers(2**31)))
     ).as_matrix()
@@ -213,19 +210,25 @@ def spin(case: Case, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndar
 
 
 def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) -> np.ndarray:
-    """Return the light of the Earth on panels (n, p), in full Suns; a panel over sunlit ground gets about `albedo`."""
+    """Return the light of the Earth on panels (n, p), in full Suns; a panel over sunlit ground gets about `albedo`.
+
+    `body` (n, 3, 3): attitudes from space to body; `normals` (p, 3) in the body. The visible ground is divided into `rings` about
+    the point below, and each ring into `around` patches, which reflect sunlight by Lambert's law.
+    """
     rings, around = 8, 16
     light = np.zeros((len(body), len(normals)))
     for k, (place, sun) in enumerate(zip(sky.place_km, sky.sun, strict=True)):
         radius = np.linalg.norm(place)
         up = place / radius
+        # angles at the centre of the Earth: to the horizon, and to the middle of each ring
         edge = np.arccos(EARTH_KM / radius)
         psi = edge * (np.arange(rings) + 0.5) / rings
         side = np.cross(up, [0.3, 0.5, 0.8])
         side /= np.linalg.norm(side)
         azimuth = 2 * np.pi * np.arange(around) / around
-        flat = np.cos(azimuth)[:, None] * side + np.sin(azimuth)[:, None] * np.cross(up, side)
-        ground = (np.cos(psi)[:, None, None] * up + np.sin(psi)[:, None, None] * flat).reshape(
+        level = np.cos(azimuth)[:, None] * side + np.sin(azimuth)[:, None] * np.cross(up, side)
+        # unit vectors from the centre of the Earth to the patches, and their areas in km2
+        ground = (np.cos(psi)[:, None, None] * up + np.sin(psi)[:, None, None] * level).reshape(
             -1, 3
         )
         ring = np.cos(psi - edge / rings / 2) - np.cos(psi + edge / rings / 2)
@@ -241,9 +244,8 @@ def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) 
             / np.pi
         )
         light[k] = np.maximum(normals @ (body[k] @ ray.T), 0) @ sent
-    full = (
-        EARTH_KM / np.linalg.norm(sky.place_km, axis=1).mean()
-    ) ** 2  # of a Lambert sphere of albedo one, right above
+    # light of a Lambert sphere of albedo one on a panel that faces its sunlit middle
+    full = (EARTH_KM / np.linalg.norm(sky.place_km, axis=1).mean()) ** 2
     return albedo / full * light
 
 
@@ -251,6 +253,8 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
     """Write `vehicle.toml`, `telemetry.csv`, `right.tle` and `wrong.tle`, and return the truth.
 
     Keys: `t_s`, `rates_deg_s` (n, 3), `lit`, and `matrix` and `zero_nT` of the magnetometer, whose reading is matrix field + zero.
+    Orbit and motion are drawn again until some panel sees the Sun for more than `SEEN` of the day, and a file over an orbit has a
+    night, a shorter one almost none.
     """
     rng = np.random.default_rng(np.random.SeedSequence(case.seed, spawn_key=(case.number, 1)))
     start = datetime(2026, 1, 1) + timedelta(days=float(np.round(rng.uniform(0, 200), 2)))
@@ -264,24 +268,25 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
         rates, body = spin(case, t_s, rng)
         sun_B, field_B = (np.einsum("nij,nj->ni", body, part) for part in (sky.sun, sky.field_nT))
         direct = np.maximum(sun_B @ normals.T, 0) * sky.lit[:, None]
-        right_night = sky.lit.mean() < 0.8 if case.whole_orbit else sky.lit.mean() > 0.9
-        if right_night and ((direct > 0.3).any(axis=1)[sky.lit]).mean() > SEEN:
+        has_right_night = sky.lit.mean() < 0.8 if case.whole_orbit else sky.lit.mean() > 0.9
+        if has_right_night and ((direct > 0.3).any(axis=1)[sky.lit]).mean() > SEEN:
             break
     light = direct + earth_light(sky, body, normals, case.albedo)
     gain = np.exp(0.02 * rng.normal(size=len(normals)))
     current = GAIN_A * (gain * light + SUN_NOISE * rng.normal(size=light.shape))
-    bent = np.eye(3) + 0.03 * rng.normal(size=(3, 3)) + np.diag(0.03 * rng.normal(size=3))
+    # magnetometer: soft iron and unequal scales, zero, noise, and then the permutation of its axes
+    distortion = np.eye(3) + 0.03 * rng.normal(size=(3, 3)) + np.diag(0.03 * rng.normal(size=3))
     zero = USUAL_NT * np.array(case.zero)
-    inside = field_B @ bent.T + zero + FIELD_NOISE_NT * rng.normal(size=field_B.shape)
-    reading = inside @ np.array(case.turned, dtype=float).T
+    distorted = field_B @ distortion.T + zero + FIELD_NOISE_NT * rng.normal(size=field_B.shape)
+    reading = distorted @ np.array(case.turned, dtype=float).T
     folder.mkdir(parents=True, exist_ok=True)
     header = ",".join(["time", *(f"i{name}" for name in case.faces), "mx", "my", "mz"])
     rows = [
         f"{(start + timedelta(seconds=t)).isoformat(timespec='milliseconds')}Z,"
-        + ",".join(f"{x:.5f}" for x in i)
+        + ",".join(f"{value:.5f}" for value in currents)
         + ","
-        + ",".join(f"{x:.0f}" for x in b)
-        for t, i, b in zip(t_s.tolist(), current, reading, strict=True)
+        + ",".join(f"{value:.0f}" for value in fields)
+        for t, currents, fields in zip(t_s.tolist(), current, reading, strict=True)
     ]
     (folder / "telemetry.csv").write_text("\n".join([header, *rows]) + "\n", "utf-8")
     stated = (
@@ -289,8 +294,8 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
         if case.zero_known
         else np.zeros(3)
     )
-    open_nT = USUAL_NT * (ZERO_OFF if case.zero_known else ZERO_OPEN)
-    (folder / "vehicle.toml").write_text(_vehicle(case, stated, open_nT), "utf-8")
+    zero_sigma_nT = USUAL_NT * (ZERO_OFF if case.zero_known else ZERO_OPEN)
+    (folder / "vehicle.toml").write_text(_vehicle(case, stated, zero_sigma_nT), "utf-8")
     for name, by_deg in (
         ("right", 0.0),
         ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG),
@@ -302,13 +307,13 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
         "t_s": t_s.tolist(),
         "rates_deg_s": np.degrees(rates).tolist(),
         "lit": float(sky.lit.mean()),
-        "matrix": (np.array(case.turned) @ bent).tolist(),
+        "matrix": (np.array(case.turned) @ distortion).tolist(),
         "zero_nT": (np.array(case.turned) @ zero).tolist(),
     }
 
 
-def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
-    """Return the text of the vehicle file."""
+def _vehicle(case: Case, zero_nT: np.ndarray, zero_sigma_nT: float) -> str:
+    """Return the text of the vehicle file, with this zero (3) of the magnetometer and its sigma."""
     lines = ['name = "spinner"']
     if case.inertia_known:
         moments = np.full(3, 0.03)
@@ -338,7 +343,7 @@ def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
         'columns = ["mx", "my", "mz"]',
         f"noise = {FIELD_NOISE_NT}",
         "scale_T = 1e-9",
-        f"zero = {{ value = [{zero}], sigma = {open_nT:.0f} }}",
+        f"zero = {{ value = [{zero}], sigma = {zero_sigma_nT:.0f} }}",
         "[disturbance]",
         "max_rate_rad_s = 1.2",
     ]
@@ -348,7 +353,8 @@ def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
 def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     """Run a command on a case and return its result as a row.
 
-    `what` is "check" or "rates", a space, and the elements: "right", "wrong" or "none".
+    `what` is "check" or "rates", a space, and the elements: "right", "wrong" or "none". The row has "defect", whether the command
+    ended with a traceback; for a failed one "error"; else "orbit", the verdict on the elements if any, and for `rates` "passes".
     """
     command, which = what.split()
     truth = make(case, folder)

@@ -57,7 +57,7 @@ class SimulatedCase(NamedTuple):
 
 def make(level: str, seed: int, i: int) -> SimulatedCase:
     """Return the telemetry of case i with its true rate and the priors that the posterior is given."""
-    change, off = LEVELS[level]
+    change, moment_sigma = LEVELS[level]
     rng = np.random.default_rng(
         np.random.SeedSequence(seed, spawn_key=(i, list(LEVELS).index(level)))
     )
@@ -70,11 +70,13 @@ def make(level: str, seed: int, i: int) -> SimulatedCase:
     truth = prior_truth(unknown, rng)
     body = unknown.bodies(truth.u).vehicle(BOX, 0)
     moments = np.array(body.require_inertia())
-    moments[np.diag_indices(3)] *= 1 + off * rng.standard_normal(3)
+    moments[np.diag_indices(3)] *= 1 + moment_sigma * rng.standard_normal(3)
     body = replace(body, inertia_kg_m2=moments)
-    pull = rng.standard_normal(3)
-    pull *= change / (t[-1] - t[0]) * np.trace(moments) / 3 / np.linalg.norm(pull)
-    steady = Steady(np.stack([pull, np.zeros(3)][:: 1 if i % 2 == 0 else -1]))
+    # the torque (N m) that changes the rate by `change` about an axis with the mean moment
+    torque = rng.standard_normal(3)
+    torque *= change / (t[-1] - t[0]) * np.trace(moments) / 3 / np.linalg.norm(torque)
+    # rows: fixed in body axes, fixed in space
+    steady = Steady(np.stack([torque, np.zeros(3)] if i % 2 == 0 else [np.zeros(3), torque]))
     truth_of_case = Truth(
         truth.omega[0],
         truth.sun[0],
@@ -92,28 +94,36 @@ def make(level: str, seed: int, i: int) -> SimulatedCase:
 
 
 def judge(level: str, seed: int, i: int) -> dict[str, Any]:
-    """Run the posterior on a case and return its verdict and its distance from the truth."""
+    """Run the posterior on a case and return its verdict and its distance from the truth.
+
+    "wrong": the verdict is confident, and no solution of 1 % or more is within `WRONG_SIGMAS` of the truth. "level": probability
+    of a smaller distance than that of the nearest solution, by a normal law in three dimensions.
+    """
     case = make(level, seed, i)
     try:
         tree = posterior(BOX, case.telemetry, case.priors, seed, workers=1)
     except SunspinError as error:
         return {"word": "refused", "verdict": str(error), "listed": False}
     solutions = tree["solutions"]
-    off, spread = case.omega_B - solutions["omega_B"].values, solutions["omega_cov_B"].values
-    far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
-    listed = solutions["probability"].values >= 0.01
+    errors, covariances = (
+        case.omega_B - solutions["omega_B"].values,
+        solutions["omega_cov_B"].values,
+    )
+    # distance of each solution from the truth, in sigmas
+    distances = [
+        float(np.sqrt(error @ np.linalg.solve(covariance, error)))
+        for error, covariance in zip(errors, covariances, strict=True)
+    ]
+    is_probable = solutions["probability"].values >= 0.01
     word = tree.attrs["verdict_word"]
     confident = word in ("unique", "aliases")
     return {
         "word": word,
         "verdict": tree.attrs["verdict"],
         "listed": is_in_solutions(solutions.to_dataset(), case.omega_B),
-        "far": far[:5],
-        "level": float(chi2.cdf(min(far) ** 2, 3)),
-        "wrong": bool(
-            confident
-            and min(f for f, shown in zip(far, listed, strict=True) if shown) > WRONG_SIGMAS
-        ),
-        "sigma": float(np.sqrt(np.trace(spread[0]) / 3)),
-        "error": float(np.linalg.norm(off[0])),
+        "far": distances[:5],
+        "level": float(chi2.cdf(min(distances) ** 2, 3)),
+        "wrong": bool(confident and np.min(np.array(distances)[is_probable]) > WRONG_SIGMAS),
+        "sigma": float(np.sqrt(np.trace(covariances[0]) / 3)),
+        "error": float(np.linalg.norm(errors[0])),
     }

@@ -48,8 +48,9 @@ class Row(NamedTuple):
 def basilisk() -> Iterator[Row]:
     """Compare the attitude of a free rigid body with a published value of Basilisk."""
     hub = Vehicle("hub", np.diag([500.0, 200.0, 300.0]))
-    run = ss.propagate(hub, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
-    mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
+    motion = ss.propagate(hub, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
+    # Basilisk's parameters are of the rotation that takes the reference axes to the body axes
+    mrp = Rotation.from_quat(motion["B_from_N"].values[-1]).inv().as_mrp()
     error = float(np.abs(mrp - BASILISK_MRP).max())
     yield Row("Basilisk, published", "attitude (MRP) after 10 s", error, 5e-10)
 
@@ -65,39 +66,54 @@ def free_rigid_body() -> Iterator[Row]:
         ("about the long axis", (1.0, 0.3, 0.1)),
     ):
         expected = euler(moments, np.array(omega), t)
-        run = ss.propagate(Vehicle("free", np.diag(moments)), omega, SUN, None, t)
-        error = np.abs(run["omega_B"].values - expected).max() / np.linalg.norm(omega)
+        motion = ss.propagate(Vehicle("free", np.diag(moments)), omega, SUN, None, t)
+        error = np.abs(motion["omega_B"].values - expected).max() / np.linalg.norm(omega)
         what = f"free body {name}, rates with phase, 1300 s"
         yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-10)
-        sized = 100.0 * np.diag(moments), np.tile(omega, (1, 1)).astype(float)
-        rows = Rows(sized[1], SUN[None], np.zeros((1, 0)))
-        end = run_rows(Vehicle("free", sized[0]), rows, t[1:], direction_error=1e-9).omega_B[0]
-        error = np.abs(end - expected[1:]).max() / np.linalg.norm(omega)
+        # a body of a hundred times the inertia moves in the same way
+        larger = Vehicle("free", 100.0 * np.diag(moments))
+        rows = Rows(np.array([omega], dtype=float), SUN[None], np.zeros((1, 0)))
+        rates = run_rows(larger, rows, t[1:], direction_error=1e-9).omega_B[0]
+        error = np.abs(rates - expected[1:]).max() / np.linalg.norm(omega)
         what = f"the ensemble kernel, the same {name}"
         yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-8)
 
 
 def euler(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return rates (n, 3) of a free body with increasing principal moments, from `omega` at t = 0."""
-    if (moments * omega) @ (moments * omega) < moments[1] * (
-        moments @ omega**2
-    ):  # the other kind: the axes turned round
+    """Return rates (n, 3) of a free body with increasing principal moments, from `omega` at t = 0.
+
+    The body rotates about its third axis if L^2 > 2 E I2, else about its first one (L angular momentum, E energy).
+    """
+    square, twice_energy = (moments * omega) @ (moments * omega), moments @ omega**2
+    if square < moments[1] * twice_energy:
+        # the same formulas with the axes in reverse order, which needs a sign to stay right-handed
         return _polhode(moments[::-1], omega[::-1] * [1, -1, 1], t)[:, ::-1] * [1, -1, 1]
     return _polhode(moments, omega, t)
 
 
 def _polhode(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the motion about the third axis, whose moment is the largest or the smallest."""
-    a, b, c = moments
-    twice, square = moments @ omega**2, (moments * omega) @ (moments * omega)
-    least, most = twice * c - square, square - twice * a
-    size = np.sqrt([least / (a * (c - a)), least / (b * (c - b)), most / (c * (c - a))])
-    rate = np.sign(c - a) * np.sqrt((c - b) * most / (a * b * c))
-    m = (b - a) * least / ((c - b) * most)
-    third = np.sign(omega[2])
-    begin = ellipkinc(np.arctan2(third * omega[1] / size[1], omega[0] / size[0]), m)
-    sn, cn, dn, _ = ellipj(rate * t + begin, m)
-    return np.stack([size[0] * cn, third * size[1] * sn, third * size[2] * dn], axis=1)
+    """Return the rates (n, 3) of a motion about the third axis, whose moment is the largest or the smallest.
+
+    Landau and Lifshitz 1, section 37, equations 37.10 to 37.12, with the phase at t = 0.
+    """
+    I1, I2, I3 = moments
+    twice_energy, square = moments @ omega**2, (moments * omega) @ (moments * omega)  # 2 E, L^2
+    from_third, from_first = twice_energy * I3 - square, square - twice_energy * I1
+    amplitude = np.sqrt(
+        [
+            from_third / (I1 * (I3 - I1)),
+            from_third / (I2 * (I3 - I2)),
+            from_first / (I3 * (I3 - I1)),
+        ]
+    )
+    rate = np.sign(I3 - I1) * np.sqrt((I3 - I2) * from_first / (I1 * I2 * I3))
+    m = (I2 - I1) * from_third / ((I3 - I2) * from_first)  # parameter of the elliptic functions
+    sense = np.sign(omega[2])
+    phase = ellipkinc(np.arctan2(sense * omega[1] / amplitude[1], omega[0] / amplitude[0]), m)
+    sn, cn, dn, _ = ellipj(rate * t + phase, m)
+    return np.stack(
+        [amplitude[0] * cn, sense * amplitude[1] * sn, sense * amplitude[2] * dn], axis=1
+    )
 
 
 def gyrostat() -> Iterator[Row]:
@@ -111,24 +127,24 @@ def gyrostat() -> Iterator[Row]:
     )
     omega = np.array([-0.2, 0.1, 0.05])
     t = np.linspace(0, 3600.0, 241)
-    run = ss.propagate(vehicle, omega, SUN, begin, t)
+    motion = ss.propagate(vehicle, omega, SUN, begin, t)
     H = np.array([moment, moment, axial]) * omega + [0, 0, inertia * begin]
     # in space H is fixed, and the symmetry axis rotates about it
     rotation = Rotation.from_rotvec(H / moment * t[:, None])
     z_N = rotation.apply([0.0, 0.0, 1.0])
-    error = float(np.abs(run["sun_B"].values[:, 2] - z_N @ SUN).max())
+    error = float(np.abs(motion["sun_B"].values[:, 2] - z_N @ SUN).max())
     yield Row("closed form", "axisymmetric gyrostat, Sun's height with phase, 1 h", error, 1e-9)
     # axial rate: the wheel's speed relative to the body obeys J' dW/dt = -mu0 - mu1 W, J' = J (1 - J / axial)
-    left = inertia * (1 - inertia / axial)
-    tau, dry = left / friction.viscous_N_m_s, friction.coulomb_N_m / friction.viscous_N_m_s
-    speed = np.maximum((begin + dry) * np.exp(-t / tau) - dry, 0.0)
-    error = float(np.abs(run["wheel_speed_rad_s"].values[:, 0] - speed).max() / begin)
+    reduced = inertia * (1 - inertia / axial)
+    tau, ratio = reduced / friction.viscous_N_m_s, friction.coulomb_N_m / friction.viscous_N_m_s
+    speed = np.maximum((begin + ratio) * np.exp(-t / tau) - ratio, 0.0)
+    error = float(np.abs(motion["wheel_speed_rad_s"].values[:, 0] - speed).max() / begin)
     yield Row("closed form", "wheel spin-down on a free body, 1 h", error, 1e-10)
-    stop = tau * np.log1p(begin / dry)
-    error = float(abs(run["event_time_s"].values[0] - stop) / stop)
+    stop = tau * np.log1p(begin / ratio)
+    error = float(abs(motion["event_time_s"].values[0] - stop) / stop)
     yield Row("closed form", "instant at which the wheel stops", error, 1e-11)
     axial_rate = omega[2] + inertia * (begin - speed) / axial
-    error = float(np.abs(run["omega_B"].values[:, 2] - axial_rate).max() / 0.3)
+    error = float(np.abs(motion["omega_B"].values[:, 2] - axial_rate).max() / 0.3)
     yield Row("closed form", "axial rate of the body meanwhile", error, 1e-10)
 
 
@@ -165,13 +181,13 @@ def paper_equations() -> Iterator[Row]:
         stuck, (first.t[-1], 2700), [*first.y[:3, -1], 0.0, *first.y[4:, -1]], **options
     )
     vehicle = Vehicle("philae", theta, 97.63, wheels=[Wheel("w", axis, J, 865.0, friction)])
-    run = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
-    error = float(abs(run["event_time_s"].values[0] / first.t[-1] - 1))
+    motion = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
+    error = float(abs(motion["event_time_s"].values[0] / first.t[-1] - 1))
     yield Row("DOP853 (SciPy), paper's equations", "instant of the stop", error, 1e-11)
-    error = float(np.abs(run["sun_B"].values[-1] - second.y[4:, -1]).max())
+    error = float(np.abs(motion["sun_B"].values[-1] - second.y[4:, -1]).max())
     yield Row("DOP853 (SciPy), paper's equations", "Sun after 45 min", error, 1e-8)
     last = second.y[:3, -1]
-    rate = np.abs(run["omega_B"].values[-1] - last).max() / np.linalg.norm(last)
+    rate = np.abs(motion["omega_B"].values[-1] - last).max() / np.linalg.norm(last)
     yield Row("DOP853 (SciPy), paper's equations", "rates after 45 min", float(rate), 1e-8)
 
 
@@ -211,7 +227,10 @@ def transport() -> Iterator[Row]:
 
 
 def _cheapest(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float:
-    """Return the EMD as the solution of a linear programme."""
+    """Return the EMD of samples a (n) and b (m) with weights of sum one, as the solution of a linear programme.
+
+    Its unknowns are the shares (n m) that move from each a to each b; all of each weight leaves and arrives.
+    """
     leaves = np.kron(np.eye(len(a)), np.ones(len(b)))
     arrives = np.kron(np.ones(len(a)), np.eye(len(b)))
     cost, shares = np.abs(a[:, None] - b).ravel() / 2, np.concatenate([wa, wb])

@@ -123,23 +123,26 @@ class _AfterXarray(MetaPathFinder):
     """
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        """Return the spec of xarray with the extended loader, None for other modules."""
+        """Return the spec of xarray, whose loader also imports the accessor; None for other modules, or if there is no xarray.
+
+        The import takes this finder off the list of finders, as it is needed only once.
+        """
         if fullname != "xarray":
             return None
-        finders = (finder for finder in sys.meta_path if finder is not self)
-        specs = (finder.find_spec(fullname, path, target) for finder in finders)
+        other_finders = (finder for finder in sys.meta_path if finder is not self)
+        specs = (finder.find_spec(fullname, path, target) for finder in other_finders)
         spec = next((spec for spec in specs if spec is not None), None)
         if spec is not None and spec.loader is not None:
-            execute, loader = spec.loader.exec_module, spec.loader
+            loader, execute_xarray = spec.loader, spec.loader.exec_module
 
-            def exec_module(module: ModuleType) -> None:
-                execute(module)
+            def execute_with_accessor(module: ModuleType) -> None:
+                execute_xarray(module)
                 if self in sys.meta_path:
                     sys.meta_path.remove(self)
                 import_module(_ACCESSOR)
 
             # a loader serves a single import, so no other module is affected
-            loader.exec_module = exec_module
+            loader.exec_module = execute_with_accessor
         return spec
 
 
@@ -153,12 +156,12 @@ else:
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name at its first use."""
+    """Return a public name, imported at its first use; raise `AttributeError` for any other name."""
     if name == "__version__":
         return metadata.version("sunspin")
     if name not in _MODULES:
-        near = get_close_matches(name, _MODULES, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        similar = get_close_matches(name, _MODULES, n=1)
+        hint = f"; did you mean {similar[0]!r}?" if similar else ""
         raise AttributeError(f"module 'sunspin' has no attribute {name!r}{hint}")
     return getattr(import_module(_MODULES[name]), name)
 

@@ -15,6 +15,7 @@ from sunspin.environment.ephemeris import read_orbit
 from sunspin.landing.scenario import parse_strategy
 from sunspin.vehicle.changes import parse_changes
 from sunspin.vehicle.file import parse_vehicle
+from tests.support.orbits import with_check_digit
 
 SCRIPTS = (0x660, 0x6F0, 0x966, 0xFF10, 0x1D7CE)
 """Where other scripts have their zero."""
@@ -195,11 +196,6 @@ LINES = """1 25544U 98067A   26001.50000000  .00001000  00000-0  10000-3 0  9990
 2 25544  51.6400 100.0000 0001000 100.0000 100.0000 15.50000000    10"""
 
 
-def summed(line: str) -> str:
-    """A line of elements with its right checksum."""
-    return line[:68] + str(sum(int(c) if c in "0123456789" else c == "-" for c in line[:68]) % 10)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_two_line_elements_with_other_characters_are_read_or_refused_in_one_sentence(seed):
     """SGP4's own reader takes `1 5` for 1, and Python's `isdigit` a small ² for a digit."""
@@ -209,12 +205,12 @@ def test_two_line_elements_with_other_characters_are_read_or_refused_in_one_sent
 
 
 def one_pair_of_lines(rng):
-    first, second = (summed(line) for line in LINES.splitlines())
+    first, second = (with_check_digit(line) for line in LINES.splitlines())
     assert len(parse_elements(f"{first}\n{second}", "x")) == 1
     lines = [first, second]
     which, at = int(rng.integers(2)), int(rng.integers(2, 68))
     odd = str(rng.choice(list(" _.-+eE0\u00b2\u0663\uff11\u00e9x\u00a0,")))
-    lines[which] = summed(lines[which][:at] + odd + lines[which][at + 1 :])
+    lines[which] = with_check_digit(lines[which][:at] + odd + lines[which][at + 1 :])
     try:
         (found,) = parse_elements("\n".join(lines), "x")
     except InputError as error:
@@ -233,9 +229,9 @@ def one_pair_of_lines(rng):
 
 
 def test_an_angle_with_a_blank_inside_is_refused():
-    first, second = (summed(line) for line in LINES.splitlines())
+    first, second = (with_check_digit(line) for line in LINES.splitlines())
     with pytest.raises(InputError, match="columns are not those"):
-        parse_elements(f"{first}\n{summed(second.replace(' 51.6400', '5 1.6400'))}", "x")
+        parse_elements(f"{first}\n{with_check_digit(second.replace(' 51.6400', '5 1.6400'))}", "x")
 
 
 ROWS = [

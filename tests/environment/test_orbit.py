@@ -24,6 +24,7 @@ from sunspin.environment.ephemeris import read_orbit
 from sunspin.environment.field import field_map
 from sunspin.environment.light import REFLECTIVITY, albedo_light, covered_fraction, sunlit_fraction
 from sunspin.environment.orbit import SunAlongZ, in_orbit
+from tests.support.orbits import with_check_digit
 
 VANGUARD = """1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
 2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667
@@ -360,16 +361,10 @@ def test_the_nearest_elements_are_used_with_a_warning_if_they_are_old():
 
 
 def _line(text: str, old: str, new: str) -> str:
-    """Text in lines with their checksums made right again."""
+    """Text in lines with `old` replaced and the check digits of lines of 69 characters made right again."""
     lines = [line.replace(old, new) for line in text.splitlines()]
-    sums = [str(sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10) for line in lines]
-    return (
-        "\n".join(
-            line[:68] + sum_ if len(line) == 69 else line
-            for line, sum_ in zip(lines, sums, strict=True)
-        )
-        + "\n"
-    )
+    lines = [with_check_digit(line) if len(line) == 69 else line for line in lines]
+    return "\n".join(lines) + "\n"
 
 
 def _kvn(fields: dict) -> str:

@@ -36,8 +36,10 @@ def two_line_elements(rng: np.random.Generator) -> tuple[str, str]:
 
 
 def with_check_digit(line: str) -> str:
-    """Return the line of 68 characters with its check digit."""
-    return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
+    """Return the first 68 characters of a line, followed by their check digit."""
+    # digits in ASCII only: `isdigit` is true for a small ² too
+    digits = [int(c) if c in "0123456789" else int(c == "-") for c in line[:68]]
+    return line[:68] + str(sum(digits) % 10)
 
 
 def with_node_turned(second: str, by_deg: float) -> str:

@@ -124,15 +124,15 @@ def load_case(name: str, changes: Changes = None) -> Case:
             do=f"known: {', '.join(case_names())}",
         )
     folder = _root() / name
-    figures = folder / "published.toml"
-    text = figures.read_text("utf-8") if figures.is_file() else ""
+    figures_path = folder / "published.toml"
+    figures = figures_path.read_text("utf-8") if figures_path.is_file() else ""
     vehicle_changes, study_changes = split_changes(changes)
     return Case(
         name=name,
         folder=folder,
         vehicle=load_vehicle(name, vehicle_changes),
         timeline=_read_timeline_in(folder),
-        published=parse_published(text, str(figures)),
+        published=parse_published(figures, str(figures_path)),
         assumptions=read_assumptions(study_changes),
     )
 
@@ -177,8 +177,9 @@ def read_timeline(vehicle: object) -> Timeline | None:
     InputError
         The file is not a valid timeline.
     """
-    built_in = isinstance(vehicle, str) and vehicle in case_names()
-    return _read_timeline_in(_root() / str(vehicle) if built_in else Path(str(vehicle)).parent)
+    is_built_in = isinstance(vehicle, str) and vehicle in case_names()
+    folder = _root() / str(vehicle) if is_built_in else Path(str(vehicle)).parent
+    return _read_timeline_in(folder)
 
 
 def _read_timeline_in(folder: Path) -> Timeline | None:
@@ -223,5 +224,5 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
 
 
 def _root() -> Path:
-    """Return the folder that holds a folder for each built-in case."""
+    """Return the folder of the package that holds a folder for each built-in case."""
     return Path(str(resources.files("sunspin").joinpath("cases")))

@@ -17,6 +17,9 @@ from sunspin.vehicle import Vehicle
 KINDS = ("leg", "panel", "body")
 """Part to which a point of the shape belongs; a corner that panels share with the bare body counts as panel."""
 
+LEG, PANEL, BODY = range(3)
+"""Indices in `KINDS`."""
+
 COPLANAR = 1e-6
 """Two facets are one if their normals, and their distances over the size of the shape, differ by less than this."""
 
@@ -57,8 +60,13 @@ class Shape:
 
 
 def build_shape(vehicle: Vehicle) -> Shape | None:
-    """Return the shape of a vehicle, from the parts of its hull and the ends of its legs; None if the file gives neither."""
-    entries: dict[tuple, dict] = {}  # point -> leg and panels to which it belongs
+    """Return the shape of a vehicle, from the parts of its hull and the ends of its legs; None if the file gives neither.
+
+    Points that agree to 1e-9 m are one point, which can belong to a leg and to several panels.
+    """
+    entries: dict[
+        tuple, dict
+    ] = {}  # point -> number of its leg (-1: none), and numbers of its panels
     for part in vehicle.hull:
         for point in part.points_B_m:
             entry = entries.setdefault(tuple(np.round(point, 9)), {"leg": -1, "panels": set()})
@@ -73,7 +81,7 @@ def build_shape(vehicle: Vehicle) -> Shape | None:
     panels = np.zeros((len(points), len(vehicle.panels)), dtype=bool)
     for row, entry in zip(panels, entries.values(), strict=True):
         row[list(entry["panels"])] = True
-    kind = np.where(legs >= 0, 0, np.where(panels.any(axis=1), 1, 2))
+    kind = np.where(legs >= 0, LEG, np.where(panels.any(axis=1), PANEL, BODY))
     return Shape(points, kind, legs, panels, *_facets(points, kind), bool(vehicle.hull))
 
 
@@ -85,22 +93,25 @@ def _facets(
     All are None if the hull has no volume, or if the centre of mass (the origin) is not inside.
     """
     try:
-        equations = ConvexHull(
-            points
-        ).equations  # rows (normal, offset): normal . x + offset <= 0 inside
+        # rows (normal, offset) of each triangle: normal . x + offset <= 0 inside
+        equations = ConvexHull(points).equations
     except QhullError:
         return None, None, None
     size = np.linalg.norm(points, axis=1).max()
     if np.any(equations[:, 3] >= -COPLANAR * size):
         return None, None, None
-    # ConvexHull returns triangles: those in one plane are one facet
+    # triangles in one plane are one facet: their rows are equal in the grid of 10 COPLANAR
     _, first = np.unique(np.round(equations / COPLANAR / 10), axis=0, return_index=True)
     facets = equations[np.sort(first)]
     outward, distances = facets[:, :3], -facets[:, 3]
-    corners = np.abs(points @ outward.T - distances) < 100 * COPLANAR * size  # (point, facet)
-    facet_kind = [
-        0 if np.all(kind[own] == 0) else 1 if np.any(kind[own] == 1) else 2 for own in corners.T
-    ]
+    # points in the plane of a facet, with a margin of ten grid steps
+    is_corner = np.abs(points @ outward.T - distances) < 100 * COPLANAR * size  # (point, facet)
+    facet_kind = []
+    for corner_kinds in (kind[corners] for corners in is_corner.T):
+        if np.all(corner_kinds == LEG):
+            facet_kind.append(LEG)
+        else:
+            facet_kind.append(PANEL if np.any(corner_kinds == PANEL) else BODY)
     return outward, distances, np.array(facet_kind)
 
 
@@ -121,7 +132,8 @@ def support(points_B_m: np.ndarray, direction_B: np.ndarray) -> tuple[np.ndarray
 
 def is_leg_lowest(shape: Shape, up_B: np.ndarray) -> np.ndarray:
     """Return whether the lowest point of the shape is the end of a leg, for the ground's normal up_B (..., 3)."""
-    return shape.kind[support(shape.points_B_m, -up_B)[1]] == 0
+    _, lowest = support(shape.points_B_m, -up_B)
+    return shape.kind[lowest] == LEG
 
 
 def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
@@ -179,12 +191,15 @@ def first_contact(
     Samples must be so close that the vehicle rotates by a fraction of a radian in between.
     """
     rows = np.arange(len(up_B))
-    height = approach_m_s[:, None] * (t_s[-1] - t_s)
-    below = height <= support(shape.points_B_m, -up_B)[0]
-    after = np.maximum(np.argmax(below, axis=1), 1)
+    height = approach_m_s[:, None] * (t_s[-1] - t_s)  # of the centre of mass over the plane
+    reach, _ = support(
+        shape.points_B_m, -up_B
+    )  # depth of the lowest point below the centre of mass
+    # first sample (n) at which the lowest point is in or below the plane; the interval before it is searched
+    after = np.maximum(np.argmax(height <= reach, axis=1), 1)
     before = after - 1
     span = t_s[after] - t_s[before]
-    s = np.linspace(0.0, 1.0, REFINE + 1)[:, None]
+    s = np.linspace(0.0, 1.0, REFINE + 1)[:, None]  # share of the interval
     u0, u1 = up_B[rows, before][:, None], up_B[rows, after][:, None]
     w0, w1 = omega_B[rows, before][:, None], omega_B[rows, after][:, None]
     slope0, slope1 = (np.cross(u, w) * span[:, None, None] for u, w in ((u0, w0), (u1, w1)))

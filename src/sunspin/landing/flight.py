@@ -51,6 +51,8 @@ def fly(
 ) -> Track:
     """Propagate motions from `begin_s` and return them at `times_s`.
 
+    A motion that fails in one of the pieces between switches has the outcome of the first failure.
+
     Parameters
     ----------
     rows : Rows
@@ -72,7 +74,8 @@ def fly(
         values = run.momentum_B, run.sun_B, run.omega_B, run.wheel_speed_rad_s
         rows = Track(*values, outcome).at(-1)
         pieces.append([value[:, : len(wanted)] for value in values])
-    return Track(*(np.concatenate(piece, axis=1) for piece in zip(*pieces, strict=True)), outcome)
+    joined = (np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True))
+    return Track(*joined, outcome)
 
 
 def rz_time_shares(
@@ -80,19 +83,20 @@ def rz_time_shares(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the share of the time (n, bins) that r_z spends in each of `bins` equal bins of [-1, 1], and the outcome (n).
 
-    `rows` are the initial states (n) at `begin_s`.
+    `rows` are the initial states (n) at `begin_s`. The outcome is that of the first failure, as in :func:`fly`.
     """
-    total, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
+    shares, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in split_at_switches(schedule, begin_s, end_s):
         result = run_rows(
             vehicle, rows, end - begin, wheel_mode=command, emd_error=EMD_ERROR, bins=bins
         )
         seconds = result.hist.astype(np.float64)
-        total += seconds / seconds.sum(axis=1, keepdims=True) * ((end - begin) / (end_s - begin_s))
+        weight = (end - begin) / (end_s - begin_s)
+        shares += seconds / seconds.sum(axis=1, keepdims=True) * weight
         outcome = np.where(outcome == 0, result.outcome, outcome)
-        if end != end_s:
+        if end != end_s:  # the next interval begins with the states at the switch
             rows = fly(vehicle, rows, ((begin, command),), begin, np.array([end])).at(-1)
-    return total, outcome
+    return shares, outcome
 
 
 def _unit(vector: np.ndarray, smallest: float = 0.0) -> np.ndarray:
@@ -122,17 +126,22 @@ def transfer_directions(
         NaN if momentum and Sun are parallel.
     """
 
-    def triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
-        """Return the orthonormal triads (..., 3, 3) of momentum and Sun; the rows are unit vectors in body axes."""
-        first = _unit(momentum_B)
-        third = _unit(np.cross(first, sun_B), smallest=1e-6)
-        return np.stack([first, np.cross(third, first), third], axis=-2)
-
     # components in the triad, which is fixed in space, are the same at start and end
-    fixed = np.einsum("nij,...nj->...ni", triad(*start), direction_B)
-    frames = triad(*end)
-    fixed = fixed.reshape(*fixed.shape[:-1], *(1,) * (frames.ndim - 3), 3)
-    return sum((fixed[..., i, None] * frames[..., i, :] for i in range(3)), np.zeros(3))
+    components = np.einsum("nij,...nj->...ni", _momentum_sun_triad(*start), direction_B)
+    triads = _momentum_sun_triad(*end)
+    # an axis of length 1 for each axis that only the end has, such as the instants
+    components = components.reshape(*components.shape[:-1], *(1,) * (triads.ndim - 3), 3)
+    return sum((components[..., i, None] * triads[..., i, :] for i in range(3)), np.zeros(3))
+
+
+def _momentum_sun_triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
+    """Return the orthonormal triads (..., 3, 3) of momentum and Sun; the rows are unit vectors in body axes.
+
+    They are the momentum, the part of the Sun at right angles to it, and their normal; NaN if the two are parallel.
+    """
+    first = _unit(momentum_B)
+    third = _unit(np.cross(first, sun_B), smallest=1e-6)
+    return np.stack([first, np.cross(third, first), third], axis=-2)
 
 
 def angle_about(
@@ -142,10 +151,11 @@ def angle_about(
 
     The angle about the axis is counted from the direction `zero` (n, 3). NaN if a vector has no length.
     """
-    along = _unit(axis)
-    cosine = np.sum(_unit(vector) * along, axis=-1)
-    side = np.sum(along * np.cross(zero, vector), axis=-1)
-    ahead = np.sum(zero * vector, axis=-1) - np.sum(zero * along, axis=-1) * np.sum(
-        vector * along, axis=-1
+    unit_axis = _unit(axis)
+    cosine = np.sum(_unit(vector) * unit_axis, axis=-1)
+    # cross and scalar product of the parts of `zero` and `vector` at right angles to the axis: sine and cosine of the angle
+    sine_part = np.sum(unit_axis * np.cross(zero, vector), axis=-1)
+    cosine_part = np.sum(zero * vector, axis=-1) - np.sum(zero * unit_axis, axis=-1) * np.sum(
+        vector * unit_axis, axis=-1
     )
-    return np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan2(side, ahead)
+    return np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan2(sine_part, cosine_part)

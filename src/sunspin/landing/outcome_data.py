@@ -65,7 +65,8 @@ def outcome_dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Data
     data = {}
     for name, array in values.items():
         _, units, text = VARIABLES[name]
-        dims = ("run", *filter(None, [extra_dimension(name)]))
+        extra = extra_dimension(name)
+        dims = ("run",) if extra is None else ("run", extra)
         data[name] = (dims, array, {"units": units, "long_name": text})
     edges = np.linspace(-1.0, 1.0, BINS + 1)
     rz = {"units": "1", "long_name": "middle of the bin of r_z"}
@@ -88,8 +89,8 @@ def outcome_dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Data
         coords["facet_kind"] = ("facet", kinds[shape.facet_kind])
     result = xr.Dataset(data, coords)
     result["outcome"].attrs |= {
-        "flag_values": [int(o) for o in Outcome],
-        "flag_meanings": " ".join(o.name.lower() for o in Outcome),
+        "flag_values": [int(code) for code in Outcome],
+        "flag_meanings": " ".join(code.name.lower() for code in Outcome),
     }
     return result.assign_attrs(
         provenance("outcomes", **vehicle.result_attributes)
@@ -101,14 +102,17 @@ def outcome_dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Data
             "vertical": possible_verticals(vehicle, scenario.vertical)[1],
             "candidates": len(rows.candidates),
             "not_told": " ".join(_explain_missing(rows, values)),
-            "not_computed": "; ".join(f"{int(o)}: {OUTCOME_TEXT[o]}" for o in Outcome),
+            "not_computed": "; ".join(f"{int(code)}: {OUTCOME_TEXT[code]}" for code in Outcome),
             "source": "paper, sections 3.3 and 4; distributions of what is not known: sunspin.landing.scenario",
         }
     )
 
 
 def _explain_missing(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterator[str]:
-    """Yield a sentence for each quantity that cannot be computed for this vehicle file, or in some runs."""
+    """Yield a sentence for each quantity that cannot be computed for this vehicle file, or in some runs.
+
+    `values` are those of :func:`outcome_dataset`.
+    """
     vehicle, shape = rows.vehicle, rows.shape
     if rows.scenario.collision_speed_m_s is None:
         yield "There is no collision in this scenario, so none is reported."
@@ -132,13 +136,14 @@ def _explain_missing(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterat
         yield "Without legs in the vehicle file no speed of a leg's end is reported."
     if vehicle.antenna is None:
         yield "Without an antenna in the vehicle file it is unknown whether the orbiter is in its cone."
-    lost = (
+    # computed runs without a first contact, or without visibility of the antenna if no contact is computed
+    missing_in = (
         values["contact_point"] < 0
         if rows.lands
         else np.isnan(values["antenna_share"]) & (vehicle.antenna is not None)
     )
-    if count := int(np.count_nonzero(lost & (values["outcome"] == 0))):
+    if count := int(np.count_nonzero(missing_in & (values["outcome"] == 0))):
         yield (
-            f"In {count} of {len(lost)} runs momentum and Sun were parallel at a time: how far the vehicle is turned about them is "
-            "not known then, so first contact, antenna and rest are not reported."
+            f"In {count} of {len(missing_in)} runs momentum and Sun were parallel at a time: how far the vehicle is turned "
+            "about them is not known then, so first contact, antenna and rest are not reported."
         )

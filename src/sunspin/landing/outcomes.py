@@ -72,11 +72,11 @@ def read_candidates(vehicle: Vehicle, given: Any, scenario: Scenario) -> tuple[R
     InputError
         An array has the wrong shape, or a rate is not finite.
     """
-    held = given if isinstance(given, xr.Dataset) else {"omega_B": given}
+    fields = given if isinstance(given, xr.Dataset) else {"omega_B": given}
     try:
-        omega = np.atleast_2d(np.asarray(held["omega_B"], dtype=np.float64))
+        omega = np.atleast_2d(np.asarray(fields["omega_B"], dtype=np.float64))
     except (KeyError, TypeError, ValueError):
-        omega = np.zeros(0)
+        omega = np.zeros(0)  # refused below
     if omega.shape[1:] != (3,) or len(omega) == 0 or not np.all(np.isfinite(omega)):
         what = "candidates must be rates (m, 3) in rad/s, finite"
         raise InputError(what, got=f"shape {omega.shape}")
@@ -87,17 +87,19 @@ def read_candidates(vehicle: Vehicle, given: Any, scenario: Scenario) -> tuple[R
         "wheel_speed_rad_s": np.tile(nominal, (m, 1)),
         "log_weight": np.zeros(m),
     }
-    sun, speeds, weight = (
-        np.asarray(held[name] if name in held else values, dtype=np.float64)
+    sun, speeds, log_weight = (
+        np.asarray(fields[name] if name in fields else values, dtype=np.float64)
         for name, values in default.items()
     )
-    shapes, expected = (sun.shape, speeds.shape, weight.shape), ((m, 3), (m, len(nominal)), (m,))
-    if shapes != expected or not np.any(np.isfinite(weight)):
+    shapes = sun.shape, speeds.shape, log_weight.shape
+    expected = (m, 3), (m, len(nominal)), (m,)
+    if shapes != expected or not np.any(np.isfinite(log_weight)):
         what = f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {expected}"
         raise InputError(what, got=shapes)
-    likely = np.nan_to_num(np.exp(weight - np.nanmax(weight)))
+    # relative to the largest, so that exp does not overflow; a weight of NaN is a probability of zero
+    probability = np.nan_to_num(np.exp(log_weight - np.nanmax(log_weight)))
     states = Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
-    return states, likely / likely.sum()
+    return states, probability / probability.sum()
 
 
 def collide(
@@ -105,7 +107,8 @@ def collide(
 ) -> tuple[np.ndarray, xr.Dataset]:
     """Return the leg that hits in each run (n), drawn at random, and the :func:`sunspin.impact` of it (paper, eqs. 8 to 11).
 
-    `before` are the states (n) just before the collision, `mode` is the command of the wheels.
+    `before` are the states (n) just before the collision, `mode` is the command of the wheels. The velocity (body axes) is of the
+    scenario's speed, in a direction that `draw` takes from the hemisphere around `collision_axis_B`.
     """
     leg = (draw["leg"] * len(vehicle.legs)).astype(int)
     axis = np.tile(scenario.collision_axis_B, (len(leg), 1))
@@ -163,14 +166,18 @@ class OutcomeRows:
     def approach_s(self) -> float:
         """Duration (s) of the last metres, in which a point may touch the ground before the centre of mass would.
 
-        It is that of the flattest landing (`STEEPEST_SINE`) and of the point farthest from the centre of mass.
+        It is that of the flattest landing (`STEEPEST_SINE`) and of the point farthest from the centre of mass, with a margin of
+        2 % and 1 s.
         """
         reach = 0.0 if self.shape is None else self.shape.reach_m
         return 1.02 * reach / (STEEPEST_SINE * self.scenario.landing_speed_m_s) + 1.0
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Return name of `VARIABLES` -> values (n, ...) of the runs with the numbers `index` (n)."""
-        s, draw = self.scenario, draw_uniform(self.seed, index)
+        """Return name of `VARIABLES` -> values (n, ...) of the runs with the numbers `index` (n).
+
+        Runs that could not be computed have only `candidate` and `outcome`; the other values are missing.
+        """
+        scenario, draw = self.scenario, draw_uniform(self.seed, index)
         out = {
             name: np.full((len(index), *shape), _missing_value(dtype), dtype)
             for name, (dtype, shape) in self.outputs.items()
@@ -185,37 +192,44 @@ class OutcomeRows:
 
         after, impulse_B = before, None
         if self.collides:
-            mode = command_at(self.strategy.schedule, s.collision_s)
-            out["leg"][:], hit = collide(self.vehicle, s, draw, before, mode)
+            mode = command_at(self.strategy.schedule, scenario.collision_s)
+            out["leg"][:], hit = collide(self.vehicle, scenario, draw, before, mode)
             impulse_B = hit["impulse_B"].values
             after = Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values)
-            size = np.linalg.norm(impulse_B, axis=1)
-            out["velocity_change"][:] = size / self.vehicle.require_mass()
+            impulse = np.linalg.norm(impulse_B, axis=1)
+            out["velocity_change"][:] = impulse / self.vehicle.require_mass()
             out["speed_after"][:] = np.linalg.norm(hit["velocity_B"].values, axis=1)
             out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
-        momenta = [
+        momentum_touchdown, momentum_before, momentum_after = (
             total_momentum(self.vehicle, state.omega_B, state.wheel_speed_rad_s)
             for state in (touchdown, before, after)
-        ]
-        out["momentum_before"][:] = np.linalg.norm(momenta[1], axis=1)
-        out["momentum_after"][:] = np.linalg.norm(momenta[2], axis=1)
+        )
+        out["momentum_before"][:] = np.linalg.norm(momentum_before, axis=1)
+        out["momentum_after"][:] = np.linalg.norm(momentum_after, axis=1)
 
         # vertical and orbiter are drawn at the touchdown, and then needed in body axes at the collision
         up = self.verticals[(draw["vertical"] * len(self.verticals)).astype(int)]
-        if isinstance(s.orbiter, str):
+        if isinstance(scenario.orbiter, str):
+            # uniform over a sphere: the cosine to the vertical is uniform in [0, 1] or [-1, 1]
             polar = draw["orbiter_polar"]
-            cosine = polar if s.orbiter == "above_horizon" else 2 * polar - 1
+            cosine = polar if scenario.orbiter == "above_horizon" else 2 * polar - 1
             orbiter = directions_at_angle(up, cosine, draw["orbiter_azimuth"])
         else:
-            orbiter = np.tile(np.array(s.orbiter, float) / np.linalg.norm(s.orbiter), (len(up), 1))
-        ends = (momenta[0], touchdown.sun_B), (momenta[1], before.sun_B)
-        fixed = transfer_directions(np.stack([up, orbiter]), *ends)
+            given = np.array(scenario.orbiter, dtype=float)
+            orbiter = np.tile(given / np.linalg.norm(scenario.orbiter), (len(up), 1))
+        up_and_orbiter = transfer_directions(
+            np.stack([up, orbiter]),
+            (momentum_touchdown, touchdown.sun_B),
+            (momentum_before, before.sun_B),
+        )
         if impulse_B is not None:
             out["change_to_sun"][:], out["change_about_sun"][:] = angle_about(
-                impulse_B, before.sun_B, fixed[0]
+                impulse_B, before.sun_B, up_and_orbiter[0]
             )
 
-        failed = self._propagate_to_landing(after, momenta[2], fixed, draw, out, failed)
+        failed = self._propagate_to_landing(
+            after, momentum_after, up_and_orbiter, draw, out, failed
+        )
         for name, values in out.items():
             if name != "candidate":
                 values[failed != 0] = _missing_value(values.dtype)
@@ -225,35 +239,38 @@ class OutcomeRows:
     def _propagate_to_collision(self, start: Rows) -> tuple[Rows, Rows, np.ndarray]:
         """Return the states of candidates (n) at the touchdown and just before the collision, and the outcome (n).
 
-        Candidates that fail continue from a finite state; their runs are blanked at the end.
+        `start` has their states at the instant of the candidates. Candidates that fail continue from there, with finite numbers;
+        their runs are marked as missing at the end.
         """
-        s, states, failed = self.scenario, [start], np.zeros(len(start), dtype=np.int64)
+        lead_s, collision_s = self.scenario.lead_s, self.scenario.collision_s
+        states, failed = [start], np.zeros(len(start), dtype=np.int64)
         # back to the touchdown, then forward to the collision
         back = ((-np.inf, mode_before(start.wheel_speed_rad_s)),)
         for schedule, begin, end in (
-            (back, s.lead_s, 0.0),
-            (self.strategy.schedule, 0.0, s.collision_s),
+            (back, lead_s, 0.0),
+            (self.strategy.schedule, 0.0, collision_s),
         ):
             if begin == end:
                 states.append(states[-1])
                 continue
             track = fly(self.vehicle, states[-1], schedule, begin, np.array([end]))
             failed = np.where(failed == 0, track.outcome, failed)
-            use, at_end = (failed == 0)[:, None], track.at(0)
+            computed, at_end = (failed == 0)[:, None], track.at(0)
             states.append(
                 Rows(
-                    np.where(use, at_end.omega_B, start.omega_B),
-                    np.where(use, at_end.sun_B, start.sun_B),
-                    np.where(use, at_end.wheel_speed_rad_s, start.wheel_speed_rad_s),
+                    np.where(computed, at_end.omega_B, start.omega_B),
+                    np.where(computed, at_end.sun_B, start.sun_B),
+                    np.where(computed, at_end.wheel_speed_rad_s, start.wheel_speed_rad_s),
                 )
             )
-        return states[1], states[2], failed
+        _, touchdown, before_collision = states
+        return touchdown, before_collision, failed
 
     def _propagate_to_landing(
         self,
         start: Rows,
         momentum: np.ndarray,
-        fixed: np.ndarray,
+        up_and_orbiter: np.ndarray,
         draw: Draws,
         out: dict[str, np.ndarray],
         failed: np.ndarray,
@@ -264,86 +281,96 @@ class OutcomeRows:
         ----------
         start : Rows
             States (n) just after the collision; `momentum` (n, 3) is their total angular momentum.
-        fixed : (2, n, 3)
-            Vertical and direction to the orbiter, body axes at the collision.
+        up_and_orbiter : (2, n, 3)
+            Vertical and direction to the orbiter, which are fixed in space; body axes at the collision.
         failed : (n)
             Outcome so far: not 0 for runs that could not be computed.
         """
-        s, schedule = self.scenario, self.strategy.schedule
+        scenario, schedule = self.scenario, self.strategy.schedule
         out["rz_share"][:], outcome = rz_time_shares(
-            self.vehicle, start, schedule, s.collision_s, s.landing_s, BINS
+            self.vehicle, start, schedule, scenario.collision_s, scenario.landing_s, BINS
         )
         failed = np.where(failed == 0, outcome, failed)
-        flight = s.collision_s + s.after_s * (np.arange(FLIGHT_SAMPLES) + 0.5) / FLIGHT_SAMPLES
+        # middles of equal intervals of the flight, and the samples of the last metres
+        flight = (
+            scenario.collision_s
+            + scenario.after_s * (np.arange(FLIGHT_SAMPLES) + 0.5) / FLIGHT_SAMPLES
+        )
         approach = self._approach_times() if self.lands else flight[-1:]
         times = np.unique(np.concatenate([flight, approach]))
-        track = fly(self.vehicle, start, schedule, s.collision_s, times)
+        track = fly(self.vehicle, start, schedule, scenario.collision_s, times)
         failed = np.where(failed == 0, track.outcome, failed)
         # vertical and orbiter in body axes (2, n, n_t, 3); NaN if momentum and Sun are parallel
-        ends = (momentum, start.sun_B), (track.momentum_B, track.sun_B)
-        directions = transfer_directions(fixed, *ends)
+        directions = transfer_directions(
+            up_and_orbiter, (momentum, start.sun_B), (track.momentum_B, track.sun_B)
+        )
         known = (failed == 0) & np.isfinite(directions).all(axis=(0, 2, 3))
         if self.vehicle.antenna is not None:
             in_cone = _is_in_cone(self.vehicle.antenna, directions[1][:, np.isin(times, flight)])
             out["antenna_share"][:] = np.where(known, in_cone.mean(axis=1), np.nan)
         if not self.lands:
             return failed
-        last = np.isin(times, approach)
-        omega_B, step_s = track.omega_B[:, last], approach[1] - approach[0]
+        in_approach = np.isin(times, approach)
+        omega_B, step_s = track.omega_B[:, in_approach], approach[1] - approach[0]
         angle = np.linalg.norm(omega_B[known], axis=2).max(axis=1) * step_s
         # runs that rotate too far between samples are repeated with 2^level times as many samples
         levels = np.zeros(len(failed), dtype=int)
         levels[known] = np.ceil(np.log2(np.maximum(angle / APPROACH_TURN_RAD, 1.0)))
         usual = np.flatnonzero(known & (levels == 0))
-        usual_directions = directions[:, usual][:, :, last]
+        usual_directions = directions[:, usual][:, :, in_approach]
         self._write_contact(usual, approach, usual_directions, omega_B[usual], draw, out)
         for level in np.unique(levels[levels > 0]).tolist():
-            fast, size = np.flatnonzero(levels == level), max(CHUNK >> level, 1)
+            fast = np.flatnonzero(levels == level)
+            # fewer runs at a time, so that more samples need no more memory than a chunk of usual ones
+            size = max(CHUNK >> level, 1)
             times = self._approach_times(level)
-            for first in range(0, len(fast), size):  # no more memory than a chunk of usual samples
+            for first in range(0, len(fast), size):
                 rows = fast[first : first + size]
                 states = start.take(rows)
-                track = fly(self.vehicle, states, schedule, s.collision_s, times)
+                track = fly(self.vehicle, states, schedule, scenario.collision_s, times)
                 failed[rows] = np.where(failed[rows] == 0, track.outcome, failed[rows])
-                ends = (momentum[rows], states.sun_B), (track.momentum_B, track.sun_B)
-                directions = transfer_directions(fixed[:, rows], *ends)
+                directions = transfer_directions(
+                    up_and_orbiter[:, rows],
+                    (momentum[rows], states.sun_B),
+                    (track.momentum_B, track.sun_B),
+                )
                 self._write_contact(rows, times, directions, track.omega_B, draw, out)
         return failed
 
     def _approach_times(self, level: int = 0) -> np.ndarray:
-        """Return the instants (s) of the last metres, 2^level times as close as usual."""
+        """Return the instants (s from the touchdown) of the last metres, up to the landing, 2^level times as close as usual."""
         usual = min(int(np.ceil(self.approach_s / APPROACH_STEP_S)), MAX_APPROACH_SAMPLES)
-        count = usual * 2**level
-        return self.scenario.landing_s - self.approach_s * np.arange(count, -1, -1) / count
+        intervals = usual * 2**level
+        return self.scenario.landing_s - self.approach_s * np.arange(intervals, -1, -1) / intervals
 
     def _write_contact(
         self,
         rows: np.ndarray,
-        t: np.ndarray,
+        t_s: np.ndarray,
         directions: np.ndarray,
-        omega: np.ndarray,
+        omega_B: np.ndarray,
         draw: Draws,
         out: dict[str, np.ndarray],
     ) -> None:
-        """Write first contact and rest of some runs into `out`.
+        """Write first contact and rest of some runs into `out`; nothing without runs or without a shape.
 
         Parameters
         ----------
         rows : (n)
             Numbers of the runs in `draw` and `out`.
-        t : (n_t), s
+        t_s : (n_t)
         directions : (2, n, n_t, 3)
             Vertical and direction to the orbiter, body axes.
-        omega : (n, n_t, 3), rad/s
+        omega_B : (n, n_t, 3), rad/s
         """
         shape, antenna, legs = self.shape, self.vehicle.antenna, self.vehicle.legs
         if not len(rows) or shape is None:
             return
         (up, orbiter), speed = directions, self.scenario.landing_speed_m_s
         # Cosine law: a plane of any direction is hit in proportion to the area it shows, so that the square of the sine of the
-        # velocity above the plane is uniform.
+        # velocity above the plane (normal speed over speed) is uniform.
         sine = np.sqrt(STEEPEST_SINE**2 + (1 - STEEPEST_SINE**2) * draw["incidence"][rows])
-        contact = first_contact(shape, t, up, omega, speed * sine)
+        contact = first_contact(shape, t_s, up, omega_B, speed * sine)
         velocity = speed * directions_at_angle(-contact.up_B, sine, draw["heading"][rows])
         point = shape.points_B_m[contact.point]
         over_ground = velocity + np.cross(contact.omega_B, point)
@@ -357,19 +384,20 @@ class OutcomeRows:
             rate = np.linalg.norm(contact.omega_B, axis=1)
             out["leg_tip_bound"][rows] = speed + rate * np.linalg.norm(tips, axis=1).max()
         # direction to the orbiter at the contact, interpolated linearly between samples
-        i, after = np.arange(len(rows)), np.clip(np.searchsorted(t, contact.t_s), 1, len(t) - 1)
-        part = ((contact.t_s - t[after - 1]) / (t[after] - t[after - 1]))[:, None]
-        towards = (1 - part) * orbiter[i, after - 1] + part * orbiter[i, after]
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        i = np.arange(len(rows))
+        after = np.clip(np.searchsorted(t_s, contact.t_s), 1, len(t_s) - 1)
+        share = ((contact.t_s - t_s[after - 1]) / (t_s[after] - t_s[after - 1]))[:, None]
+        orbiter_at_contact = (1 - share) * orbiter[i, after - 1] + share * orbiter[i, after]
+        orbiter_at_contact /= np.linalg.norm(orbiter_at_contact, axis=1, keepdims=True)
         if antenna is not None:
-            out["antenna_at_contact"][rows] = _is_in_cone(antenna, towards)
+            out["antenna_at_contact"][rows] = _is_in_cone(antenna, orbiter_at_contact)
         if shape.outward_B is not None and shape.complete:
             facet = rest_facet(shape, contact.up_B)
             out["rest_facet"][rows] = facet
             if antenna is not None:
                 # the vertical, which was up_B at the contact, is opposite to the facet's outward normal at rest
                 up_at_rest = -shape.outward_B[facet]
-                orbiter_at_rest = rotate_by_smallest(contact.up_B, up_at_rest, towards)
+                orbiter_at_rest = rotate_by_smallest(contact.up_B, up_at_rest, orbiter_at_contact)
                 out["antenna_at_rest"][rows] = _is_in_cone(antenna, orbiter_at_rest)
 
 

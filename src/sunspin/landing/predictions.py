@@ -82,19 +82,19 @@ def predict_through_collision(
         Over `predicted_s`, as of `predict`, with the coordinate `after_collision (predicted_s)`. ``attrs["collision"]`` states in
         words how the collision was drawn.
     """
-    first = float(tree.attrs["t_first_s"])
-    times = checked_times(times_s, first)
+    t_first_s = float(tree.attrs["t_first_s"])  # the draws are states at this time
+    times = checked_times(times_s, t_first_s)
     impact_s = collision_time_s(vehicle, tree.attrs.get("epoch_utc"), timeline)
     unknown, rows = drawn_rows(vehicle, tree)
-    mode, parts, description = unknown.wheel_mode, [], "none: free motion throughout"
+    mode = unknown.wheel_mode
+    description = "none: free motion throughout" if impact_s is None else "later than all times"
     later = np.zeros(times.size, dtype=bool) if impact_s is None else times > impact_s
+    parts = []
     if not later.all():
-        run = run_to(vehicle, rows, times[~later] - first, mode, workers)
-        parts.append(predictions(unknown, rows, run, times[~later]))
-    if impact_s is not None:
-        description = "later than all times"
+        motion = run_to(vehicle, rows, times[~later] - t_first_s, mode, workers)
+        parts.append(predictions(unknown, rows, motion, times[~later]))
     if impact_s is not None and later.any():
-        at_impact = run_to(vehicle, rows, [impact_s - first], mode, workers)
+        at_impact = run_to(vehicle, rows, [impact_s - t_first_s], mode, workers)
         # a draw whose motion could not be computed goes through the impact with finite numbers, and is NaN afterwards
         computed = np.all(np.isfinite(at_impact["omega_B"]), axis=(1, 2))
         before = Rows(
@@ -111,11 +111,15 @@ def predict_through_collision(
         bodies = replace(bodies, steady_N_m=np.zeros_like(bodies.steady_N_m))
         speeds = hit["wheel_speed_rad_s"].values
         after = Rows(hit["omega_B"].values, before.sun_B, speeds, bodies)
-        run = run_to(vehicle, after, times[later] - impact_s, mode, workers)
-        run = {name: np.where(computed[:, None, None], x, np.nan) for name, x in run.items()}
-        parts.append(predictions(unknown, after, run, times[later]))
-        action = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
-        action = "sticks for an instant" if collision == STICKS else action
+        motion = run_to(vehicle, after, times[later] - impact_s, mode, workers)
+        motion = {
+            name: np.where(computed[:, None, None], values, np.nan)
+            for name, values in motion.items()
+        }
+        parts.append(predictions(unknown, after, motion, times[later]))
+        action = "sticks for an instant"
+        if collision != STICKS:
+            action = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
         description = (
             f"a leg drawn at random {action}, the centre of mass at {scenario.collision_speed_m_s:g} m/s in any direction with a "
             "part along -z"
@@ -130,7 +134,7 @@ def predict_through_collision(
 def add_predictions(
     vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], *options: Any
 ) -> None:
-    """Add the group `predictions` of :func:`predict_through_collision` to a posterior.
+    """Add the group `predictions` of :func:`predict_through_collision` to a posterior, in place.
 
     Parameters
     ----------
@@ -139,7 +143,7 @@ def add_predictions(
     *options
         `seed`, `timeline` and so on of `predict_through_collision`, in its order.
     """
-    at_times = predict_through_collision(vehicle, tree, list(times), *options)
+    predicted = predict_through_collision(vehicle, tree, list(times), *options)
     tree["predictions"] = xr.DataTree(
-        at_times.assign_coords(asked=("predicted_s", list(times.values())))
+        predicted.assign_coords(asked=("predicted_s", list(times.values())))
     )

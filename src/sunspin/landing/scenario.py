@@ -58,8 +58,7 @@ class Scenario:
         direction. The rotation of a celestial body during the flight (67P: 54 degrees in 111 min) is neglected: no frame kernel
         gives its axis in the body frame, and the default distribution is far wider.
     orbiter : direction to the orbiter, fixed in space, body axes at the touchdown: "above_horizon" of the touchdown, "any", or
-    three
-        numbers.
+        three numbers.
     """
 
     sun_B: tuple[float, ...]
@@ -77,6 +76,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         for name in ("sun_B", "wheel_speed_rad_s", "collision_axis_B"):
+            # the class is frozen
             object.__setattr__(self, name, tuple(float(x) for x in np.ravel(getattr(self, name))))
         axis = np.array(self.collision_axis_B)
         if len(self.sun_B) != 3 or not abs(np.linalg.norm(self.sun_B) - 1) < 1e-2:
@@ -86,10 +86,10 @@ class Scenario:
             raise InputError(what, got=self.collision_axis_B)
         object.__setattr__(self, "collision_axis_B", tuple(axis / np.linalg.norm(axis)))
         if isinstance(self.orbiter, str):
-            known = self.orbiter in ("above_horizon", "any")
+            is_valid = self.orbiter in ("above_horizon", "any")
         else:
-            known = np.shape(self.orbiter) == (3,) and np.linalg.norm(self.orbiter) > 0
-        if not known:
+            is_valid = np.shape(self.orbiter) == (3,) and np.linalg.norm(self.orbiter) > 0
+        if not is_valid:
             what = 'orbiter must be "above_horizon", "any" or three numbers'
             raise InputError(what, got=self.orbiter)
         for name in ("restitution", "damper"):
@@ -174,6 +174,9 @@ def _build_case_scenario(case: Case, **fields: Any) -> Scenario:
 def build_scenario(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scenario:
     """Return the scenario of a vehicle from the fields that are given, and otherwise from its case or timeline.
 
+    A vehicle with the name of a built-in case has that case's scenario, with the times of its own timeline if it has one. Any
+    other vehicle has the times between those events of `TIMES` that its timeline has, and the defaults of `Scenario`.
+
     Parameters
     ----------
     vehicle : str
@@ -191,16 +194,18 @@ def build_scenario(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Sc
     if case is not None and case.timeline is not None:
         case = replace(case, vehicle=craft, timeline=timeline or case.timeline)
         return replace(case_scenario(case), **given)
-    known: dict[str, Any] = {"wheel_speed_rad_s": [wheel.speed_rad_s for wheel in craft.wheels]}
+    fields: dict[str, Any] = {"wheel_speed_rad_s": [wheel.speed_rad_s for wheel in craft.wheels]}
     if timeline is not None:
-        named = {event.name for event in timeline.events}
-        known |= {k: timeline.seconds(*ends) for k, ends in TIMES.items() if named.issuperset(ends)}
-    known |= given
+        events = {event.name for event in timeline.events}
+        fields |= {
+            key: timeline.seconds(*ends) for key, ends in TIMES.items() if events.issuperset(ends)
+        }
+    fields |= given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
-        if key not in known:
+        if key not in fields:
             do = f"no times and directions are known of {craft.name!r}"
             raise InputError(f"{option} is missing", do=do)
-    return Scenario(**known)
+    return Scenario(**fields)
 
 
 @dataclass(frozen=True)
@@ -227,7 +232,7 @@ def parse_strategy(vehicle: Vehicle, given: Any) -> Strategy:
     Raises
     ------
     InputError, MotionError
-        The name is unknown, the delay is not a positive number, or the vehicle does not have the brake.
+        The name is unknown, the delay is negative or not a number, or the vehicle does not have the brake.
     """
     if isinstance(given, Strategy):
         strategy = given
@@ -250,7 +255,7 @@ def parse_strategy(vehicle: Vehicle, given: Any) -> Strategy:
 
 def delayed_switch_off(delay_s: float) -> Strategy:
     """Return the strategy that holds the wheels' speed from the touchdown on and switches them off `delay_s` later."""
-    if delay_s == 0:
+    if delay_s == 0:  # a schedule has one command at a time
         return Strategy("delay:0", NAMED_STRATEGIES["off"])
     return Strategy(f"delay:{delay_s:g}", ((0.0, "hold"), (float(delay_s), "coast")))
 
@@ -279,7 +284,7 @@ def possible_verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
     away_from_legs = (
         -np.sum([leg.tip_B_m for leg in vehicle.legs], axis=0) if vehicle.legs else np.zeros(3)
     )
-    up = np.array([0.0, 0.0, 1.0])
+    up = np.array([0.0, 0.0, 1.0])  # without legs
     if away_from_legs.any():
         up = away_from_legs / np.linalg.norm(away_from_legs)
     if isinstance(wanted, str) and wanted == "any":
@@ -288,6 +293,7 @@ def possible_verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
         if not vehicle.legs or shape is None:
             return everywhere, "every direction (the vehicle has no legs)"
         if not shape.complete:
+            # which part is lowest is not known; a lander stands on its legs
             words = "every direction on the legs' side (no hull is given)"
             return everywhere[everywhere @ up > 0], words
         allowed = everywhere[is_leg_lowest(shape, everywhere)]
@@ -323,10 +329,11 @@ def _draw_run(seed: int, i: int) -> np.ndarray:
 def directions_at_angle(
     axis_B: np.ndarray, cosine: np.ndarray, revolutions: np.ndarray
 ) -> np.ndarray:
-    """Return unit vectors (n, 3) at the angle with this `cosine` (n) from an axis (n, 3).
+    """Return unit vectors (n, 3) at the angle with this `cosine` (n) from an axis (unit vectors, n, 3).
 
     `revolutions` (n) is the angle about the axis, from 0 to 1; its zero is arbitrary.
     """
+    # a direction that is not along the axis gives two vectors at right angles to it
     helper = np.where(np.abs(axis_B[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(axis_B, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -59,36 +59,48 @@ def compare(
     dict
         Name of each strategy -> its runs.
     """
-    runs, store = dict[str, xr.Dataset](), options.pop("store", None)
-    flown = dict[
-        str, xr.Dataset
-    ]()  # schedule -> runs: two strategies may differ on the ground only
+    store = options.pop("store", None)
+    runs: dict[str, xr.Dataset] = {}  # by the name of the strategy
+    runs_of_schedule: dict[str, xr.Dataset] = {}  # two strategies may differ on the ground only
     for strategy in [parse_strategy(vehicle, each) for each in strategies]:
         name, schedule = strategy.name, repr(strategy.schedule)
-        if schedule not in flown:
-            own = None if store is None else Path(store) / name.replace(":", "-")
-            about: dict[str, Any] = {"scenario": scenario, "store": own, **options}
-            flown[schedule] = outcomes(vehicle, candidates, strategy, n, seed, **about)
-        runs[name] = flown[schedule].assign_attrs(strategy=name)
+        if schedule not in runs_of_schedule:
+            folder = None if store is None else Path(store) / name.replace(":", "-")
+            runs_of_schedule[schedule] = outcomes(
+                vehicle,
+                candidates,
+                strategy,
+                n,
+                seed,
+                scenario=scenario,
+                store=folder,
+                **options,
+            )
+        runs[name] = runs_of_schedule[schedule].assign_attrs(strategy=name)
         outcome = runs[name]["outcome"].values
         if np.all(outcome != 0):
             why = "; ".join(OUTCOME_TEXT[Outcome(code)] for code in np.unique(outcome))
             raise InputError(f"no run of the strategy {name!r} could be computed", got=why)
-    each, tallies = [per_run(x) for x in runs.values()], [tally(x) for x in runs.values()]
+    values = [per_run(of_strategy) for of_strategy in runs.values()]
+    tallies = [tally(of_strategy) for of_strategy in runs.values()]
+    # the quantities that are known for the first strategy
     quantities, unknown = list(tallies[0]), Estimate(np.nan, np.nan)
-    means = np.array([[run.get(q, unknown) for q in quantities] for run in tallies])
-    gains = np.array([[estimate(run[q] - each[0][q]) for q in quantities] for run in each])
-    levels = np.full((len(runs), len(quantities), len(LEVELS)), np.nan)
-    for i, run in enumerate(each):
-        for j, q in enumerate(quantities):
-            if np.isfinite(run[q]).any():
-                levels[i, j] = np.quantile(run[q][np.isfinite(run[q])], LEVELS)
+    # (strategy, quantity, 2): value and error
+    means = np.array([[each.get(name, unknown) for name in quantities] for each in tallies])
+    gains = np.array(
+        [[estimate(each[name] - values[0][name]) for name in quantities] for each in values]
+    )
+    quantiles = np.full((len(runs), len(quantities), len(LEVELS)), np.nan)
+    for i, each in enumerate(values):
+        for j, name in enumerate(quantities):
+            if np.isfinite(each[name]).any():
+                quantiles[i, j] = np.quantile(each[name][np.isfinite(each[name])], LEVELS)
     dims = ("strategy", "quantity")
     table = xr.Dataset(
         {
             "value": (dims, means[..., 0]),
             "error": (dims, means[..., 1]),
-            "quantile": ((*dims, "level"), levels),
+            "quantile": ((*dims, "level"), quantiles),
             "gain": (dims, gains[..., 0]),
             "gain_error": (dims, gains[..., 1]),
         },
@@ -147,27 +159,29 @@ def best_delay(
         raise InputError(f"vehicle {vehicle.name!r} has no wheel to switch off")
     scenario = scenario or default_scenario(vehicle)
     if delays_s is None:
+        # a flight too short for the usual delays gets evenly spread ones
         even = np.linspace(0.0, scenario.landing_s, len(DELAYS_S), endpoint=False).round(1).tolist()
         delays_s = DELAYS_S if scenario.landing_s > DELAYS_S[-1] else even
     table, runs = compare(
         vehicle, candidates, [delayed_switch_off(t) for t in delays_s], n, seed, scenario, **options
     )
-    each = [per_run(x).get(metric, np.array([np.nan])) for x in runs.values()]
-    if not np.isfinite(each[0]).any():
+    metrics = [per_run(of_delay).get(metric, np.array([np.nan])) for of_delay in runs.values()]
+    if not np.isfinite(metrics[0]).any():
         what, known = "these runs do not tell the quantity to be made largest", table["quantity"]
         raise InputError(what, got=metric, do=f"known: {', '.join(known.values)}")
-    values = np.array(each)  # (delay, run)
-    values = values[:, np.isfinite(values).all(axis=0)]
+    values = np.array(metrics)  # (delay, run)
+    values = values[:, np.isfinite(values).all(axis=0)]  # runs that are known for all delays
     best = int(np.argmax(values.mean(axis=1)))
     behind, error = np.array([estimate(row - values[best]) for row in values]).T
     delays = np.array(delays_s, dtype=np.float64)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n, len(delays))))
-    size = values.shape[1]
-    winners = [
-        delays[np.argmax(values[:, rng.integers(size, size=size)].mean(axis=1))]
+    # bootstrap: the best delay of runs that are drawn again with replacement
+    n_known = values.shape[1]
+    resampled_best = [
+        delays[np.argmax(values[:, rng.integers(n_known, size=n_known)].mean(axis=1))]
         for _ in range(BOOTSTRAP)
     ]
-    low, high = np.quantile(winners, [0.16, 0.84], method="nearest")
+    low, high = np.quantile(resampled_best, [0.16, 0.84], method="nearest")
     return (
         table.assign(
             behind=("strategy", behind),
@@ -193,11 +207,12 @@ def wheel_stop_at_rest(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, 
         raise InputError(f"vehicle {vehicle.name!r} has no legs to stand on")
     feet = len(vehicle.legs)
     lever = float(np.mean([np.linalg.norm(leg.tip_B_m) for leg in vehicle.legs]))
-    weight = vehicle.require_mass() * gravity_m_s2 / feet
+    weight = vehicle.require_mass() * gravity_m_s2 / feet  # N, of each foot
     lines = []
     for wheel in vehicle.wheels:
         speed, inertia, brake = abs(wheel.speed_rad_s), wheel.inertia_kg_m2, wheel.brake_torque_N_m
         friction = wheel.friction.coulomb_N_m + wheel.friction.viscous_N_m_s * speed
+        # way -> torque (N m) and time to stop (s); the time with the brake neglects friction
         ways = {"off": (friction, spin_down_time(wheel.friction, inertia, wheel.speed_rad_s))}
         if brake is not None:
             ways["brake"] = (friction + brake, inertia * speed / brake)

@@ -107,7 +107,7 @@ def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Est
 
 
 def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
-    """Return the weighted share of truth values (n) and its standard error.
+    """Return the weighted share of truth values (n), without values NaN, and its standard error.
 
     The error is that of `estimate`, unless the event happened in all runs or in none. It is then not certain: the error is that of
     a share of (k + 1) / (n + 2) for k of n runs (rule of succession), which is about 1 / n.
@@ -117,6 +117,7 @@ def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -
     if share.value not in (0.0, 1.0):
         return share
     n = effective_runs(np.isfinite(x) * (1.0 if weights is None else np.asarray(weights)))
+    # p = 1 / (n + 2) or (n + 1) / (n + 2): both have sqrt(p (1 - p) / n)
     return Estimate(share.value, float(np.sqrt((n + 1) / n) / (n + 2)))
 
 
@@ -141,7 +142,7 @@ def density(runs: xr.Dataset, merge: int = 1) -> xr.Dataset:
         that of a mean over runs. Errors of neighbouring bins are correlated.
     """
     share = runs["rz_share"].values.astype(np.float64)
-    share = share.reshape(len(share), -1, merge).sum(axis=2)
+    share = share.reshape(len(share), -1, merge).sum(axis=2)  # (run, merged bin)
     width = 2.0 / share.shape[1]
     value, error = np.array([estimate(column) for column in share.T]).T / width
     return xr.Dataset(
@@ -160,7 +161,7 @@ def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, E
         name: (probability if name.startswith(TRUTHS) else estimate)(values, weights)
         for name, values in per_run(runs).items()
     }
-    return {name: value for name, value in estimates.items() if np.isfinite(value.value)}
+    return {name: each for name, each in estimates.items() if np.isfinite(each.value)}
 
 
 def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
@@ -173,26 +174,31 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
     """
     values: dict[str, np.ndarray] = {}
     share = runs["rz_share"].values.astype(np.float64)
-    edges = runs["rz"].values + 1.0 / share.shape[1]
+    upper_edges = (
+        runs["rz"].values + 1.0 / share.shape[1]
+    )  # middles plus half a width: [-1, 1] over the number of bins
     for bound in LOW_RZ:
-        low = share[:, edges <= bound + 1e-9].sum(axis=1)
-        low = np.where(np.isfinite(share).all(axis=1), low, np.nan)
-        values[f"rz_time_below_{bound:g}"] = low
-        values[f"rz_ever_below_{bound:g}"] = np.where(np.isnan(low), np.nan, low > 0)
+        share_below = share[:, upper_edges <= bound + 1e-9].sum(axis=1)
+        share_below = np.where(np.isfinite(share).all(axis=1), share_below, np.nan)
+        values[f"rz_time_below_{bound:g}"] = share_below
+        values[f"rz_ever_below_{bound:g}"] = np.where(
+            np.isnan(share_below), np.nan, share_below > 0
+        )
     for when in ("before", "after"):
         values[f"rate_{when}"] = np.linalg.norm(runs[f"omega_{when}_B"].values, axis=1)
     for name in (str(name) for name in runs.data_vars if name in QUANTITIES):
         stored = runs[name].values
+        # whole numbers mark unknown values by -1
         unknown = np.isnan(stored) if stored.dtype.kind == "f" else stored < 0
         values[name] = np.where(unknown, np.nan, stored)
-    for prefix, number, kinds in (
+    for prefix, number, kind_coordinate in (
         ("touch", "contact_point", "point_kind"),
         ("rest", "rest_facet", "facet_kind"),
     ):
-        if kinds in runs.coords:
-            index, names = runs[number].values, runs[kinds].values
-            for kind in (kind for kind in KINDS if kind in names):
-                values[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
+        if kind_coordinate in runs.coords:
+            index, kinds = runs[number].values, runs[kind_coordinate].values
+            for kind in (kind for kind in KINDS if kind in kinds):
+                values[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, kinds[index] == kind)
     if "point_on_panel" in runs.coords:
         index = runs["contact_point"].values
         on_panel = runs["point_on_panel"].values[index].astype(float)
@@ -204,7 +210,8 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
 def lowest_rz(runs: xr.Dataset) -> np.ndarray:
     """Return the lower edge (n) of the lowest bin of r_z that each run reaches; NaN if the run has no r_z."""
     share = runs["rz_share"].values
-    edge = runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1]
+    half_width = 1.0 / share.shape[1]  # of the bins that divide [-1, 1]
+    edge = runs["rz"].values[np.argmax(share > 0, axis=1)] - half_width
     return np.where(np.isnan(share[:, 0]), np.nan, edge)
 
 
@@ -219,15 +226,15 @@ def read_weightings(tally: Any) -> list[dict[str, Any]]:
 
     Quantities that are not means are plain numbers.
     """
-    numbers, quantities = ("effective_runs", "median_period_after"), tally["quantity"].values
-    lines = []
+    without_error = ("effective_runs", "median_period_after")
+    weightings = []
     for i, name in enumerate(tally["weighting"].values):
-        line: dict[str, Any] = {"name": str(name)}
-        for j, key in enumerate(quantities.tolist()):
+        weighting: dict[str, Any] = {"name": str(name)}
+        for j, key in enumerate(tally["quantity"].values.tolist()):
             value, error = float(tally["value"][i, j]), float(tally["error"][i, j])
-            line[key] = value if key in numbers else Estimate(value, error)
-        lines.append(line)
-    return lines
+            weighting[key] = value if key in without_error else Estimate(value, error)
+        weightings.append(weighting)
+    return weightings
 
 
 def read_explained_share(tally: Any) -> Estimate:

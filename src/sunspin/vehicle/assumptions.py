@@ -101,7 +101,9 @@ def read_assumptions(changes: Changes = None) -> Assumptions:
 
 
 def split_changes(changes: Changes) -> tuple[tuple[Change, ...], tuple[Change, ...]]:
-    """Return the changes of the vehicle, and those of the assumptions."""
+    """Return the changes of the vehicle, and those of the assumptions, recognised by the table with which their key begins."""
     all_changes = parse_changes(changes)
-    of_study = tuple(each for each in all_changes if re.split(r"[.\[]", each.key)[0] in TABLES)
-    return tuple(each for each in all_changes if each not in of_study), of_study
+    study_changes = tuple(
+        change for change in all_changes if re.split(r"[.\[]", change.key)[0] in TABLES
+    )
+    return tuple(change for change in all_changes if change not in study_changes), study_changes

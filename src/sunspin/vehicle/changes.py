@@ -68,15 +68,20 @@ Changes = Mapping[str, Any] | Iterable[str | Change] | None
 
 
 def parse_changes(given: Changes) -> tuple[Change, ...]:
-    """Return the changes that a user gives; raise `InputError` for a text that is not a change."""
-    texts = [given] if isinstance(given, str) else list(map(str, given or ()))
+    """Return the changes that a user gives, in their order; raise `InputError` for a text that is not a change.
+
+    All forms of `Changes` are first written as texts such as "KEY=VALUE". No changes (None) give an empty tuple.
+    """
     if isinstance(given, Mapping):
-        for k, value in enumerate(given.values()):
+        texts = []
+        for key, value in given.items():
             if isinstance(value, str):
-                texts[k] += value if value.startswith(("*=", "+=")) else f"={value}"
+                texts.append(f"{key}{value if value.startswith(('*=', '+=')) else f'={value}'}")
             else:
-                value = value.tolist() if hasattr(value, "tolist") else value
-                texts[k] += str(Change("", "=", value))
+                plain = value.tolist() if hasattr(value, "tolist") else value  # arrays of NumPy
+                texts.append(str(Change(str(key), "=", plain)))
+    else:
+        texts = [given] if isinstance(given, str) else list(map(str, given or ()))
     changes = []
     for text in texts:
         match = CHANGE.fullmatch(text)
@@ -88,11 +93,14 @@ def parse_changes(given: Changes) -> tuple[Change, ...]:
 
 
 def parse_value(text: str) -> Any:
-    """Return a value written in JSON (whose numbers and lists are those of TOML); any other text is returned as it is."""
+    """Return a value written in JSON (whose numbers and lists are those of TOML); any other text is returned as it is.
+
+    Numbers that JSON does not accept but TOML does, such as "+1", are read too.
+    """
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
-        number = plain_number(text)
+        number = plain_number(text)  # NaN if the text is not a number
         return text if math.isnan(number) else number
 
 
@@ -100,54 +108,53 @@ def apply_changes(table: dict[str, Any], changes: Iterable[Change]) -> tuple[Set
     """Change a parsed file in place; return a setting for each value that differs from before.
 
     The source of a changed value says that it was changed. A change of an off-diagonal element of an inertia tensor also sets
-    the mirrored element.
+    the mirrored element. Several changes of one key give one setting, with the value of the file as the old one.
     """
-    done: dict[str, Setting] = {}
-    for key, operator, value in changes:
+    settings: dict[str, Setting] = {}  # by key
+    for key, operator, operand in changes:
         path = find_path(table, key)
-        if isinstance(value, dict) and path[-1][1] == "value":
+        if isinstance(operand, dict) and path[-1][1] == "value":
             path.pop()  # a new table {value, sigma, source} replaces the whole old one
         holder, field = path[-1]
         old = holder.get(field) if isinstance(holder, dict) else holder[field]
-        new = value if operator == "=" else _scale_or_add(old, operator, value, key)
+        new = operand if operator == "=" else _scale_or_add(old, operator, operand, key)
         # a friction given by name is one of the wheel's alternative laws
-        if field == "friction" and isinstance(value, str):
+        if field == "friction" and isinstance(operand, str):
             laws = holder.get("alternative_frictions")
-            new = laws.get(value, value) if isinstance(laws, dict) else value
+            new = laws.get(operand, operand) if isinstance(laws, dict) else operand
         value_table = next((node for node, step in path if step == "value"), {})
         source = str(value_table.get("source", ""))
-        # several changes of one key: the first one knows the value of the file
-        first = done.get(key, Setting(key, value, unit_from_key(key), source, old))
-        done[key] = first._replace(value=value if operator == "=" else new)
+        first = settings.get(key, Setting(key, operand, unit_from_key(key), source, old))
+        # the setting shows what the user gave: the name of a friction law, not its coefficients
+        settings[key] = first._replace(value=operand if operator == "=" else new)
         if value_table and new != old and not source.startswith("set for this run"):
             was = f"set for this run; was {format_value(value_table['value'])}"
             value_table["source"] = f"{was}, {source}" if source else was
         holder[field] = new
         if "inertia_kg_m2" in key and isinstance(field, int) and isinstance(path[-2][1], int):
+            # the key ends with [row][field]; the tensor may be ragged, as it is not validated yet
             rows, row = path[-2]
             if field < len(rows) and isinstance(rows[field], list) and row < len(rows[field]):
                 rows[field][row] = new
-    return tuple(each for each in done.values() if each.value != each.old_value)
+    return tuple(each for each in settings.values() if each.value != each.old_value)
 
 
 def find_path(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
-    """Return the tables and lists that lead to a value, each with its key or index of the next; absent tables are added.
+    """Return the tables and lists that lead to a value, each with its key or index of the next.
+
+    `key` is written as users do: the index or name of a list's only element may be omitted, "gain" stands for the gain key of
+    the panel, and "value" of a value table is implied. `table` changes in two cases: absent tables are added, and a measured
+    spin-down is replaced by its coefficients if the key is one of them.
 
     Raises `InputError` for a key that is ambiguous or leads nowhere.
     """
     path: list[tuple[Any, Any]] = []
     node: Any = table
-
-    def enter(step: str | int) -> None:
-        nonlocal node
-        path.append((node, step))
-        node = node.get(step) if isinstance(node, dict) else node[step]
-
     for step in re.findall(STEP, key):
         # a step is a key, or an index or name in brackets
         index = step[1:-1].strip() if step[0] == "[" else None
         if index is not None and is_value_table(node):
-            enter("value")
+            node = _extend_path(path, node, "value")
         # in a list: a step in brackets chooses an element; without one a single element is entered for the next key
         if isinstance(node, list):
             names = [str(each.get("name")) if isinstance(each, dict) else "" for each in node]
@@ -160,10 +167,10 @@ def find_path(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
             if index not in choices:
                 what = f"there is no [{index}] here"
                 raise InputError(what, got=key, do=f"known: {known}")
-            enter(names.index(index) if index in names else int(index))
+            node = _extend_path(path, node, names.index(index) if index in names else int(index))
             if step[0] == "[":
                 continue
-        if node is None:
+        if node is None:  # the file lacks this table
             holder, field = path[-1]
             holder[field] = {}
             node = holder[field]
@@ -174,30 +181,43 @@ def find_path(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
             step = next((name for name in GAIN_UNITS if name in node), step)
         if step in COEFFICIENTS and "spin_down" in node and path:
             _replace_spin_down(node, path[-1][0])
-        enter(step)
+        node = _extend_path(path, node, step)
     if is_value_table(node):
-        enter("value")
+        _extend_path(path, node, "value")
     return path
 
 
+def _extend_path(path: list[tuple[Any, Any]], node: Any, step: str | int) -> Any:
+    """Append a table or list and its key or index to `path`, and return what is there; None for an absent key."""
+    path.append((node, step))
+    return node.get(step) if isinstance(node, dict) else node[step]
+
+
 def _replace_spin_down(friction: dict[str, Any], wheel: dict[str, Any]) -> None:
-    """Replace a measured spin-down in a friction table by its coefficients, so that one of them can be changed."""
+    """Replace a measured spin-down in a friction table by its coefficients, so that one of them can be changed.
+
+    A spin-down or wheel that is not valid is left unchanged.
+    """
     try:
-        law = {name: float(bare_value(value)) for name, value in friction["spin_down"].items()}
-        fit = Friction.from_spin_down(
-            **law, inertia_kg_m2=float(bare_value(wheel["inertia_kg_m2"]))
+        curve = {name: float(bare_value(value)) for name, value in friction["spin_down"].items()}
+        law = Friction.from_spin_down(
+            **curve, inertia_kg_m2=float(bare_value(wheel["inertia_kg_m2"]))
         )
     except (AttributeError, KeyError, TypeError, ValueError):
         return  # the reader of the file reports what is wrong with it
     friction.clear()
     for name in COEFFICIENTS:
-        friction[name] = {"value": getattr(fit, name), "source": "from the measured spin-down"}
+        friction[name] = {"value": getattr(law, name), "source": "from the measured spin-down"}
 
 
 def _scale_or_add(old: Any, operator: str, operand: Any, key: str) -> Any:
-    """Return a number, or each number of a list, multiplied by a factor or increased by a step."""
+    """Return a number, or each number of a list, multiplied by a factor ("*=") or increased by a step ("+=").
+
+    Raises `InputError`, with the `key`, if the old value or the operand is not a number of sensible size.
+    """
     if isinstance(old, list):
         return [_scale_or_add(each, operator, operand, key) for each in old]
+    # a truth value is an int in Python
     numbers = [x for x in (old, operand) if isinstance(x, int | float) and abs(x) <= LARGEST]
     if len(numbers) < 2 or any(isinstance(x, bool) for x in numbers):
         got = f"{format_value(old)} {operator} {format_value(operand)}"
@@ -218,8 +238,10 @@ def bare_value(node: Any) -> Any:
 def list_settings(table: Mapping[str, Any], kind: Any, path: str = "") -> Iterator[Setting]:
     """Yield all settings of a file: those that it contains, and with value None those missing from its tables.
 
-    `kind` is the part that the table describes; None: list only the contents.
+    `path` is written before the keys of `table`. `kind` is the class of part that the table describes; None:
+    list only the contents. Names and texts that only describe are left out.
     """
+    # a friction given by its spin-down lacks no coefficients
     known = {} if kind is None or "spin_down" in table else keys_of(kind)
     for key in dict.fromkeys((*table, *known)):
         full_key, kind_below = f"{path}{key}", part_in(known.get(key))
@@ -227,6 +249,7 @@ def list_settings(table: Mapping[str, Any], kind: Any, path: str = "") -> Iterat
         if key in ("name", "description", "source"):
             continue
         if key == "alternative_frictions" and item:
+            # the friction can be set to the name of a law; the laws themselves follow, without their missing keys
             laws = f"other laws in the file: {', '.join(item)}"
             yield Setting(f"{path}friction", "as below", "", laws)
             kind_below = None
@@ -242,21 +265,25 @@ def list_settings(table: Mapping[str, Any], kind: Any, path: str = "") -> Iterat
                 yield from list_settings(each, kind_below, f"{name}.")
         elif key in table:
             yield Setting(full_key, item, unit_from_key(full_key), "")
-        elif kind_below is None and key not in GAIN_UNITS:
+        elif kind_below is None and key not in GAIN_UNITS:  # a panel has only one of the gain keys
             yield Setting(full_key, None, unit_from_key(full_key), "not in the file")
         elif full_key.startswith("panel_response"):  # absent if the panels are aligned as drawn
             yield from list_settings({}, kind_below, f"{full_key}.")
 
 
 def unit_from_key(key: str) -> str:
-    """Return the unit at the end of a key in readable form, such as "rad/s"; "" if there is none."""
-    match = UNIT.search(re.sub(r"\[[^\]]*\]", "", key))
+    """Return the unit at the end of a key in readable form, such as "rad/s"; "" if there is none.
+
+    A key writes it with underscores: "_rad_s" is "rad/s", "_per_K" is "1/K", "_kg_m2" is "kg m2", "_C" is "deg C".
+    """
+    match = UNIT.search(re.sub(r"\[[^\]]*\]", "", key))  # without indices in brackets
     text = match[0][1:].replace("_", " ") if match else ""
-    return re.sub(r"^(rad|m) (s2?)$", r"\1/\2", re.sub(r"^per ", "1/", text)).replace("C", "deg C")
+    text = re.sub(r"^per ", "1/", text)
+    return re.sub(r"^(rad|m) (s2?)$", r"\1/\2", text).replace("C", "deg C")
 
 
 def format_value(value: Any) -> str:
-    """Return a value as one short line for people."""
+    """Return a value as one line for people, shortened to `MAX_SHOWN` characters; value tables in it lose sigma and source."""
     if isinstance(value, dict):
         text = ", ".join(f"{key} {format_value(bare_value(item))}" for key, item in value.items())
     elif isinstance(value, list):

@@ -126,12 +126,12 @@ class TelemetryForm(Part):
     throttled: StrictBool = False
 
     def __post_init__(self) -> None:
-        clocks = (self.time_column, self.week_column, self.receive_time_column)
-        used = [
-            *(name for name in clocks if name is not None),
+        time_columns = (self.time_column, self.week_column, self.receive_time_column)
+        columns = [
+            *(name for name in time_columns if name is not None),
             *self.columns.values(),
         ]
-        if repeated := [name for name in used if used.count(name) > 1]:
+        if repeated := [name for name in columns if columns.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
             raise VehicleError(what, got=repeated[0], do=f"give each panel its own{CHANNEL_HINT}")
         if self.has_voltages and self.quantity != "power_W":
@@ -166,40 +166,43 @@ class TelemetryForm(Part):
         return self.voltage_column is not None or bool(self.voltage_columns)
 
 
-def _require_symmetric(what: str, tensor: np.ndarray) -> None:
-    """Raise `VehicleError` if a tensor (3, 3) is not symmetric."""
+def _require_symmetric(name: str, tensor: np.ndarray) -> None:
+    """Raise `VehicleError` if a tensor (3, 3) is not symmetric; `name` says in the message what it is."""
     asymmetry = np.abs(tensor - tensor.T)
     if asymmetry.max() > SYMMETRY_TOLERANCE * np.abs(tensor).max():
         i, j = np.unravel_index(np.argmax(asymmetry), (3, 3))
         elements = f"element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}"
-        raise VehicleError(f"{what} must be symmetric, but {elements}", do="make them equal")
+        raise VehicleError(f"{name} must be symmetric, but {elements}", do="make them equal")
 
 
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
-    """Return a checked inertia tensor (3, 3); raise `VehicleError` if no distribution of mass can have it."""
+    """Return a checked inertia tensor (3, 3), made exactly symmetric; raise `VehicleError` if no distribution of mass can have it.
+
+    A file may give `raw` as {value, sigma, source}. Its sigma is not returned, but must be symmetric if it is a tensor.
+    """
     key = "inertia_kg_m2"
     given = checked_value(raw, info)
     tensor = as_array(given)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
-        shown = given.tolist() if isinstance(given, np.ndarray) else given
-        raise VehicleError(f"{key} must be three rows of three finite numbers", got=shown)
+        got = given.tolist() if isinstance(given, np.ndarray) else given
+        raise VehicleError(f"{key} must be three rows of three finite numbers", got=got)
     _require_symmetric(key, tensor)
     sigma = as_array(raw.get("sigma", 0.0)) if isinstance(raw, Mapping) else np.zeros(())
     if sigma.ndim == 2:
         _require_symmetric(f"the sigma of {key}", sigma)
     tensor = (tensor + tensor.T) / 2
-    moments = np.linalg.eigvalsh(tensor)
-    shown = ", ".join(f"{moment:.6g}" for moment in moments)
+    moments = np.linalg.eigvalsh(tensor)  # principal moments, increasing
+    moments_text = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] <= 0:
         raise VehicleError(
-            f"{key} must be positive definite, its principal moments are {shown}",
+            f"{key} must be positive definite, its principal moments are {moments_text}",
             do="check signs and units",
         )
     # triangle inequality of the principal moments: I3 <= I1 + I2
     if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
         raise VehicleError(
-            f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
-            "sum of the other two",
+            f"{key} is not that of any body: principal moments {moments_text} break the rule that the largest is at "
+            "most the sum of the other two",
             do="check the tensor (a products-of-inertia sign or a unit may be wrong)",
         )
     return frozen_array(tensor)
@@ -251,6 +254,7 @@ class Vehicle(Part):
             _require_wheels_fit(self)
         _require_channels_fit(self)
         _require_known_panels(self)
+        _require_data_of_all_inputs(self)
 
     _repr_html_ = vehicle_html
 
@@ -295,11 +299,10 @@ class Vehicle(Part):
         for k, name in enumerate(names):
             channel = channel_of.get(name)
             if channel is None:
-                inputs.setdefault(name, Input(name, (k,)))
-            else:
+                inputs[name] = Input(name, (k,))
+            elif channel.name not in inputs:  # else an earlier panel has added it
                 panels = tuple(names.index(panel) for panel in channel.panels)
-                shared = Input(channel.name, panels, channel.reads == "largest")
-                inputs.setdefault(shared.name, shared)
+                inputs[channel.name] = Input(channel.name, panels, channel.reads == "largest")
         return tuple(inputs.values())
 
     @property
@@ -319,8 +322,8 @@ class Vehicle(Part):
     @property
     def input_noise(self) -> FloatArray | None:
         """Standard deviation of each input's readings (n_input) in the telemetry's unit; None if the file does not state it."""
-        own = {x.name: x.noise for x in (*self.panels, *self.channels)}
-        noise = [own[name] or self.telemetry.noise for name in self.input_names]
+        own_noise = {each.name: each.noise for each in (*self.panels, *self.channels)}
+        noise = [own_noise[name] or self.telemetry.noise for name in self.input_names]
         return None if None in noise else np.array(noise, dtype=np.float64)
 
     @property
@@ -393,8 +396,8 @@ class Vehicle(Part):
 @lru_cache(maxsize=64)
 def _build_response(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
     """Return a panel response from hashable data; vehicles with equal panels share one, with its cached geometry."""
-    normals, strength = frozen_array(normals_B).reshape(-1, 3), frozen_array(gains)
-    return JoinedResponse(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
+    normals, gain = frozen_array(normals_B).reshape(-1, 3), frozen_array(gains)
+    return JoinedResponse(normals, gain, inputs) if inputs else PanelResponse(normals, gain)
 
 
 def _require_distinct(names: list[str], key: str) -> None:
@@ -407,7 +410,7 @@ def _require_distinct(names: list[str], key: str) -> None:
 def _require_wheels_fit(vehicle: Vehicle) -> None:
     """Raise `VehicleError` if the body without the wheels' axial inertia has no inertia about some axis.
 
-    The equations of motion invert this tensor when all wheels turn freely.
+    The equations of motion invert this tensor when all wheels turn freely. The vehicle must have an inertia.
     """
     tensor = np.array(vehicle.inertia_kg_m2)
     for wheel in vehicle.wheels:
@@ -428,35 +431,33 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
     Each panel is in at most one channel, each input has its own name, and `throttled` holds for all inputs or for none.
     """
     _require_distinct([channel.name for channel in vehicle.channels], "channels")
-    panels = [name for channel in vehicle.channels for name in channel.panels]
+    in_channels = [name for channel in vehicle.channels for name in channel.panels]
     for channel in vehicle.channels:
         if unknown := [name for name in channel.panels if name not in vehicle.panel_names]:
             what = f"channel {channel.name!r} names a panel that the vehicle does not have"
             raise VehicleError(what, got=unknown[0], do=f"panels: {[*vehicle.panel_names]}")
-        if repeated := [name for name in channel.panels if panels.count(name) > 1]:
+        if repeated := [name for name in channel.panels if in_channels.count(name) > 1]:
             what = "a panel is in two channels"
             raise VehicleError(what, got=repeated[0], do="list it on the input that it is wired to")
-        if channel.name in set(vehicle.panel_names) - set(panels):
+        if channel.name in set(vehicle.panel_names) - set(in_channels):
             what = f"channel {channel.name!r} is called like a panel that is not in it"
             raise VehicleError(what, do="give the channel another name")
-        inside = [panel for panel in vehicle.panels if panel.name in channel.panels]
-        if noisy := [panel.name for panel in inside if panel.noise is not None]:
+        members = [panel for panel in vehicle.panels if panel.name in channel.panels]
+        if noisy := [panel.name for panel in members if panel.noise is not None]:
             what = f"channel {channel.name!r} reads a panel that states a noise of its own"
             raise VehicleError(what, got=noisy[0], do="state the noise of the channel instead")
     throttled = [channel.throttled for channel in vehicle.channels]
-    if (
-        any(throttled)
-        and not (all(throttled) and set(panels) == set(vehicle.panel_names))
-        and not vehicle.telemetry.throttled
-    ):
+    all_throttled = vehicle.telemetry.throttled or (
+        all(throttled) and set(in_channels) == set(vehicle.panel_names)
+    )
+    if any(throttled) and not all_throttled:
         what = "some inputs are throttled and others are not"
         do = "set throttled = true under [telemetry], which is of all inputs, or leave it out"
         raise VehicleError(what, do=do)
 
 
 def _require_known_panels(vehicle: Vehicle) -> None:
-    """Raise `VehicleError` if a table names a panel that does not exist, or states noise or voltage for some inputs only."""
-    form = vehicle.telemetry
+    """Raise `VehicleError` if a table names a panel that does not exist, or a panel where the name of its channel belongs."""
     tilted = vehicle.panel_response.tilted
     # names that must be panels, and names that must be inputs, each with the key that has it
     panel_keys = [] if tilted is None else [("panel_response.tilted", tilted.panel)]
@@ -469,7 +470,7 @@ def _require_known_panels(vehicle: Vehicle) -> None:
     input_keys += [
         (f"telemetry.{key}", name)
         for key in ("columns", "offset_s", "voltage_columns", "temperature_columns")
-        for name in getattr(form, key)
+        for name in getattr(vehicle.telemetry, key)
     ]
     for known, keys in ((vehicle.panel_names, panel_keys), (vehicle.input_names, input_keys)):
         for key, name in keys:
@@ -482,13 +483,18 @@ def _require_known_panels(vehicle: Vehicle) -> None:
             kind = "panels" if not vehicle.channels else "panels and channels"
             what = f"{key} names a panel that the vehicle does not have"
             raise VehicleError(what, got=name, do=f"{kind}: {sorted(known)}")
+
+
+def _require_data_of_all_inputs(vehicle: Vehicle) -> None:
+    """Raise `VehicleError` if some inputs have a voltage column or a noise and others have none, not even a common one."""
+    form = vehicle.telemetry
     without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
         what, where = "a panel has no voltage and others have", "telemetry.voltage_columns"
         do = "add it, or voltage_column for all that have none of their own"
         raise VehicleError(what, got=without[0], do=do, where=where)
-    own = {x.name: x.noise for x in (*vehicle.panels, *vehicle.channels)}
-    without = [name for name in vehicle.input_names if own[name] is None]
+    own_noise = {each.name: each.noise for each in (*vehicle.panels, *vehicle.channels)}
+    without = [name for name in vehicle.input_names if own_noise[name] is None]
     if form.noise is None and 0 < len(without) < len(vehicle.input_names):
         do = "add it, or noise under [telemetry] for all that have none of their own"
         raise VehicleError("a panel states no noise and others do", got=without[0], do=do)

@@ -65,17 +65,21 @@ class ChangedFile(NamedTuple):
 
 
 def read_vehicle(source: object, changes: Changes = None) -> craft.Vehicle:
-    """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
+    """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`.
+
+    A `ChangedFile` has its own changes, and `changes` is not used. A `Vehicle` is returned as it is; with changes it raises
+    `VehicleError`.
+    """
     if isinstance(source, ChangedFile):
         source, changes = source.source, source.changes
-    parsed = parse_changes(changes)
+    all_changes = parse_changes(changes)
     if isinstance(source, craft.Vehicle):
-        if parsed:
+        if all_changes:
             raise VehicleError(
                 "changes are made to a vehicle's file", do="give its name or its path with them"
             )
         return source
-    return parse_vehicle(read_vehicle_text(source), describe_source(source), parsed)
+    return parse_vehicle(read_vehicle_text(source), describe_source(source), all_changes)
 
 
 def attach_changes(source: object, changes: tuple[Change, ...]) -> object:
@@ -93,13 +97,15 @@ def describe_source(source: object) -> str:
 
 
 def read_vehicle_text(source: object) -> str:
-    """Read the text of a vehicle file, given by name or path; changes are applied, and listed in comments at the top."""
+    """Read the text of a vehicle file, given by name or path.
+
+    For a `ChangedFile` the text has its changes, which are listed in comments at the top.
+    """
     if isinstance(source, ChangedFile):
         import tomlkit
 
-        read_vehicle_table(
-            source.source
-        )  # first a fast reader, which refuses files that would take tomlkit very long
+        # first a fast reader, which refuses files that would take tomlkit very long
+        read_vehicle_table(source.source)
         document = tomlkit.parse(read_vehicle_text(source.source))
         settings = apply_changes(document, source.changes)
         header = [f"# {source.source} with changes for one run:"]
@@ -148,7 +154,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[Change, ...] = ()) -> cr
             "the file is empty", do="`sunspin init DIR` writes one to start from", where=where
         )
     do = "correct that line"
-    if where.lower().endswith(".csv"):
+    if where.lower().endswith(".csv"):  # a likely mistake: vehicle and telemetry in the wrong order
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
     settings = apply_changes(table, changes)
@@ -167,14 +173,17 @@ def parse_vehicle(text: str, where: str, changes: tuple[Change, ...] = ()) -> cr
 
 
 def _build_vehicle(table: dict[str, Any], settings: tuple[Setting, ...]) -> craft.Vehicle:
-    """Build a vehicle from a parsed file."""
+    """Build a vehicle from a parsed file; `settings` lists the changes made to it.
+
+    Raises `VehicleError` or pydantic's `ValidationError` if the file is not valid.
+    """
     for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
         what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
         raise VehicleError(what, do=f"leave out [panel_response.{law}]")
     file = TypeAdapter(VehicleFile).validate_python(
         table, context="file", by_alias=True, by_name=False
     )
-    # None for the two keys of relative gains
+    # units of the gains, one if the file is valid; None for the two keys of relative gains
     units = {
         unit
         for panel in table.get("panel", ())
@@ -183,7 +192,10 @@ def _build_vehicle(table: dict[str, Any], settings: tuple[Setting, ...]) -> craf
     }
     if len(units) > 1:
         raise VehicleError("the gains of the panels must all be relative, all gain_W or all gain_A")
-    single = {key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"}
+    # Sun sensors are a list of tables; the other sensors have one table each, with the name of the field
+    other_sensors = {
+        key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"
+    }
     return craft.Vehicle(
         name=file.name,
         inertia_kg_m2=file.body.inertia_kg_m2,
@@ -197,7 +209,7 @@ def _build_vehicle(table: dict[str, Any], settings: tuple[Setting, ...]) -> craf
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
-        sensors=sensors.Sensors(file.sun_sensor, **single),
+        sensors=sensors.Sensors(file.sun_sensor, **other_sensors),
         panel_response=file.panel_response,
         channels=file.channel,
         facts=dict(_list_facts(table)),
@@ -206,29 +218,35 @@ def _build_vehicle(table: dict[str, Any], settings: tuple[Setting, ...]) -> craf
 
 
 def _list_facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.Fact]]:
-    """Yield every number of a valid file with its sigma and source, by its path; parts of a list are named in the path."""
+    """Yield every number (or list of numbers) of a valid file with its sigma and source, by its path.
+
+    Parts of a list are named in the path. Texts and truth values are not facts.
+    """
     for key, item in table.items():
         if isinstance(item, dict) and not isinstance(item.get("value"), int | float | list):
             yield from _list_facts(item, f"{where}{key}.")
-        elif isinstance(item, dict):
+        elif isinstance(item, dict):  # a value table
             sigma = None if item.get("sigma") is None else numbers(item["sigma"])
             yield f"{where}{key}", parts.Fact(numbers(item["value"]), sigma, item.get("source"))
         elif isinstance(item, list) and all(isinstance(each, dict) for each in item):
             for each in item:
                 yield from _list_facts(each, f"{where}{key}.{each.get('name')}.")
         elif not isinstance(item, str | bool) and not (
-            isinstance(item, list) and isinstance(item[0], str)
+            isinstance(item, list) and isinstance(item[0], str)  # a list of names
         ):
             yield f"{where}{key}", parts.Fact(numbers(item))
 
 
 def find_line(text: str, table: str, key: str) -> tuple[int, str] | None:
-    """Return number and text of the line of a vehicle file with a key of a table, else of the table's header, else None."""
-    header, within = None, False
+    """Return number and text of the line of a vehicle file with a key of a table, else of the table's header, else None.
+
+    If several tables have this name, it is the first line with the key, or the first header.
+    """
+    header, in_table = None, False
     for number, line in enumerate(text.splitlines(), 1):
         if line.lstrip().startswith("["):
-            within = line.split("#")[0].strip().strip("[] ") == table.strip("[]")
-            header = header or ((number, line.strip()) if within else None)
-        elif within and line.split("=")[0].strip() == key:
+            in_table = line.split("#")[0].strip().strip("[] ") == table.strip("[]")
+            header = header or ((number, line.strip()) if in_table else None)
+        elif in_table and line.split("=")[0].strip() == key:
             return number, line.strip()
     return header

@@ -42,7 +42,7 @@ UNIT_TOLERANCE = 1e-3
 CONFIG = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=False)
 """Pydantic settings of every part."""
 
-RULES = re.compile(r"Annotated\[(\w+), .*\](?= \| None|$)")
+VALIDATED_TYPE = re.compile(r"Annotated\[(\w+), .*\](?= \| None|$)")
 """A type with validators in a signature; group 1 is the type."""
 
 T = TypeVar("T")
@@ -61,7 +61,8 @@ class Part:
     @model_validator(mode="before")
     @classmethod
     def _with_omitted(cls, given: Any, info: ValidationInfo) -> Any:
-        """Return the fields of a file with the values of keys that it omits."""
+        """Return the fields of a file with those of `left_out` that it omits; arguments in Python are returned unchanged."""
+        # pydantic gives a context only for files; a table that is no dict is reported later
         return {**cls.left_out, **given} if info.context and isinstance(given, dict) else given
 
     def __eq__(self, other: object) -> bool:
@@ -86,7 +87,7 @@ class Part:
 
 
 def _comparable(value: Any) -> Any:
-    """Return a value in a form that can be compared and hashed."""
+    """Return a value in a form that can be compared and hashed: parts, mappings, arrays and lists by their content."""
     if isinstance(value, Part):
         return type(value), _comparable(vars(value))
     if isinstance(value, Mapping):
@@ -104,18 +105,19 @@ def as_tuples(value: Any) -> Any:
 def part(cls: type[T]) -> type[T]:
     """Make a class a frozen part whose validation errors are sentences (`VehicleError`), also in `dataclasses.replace`."""
     part_class: Any = dataclass(frozen=True, eq=False, config=CONFIG)(cls)
-    check = part_class.__init__
+    validate = part_class.__init__
 
-    @wraps(check)
-    def checked(self: Any, *arguments: Any, **named: Any) -> None:
+    @wraps(validate)
+    def init(self: Any, *arguments: Any, **named: Any) -> None:
         # positional arguments are passed by name, so that messages contain the name
         positional = dict(zip(part_class.__pydantic_fields__, arguments, strict=False))
         try:
-            check(self, *arguments[len(positional) :], **positional, **named)
+            # arguments beyond the fields stay positional, and are refused there
+            validate(self, *arguments[len(positional) :], **positional, **named)
         except ValidationError as error:
             raise VehicleError(describe_error(error, part_class, part_class.__name__)) from None
 
-    part_class.__init__ = checked
+    part_class.__init__ = init
     part_class.__signature__ = _plain_signature(signature(part_class))
     return part_class
 
@@ -123,7 +125,8 @@ def part(cls: type[T]) -> type[T]:
 def _plain_signature(full: Signature) -> Signature:
     """Return a signature for the documentation, whose types have no validators."""
     parameters = [
-        p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in full.parameters.values()
+        p.replace(annotation=VALIDATED_TYPE.sub(r"\1", str(p.annotation)))
+        for p in full.parameters.values()
     ]
     return full.replace(parameters=parameters)
 
@@ -168,9 +171,10 @@ def as_array(value: Any) -> FloatArray:
 def checked_value(raw: Any, info: ValidationInfo) -> Any:
     """Return the value of a field, without the sigma and source that a file may add to it.
 
-    Raises an error if the table {value, sigma, source} is not valid or a number has no sensible size.
+    Raises an error if the table {value, sigma, source} is not valid or a number has no sensible size. An argument in Python is
+    returned unchanged.
     """
-    if not info.context:
+    if not info.context:  # not from a file
         return raw
     if isinstance(raw, dict):
         unknown = set(raw) - {"value", "sigma", "source"}
@@ -185,8 +189,8 @@ def checked_value(raw: Any, info: ValidationInfo) -> Any:
                 "the sigma of {path} must be one number or one for each component, and not negative"
             )
             raise VehicleError(what, got=raw["sigma"])
-        angle = info.field_name == "normal_B" or str(info.field_name).endswith("_rad")
-        if angle and np.any(sigma > LARGEST_ANGLE_SIGMA):
+        is_angle = info.field_name == "normal_B" or str(info.field_name).endswith("_rad")
+        if is_angle and np.any(sigma > LARGEST_ANGLE_SIGMA):
             what = f"the sigma of {{path}} is in rad and not above {LARGEST_ANGLE_SIGMA:g}"
             raise VehicleError(what, got=raw["sigma"], do="one degree is 0.01745")
         raw = raw["value"]
@@ -210,12 +214,12 @@ def numbers(raw: Any) -> Any:
 
 
 def _number(raw: Any, info: ValidationInfo) -> float:
-    """Validate one number."""
+    """Return one number of a file or a Python argument; raise an error for any other value, lists and truth values included."""
     value = checked_value(raw, info)
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
         raise VehicleError("{path} must be one number", got=value)
     try:
-        if not isinstance(value, bool | str | bytes):
+        if not isinstance(value, bool | str | bytes):  # float() would accept these
             return float(value)
     except (TypeError, ValueError, OverflowError):
         pass
@@ -304,8 +308,9 @@ def describe_error(
 ) -> str:
     """Return the most important validation error of a part of type `kind` as one sentence.
 
-    `table` is the parsed file, None for arguments in Python. Misspelt keys come first, then missing keys and wrong types, and
-    physically impossible values (`VehicleError`) last: a misspelt key is often the cause of a missing one.
+    `where` names the file or the class. `table` is the parsed file, None for arguments in Python. Misspelt keys come first, then
+    missing keys and wrong types, and physically impossible values (`VehicleError`) last: a misspelt key is often the cause of a
+    missing one.
     """
     problems = sorted(
         error.errors(include_url=False),
@@ -314,7 +319,10 @@ def describe_error(
     first = next(
         (each for each in problems if not isinstance(_own_error(each), VehicleError)), problems[0]
     )
-    reason, places = _own_error(first), first["loc"]
+    reason, places = (
+        _own_error(first),
+        first["loc"],
+    )  # places: keys and indices that lead to the value
     if isinstance(reason, VehicleError):
         # its text has {path} where the position of the value belongs
         path = (
@@ -327,12 +335,13 @@ def describe_error(
     where = f"{where}, {key.replace('.[', '[')}"
     if first["type"] == "unexpected_keyword_argument":
         known = keys_at(kind, places[:-1], table is not None)
-        near = get_close_matches(str(places[-1]), known, n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        do = f"known keys: {', '.join(known)}{meant}"
+        similar = get_close_matches(str(places[-1]), known, n=1)
+        question = f"; did you mean {similar[0]}?" if similar else ""
+        do = f"known keys: {', '.join(known)}{question}"
         return sentence(f"unknown key {str(places[-1])!r}", do=do, where=where)
     if first["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
+    # pydantic's own message, in the words of a file: lists and tables
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     message = message.replace("valid tuple", "valid list").replace("Tuple should", "List should")
     message = IN_WORDS.get(first["type"], message.replace(" after validation", ""))
@@ -344,24 +353,24 @@ def describe_error(
     return sentence(message, got=got, where=where)
 
 
-def _own_error(first: Any) -> object:
-    """Return our own exception inside a pydantic error, None if there is none."""
-    return first.get("ctx", {}).get("error")
+def _own_error(details: Any) -> object:
+    """Return the exception that a validator of this package raised, from an entry of pydantic's errors; None if there is none."""
+    return details.get("ctx", {}).get("error")
 
 
 def _named_path(places: tuple[int | str, ...], table: Any) -> str:
-    """Return the path of a value in a file, with parts of a list by name."""
-    words = []
+    """Return the path of a value in a file, with parts of a list by name: ("panel", 0, "gain") is "panel.+X.gain"."""
+    words, node = [], table
     for place in places:
-        table = table[place]
-        words.append(table["name"] if isinstance(place, int) else place)
+        node = node[place]
+        words.append(node["name"] if isinstance(place, int) else place)
     return ".".join(words)
 
 
 def keys_of(kind: Any, in_file: bool = True) -> dict[str, Any]:
     """Return the keys of a part and their types.
 
-    In a file keys may have other names, and a field that is read from the sigma of another key has none.
+    In a file keys may have other names (aliases), and a field that is read from the sigma of another key (`AliasPath`) has none.
     """
     keys = {}
     for name, info in kind.__pydantic_fields__.items():
@@ -377,6 +386,7 @@ def keys_of(kind: Any, in_file: bool = True) -> dict[str, Any]:
 def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str, Any]:
     """Return the keys of the part at the end of a path that begins in a part of type `kind`; keys of tables come last."""
     for place in places:
+        # an index in a list is no key: its elements are of the kind that the list contains
         kind = part_in(keys_of(kind, in_file).get(str(place))) or kind
     return dict(
         sorted(keys_of(kind, in_file).items(), key=lambda item: part_in(item[1]) is not None)

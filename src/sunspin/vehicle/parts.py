@@ -83,18 +83,18 @@ class Panel(Part):
     @model_validator(mode="wrap")
     @classmethod
     def _one_gain(cls, given: Any, check: Callable[[Any], Panel], info: ValidationInfo) -> Panel:
-        """Validate a panel of a file, which must have exactly one of the gain keys."""
+        """Return the checked panel; a panel of a file must have exactly one of the gain keys."""
         if not (info.context and isinstance(given, dict)):
             return check(given)
-        # other errors of the panel are reported first: the gain is completed, or reduced to one, for the check
-        units = [key for key in GAIN_UNITS if key in given]
+        # other errors of the panel are reported first: the check gets exactly one gain, the first one or an invented one
+        gain_keys = [key for key in GAIN_UNITS if key in given]
         panel = check(
-            {key: given[key] for key in given if key not in units[1:]}
-            | ({} if units else {"cells": 1.0})
+            {key: given[key] for key in given if key not in gain_keys[1:]}
+            | ({} if gain_keys else {"cells": 1.0})
         )
-        if len(units) != 1:
+        if len(gain_keys) != 1:
             what = f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_UNITS)}"
-            raise VehicleError(what, got=", ".join(units) or "none")
+            raise VehicleError(what, got=", ".join(gain_keys) or "none")
         return panel
 
 
@@ -173,7 +173,7 @@ class Friction(Part):
     @model_validator(mode="before")
     @classmethod
     def _one_law(cls, given: Any) -> Any:
-        """Raise `VehicleError` if a friction has both a spin-down and coefficients."""
+        """Return what is given, or raise `VehicleError` if it has both a spin-down and coefficients."""
         if (
             isinstance(given, dict)
             and "spin_down" in given
@@ -186,9 +186,8 @@ class Friction(Part):
 
     def __post_init__(self, spin_down: SpinDown | None) -> None:
         if spin_down is not None:
-            vars(self)["measured"] = (
-                spin_down  # kept outside the fields until the wheel converts it
-            )
+            # kept outside the fields until the wheel converts it
+            vars(self)["measured"] = spin_down
 
     def of_wheel(self, inertia_kg_m2: float) -> Friction:
         """Return the friction with coefficients, computed from the spin-down if it was given as one."""
@@ -203,7 +202,7 @@ class Friction(Part):
     def from_spin_down(
         cls, c1_rad_s: float, c2_per_s: float, c3_rad_s: float, inertia_kg_m2: float
     ) -> Friction:
-        """Friction of a wheel whose measured spin-down follows ``c1 exp(c2 t) + c3`` (paper, section 2.2).
+        """Return the friction of a wheel whose measured spin-down follows ``c1 exp(c2 t) + c3`` (paper, section 2.2).
 
         That curve obeys dW/dt = c2 W - c2 c3, hence coulomb = c2 c3 J and viscous = -c2 J. `c1` only fixes the time at
         which the record begins.
@@ -220,7 +219,7 @@ class Friction(Part):
 class Wheel(Part):
     """A wheel: axis (unit, B), axial inertia, nominal speed relative to the body, friction, brake torque.
 
-    `speed_column` is the telemetry column of its speed, in units of `speed_scale_rad_s`.
+    `speed_column` is the telemetry column of its speed, in units of `speed_scale_rad_s` (zero stands for 1 rad/s).
     """
 
     name: Name
@@ -311,7 +310,7 @@ class SunRule(Part):
 
 
 def _time_sigma(raw: Any, info: ValidationInfo) -> float | None:
-    """Validate the sigma of a time of [orbit], which may be None."""
+    """Return the sigma (s) of a time of [orbit], None if it is not stated; raise `VehicleError` if it is not valid."""
     if raw is None:
         return None
     sigma = numbers(raw) if info.context else raw

@@ -34,23 +34,23 @@ def rewrite_values(text: str, values: Sequence[NewValue]) -> str:
     document = tomlkit.parse(text)
     for new in values:
         table: Any = document.get(new.where[0])
-        for name in new.where[1:]:
+        for name in new.where[1:]:  # the table is a list of parts, of which this one is chosen
             table = next((each for each in table or () if each.get("name") == name), None)
         if table is None:
             what = f"the vehicle file has no table [{'.'.join(new.where)}]"
             raise VehicleError(what, do="give the file of this vehicle")
         value_table = tomlkit.inline_table()
         value_table.update({"value": new.value, "sigma": new.sigma, "source": new.source})
-        old = next((key for key in (new.key, *REPLACES.get(new.key, ())) if key in table), None)
-        if old is not None:
-            old_trivia = table.value.item(old).trivia  # whitespace and comment after the old value
+        old_key = next((key for key in (new.key, *REPLACES.get(new.key, ())) if key in table), None)
+        if old_key is not None:
+            old_trivia = table.value.item(old_key).trivia  # whitespace and comment after the value
             value_table.trivia.comment_ws = old_trivia.comment_ws
             value_table.trivia.comment = old_trivia.comment
-        if old == new.key:
+        if old_key == new.key:
             table[new.key] = value_table
             continue
         # a new key is inserted after the last one, before comments at the end of the table; tomlkit offers no public method
-        table.value._insert_after(old or list(table)[-1], new.key, value_table)
-        if old is not None:
-            table.remove(old)
+        table.value._insert_after(old_key or list(table)[-1], new.key, value_table)
+        if old_key is not None:
+            table.remove(old_key)
     return tomlkit.dumps(document)

@@ -69,11 +69,11 @@ def _sigma_validator(key: str, *shape: int) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _column_rules(n: int, sign: str = "") -> tuple[Any, ...]:
-    """Return the validators for a list of n different columns, each of which may have the prefix `sign`."""
+def _column_rules(n: int, prefix: str = "") -> tuple[Any, ...]:
+    """Return the validators for a list of n different columns, each of which may have the given prefix."""
 
     def check(columns: tuple[str, ...]) -> tuple[str, ...]:
-        names = [column.removeprefix(sign) for column in columns]
+        names = [column.removeprefix(prefix) for column in columns]
         if not all(names):
             what = "{path} has a minus and no column after it"
             raise VehicleError(what, got=", ".join(columns), do='"-wx" reads column wx reversed')
@@ -105,15 +105,16 @@ class ThreeAxes(Part):
     def keys_for_axes(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
         """Return the keys of the vehicle file that permute the axes: new axis k is axis `order[k]` times `sign[k]`.
 
-        Used to propose a corrected column assignment. The zero is moved with its column if that changes it.
+        Used to propose a corrected column assignment. The zero is moved with its column if that changes it. Sensors without a
+        zero have only the key "columns".
         """
         axes = list(order)
         columns = [
-            REVERSED * bool(s < 0) + self.names[k]
-            for k, s in zip(axes, self.sign[axes] * sign, strict=True)
+            (REVERSED if column_sign < 0 else "") + self.names[k]
+            for k, column_sign in zip(axes, self.sign[axes] * sign, strict=True)
         ]
         zero, sigma = (getattr(self, key, np.zeros(3))[axes] for key in ("zero", "zero_sigma"))
-        if np.array_equal(zero, zero[np.argsort(axes)]):
+        if np.array_equal(zero, getattr(self, "zero", np.zeros(3))):
             return {"columns": columns}
         value = {"value": zero.tolist(), "sigma": sigma.tolist()} if sigma.any() else zero.tolist()
         return {"columns": columns, "zero": value}
@@ -214,7 +215,7 @@ class Gyro(ThreeAxes):
 
 
 def _is_invertible(matrix: FloatArray) -> bool:
-    """Return whether an array is a finite matrix (3, 3) that can be inverted."""
+    """Return whether an array is a finite matrix (3, 3) that can be inverted (condition number below 1e6)."""
     return (
         matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
     )
@@ -281,14 +282,14 @@ class Attitude(Part):
         value = reading[:, [1, 2, 3, 0]] if self.scalar == "first" else reading
         # the conjugate is the inverse rotation
         value = value * [-1.0, -1.0, -1.0, 1.0] if self.rotates == "B_to_N" else value
-        size = np.linalg.norm(value, axis=1, keepdims=True)
-        good = np.abs(size - 1) < QUATERNION_TOLERANCE
+        length = np.linalg.norm(value, axis=1, keepdims=True)
+        good = np.abs(length - 1) < QUATERNION_TOLERANCE
         about = {
             "units": "1",
             "long_name": "attitude as given, scalar last, from reference frame to body",
         }
-        unit = np.where(good, value / np.where(good, size, 1.0), np.nan)
-        return SensorVariable("quaternion", unit, about)
+        unit_quaternion = np.where(good, value / np.where(good, length, 1.0), np.nan)
+        return SensorVariable("quaternion", unit_quaternion, about)
 
     def keys_for_convention(self, other_scalar: bool, other_direction: bool) -> dict[str, str]:
         """Return the keys of the vehicle file for the other place of the scalar, the opposite direction, or both."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from zoneinfo import ZoneInfo
 
@@ -72,12 +73,11 @@ def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
     All times of a column have the same length: whole seconds for zero digits, else three decimals. A time outside the calendar
     is given as the epoch and the seconds.
     """
-    unit = 10 ** (6 - digits)
+    step_us = 10 ** (6 - digits)  # the last decimal in microseconds
     try:
         exact = _require_instant(epoch_utc) + timedelta(seconds=seconds)
-        instant = exact + timedelta(
-            microseconds=round(exact.microsecond / unit) * unit - exact.microsecond
-        )
+        rounded_us = round(exact.microsecond / step_us) * step_us
+        instant = exact + timedelta(microseconds=rounded_us - exact.microsecond)
     except OverflowError:
         return f"{epoch_utc} and {seconds:g} s"
     return instant.isoformat(timespec="milliseconds" if digits else "seconds").replace(
@@ -134,12 +134,10 @@ def parse_timeline(text: str, where: str) -> Timeline:
             (_read_event(entry, epoch) for entry in table.get("event", [])),
             key=lambda event: event.t_s,
         )
+        # phases name events, which this first timeline finds
         timeline = Timeline(epoch, tuple(events))
-        return Timeline(
-            epoch,
-            tuple(events),
-            tuple(_read_phase(entry, timeline) for entry in table.get("phase", [])),
-        )
+        phases = [_read_phase(entry, timeline) for entry in table.get("phase", [])]
+        return replace(timeline, phases=tuple(phases))
     except KeyError as error:
         raise InputError(f"key {error.args[0]!r} is missing", do="add it", where=where) from None
     except SunspinError as error:
@@ -150,7 +148,10 @@ def parse_timeline(text: str, where: str) -> Timeline:
 
 
 def _read_event(entry: dict, epoch_utc: str) -> Event:
-    """Return an event from its table; raise `InputError` if it is not valid."""
+    """Return an event from its table; raise an error if it is not valid.
+
+    Its time is that of the refined UTC, if stated.
+    """
     _refuse_unknown(entry, {*keys_of(Event)} - {"t_s"}, "event")
     event = Event(t_s=utc_seconds(entry.get("refined_utc") or entry["utc"], epoch_utc), **entry)
     if not event.source.strip():
@@ -161,7 +162,10 @@ def _read_event(entry: dict, epoch_utc: str) -> Event:
 
 
 def _read_phase(entry: dict, timeline: Timeline) -> Phase:
-    """Return a phase from its table and the events; raise `InputError` if it is not valid."""
+    """Return a phase from its table and the events of the timeline; raise an error if it is not valid.
+
+    A phase without the key "end" has no end.
+    """
     _refuse_unknown(entry, {"name", "begin", "end", "note"}, "phase")
     begin = timeline.event(entry["begin"]).t_s
     end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")

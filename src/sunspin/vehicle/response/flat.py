@@ -40,8 +40,8 @@ RANK_TOLERANCE = 1e-6
 def unweighted_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Return the covariance (..., k, k) of unweighted least squares with `design` (..., m, k) and data errors `sigma` (m).
 
-    It is split into the covariance for the smallest sigma and the excess of the other errors, which is exactly zero for equal
-    errors.
+    For A the design and V the diagonal of sigma^2 it is inv(A'A) A'VA inv(A'A). It is split into the covariance for the smallest
+    sigma and the excess of the other errors, which is exactly zero for equal errors.
     """
     transposed, least = np.swapaxes(design, -1, -2), np.min(sigma)
     inverse = np.linalg.inv(transposed @ design)
@@ -68,20 +68,20 @@ class Regions(NamedTuple):
     lit: np.ndarray
 
 
-def misfit(shape: np.ndarray, target: np.ndarray) -> np.ndarray:
+def misfit(signal: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return Delta (...) between signals (..., n_panel) of any brightness and unit vectors `target` (..., n_panel).
 
     Signals that are all zero have the largest possible misfit, 2.
     """
-    size = np.linalg.norm(shape, axis=-1, keepdims=True)
-    unit = shape / np.where(size > 0, size, 1.0)
-    return np.where(size[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
+    length = np.linalg.norm(signal, axis=-1, keepdims=True)
+    unit = signal / np.where(length > 0, length, 1.0)
+    return np.where(length[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
 
 
 def normalise_readings(readings: np.ndarray) -> np.ndarray:
     """Return readings (n, n_panel) divided by their length; zeros stay zero."""
-    size = np.linalg.norm(readings, axis=1)
-    return readings / np.where(size > 0, size, 1.0)[:, None]
+    length = np.linalg.norm(readings, axis=1)
+    return readings / np.where(length > 0, length, 1.0)[:, None]
 
 
 def components_along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ class Candidates(NamedTuple):
         return cls(np.array(maps), fixed)
 
     def from_readings(self, target: np.ndarray) -> np.ndarray:
-        """Return the candidates (n, n_map, 3) for readings `target` (n, n_panel), zero for dark samples."""
+        """Return the candidates (n, n_map, 3) of `maps` for readings `target` (n, n_panel), zero for dark samples."""
         candidates = np.einsum("mik,nk->nmi", self.maps, target)
         length = np.linalg.norm(candidates, axis=2, keepdims=True)
         return candidates / np.where(length > 0, length, 1.0)
@@ -136,25 +136,26 @@ class Candidates(NamedTuple):
 
         `power` gives signals (..., n_panel) for directions; `readings` are (n, n_panel).
         """
-        fixed, fixed_shape = self.fixed, power(self.fixed)
+        fixed, fixed_signal = self.fixed, power(self.fixed)
         direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
+        # as many readings at a time as memory allows
         chunk = max(1, MAX_NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
         for start in range(0, len(readings), chunk):
             rows = slice(start, start + chunk)
             target = normalise_readings(readings[rows])
             candidates = self.from_readings(target)
-            away = misfit(power(candidates), target[:, None, :])
-            away_fixed = misfit(
-                np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :]
+            deltas = misfit(power(candidates), target[:, None, :])
+            deltas_fixed = misfit(
+                np.broadcast_to(fixed_signal, (len(target), *fixed_signal.shape)),
+                target[:, None, :],
             )
-            best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
-            each = np.arange(len(target))
+            best, best_fixed = np.argmin(deltas, axis=1), np.argmin(deltas_fixed, axis=1)
+            smallest, smallest_fixed = np.min(deltas, axis=1), np.min(deltas_fixed, axis=1)
             # a fixed direction must be clearly better, so that rounding does not decide between equal ones
-            use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
-            direction[rows] = np.where(
-                use_fixed[:, None], fixed[best_fixed], candidates[each, best]
-            )
-            delta[rows] = np.minimum(away_fixed[each, best_fixed], away[each, best])
+            use_fixed = smallest_fixed < smallest - 1e-14
+            mapped = candidates[np.arange(len(target)), best]
+            direction[rows] = np.where(use_fixed[:, None], fixed[best_fixed], mapped)
+            delta[rows] = np.minimum(smallest_fixed, smallest)
         return direction, delta
 
 
@@ -187,7 +188,7 @@ class PanelResponse:
         return components_after_rotation(self.normals_B, -np.asarray(tilt, dtype=np.float64))
 
     def _strengths(self, gain: np.ndarray | None) -> np.ndarray:
-        """Return the gains, multiplied by factors `gain` if given."""
+        """Return the gains (n_panel), multiplied by factors `gain` (..., n_panel) if given."""
         return self.gains if gain is None else self.gains * gain
 
     def power(
@@ -315,7 +316,8 @@ class PanelResponse:
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
         """Return how many of three quantities (direction and brightness) readings of the panels `lit` (n_panel) determine.
 
-        By default for a direction in which exactly these panels are lit, otherwise at `sun_B` (3).
+        By default for a direction in which exactly these panels are lit, otherwise at `sun_B` (3). For panels with an input each
+        the direction makes no difference.
         """
         values = np.linalg.svd(self.normals_B[lit], compute_uv=False) if lit.any() else np.zeros(0)
         return int(np.count_nonzero(values > RANK_TOLERANCE))
@@ -343,14 +345,18 @@ class PanelResponse:
         design = self._rows[lit]
         middle = np.linalg.pinv(design) @ readings[lit]
         middle /= np.linalg.norm(middle)
-        free = np.linalg.svd(design)[2][2]
+        free = np.linalg.svd(design)[2][
+            2
+        ]  # unit vector at right angles to the normals of the lit panels
         # directions n(a) = cos(a) middle + sin(a) free have the same ratios of readings
         low, high = -np.pi / 2, np.pi / 2
         for normal in self.normals_B[~lit]:
-            a, b = normal @ middle, normal @ free
-            if abs(b) > RANK_TOLERANCE:
-                crossing = np.arctan2(-a, b) if b > 0 else np.arctan2(a, -b)
-                low, high = (low, min(high, crossing)) if b > 0 else (max(low, crossing), high)
+            at_middle, at_free = normal @ middle, normal @ free
+            # the panel is dark where cos(a) at_middle + sin(a) at_free <= 0: on one side of its only zero in (low, high)
+            if at_free > RANK_TOLERANCE:
+                high = min(high, np.arctan2(-at_middle, at_free))
+            elif at_free < -RANK_TOLERANCE:
+                low = max(low, np.arctan2(at_middle, -at_free))
         if low > high:
             return np.full((2, 3), np.nan)
         return np.array([np.cos(angle) * middle + np.sin(angle) * free for angle in (low, high)])

@@ -229,6 +229,7 @@ class JoinedResponse(PanelResponse):
             directions = np.concatenate([cells.cell_B, cells.arc_B, cells.vertex_B])
             patterns = np.concatenate([self.regions().lit, self.edges()])
             matching = directions[(patterns == lit).all(axis=1)]
+            # a pattern that no direction has: as many as there are readings
             return max((self.rank(lit, sun) for sun in matching), default=min(int(lit.sum()), 3))
         design = (self._matrix(self._contributing_at(sun_B)) / self.full_sun_readings[:, None])[lit]
         return int(np.count_nonzero(np.linalg.svd(design, compute_uv=False) > RANK_TOLERANCE))
@@ -238,31 +239,36 @@ class JoinedResponse(PanelResponse):
 
         It is described by the sides of the planes, as an input does not show which of its panels is lit.
         """
+        # of each cell: the inputs with light, and the side of each plane on which it lies
         lit, sides = self.regions().lit, self._cells.cell_lit
         is_good = (lit[:, None] == good).all(axis=-1).any(axis=1)
         return DirectionSet(self._planes, minimal_clauses(sides[is_good], sides[~is_good]))
 
     @cached_property
     def _candidates(self) -> Candidates:
-        planes, cells = self._planes, self._cells
-        on_arcs = np.unique(
+        cells = self._cells
+        # arcs in one plane with the same contributing panels give the same candidate
+        contributing_and_plane = np.unique(
             np.column_stack([self._contributing_at(cells.arc_B), cells.arc_plane]), axis=0
         )
-        between = [(self._matrix(arc[:-1]), planes[arc[-1]]) for arc in on_arcs]
-        between = [(matrix, normal) for matrix, normal in between if matrix.any()]
+        between = []
+        for *contributing, plane in contributing_and_plane:
+            matrix = self._matrix(np.array(contributing))
+            if matrix.any():
+                between.append((matrix, self._planes[plane]))
         return Candidates.from_cells(
             self._cell_matrices, between, np.concatenate([cells.vertex_B, cells.cell_B])
         )
 
     @cached_property
     def _cell_matrices(self) -> list[np.ndarray]:
-        """Matrices (n_input, 3) of the cells that give their readings for a direction."""
+        """Matrices (n_input, 3) of the lit cells that give their readings for a direction; equal ones once."""
         contributing = np.unique(self._contributing_at(self._cells.cell_B), axis=0)
         return [matrix for panels in contributing if (matrix := self._matrix(panels)).any()]
 
     @cached_property
     def _free(self) -> np.ndarray:
-        """Direction (3) for each cell that leaves the ratios of the readings unchanged; zeros if there is none."""
+        """Step (n_cell, 3) for each of `_cell_matrices` that leaves the readings of the cell unchanged; zeros if there is none."""
         tolerance = RANK_TOLERANCE * self.largest_power
         return np.array(
             [
@@ -280,6 +286,7 @@ class JoinedResponse(PanelResponse):
         """
         has_arc = self._free.any(axis=1)
         mapped = self._candidates.from_readings(target)
+        # the first maps are those of the cells, in the order of `_free`
         middle = mapped[:, : len(self._free)][:, has_arc]
         along = [
             np.cos(angle) * middle + np.sin(angle) * self._free[has_arc] for angle in ARC_ANGLES_RAD
@@ -297,22 +304,23 @@ class JoinedResponse(PanelResponse):
         target, (best, delta) = normalise_readings(readings), self.best_direction(readings)
         tried = np.concatenate([best[:, None], self._all_candidates(target)], axis=1)
         fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
-        sample, which = np.nonzero(fits & tried.any(axis=-1))  # zero vectors are no candidates
-        sun, sun_target = tried[sample, which], target[sample]
+        sample, column = np.nonzero(fits & tried.any(axis=-1))  # zero vectors are no candidates
+        sun, sun_target = tried[sample, column], target[sample]
         neighbours = [
             move_on_sphere(sun, np.tile(NEIGHBOUR_RAD * step, (len(sun), 1)))
             for step in NEIGHBOUR_STEPS
         ]
         lowest = np.min([misfit(self.power(each), sun_target) for each in neighbours], axis=0)
         kept = np.zeros(tried.shape[:2], dtype=bool)
-        kept[sample, which] = misfit(self.power(sun), sun_target) <= lowest + DELTA_TOLERANCE
-        kept[:, 0] = True
+        kept[sample, column] = misfit(self.power(sun), sun_target) <= lowest + DELTA_TOLERANCE
+        kept[:, 0] = True  # the best
         return np.where(kept[..., None], tried, np.nan)
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         sun, _ = self.best_direction(readings)
         design = self._matrix(self._contributing_at(sun)) * lit[:, None]
         power = self.power(sun) * lit
+        # factor between readings and signals; 1e-300 replaces a sum of zero
         bright = (readings * power).sum(axis=1) / np.maximum((power**2).sum(axis=1), 1e-300)
         tangent = np.eye(3) - sun[:, :, None] * sun[:, None, :]
         covariance = np.full((len(sun), 3, 3), np.nan)
@@ -338,21 +346,23 @@ class JoinedResponse(PanelResponse):
         matching = ((power > 0) == lit).all(axis=1)
         if not matching.any():
             return np.full((2, 3), np.nan)
-        away = np.where(matching, misfit(power, target), np.inf)
-        room = np.where(
-            away < away.min() + DELTA_TOLERANCE, np.abs(sun @ self._planes.T).min(axis=1), -1.0
-        )
+        delta = np.where(matching, misfit(power, target), np.inf)
         # begin at the best direction that is farthest from all planes
-        begin = sun[np.argmax(room)]
+        distance = np.abs(sun @ self._planes.T).min(axis=1)
+        is_best = delta < delta.min() + DELTA_TOLERANCE
+        begin = sun[np.argmax(np.where(is_best, distance, -1.0))]
         return np.array([self._follow_arc(begin, lit, sign) for sign in (1.0, -1.0)])
 
     def _follow_arc(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
-        """Return the end of an arc that is followed from `begin` in one direction, by great circles from plane to plane."""
+        """Return the end (3) of an arc of equal ratios that is followed from `begin` (3), by great circles from plane to plane.
+
+        It ends where the inputs with light are no longer `lit`, or after half a revolution. `sign` (1 or -1) chooses the sense.
+        """
         planes, sun = self._planes, begin
-        along, remaining = sign * self._free_tangent(begin, lit), np.pi
+        along, remaining = sign * self._free_tangent(begin, lit), np.pi  # unit tangent, angle (rad)
         while True:
             # sun(a) = cos(a) sun + sin(a) along meets a plane where cos(a) height + sin(a) slope = 0
-            height, slope = planes @ sun, planes @ along
+            height, slope = planes @ sun, planes @ along  # (n_plane)
             crossed = np.hypot(height, slope) > ON_PLANE  # excludes planes that contain the arc
             crossing = np.arctan2(-height, slope)[crossed] % np.pi
             step = min(float(crossing.min(initial=np.pi)), remaining)
@@ -388,6 +398,7 @@ class JoinedResponse(PanelResponse):
         while new and len(images) < MAX_SYMMETRIES:
             products, new = [mirror @ image for image in new for mirror in mirrors], []
             for image in products:
+                # a matrix that is not known yet
                 if all(np.abs(image - known).max() > 1e-6 for known in images + new):
                     change = np.abs(self.power(sun @ image.T) - self.power(sun)).max()
                     new += [image] if change < max_change else []

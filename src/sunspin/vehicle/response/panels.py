@@ -45,12 +45,13 @@ def brightness(
 ) -> np.ndarray:
     """Return the factor (n) between readings (n, n_panel) and :func:`panel_power` at `sun_B` (n, 3), by least squares.
 
-    By default `sun_B` are the directions that fit best.
+    By default `sun_B` are the directions that fit best. The factor is 0 where no panel is lit.
     """
-    light = panel_power(
-        vehicle, vehicle.response_in().best_direction(reading)[0] if sun_B is None else sun_B
-    )
-    return (reading * light).sum(axis=1) / np.maximum((light**2).sum(axis=1), 1e-300)
+    if sun_B is None:
+        sun_B, _ = vehicle.response_in().best_direction(reading)
+    power = panel_power(vehicle, sun_B)
+    # 1e-300 replaces a sum of zero
+    return (reading * power).sum(axis=1) / np.maximum((power**2).sum(axis=1), 1e-300)
 
 
 def opposite_panels(facing_B: np.ndarray) -> np.ndarray:
@@ -76,7 +77,10 @@ def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
 
 
 def patterns_of_misaligned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
-    """Return the lit patterns of panels rotated by any of the vectors `turns_B` (k, n_panel, 3), rad in B."""
+    """Return the lit patterns of panels rotated by any of k sets of rotation vectors `turns_B` (k, n_panel, 3), rad in B.
+
+    They are those of `SUN_DIRECTIONS` directions over the sphere.
+    """
     response, suns = vehicle.response_in(), sphere(SUN_DIRECTIONS)
     lit = [
         np.unique(
@@ -115,8 +119,10 @@ def misalignment_signal_sigma(vehicle: Vehicle) -> np.ndarray:
 
     A common misalignment is not included: it acts as a rotation of the Sun.
     """
-    by_panel = misalignment_sigma(vehicle)[0] * vehicle.panel_gains
-    return np.array([np.linalg.norm(by_panel[list(shared.panels)]) for shared in vehicle.inputs])
+    single, _ = misalignment_sigma(vehicle)
+    by_panel = single * vehicle.panel_gains
+    # errors of the panels of one input are independent
+    return np.array([np.linalg.norm(by_panel[list(each.panels)]) for each in vehicle.inputs])
 
 
 def _rms_sigma(vehicle: Vehicle, key: str) -> float:

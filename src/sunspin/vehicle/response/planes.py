@@ -14,8 +14,8 @@ Clause = tuple[tuple[int, bool], ...]
 ON_PLANE = 1e-9
 """A direction with a smaller component along the normal is in the plane."""
 
-Cube = frozenset
-"""A clause as a set, in which conditions can be removed."""
+Conditions = frozenset[tuple[int, bool]]
+"""A clause as a set, from which conditions can be removed."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,13 @@ class DirectionSet:
 
     def contains(self, sun_B: np.ndarray) -> np.ndarray:
         """Return whether each direction (..., 3) belongs to the set."""
-        lit = sun_B @ self.normals_B.T > 0
-        clauses = [
-            np.all([lit[..., k] == side for k, side in clause], axis=0) for clause in self.clauses
+        on_side = sun_B @ self.normals_B.T > 0  # (..., n): on the side of each plane's normal
+        holds = [
+            np.all([on_side[..., k] == side for k, side in clause], axis=0)
+            for clause in self.clauses
         ]
-        return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
+        # a clause without conditions is a single True
+        return np.any([np.broadcast_to(each, on_side.shape[:-1]) for each in holds], axis=0)
 
     @property
     def kernel_data(self) -> np.ndarray:
@@ -70,14 +72,18 @@ class Arrangement(NamedTuple):
 
 @lru_cache(maxsize=64)
 def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
-    """Return the arrangement of the planes with these normals on the sphere of directions."""
-    p = np.array(normals)
+    """Return the arrangement of the planes with these unit normals on the sphere of directions.
+
+    All planes contain the centre of the sphere and cut it in great circles.
+    """
+    p = np.array(normals)  # (n_panel, 3)
     # vertices: the two opposite directions in which two planes meet
     vertices: list[np.ndarray] = []
     for i, j in np.argwhere(np.tri(len(p), k=-1)):
         line = np.cross(p[i], p[j])
         length = np.linalg.norm(line)
         for vertex in (line / length, -line / length) if length > ON_PLANE else ():
+            # more than two planes may meet in one vertex, which is kept once
             if not vertices or np.max(np.array(vertices) @ vertex) < 1 - 1e-12:
                 vertices.append(vertex)
     vertex_B = np.array(vertices).reshape(-1, 3)
@@ -86,7 +92,7 @@ def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
     for k, normal in enumerate(p):
         basis = plane_basis(normal)
         on_circle = vertex_B[np.abs(vertex_B @ normal) < ON_PLANE] @ basis
-        if len(on_circle) == 0:
+        if len(on_circle) == 0:  # a single plane: its whole circle is one arc
             arcs.append(basis[:, 0])
         else:
             angles = np.sort(np.arctan2(on_circle[:, 1], on_circle[:, 0]))
@@ -96,8 +102,8 @@ def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
     # cells: a step from an arc to each side, shorter than the distance to any plane, ends in a cell
     for arc, k in zip(arcs, planes, strict=True):
         distances = np.abs(p @ arc)
-        room = np.min(distances[distances > ON_PLANE], initial=1.0) / 2
-        for direction in (arc + room * p[k], arc - room * p[k]):
+        step = np.min(distances[distances > ON_PLANE], initial=1.0) / 2
+        for direction in (arc + step * p[k], arc - step * p[k]):
             cells.append(direction / np.linalg.norm(direction))
     cell_B, arc_B = np.array(cells), np.array(arcs).reshape(-1, 3)
     # each cell is reached from several arcs: keep the first direction
@@ -115,26 +121,27 @@ def plane_basis(normal: np.ndarray) -> np.ndarray:
 def minimal_clauses(good: np.ndarray, bad: np.ndarray) -> tuple[Clause, ...]:
     """Return few short clauses that hold for all patterns `good` (m, n_panel) and for none of `bad`.
 
-    Conditions are removed greedily, and then a small cover of `good` is chosen greedily. The result is short, not always
-    shortest.
+    A pattern has a truth value for each plane: whether a direction is on the side of its normal. Conditions are removed greedily,
+    and then a small cover of `good` is chosen greedily. The result is short, not always shortest.
     """
-    patterns: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
+    patterns: list[Conditions] = [frozenset(enumerate(lit.tolist())) for lit in good]
     shortened = set()
     # remove conditions, those of dark panels first, as long as every pattern of `bad` still violates one
-    for cube in patterns:
-        differs = bad != [lit for _, lit in sorted(cube)]
-        kept = differs.sum(axis=1)  # number of conditions that each pattern of `bad` violates
-        for literal in sorted(cube, key=lambda item: (item[1], item[0])):
-            violated = kept - differs[:, literal[0]]
-            if np.all(violated > 0):
-                cube, kept = cube - {literal}, violated
-        shortened.add(cube)
-    cubes = sorted(shortened, key=lambda cube: (len(cube), sorted(cube)))
-    holds = np.array([[cube <= pattern for pattern in patterns] for cube in cubes])
+    for pattern, lit in zip(patterns, good, strict=True):
+        conditions, violates = pattern, bad != lit  # violates: (pattern of `bad`, condition)
+        n_violated = violates.sum(axis=1)
+        for plane, side in sorted(pattern, key=lambda condition: (condition[1], condition[0])):
+            n_without = n_violated - violates[:, plane]
+            if np.all(n_without > 0):
+                conditions, n_violated = conditions - {(plane, side)}, n_without
+        shortened.add(conditions)
+    clauses = sorted(shortened, key=lambda clause: (len(clause), sorted(clause)))
+    # a clause holds for the patterns that contain all its conditions
+    holds = np.array([[clause <= pattern for pattern in patterns] for clause in clauses])
     uncovered, chosen = np.ones(len(patterns), dtype=bool), []
     # greedy cover: the clause that holds for most of the remaining patterns
     while uncovered.any():
         best = int(np.argmax((holds & uncovered).sum(axis=1)))
-        chosen.append(tuple(sorted(cubes[best])))
+        chosen.append(tuple(sorted(clauses[best])))
         uncovered &= ~holds[best]
     return tuple(chosen)
