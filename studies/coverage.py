@@ -83,7 +83,7 @@ def simulate_rebound(grid: Grid, kind: str, number: int, seed: int) -> dict[str,
     case, z = grid.case, np.array([])
     while z.size < LEAST_DIRECTIONS:
         truth = draw_true_rate(case, kind, rng)
-        z = simulate_measured_z(case, truth, rng)[1]
+        z = simulate_measured_z(case, truth, rng)
     volume = grid.table.volume(z)
     emd = np.where(grid.table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
     smallest = float(emd.min())
@@ -116,10 +116,8 @@ def draw_true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarra
     return points_on_lines([line], [rng.uniform(*LINE_RANGE)])[0, 0]
 
 
-def simulate_measured_z(
-    case: Case, truth: np.ndarray, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return a motion's true Sun direction (3) at the first sample, and r_z (n) of the directions from its simulated readings."""
+def simulate_measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return r_z (n) of the directions from the simulated readings of a motion."""
     vehicle = case.vehicle
     t = draw_rebound_times(case, rng)
     tilt, first = draw_misaligned_panels(vehicle, first_sun(case), rng)
@@ -127,7 +125,7 @@ def simulate_measured_z(
     samples = PhaseSamples("first_rebound", t, run["sun_B"].values)
     power = add_rebound_noise(vehicle, samples, tilt, None, rng)
     sun = sun_directions(vehicle, power)
-    return first, sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
+    return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 
 
 def collect_values(rebounds: list[dict[str, Any]]) -> dict[str, np.ndarray]:

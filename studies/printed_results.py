@@ -24,10 +24,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from studies.coverage import simulate_measured_z
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import Outcome, Rows
+from sunspin.dynamics.ensemble import Outcome, Rows, run_rows
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.rows import distances_to, target_segments
 from sunspin.estimate.scan.table import Table
@@ -49,7 +48,14 @@ from sunspin.philae.rebound import (
     scan_limits,
     start_states,
 )
+from sunspin.philae.simulation import (
+    PhaseSamples,
+    add_rebound_noise,
+    draw_misaligned_panels,
+    draw_rebound_times,
+)
 from sunspin.philae.telemetry import common_distribution
+from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from validation.campaign import command, load_or_make, rows_folder, study_parser
 
 
@@ -80,7 +86,13 @@ Below the lower limit the smallest EMD of the scan is too small, as grid points 
 TUBE_RAD_S = 0.12
 """Radius in rad/s of the tubes about the published lines: twice the loose tolerance. Each must hold motions of the set."""
 
-UNSCREENED = 20
+SUBSET, LEAST_IN_TUBES = 16, 0.3
+"""Every n-th motion of the grid makes the third screen. This share of its near-minimum set, at least, must lie in the tubes."""
+
+DIRECTION_ERROR = 1e-4
+"""Largest error of a simulated direction in rad: 1 % of the noise."""
+
+UNSCREENED = 100
 """Every n-th draw is scanned without the screens, to count the accepted draws that they would reject."""
 
 BLOCK = 100
@@ -156,7 +168,8 @@ class Scan(NamedTuple):
     """The paper's scan, once for all draws.
 
     `common_z`: quantiles of the common r_z distribution of the published lines. `tubes`: for each line the histograms (n, BINS) of
-    the motions near it. `workers`: number of threads.
+    the motions near it. `subset` (m, BINS): histograms of every `SUBSET`-th motion, and `in_tubes` (m) whether it is in a tube.
+    `workers`: number of threads.
     """
 
     case: Case
@@ -164,6 +177,8 @@ class Scan(NamedTuple):
     proposal: Proposal
     common_z: np.ndarray
     tubes: list[np.ndarray]
+    subset: np.ndarray
+    in_tubes: np.ndarray
     workers: int
 
 
@@ -174,19 +189,27 @@ def make_scan(case: Case, coarser: int, workers: int | None) -> Scan:
     common_z, threads = common_distribution(case), worker_count(workers)
     fine = table.outcome == Outcome.FINE
     distance = np.where(fine, table.distances(common_z, None, threads), np.inf)
-    omega, tubes = table.rows.start.take(np.arange(len(fine))).omega_B, []
-    for point, along in published_lines(case):
-        near = np.linalg.norm(np.cross(omega - point, along), axis=1) < TUBE_RAD_S
-        tubes.append(np.ascontiguousarray(table.hist[near & fine]))
+    near = distances_from_lines(case, table.rows.start.take(np.arange(len(fine))).omega_B)
+    near = (near < TUBE_RAD_S) & fine
+    tubes = [np.ascontiguousarray(table.hist[mask]) for mask in near]
+    some = np.flatnonzero(fine)[::SUBSET]
     proposal = make_proposal(case, list(scan_grid(case, coarser).values()), distance)
-    return Scan(case, table, proposal, common_z, tubes, threads)
+    subset, in_tubes = np.ascontiguousarray(table.hist[some]), near[:, some].any(axis=0)
+    return Scan(case, table, proposal, common_z, tubes, subset, in_tubes, threads)
+
+
+def distances_from_lines(case: Case, omega_B: np.ndarray) -> np.ndarray:
+    """Return the distances (n_lines, n) in rad/s of rates (n, 3) from the published lines."""
+    lines = published_lines(case)
+    off = [np.cross(omega_B - point, along) for point, along in lines]
+    return np.linalg.norm(off, axis=2)
 
 
 def may_be_accepted(scan: Scan, z: np.ndarray, common_emd: float) -> bool:
     """Return whether the screens let measured r_z (n) pass; `common_emd` is its EMD to the common distribution.
 
     If each published line has motions of the near-minimum set in its tube, the smallest EMD of each tube is between the smallest of
-    the scan and `near_minimum_factor` times it.
+    the scan and `near_minimum_factor` times it. No smallest EMD of some motions is below that of the scan.
     """
     if not COMMON_EMD[0] < common_emd < COMMON_EMD[1]:
         return False
@@ -198,46 +221,70 @@ def may_be_accepted(scan: Scan, z: np.ndarray, common_emd: float) -> bool:
         if not printed - tolerance <= smallest < factor * (printed + tolerance):
             return False
         least.append(smallest)
-    return bool(max(least) < factor * min(least))
+    if max(least) >= factor * min(least):
+        return False
+    subset = distances_to(scan.subset, segments, scan.workers)
+    bound = min(subset.min(initial=np.inf), *least)
+    if bound < printed - tolerance or max(least) >= factor * bound:
+        return False
+    near = subset < factor * bound
+    return not near.any() or bool(scan.in_tubes[near].mean() >= LEAST_IN_TUBES)
 
 
-def simulate_draw(scan: Scan, seed: int, number: int) -> dict[str, Any]:
-    """Draw a true rate, simulate its rebound, and repeat the paper's scan if the screens let it pass.
+class Rebound(NamedTuple):
+    """A simulated rebound: true rate (3) in rad/s and Sun direction (3) at its first sample, readings (n, n_panel)."""
 
-    Every draw follows from seed and number alone. Values that were not computed are None.
-    """
-    case = scan.case
+    omega_B: np.ndarray
+    sun_B: np.ndarray
+    power: np.ndarray
+
+
+def simulate_rebound(scan: Scan, seed: int, number: int) -> Rebound:
+    """Draw a true rate and simulate the readings of its rebound: they follow from seed and number alone."""
+    vehicle = scan.case.vehicle
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-    truth = scan.proposal.draw(rng)
-    sun_B, z = simulate_measured_z(case, truth, rng)
-    row: dict[str, Any] = {
-        "omega_B": truth.tolist(),
-        "sun_B": sun_B.tolist(),
-        "weight": scan.proposal.weight(truth),
-        "passed": False,
-        "emd_min": None,
-        "line_rad_s": [None] * 4,
-    }
+    omega_B, t = scan.proposal.draw(rng), draw_rebound_times(scan.case, rng)
+    tilt, first = draw_misaligned_panels(vehicle, first_sun(scan.case), rng)
+    # the compiled kernels take a tenth of the time of `propagate`
+    state = start_states(scan.case, omega_B, first)
+    later = run_rows(vehicle, state, t[1:] - t[0], direction_error=DIRECTION_ERROR).sun_B[0]
+    samples = PhaseSamples("first_rebound", t, np.concatenate([first[None], later]))
+    return Rebound(omega_B, first, add_rebound_noise(vehicle, samples, tilt, None, rng))
+
+
+def repeat_scan(scan: Scan, z: np.ndarray, without_screens: bool) -> dict[str, Any]:
+    """Repeat the paper's scan with measured r_z (n), if the screens let it pass; values that were not computed are None."""
+    result: dict[str, Any] = {"passed": False, "emd_min": None, "line_rad_s": [None] * 4}
     if z.size < LEAST_DIRECTIONS:  # nothing would be concluded from them
-        return row
-    row["passed"] = may_be_accepted(scan, z, emd(z, scan.common_z))
-    if not (row["passed"] or number % UNSCREENED == 0):
-        return row
+        return result
+    result["passed"] = may_be_accepted(scan, z, emd(z, scan.common_z))
+    if not (result["passed"] or without_screens):
+        return result
     volume = scan.table.volume(z, None, scan.workers)
-    row["emd_min"] = float(volume.values.ravel()[scan.table.outcome == Outcome.FINE].min())
-    printed = case.published["emd_min"].value
-    if abs(row["emd_min"] - printed) <= TOLERANCES["loose"].emd_min:
-        factor = case.assumptions.study.near_minimum_factor
-        deviation = make_near_minimum_set(case, volume, factor, seed=0).deviation
+    smallest = float(volume.values.ravel()[scan.table.outcome == Outcome.FINE].min())
+    result["emd_min"] = smallest
+    if abs(smallest - scan.case.published["emd_min"].value) <= TOLERANCES["loose"].emd_min:
+        factor = scan.case.assumptions.study.near_minimum_factor
+        deviation = make_near_minimum_set(scan.case, volume, factor, seed=0).deviation
         if deviation:  # else the set has too few points for four lines
-            row["line_rad_s"] = [float(line["mean"]) for line in deviation]
-    return row
+            result["line_rad_s"] = [float(line["mean"]) for line in deviation]
+    return result
 
 
 def simulate_block(scan: Scan, seed: int, block: int) -> dict[str, Any]:
-    """Simulate the draws of one file."""
+    """Simulate the draws of one file and repeat the scan for each."""
     numbers = range(block * BLOCK, (block + 1) * BLOCK)
-    return {"draws": [simulate_draw(scan, seed, number) for number in numbers]}
+    rebounds = [simulate_rebound(scan, seed, number) for number in numbers]
+    # the estimator takes all samples of all rebounds at once
+    sun = sun_directions(scan.case.vehicle, np.concatenate([r.power for r in rebounds]))
+    seen, z = is_reconstructed(sun["status"]), sun["sun_B"].values[:, 2]
+    ends = np.cumsum([len(rebound.power) for rebound in rebounds])[:-1]
+    parts, draws = zip(np.split(z, ends), np.split(seen, ends), strict=True), []
+    for number, rebound, (z_of_draw, known) in zip(numbers, rebounds, parts, strict=True):
+        truth = {"omega_B": rebound.omega_B.tolist(), "sun_B": rebound.sun_B.tolist()}
+        truth["weight"] = scan.proposal.weight(rebound.omega_B)
+        draws.append(truth | repeat_scan(scan, z_of_draw[known], number % UNSCREENED == 0))
+    return {"draws": draws}
 
 
 def load_or_make_draws(
@@ -279,13 +326,7 @@ def collect_draws(case: Case, rows: list[dict[str, Any]]) -> Draws:
     values = describe_motions(
         case, Rows(omega, columns["sun_B"], np.tile(np.array(speed), (len(rows), 1)))
     )
-    from_line = np.min(
-        [
-            np.linalg.norm(np.cross(omega - point, along), axis=1)
-            for point, along in published_lines(case)
-        ],
-        axis=0,
-    )
+    from_line = distances_from_lines(case, omega).min(axis=0)
     off = np.abs(columns["emd_min"] - case.published["emd_min"].value)
     line = columns["line_rad_s"].max(axis=1)  # NaN, and so not accepted, if there is none
     accepted = {

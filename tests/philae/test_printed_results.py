@@ -8,6 +8,7 @@ import pytest
 
 from studies import printed_results as study
 from sunspin.cases import load_case
+from sunspin.dynamics.propagate import propagate
 from sunspin.philae import rebound as rb
 
 CASE = load_case("philae")
@@ -51,13 +52,30 @@ def test_the_proposal_prefers_rates_whose_distribution_is_that_of_the_lines(scan
 
 
 def test_a_draw_is_the_same_in_any_block(scan, monkeypatch):
-    draws = study.simulate_block(scan, 5, 0)["draws"][:8]
+    monkeypatch.setattr(study, "BLOCK", 8)
+    draws = study.simulate_block(scan, 5, 0)["draws"]
     monkeypatch.setattr(study, "BLOCK", 4)
     blocks = [study.simulate_block(scan, 5, k)["draws"] for k in (1, 0)]
     assert draws == blocks[1] + blocks[0]
+    assert draws[:4] != study.simulate_block(scan, 6, 0)["draws"]
     # draw 0 is scanned without screens, if it gives directions enough
-    assert any(study.simulate_draw(scan, seed, 0)["emd_min"] is not None for seed in range(6))
-    assert draws != study.simulate_block(scan, 6, 0)["draws"] + blocks[0]
+    blocks = [study.simulate_block(scan, seed, 0)["draws"] for seed in range(4)]
+    assert any(block[0]["emd_min"] is not None for block in blocks)
+
+
+def test_simulated_directions_agree_with_the_reference_trajectory(scan, monkeypatch):
+    """The readings of a rebound with panels as drawn and without noise are those of heyoka's trajectory."""
+    used = {}
+
+    def exact(vehicle, samples, tilt, sigma, rng):
+        used["t"], used["sun_B"] = samples.t_s, samples.sun_B
+        return samples.exact_power(vehicle, tilt)
+
+    monkeypatch.setattr(study, "add_rebound_noise", exact)
+    rebound = study.simulate_rebound(scan, 1, 0)
+    t = used["t"] - used["t"][0]
+    run = propagate(CASE.vehicle, rebound.omega_B, rebound.sun_B, 865.0, t)
+    np.testing.assert_allclose(used["sun_B"], run["sun_B"].values, atol=3 * study.DIRECTION_ERROR)
 
 
 def test_tolerances_accept_and_the_table_agrees_with_figures_by_hand():
