@@ -66,25 +66,30 @@ class Tolerance(NamedTuple):
     line_rad_s: float
 
 
-TOLERANCES = {"loose": Tolerance(0.004, 0.06), "strict": Tolerance(0.002, 0.02)}
-"""The strict tolerance is that of the case's own telemetry (`telemetry.Criteria`). The screens are made for the loose one."""
+TOLERANCES = {
+    "wide": Tolerance(0.004, 0.10),
+    "medium": Tolerance(0.004, 0.06),
+    "strict": Tolerance(0.002, 0.02),
+}
+"""The strict tolerance is that of the case's own telemetry (`telemetry.Criteria`). The screens are made for the wide one."""
 
-EVEN_SHARE = 0.25
+EVEN_SHARE = 0.5
 """Share of the rates that is drawn evenly over the box; no weight exceeds its inverse."""
 
-NEAR_EMD = 0.012
+NEAR_EMD = 0.025
 """Scale (EMD) of the other share. Its density falls as exp(-(d / NEAR_EMD)^2 / 2), where d is the EMD of a motion's own r_z
 distribution to the common one of the published lines.
 """
 
-COMMON_EMD = (0.024, 0.06)
+COMMON_EMD = (0.024, 0.1)
 """EMD of measured r_z to the common distribution with which a draw passes the first screen.
 
-Below the lower limit the smallest EMD of the scan is too small, as grid points show the common distribution to 0.003.
+Below the lower limit the smallest EMD of the scan is too small, as grid points show the common distribution to 0.003. With an upper
+limit of 0.06 accepted draws were rejected.
 """
 
 TUBE_RAD_S = 0.12
-"""Radius in rad/s of the tubes about the published lines: twice the loose tolerance. Each must hold motions of the set."""
+"""Radius in rad/s of the tubes about the published lines, more than the wide tolerance. Each must hold motions of the set."""
 
 SUBSET, LEAST_IN_TUBES = 16, 0.3
 """Every n-th motion of the grid makes the third screen. This share of its near-minimum set, at least, must lie in the tubes."""
@@ -215,7 +220,7 @@ def may_be_accepted(scan: Scan, z: np.ndarray, common_emd: float) -> bool:
         return False
     factor = scan.case.assumptions.study.near_minimum_factor
     printed, segments = scan.case.published["emd_min"].value, target_segments(z, None)
-    tolerance, least = TOLERANCES["loose"].emd_min, []
+    tolerance, least = TOLERANCES["wide"].emd_min, []
     for tube in scan.tubes:
         smallest = distances_to(tube, segments, scan.workers).min(initial=np.inf)
         if not printed - tolerance <= smallest < factor * (printed + tolerance):
@@ -263,7 +268,7 @@ def repeat_scan(scan: Scan, z: np.ndarray, without_screens: bool) -> dict[str, A
     volume = scan.table.volume(z, None, scan.workers)
     smallest = float(volume.values.ravel()[scan.table.outcome == Outcome.FINE].min())
     result["emd_min"] = smallest
-    if abs(smallest - scan.case.published["emd_min"].value) <= TOLERANCES["loose"].emd_min:
+    if abs(smallest - scan.case.published["emd_min"].value) <= TOLERANCES["wide"].emd_min:
         factor = scan.case.assumptions.study.near_minimum_factor
         deviation = make_near_minimum_set(scan.case, volume, factor, seed=0).deviation
         if deviation:  # else the set has too few points for four lines
@@ -415,6 +420,8 @@ def format_table(table: pd.DataFrame, draws: Draws) -> str:
                 cells[-1] = f"{value:{digits}} +- {error:{digits}}"
                 if statistic == "count":
                     cells[-1] = f"{value:,.0f}"
+                elif not value and quantity.startswith("probability"):
+                    cells[-1] = f"none of {draws.weight.size:,}"
         text += "| " + " | ".join([label, *cells]) + " |\n"
     rejected = {name: int(draws.accepted[f"{name} without screens"].sum()) for name in TOLERANCES}
     # draws that the screens let pass count as checked too: their number is divided by that of the unscreened ones
@@ -446,9 +453,9 @@ def printed_figure(case: Case, draws: Draws) -> Figure:
             label = f"{tolerance}: EMD ±{limits.emd_min:g}, lines {limits.line_rad_s:g} rad/s"
             label += f" ({mask.sum()} accepted, effective {effective_runs(draws.weight[mask]):.0f})"
             style |= {"histtype": "step", "color": COLOURS[k], "label": label}
-            axes.hist(x[mask], weights=draws.weight[mask], lw=1.5, ls=("-", "--")[k], **style)
+            axes.hist(x[mask], weights=draws.weight[mask], lw=1.5, ls=("-", "--", ":")[k], **style)
         median = float(np.median(on_lines[name]))
-        axes.axvline(median, ls=":", lw=1.2, color="#000000", label="published lines, median")
+        axes.axvline(median, ls="-.", lw=1.0, color="#000000", label="published lines, median")
         axes.set(xlabel=f"{meaning} ({unit})", ylabel=f"density (1/({unit}))")
         axes.xaxis.label.set_wrap(True)
     handles = figure.axes[0].get_legend_handles_labels()
