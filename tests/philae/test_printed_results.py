@@ -38,7 +38,7 @@ def test_weights_are_positive_and_bounded_and_make_the_box_even(scan):
     weight = np.array([scan.proposal.weight(x) for x in omega])
     assert np.all(omega >= limits[:, 0]) and np.all(omega <= limits[:, 1])
     assert np.all(weight > 0) and weight.max() <= 1 / study.EVEN_SHARE
-    assert weight.std() > 0.3  # else nothing is concentrated
+    assert weight.std() > 0.2  # else nothing is concentrated
     assert weight.mean() == pytest.approx(1.0, abs=0.03)
     x = (omega - limits.mean(axis=1)) / np.ptp(limits, axis=1)
     np.testing.assert_allclose(np.average(x, axis=0, weights=weight), 0.0, atol=0.015)
@@ -78,7 +78,8 @@ def test_simulated_directions_agree_with_the_reference_trajectory(scan, monkeypa
     np.testing.assert_allclose(used["sun_B"], run["sun_B"].values, atol=3 * study.DIRECTION_ERROR)
 
 
-def test_tolerances_accept_and_the_table_agrees_with_figures_by_hand():
+def test_tolerances_accept_and_the_table_agrees_with_figures_by_hand(monkeypatch):
+    monkeypatch.setattr(study, "LEAST_ACCEPTED", 1)
     on_line = rb.points_on_lines(rb.published_lines(CASE), [0.0])[2, 0].tolist()
     rows = [
         row(on_line, 1.0, 0.0326, 0.01),
@@ -89,20 +90,18 @@ def test_tolerances_accept_and_the_table_agrees_with_figures_by_hand():
         row([0.5, 0.5, 0.0], 1.0, None, None),
     ]
     draws = study.collect_draws(CASE, rows)
-    assert draws.accepted["loose"].tolist() == [True, True, False, False, False, False]
+    assert draws.accepted["wide"].tolist() == [True, True, False, False, False, False]
     assert draws.accepted["strict"].tolist() == [True] + [False] * 5
     assert np.flatnonzero(draws.accepted["strict without screens"]).tolist() == [4]
     table = study.make_table(CASE, draws).set_index(["sample", "quantity", "statistic"])["value"]
-    assert table["loose", "effective number", "count"] == pytest.approx(4**2 / 10)
-    assert table["loose", "probability of acceptance", "mean"] == pytest.approx(4 / 6)
+    assert table["wide", "effective number", "count"] == pytest.approx(4**2 / 10)
+    assert table["wide", "probability of acceptance", "mean"] == pytest.approx(4 / 6)
     near = f"share within {study.ON_LINE_RAD_S:g} rad/s of a published line"
-    assert table["loose", near, "mean"] == pytest.approx(1 / 4)
+    assert table["wide", near, "mean"] == pytest.approx(1 / 4)
     assert table["strict", near, "mean"] == 1
     meaning, _ = study.QUANTITIES["smaller"]
     assert table["strict", meaning, "mean"] == pytest.approx(31.7, abs=0.5)  # L3: theta
-    assert "rejected 1 accepted (strict)" in study.format_table(
-        study.make_table(CASE, draws), draws
-    )
+    assert "1 and 1 (strict)" in study.format_table(study.make_table(CASE, draws), draws)
 
 
 def test_weighted_quantiles_agree_with_those_of_repeated_values():
