@@ -85,7 +85,7 @@ COMMON_EMD = (0.024, 0.1)
 """EMD of measured r_z to the common distribution with which a draw passes the first screen.
 
 Below the lower limit the smallest EMD of the scan is too small, as grid points show the common distribution to 0.003. With an upper
-limit of 0.06 accepted draws were rejected.
+limit of 0.06 a draw that would have been accepted was rejected.
 """
 
 TUBE_RAD_S = 0.12
