@@ -7,6 +7,7 @@ connect.
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import signal
 from collections.abc import Generator, Iterator
@@ -112,6 +113,9 @@ def _connect_to_address(address: Any) -> Client:
     for _ in range(CONNECT_ATTEMPTS):
         with suppress(AssertionError):
             return Client(address, set_as_default=False)
+        # closes the client that failed; left to a later collection, it may be closed while another client takes the lock that
+        # closing needs, and both wait for ever
+        gc.collect()
     raise TimeoutError(f"{CONNECT_ATTEMPTS} attempts to connect failed")
 
 
