@@ -61,7 +61,7 @@ def _without_conclusions(study: Study) -> list[str]:
 
 
 def _method_sentence(study: Study) -> str:
-    """Return the first act: what the paper's own recipe gives with this telemetry, beside the published figures."""
+    """Return the first act: what the paper's own recipe gives with this telemetry, compared with the published figures."""
     candidate_sets, published = study.candidate_sets, study.case.published
     if candidate_sets is None or "level_set" not in study.parts:
         return ""

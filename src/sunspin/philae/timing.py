@@ -151,7 +151,7 @@ def _find_truth(rebound: Rebound, t_s: np.ndarray) -> Truth | None:
 
 
 def rows(timing: Timing) -> list[Row]:
-    """Return the angular speeds at the touchdown, at the collision and after it beside what the paper says of them."""
+    """Return the angular speeds at the touchdown, at the collision and after it, compared with what the paper says."""
     truth, result = timing.truth, []
     for name, speeds, true in (
         ("timed_rate_at_touchdown", timing.touchdown, truth and truth.touchdown),
@@ -223,7 +223,7 @@ def posterior_figure(timing: Timing, near: NearMinimum, synthetic: bool) -> Figu
 def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> Figure:
     """Draw the angular speed just after the touchdown, up to the collision, and after it, by the posterior.
 
-    `near_minimum`: the motions of the paper's recipe, whose speeds are shown beside them.
+    `near_minimum`: the motions of the paper's recipe, whose speeds are drawn too.
     """
     truth = timing.truth
     figure = Figure(figsize=(11, 4.4), layout="constrained")
