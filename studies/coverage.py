@@ -47,6 +47,7 @@ from sunspin.philae.simulation import (
 )
 from sunspin.philae.threshold import CONFIDENCE, emd_of_truths, quantile_threshold, threshold_index
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
+from sunspin.telemetry.synthetic import generator
 from validation.campaign import command, load_or_make, rows_folder, study_parser
 
 FACTOR = 1.1
@@ -87,7 +88,7 @@ def simulate_rebound(grid: Grid, kind: str, number: int, seed: int) -> dict[str,
     `bound_set` is the smallest in the near-minimum set, `factor_speed` that in the set of each of `FACTORS`, and `factor_count` the
     number of motions in it. `line_angle`: angles (rad) of the fitted lines to the published ones, NaN if no four lines are fitted.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    rng = generator(seed, number)
     case, z = grid.case, np.array([])
     while z.size < LEAST_DIRECTIONS:
         truth = draw_true_rate(case, kind, rng)

@@ -36,13 +36,13 @@ from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
 from sunspin.philae.rebound import (
     Options,
+    distances_from_lines,
     first_sample_lead_s,
     first_sun,
     momentum_angles,
     nominal_wheel_speeds,
     propagate_back,
     published_candidates,
-    published_lines,
     published_window_s,
     scan_grid,
     scan_limits,
@@ -56,6 +56,7 @@ from sunspin.philae.simulation import (
 )
 from sunspin.philae.telemetry import common_distribution
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
+from sunspin.telemetry.synthetic import generator
 from validation.campaign import command, load_or_make, rows_folder, study_parser
 
 
@@ -206,13 +207,6 @@ def make_scan(case: Case, coarser: int, workers: int | None) -> Scan:
     return Scan(case, table, proposal, common_z, tubes, subset, in_tubes, threads)
 
 
-def distances_from_lines(case: Case, omega_B: np.ndarray) -> np.ndarray:
-    """Return the distances (n_lines, n) in rad/s of rates (n, 3) from the published lines."""
-    lines = published_lines(case)
-    off = [np.cross(omega_B - point, along) for point, along in lines]
-    return np.linalg.norm(off, axis=2)
-
-
 def may_be_accepted(scan: Scan, z: np.ndarray, common_emd: float) -> bool:
     """Return whether the screens let measured r_z (n) pass; `common_emd` is its EMD to the common distribution.
 
@@ -250,7 +244,7 @@ class Rebound(NamedTuple):
 def simulate_rebound(scan: Scan, seed: int, number: int) -> Rebound:
     """Draw a true rate and simulate the readings of its rebound: they follow from seed and number alone."""
     vehicle = scan.case.vehicle
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    rng = generator(seed, number)
     omega_B, t = scan.proposal.draw(rng), draw_rebound_times(scan.case, rng)
     tilt, first = draw_misaligned_panels(vehicle, first_sun(scan.case), rng)
     # the compiled kernels take a tenth of the time of `propagate`

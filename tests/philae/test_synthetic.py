@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.philae import telemetry as selection
 from sunspin.philae.simulation import philae_twin
 from sunspin.philae.telemetry import find_printed_rebounds, main, make_landing
 from sunspin.telemetry.sun import is_reconstructed
@@ -224,6 +225,28 @@ def test_synthesise_writes_the_built_in_telemetry_and_overwrites_nothing_unasked
         again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6
     )
     written = out.read_bytes()
+    assert f"draw {truth['draw']} of first rebounds, selected because" in written.decode()
     assert main([*known, str(out)]) == 2
     assert "the file exists" in capsys.readouterr().err
     assert out.read_bytes() == written
+
+
+def test_a_draw_that_was_not_selected_does_not_say_so(tmp_path):
+    """Another draw of the same descent: made at once, without the search."""
+    other = truth["draw"] - 1
+    out = tmp_path / "telemetry.csv"
+    assert main(["--seed", str(truth["seed"]), "--draw", str(other), str(out)]) == 0
+    text = out.read_text("utf-8")
+    assert f"draw {other} of first rebounds, not compared with what the paper prints" in text
+    assert "selected because" not in text
+
+
+def test_an_existing_file_is_refused_before_the_search(tmp_path, monkeypatch, capsys):
+    def search(*_):
+        raise AssertionError("searched")
+
+    monkeypatch.setattr(selection, "find_printed_rebounds", search)
+    (tmp_path / "twin_truth.toml").write_text("mine", "utf-8")
+    assert main([str(tmp_path / "telemetry.csv")]) == 2
+    assert "the file exists" in capsys.readouterr().err
+    assert not (tmp_path / "telemetry.csv").exists()

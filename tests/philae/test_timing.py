@@ -9,7 +9,12 @@ from sunspin.base.errors import TelemetryError
 from sunspin.dynamics.ensemble import Outcome
 from sunspin.philae import rebound as rebounds
 from sunspin.philae import reproduction, timing
-from sunspin.philae.metrics import line_stretch, make_near_minimum_set, near_minimum_figure
+from sunspin.philae.metrics import (
+    line_stretch,
+    make_near_minimum_set,
+    near_minimum_figure,
+    propagate_grid,
+)
 from tests.output.conftest import small
 from tests.support.figures import covered
 from tests.support.philae import CASE, SUN
@@ -52,7 +57,7 @@ def test_the_posterior_of_the_built_in_telemetry_contains_the_truth(rebound):
     known = rebounds.read_truth(CASE)
     assert truth.speed[-1] == pytest.approx(np.linalg.norm(known["collision_omega_before_B"]))
     for figure in (
-        timing.speeds_figure(result, result.motions, True),
+        timing.speeds_figure(result, result.touchdown, True),
         timing.posterior_figure(result, _near_minimum(rebound), True),
     ):
         assert not covered(figure)
@@ -64,8 +69,6 @@ def test_the_posterior_of_the_built_in_telemetry_contains_the_truth(rebound):
 
 def _near_minimum(rebound):
     """Near-minimum set of a coarse scan."""
-    from sunspin.philae.metrics import propagate_grid
-
     table = propagate_grid(CASE, rebound.sun_B, rebound.window_s, rebounds.Options(coarser=4))
     assert (table.outcome == Outcome.FINE).all()
     return make_near_minimum_set(CASE, table.volume(rebound.z), 1.3, 0)

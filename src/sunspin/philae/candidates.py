@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -100,16 +100,21 @@ class Candidates:
 
     def dataset(self) -> xr.Dataset:
         """Return the candidates as :func:`sunspin.landing.outcomes.outcomes` accepts them, all equally likely."""
-        body, speed = ("candidate", "axis"), self.states.wheel_speed_rad_s
-        return xr.Dataset(
-            {
-                "omega_B": (body, self.states.omega_B, {"units": "rad s-1"}),
-                "sun_B": (body, self.states.sun_B, {"units": "1"}),
-                "wheel_speed_rad_s": (("candidate", "wheel"), speed, {"units": "rad s-1"}),
-            },
-            coords={"axis": ["x", "y", "z"]},
-            attrs={"about": self.about, "chain": self.source},
-        )
+        return states_dataset(self.states, self.about, self.source)
+
+
+def states_dataset(states: Rows, about: str, source: str) -> xr.Dataset:
+    """Return states as :func:`sunspin.landing.outcomes.outcomes` accepts them, all equally likely, with their description."""
+    body, speed = ("candidate", "axis"), states.wheel_speed_rad_s
+    return xr.Dataset(
+        {
+            "omega_B": (body, states.omega_B, {"units": "rad s-1"}),
+            "sun_B": (body, states.sun_B, {"units": "1"}),
+            "wheel_speed_rad_s": (("candidate", "wheel"), speed, {"units": "rad s-1"}),
+        },
+        coords={"axis": ["x", "y", "z"]},
+        attrs={"about": about, "chain": source},
+    )
 
 
 def touchdown_speeds(rebound: Rebound, states: Rows) -> np.ndarray:
@@ -162,7 +167,7 @@ class CandidateSets:
 
     `scan_range` holds the whole scan range (for the source "posterior" draws of its rate prior), `near_minimum` the paper's
     near-minimum set. `calibration` is None unless the source is "scan". `share` is the part of the scan range in the chosen set
-    (NaN unless it comes from the scan). `posterior` and its `verdict` are None and "" for other sources.
+    (NaN unless it comes from the scan). `posterior` is that of the readings, None for other sources.
     """
 
     case: Case
@@ -172,8 +177,12 @@ class CandidateSets:
     near_minimum: Candidates
     calibration: Calibration | None
     share: float
-    verdict: str = ""
     posterior: xr.DataTree | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Verdict of the posterior in words; empty for other sources."""
+        return "" if self.posterior is None else str(self.posterior.attrs["verdict"])
 
     @property
     def source(self) -> str:
@@ -234,17 +243,18 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
     near_minimum = select_below(factor * scan.smallest, "scan", about)
     if source == "posterior":
-        drawn = draw_from_posterior(rebound, options)
+        posterior = sample_posterior(rebound, options)
+        chosen, prior = (
+            make_candidates(
+                rebound, states, options.seed, source=source, about=about, from_posterior=True
+            )
+            for states, about in (
+                draws_of_posterior(posterior),
+                _draw_from_prior(rebound, posterior, options.seed),
+            )
+        )
         return CandidateSets(
-            case,
-            rebound,
-            drawn.motions,
-            drawn.prior,
-            near_minimum,
-            None,
-            share,
-            drawn.verdict,
-            drawn.posterior,
+            case, rebound, chosen, prior, near_minimum, None, share, posterior=posterior
         )
     about = "the whole scanned box: what was possible before the data"
     scan_range = select_below(np.inf, source, about)
@@ -268,58 +278,47 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     return CandidateSets(case, rebound, chosen, scan_range, near_minimum, calibration, share)
 
 
-class DrawnPosterior(NamedTuple):
-    """The posterior of the rebound's readings, candidates drawn from it and from its prior of the rates, and its verdict."""
-
-    posterior: xr.DataTree
-    motions: Candidates
-    prior: Candidates
-    verdict: str
-
-
-def draw_from_posterior(rebound: Rebound, options: Options) -> DrawnPosterior:
-    """Sample the posterior of the rebound's readings, and return candidates drawn from it and from its rate prior.
-
-    The posterior has directions and wheel speeds of its own; motions of the prior begin like those of the scan. Raises
-    `TelemetryError` if no motion explains the readings.
-    """
+def sample_posterior(rebound: Rebound, options: Options) -> xr.DataTree:
+    """Return the posterior of the rebound's readings; raise `TelemetryError` if no motion explains them."""
     from sunspin.estimate.posterior.estimate import posterior
 
-    times, seed = rebound.samples["utc_s"].values, options.seed
+    times = rebound.samples["utc_s"].values
     tree = posterior(
         rebound.case.vehicle,
         rebound.case.telemetry,
-        seed=seed,
+        seed=options.seed,
         begin_s=float(times[rebound.first]),
         end_s=float(times[-1]),
         draws=POSTERIOR_DRAWS,
         workers=options.workers,
         progress=options.progress,
     )
-    word, verdict = tree.attrs["verdict_word"], str(tree.attrs["verdict"])
-    if word == "not explained":
-        raise TelemetryError("no motion explains the readings of the rebound", got=verdict)
-    draws = tree["posterior"].to_dataset()
+    if tree.attrs["verdict_word"] == "not explained":
+        what = "no motion explains the readings of the rebound"
+        raise TelemetryError(what, got=str(tree.attrs["verdict"]))
+    return tree
+
+
+def draws_of_posterior(posterior: xr.DataTree) -> tuple[Rows, str]:
+    """Return the states of the posterior's draws, with directions and wheel speeds of their own, and their description."""
+    draws = posterior["posterior"].to_dataset()
     omega, sun, speeds = (
         draws[name].values.reshape(-1, draws[name].shape[-1])
         for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )
     states = Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
+    word = posterior.attrs["verdict_word"]
+    return states, f"{len(states)} draws of the posterior of the readings ({word})"
+
+
+def _draw_from_prior(rebound: Rebound, posterior: xr.DataTree, seed: int) -> tuple[Rows, str]:
+    """Draw states from the posterior's prior of the rates, which begin like those of the scan; return also their description."""
     # the rate prior is uniform for |omega| < max_rate, so |omega| is distributed as max_rate times a cube root
-    max_rate, rng = float(tree.attrs["max_rate_rad_s"]), generator(seed, 11)
+    max_rate, rng = float(posterior.attrs["max_rate_rad_s"]), generator(seed, 11)
     direction = rng.standard_normal((DRAWS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    prior_states = rebound.states(direction * max_rate * np.cbrt(rng.random(DRAWS))[:, None])
-    chosen, prior = (
-        make_candidates(
-            rebound, states_of_set, seed, source="posterior", about=about, from_posterior=True
-        )
-        for states_of_set, about in (
-            (states, f"{len(states)} draws of the posterior of the readings ({word})"),
-            (prior_states, f"even in the ball of {max_rate:g} rad/s of the posterior's prior"),
-        )
-    )
-    return DrawnPosterior(tree, chosen, prior, verdict)
+    states = rebound.states(direction * max_rate * np.cbrt(rng.random(DRAWS))[:, None])
+    return states, f"even in the ball of {max_rate:g} rad/s of the posterior's prior"
 
 
 def read_rates(path: Path) -> np.ndarray:

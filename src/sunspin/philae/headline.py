@@ -30,10 +30,10 @@ def headline(study: Study) -> list[str]:
     origin = synthetic if study.synthetic else measured
     if study.candidate_sets is None:
         return [_descent_sentence(study), *_without_conclusions(study), origin]
-    acts = [_method_sentence(study), _limits_sentence(study.candidate_sets)]
+    acts = [_method_sentence(study, study.candidate_sets), _limits_sentence(study.candidate_sets)]
     if "timing" in study.parts:
         acts.append(timing.describe(study.parts["timing"]))
-    numbered = [f"{number}. {act}" for number, act in enumerate(filter(None, acts), 1)]
+    numbered = [f"{number}. {act}" for number, act in enumerate(acts, 1)]
     return [_descent_sentence(study), *numbered, origin]
 
 
@@ -60,11 +60,9 @@ def _without_conclusions(study: Study) -> list[str]:
     return [motion, "No conclusions on touchdown, collision and landing."]
 
 
-def _method_sentence(study: Study) -> str:
+def _method_sentence(study: Study, candidate_sets: CandidateSets) -> str:
     """Return the first act: what the paper's own recipe gives with this telemetry, compared with the published figures."""
-    candidate_sets, published = study.candidate_sets, study.case.published
-    if candidate_sets is None or "level_set" not in study.parts:
-        return ""
+    published = study.case.published
     scan: TelemetryScan = study.parts["level_set"]
     rows = {row.id: row for row in study.rows}
     lines = len(published_lines(study.case))

@@ -7,6 +7,7 @@ through the set (Fig. 9).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from sunspin.philae.rebound import (
     Options,
     Rebound,
     direction_mask,
+    distances_from_lines,
     first_sun,
     line_in_scan_range,
     make_rebound,
@@ -160,9 +162,7 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
     def map_row(name: str, error: xr.DataArray, start: np.ndarray, **texts: Any) -> Row:
         """Return the row of a map: its range, its valleys, and the distance of its start from the nearest published line."""
         ours = [float(error.min()), float(error.max()), *count_valleys(error.values)]
-        # the directions are unit vectors, so each cross product is as long as the distance from the line
-        offsets = [np.cross(start - point, along) for point, along in published_lines(case)]
-        distance = min(float(np.linalg.norm(offset)) for offset in offsets)
+        distance = float(distances_from_lines(case, start).min())
         return make_row(case, name, ours, apart=distance, **texts)
 
     # the paper quotes another first direction here than for the scan
@@ -453,6 +453,24 @@ def rate_axes(figure: Figure, *subplot: int) -> Any:
     return axes
 
 
+def rate_space_views(figure: Figure, case: Case) -> Iterator[Any]:
+    """Yield axes of two views of the scan range in rate space, in perspective and from +z, each to be drawn into.
+
+    Artists cover each other by their `zorder`, not by their depth, so that lines are drawn over points.
+    """
+    for k, (name, elevation, azimuth) in enumerate(
+        (("perspective", 22, -62), ("from +z", 90, -90))
+    ):
+        axes = rate_axes(figure, 1, 2, k + 1)
+        axes.computed_zorder = False
+        axes.view_init(elevation, azimuth)
+        yield axes
+        if name == "from +z":
+            axes.set(zlabel="", zticks=[])
+        axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
+        axes.set_title(name, fontsize=9)
+
+
 def line_stretch(points: np.ndarray, line: Line, step_rad_s: float) -> tuple[float, float] | None:
     """Return the first and last position (rad/s, from the line's point) of points (n, 3) along a line that they make.
 
@@ -485,11 +503,7 @@ def near_minimum_figure(
     points, lines = near.points, near.lines
     member = np.zeros(len(points), int) if lines is None else lines["member"].values
     step = float(np.diff(near.emd["omega_x"].values[:2])[0])
-    views = (("perspective", 22, -62), ("from +z", 90, -90))
-    for k, (name, elevation, azimuth) in enumerate(views):
-        axes = rate_axes(figure, 1, 2, k + 1)
-        axes.computed_zorder = False  # lines and truth are drawn over the points
-        axes.view_init(elevation, azimuth)
+    for axes in rate_space_views(figure, case):
         colours = [COLOURS[m % 8] for m in member]
         axes.scatter(*points.T, s=5, c=colours, alpha=0.5, linewidths=0, zorder=1)
         for i, line in enumerate([] if lines is None else list_lines(lines)):
@@ -504,10 +518,6 @@ def near_minimum_figure(
         if truth is not None:
             label = "truth of the synthetic telemetry"
             axes.scatter(*truth, marker="*", s=150, color="#000000", label=label, zorder=4)
-        if k:
-            axes.set(zlabel="", zticks=[])
-        axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
-        axes.set_title(name, fontsize=9)
     figure.suptitle(title, fontsize=11)
     labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(*labels, fontsize=9, ncols=3, loc="outside lower center", frameon=False)

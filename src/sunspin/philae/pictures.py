@@ -100,7 +100,7 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
     "timing_speed": (
         "timing candidates",
         lambda study, result: timing.speeds_figure(
-            result, study.parts["candidates"].near_minimum, study.synthetic
+            result, study.parts["candidates"].near_minimum.speed_touchdown, study.synthetic
         ),
     ),
     "speed": ("speeds", lambda study, result: speed_figure(study.case, result, study.synthetic)),

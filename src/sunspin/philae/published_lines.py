@@ -92,6 +92,12 @@ class PublishedLines:
     slow: xr.Dataset
 
 
+def pool_rz(case: Case) -> list[np.ndarray]:
+    """Return for each published line the r_z of motions that begin at `POOL_POINTS` points of it, in view of the panels."""
+    starts = points_on_lines(published_lines(case), np.linspace(*POOL_RANGE, POOL_POINTS))
+    return [np.concatenate([simulate_rz(case, omega) for omega in line]) for line in starts]
+
+
 def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options) -> PublishedLines:
     """Simulate motions on the lines.
 
@@ -104,8 +110,7 @@ def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options)
         table = propagate_grid(case, first, window, options)
 
     # distribution of r_z of each line, their common distribution, and near-minimum sets of the scan of the latter
-    starts = points_on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
-    pooled = [np.concatenate([simulate_rz(case, omega) for omega in line]) for line in starts]
+    pooled = pool_rz(case)
     common = np.concatenate(pooled)
     volume = table.volume(common, workers=worker_count(options.workers))
     factors = (1.1, 1.5, 2.0, 3.0, FACTOR, 6.0)

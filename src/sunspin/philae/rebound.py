@@ -133,6 +133,13 @@ def points_on_lines(lines: Sequence[Line], omega_z: Any) -> np.ndarray:
     return np.array([point_at(point, along, 2, omega_z) for point, along in lines])
 
 
+def distances_from_lines(case: Case, omega_B: np.ndarray) -> np.ndarray:
+    """Return the distances (n_lines, ...) in rad/s of rates (..., 3) from the published lines."""
+    # the directions are unit vectors, so each cross product is as long as the distance from the line
+    offsets = [np.cross(omega_B - point, along) for point, along in published_lines(case)]
+    return np.linalg.norm(offsets, axis=-1)
+
+
 def published_candidates(case: Case) -> np.ndarray:
     """Return rates (204, 3) in rad/s on the four published lines, every 0.01 rad/s of omega_z over `LINE_RANGE`."""
     return points_on_lines(published_lines(case), np.linspace(*LINE_RANGE, 51)).reshape(-1, 3)

@@ -149,6 +149,12 @@ def unshadowed_samples(case: Case, data: xr.Dataset) -> np.ndarray:
     return ~np.any([by_phase[name] for name in SHADOWED_PHASES if name in by_phase], axis=0)
 
 
+def share_in_shadowed_range(case: Case, delta: np.ndarray) -> float:
+    """Return the share of Delta (n) in the range that the paper prints for shadowed samples; 0 without any."""
+    least, most = case.published["delta_shadowed"].value
+    return float(np.mean((delta >= least) & (delta <= most))) if delta.size else 0.0
+
+
 # ---- Delta, n_z, lit patterns and sampling of each phase ---------------------------------------------------------------------
 
 
@@ -217,8 +223,7 @@ def _delta_rows(landing: Phases) -> list[Row]:
     shadowed = ("deployment", "rest")  # phases in which Delta is large according to the paper
     # the empty list lets the concatenation succeed if neither phase has samples
     large = np.concatenate([[], *(by_phase[name] for name in shadowed if name in by_phase)])
-    least, most = paper["delta_shadowed"]
-    share = float(np.mean((large >= least) & (large <= most))) if large.size else 0.0
+    share = share_in_shadowed_range(case, large)
     ranges, means = [], []
     for name, values in by_phase.items():
         if name in shadowed:

@@ -40,10 +40,12 @@ from sunspin.estimate.scan.table import Table
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.descent import find_first_clean_sample
-from sunspin.philae.metrics import make_near_minimum_set, propagate_grid, simulate_rz
+from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
+from sunspin.philae.published_lines import pool_rz
 from sunspin.philae.rebound import (
     LINE_RANGE,
     Options,
+    distances_from_lines,
     first_sun,
     points_on_lines,
     published_lines,
@@ -68,19 +70,26 @@ from sunspin.philae.simulation import (
     simulate_ground_phases,
     simulate_second_rebound,
 )
+from sunspin.philae.sun_directions import share_in_shadowed_range
 from sunspin.telemetry.health import panel_health
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
-from sunspin.telemetry.synthetic import csv_text, truth_text, write_new
+from sunspin.telemetry.synthetic import (
+    csv_text,
+    generator,
+    refuse_existing,
+    truth_text,
+    write_new,
+)
 from sunspin.vehicle import Vehicle
 
-SEED = 0
-"""Seed of the committed file: the first; none was picked."""
+SEED, DRAW = 0, 35_913
+"""Seed and draw of the committed file: the first seed, none was picked, and its first draw that is accepted."""
 
 REBOUNDS_PER_DESCENT = 500
 """Number of first rebounds that are drawn for the panels of one accepted descent, which takes as long to find as they do."""
 
-READINGS_OF_13_S = {"L1": (-0.016, 0.20, -0.04), "L3": (0.084, 0.18, 0.03)}
-"""omega_z in rad/s at the first sample of the motions on L1 and L3 with one revolution in 13 s before the collision.
+READINGS_OF_13_S = {1: (-0.016, 0.20, -0.04), 3: (0.084, 0.18, 0.03)}
+"""omega_z in rad/s at the first sample of the motions on the lines L1 and L3 with one revolution in 13 s before the collision.
 
 The 13 s (ROMAP team, 2014) are read as the period of |omega|, of omega_z, or of the precession |H| / I_perp. L2 and L4 have the
 same distributions of r_z.
@@ -111,8 +120,8 @@ Points of the lines differ from this distribution by 0.002 to 0.006 in EMD, so t
 smallest EMD.
 """
 
-COMMON_POINTS, COMMON_QUANTILES = 16, 4000
-"""Number of points of each line, over omega_z of -0.15 to 0.3 rad/s, and of quantiles that make the common distribution."""
+COMMON_QUANTILES = 4000
+"""Number of quantiles that stand for the common distribution of the published lines."""
 
 
 @dataclass(frozen=True)
@@ -148,15 +157,15 @@ class Criteria:
 CRITERIA = Criteria()
 
 
-def _stream(seed: int, part: int, number: int) -> np.random.Generator:
-    """Return the random generator of draw `number` of one part of the landing."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(part, number)))
-
-
 def _directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the Sun directions (n, 3) that readings (n, n_panel) show, NaN where they show none; the mask of these; Delta (n)."""
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values, is_reconstructed(sun["status"]), sun["delta"].values
+
+
+def _not_found(problem: str) -> InputError:
+    """Return the error of a phase that is given up."""
+    return InputError(problem, got=f"{MOST_DRAWS} draws", do="take another seed or draw")
 
 
 # ---- Panels and descent ------------------------------------------------------------------------------------------------------
@@ -177,9 +186,9 @@ class Descent(NamedTuple):
 
 def draw_descent(case: Case, seed: int, number: int) -> Descent:
     """Draw panels and descent number `number` of a seed until n_z, Delta and E of the descent are as printed."""
-    vehicle, rng = case.vehicle, _stream(seed, 1, number)
+    vehicle, rng = case.vehicle, generator(seed, 1, number)
     printed_E = case.published["descent_E"].value
-    for draws in count(1):
+    for draws in range(1, MOST_DRAWS + 1):
         tilt, _ = draw_misaligned_panels(vehicle, first_sun(case), rng)
         if tilt is None:
             raise InputError("the panels need misalignments", do="use the vehicle file of philae")
@@ -198,7 +207,7 @@ def draw_descent(case: Case, seed: int, number: int) -> Descent:
             continue
         folded, folded_power = draw_folded_samples(case, folded, power, tilt, rng)
         return Descent(tilt, (folded, unfolded), [folded_power, power], draws)
-    raise AssertionError("unreachable")
+    raise _not_found("no panels show what is printed of the descent")
 
 
 def draw_folded_samples(
@@ -214,9 +223,7 @@ def draw_folded_samples(
     (n, n_panel), the readings of the descent. Return the samples and their readings (m, n_panel).
     """
     vehicle, low, high = case.vehicle, *FOLDED_TRANSMISSION
-    printed_z, (least, most) = (
-        case.published[name].value for name in ("nz_folded", "delta_shadowed")
-    )
+    printed_z = case.published["nz_folded"].value
     for _ in range(MOST_DRAWS):
         transmission = np.append(rng.uniform(low, high, len(vehicle.panels) - 1), 1.0)
         samples = folded._replace(transmission=transmission)
@@ -225,23 +232,20 @@ def draw_folded_samples(
         legs, seen = np.arange(sun.sizes["time"]) < len(power), is_reconstructed(sun["status"])
         delta = sun["delta"].values[legs & (sun["status"].values == SunStatus.OK)]
         sun_z = sun["sun_B"].values[legs & seen, 2]
-        inside = np.mean((delta >= least) & (delta <= most)) if delta.size else 0.0
-        as_printed = inside >= CRITERIA.shadowed and sun_z.size > 0
-        if as_printed and abs(sun_z.mean() - printed_z) <= CRITERIA.folded_z:
+        shadowed = share_in_shadowed_range(case, delta) >= CRITERIA.shadowed
+        if shadowed and sun_z.size and abs(sun_z.mean() - printed_z) <= CRITERIA.folded_z:
             with suppress(TelemetryError):
                 if find_first_clean_sample(sun)[0] == len(power):
                     return samples, power
-    what = "no folded legs show what is printed of the first samples"
-    raise InputError(what, got=f"{MOST_DRAWS} draws", do="take another seed")
+    raise _not_found("no folded legs show what is printed of the first samples")
 
 
 def find_true_sun_z(case: Case, tilt: np.ndarray) -> float:
     """Return the true Sun's z in the descent with which panels rotated by `tilt` show the printed mean n_z, or NaN."""
     printed = sun_z = case.published["nz_descent"].value
     azimuth = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    for _ in range(
-        3
-    ):  # the shown n_z changes nearly as the true one does, so that this converges at once
+    # the shown n_z changes nearly as the true one does, so that three steps converge
+    for _ in range(3):
         if not abs(sun_z) < 1:  # also if no direction was shown
             return np.nan
         flat = np.sqrt(1 - sun_z**2)
@@ -276,11 +280,11 @@ class ReboundDraw(NamedTuple):
 
 def draw_rebound(case: Case, seed: int, number: int, tilt: np.ndarray) -> ReboundDraw:
     """Draw first rebound number `number` of a seed with panels rotated by `tilt` (n_panel, 3)."""
-    vehicle, rng = case.vehicle, _stream(seed, 2, number)
-    name = list(READINGS_OF_13_S)[rng.integers(2)]
-    reading = READINGS_OF_13_S[name][rng.integers(3)]
+    vehicle, rng = case.vehicle, generator(seed, 2, number)
+    line_number = list(READINGS_OF_13_S)[rng.integers(2)]
+    reading = READINGS_OF_13_S[line_number][rng.integers(3)]
     omega_z = reading + rng.uniform(-READING_RANGE_RAD_S, READING_RANGE_RAD_S)
-    line = published_lines(case)[int(name[1]) - 1]
+    line = published_lines(case)[line_number - 1]
     offset = rng.standard_normal(3)  # even in a ball
     offset *= TRUTH_OFFSET_RAD_S * np.cbrt(rng.uniform()) / np.linalg.norm(offset)
     start = find_first_state(case, tilt, points_on_lines([line], [omega_z])[0, 0] + offset)
@@ -311,8 +315,7 @@ def find_likely_rebounds(
 
 def common_distribution(case: Case) -> np.ndarray:
     """Return quantiles (n) of r_z over points of all four published lines, which have nearly the same distribution."""
-    points = points_on_lines(published_lines(case), np.linspace(-0.15, 0.3, COMMON_POINTS))
-    z = np.concatenate([simulate_rz(case, omega) for omega in points.reshape(-1, 3)])
+    z = np.concatenate(pool_rz(case))
     return np.quantile(z, (np.arange(COMMON_QUANTILES) + 0.5) / COMMON_QUANTILES)
 
 
@@ -327,11 +330,10 @@ class PrintedScan:
         )
         self.fine = self.table.outcome == Outcome.FINE
         start = self.table.rows.start.take(np.arange(len(self.fine)))
-        omega, tubes = start.omega_B, []
-        in_range = (omega[:, 2] > LINE_RANGE[0]) & (omega[:, 2] < LINE_RANGE[1])
-        for point, along in published_lines(case):
-            distance = np.linalg.norm(np.cross(omega - point, along), axis=1)
-            tubes.append(np.flatnonzero((distance < TUBE_RAD_S) & in_range & self.fine))
+        omega_z = start.omega_B[:, 2]
+        usable = (omega_z > LINE_RANGE[0]) & (omega_z < LINE_RANGE[1]) & self.fine
+        near = distances_from_lines(case, start.omega_B) < TUBE_RAD_S
+        tubes = [np.flatnonzero(of_line & usable) for of_line in near]
         self._tube_ends = np.cumsum([len(tube) for tube in tubes])[:-1]
         self._tube_hist = np.ascontiguousarray(self.table.hist[np.concatenate(tubes)])
 
@@ -397,13 +399,13 @@ def draw_collision(
 
     Return the collision, the samples after it, and their readings (n, n_panel).
     """
-    for number in count():
-        rng = _stream(seed, 3, number)
+    for number in range(MOST_DRAWS):
+        rng = generator(seed, 3, number)
         collision = simulate_collision(case, start, rng)
         samples = simulate_second_rebound(case, collision.after, rng)
         if np.mean(samples.sun_B[:, 2] < 0) >= CRITERIA.negative:
             return collision, samples, add_noise(case.vehicle, samples, tilt, None, rng)
-    raise AssertionError("unreachable")
+    raise _not_found("no collision gives r_z that is often negative")
 
 
 def draw_rest(
@@ -417,12 +419,11 @@ def draw_rest(
     printed = {
         frozenset(map(str, pattern)) for pattern in case.published["lit_patterns_at_rest"].value
     }
-    least, most = case.published["delta_shadowed"].value
     # the study estimates the noise from the file; the patterns must be impossible with an estimate that is too large
     form = vehicle.telemetry
     noisier = replace(vehicle, telemetry=replace(form, noise=1.3 * vehicle.require_noise()))
     for number in range(MOST_DRAWS):
-        rng = _stream(seed, 4, number)
+        rng = generator(seed, 4, number)
         azimuth, inclination = rng.uniform(-REST_RANGE_DEG, REST_RANGE_DEG, 2)
         early, late = (
             np.clip(np.array(part) * (1 + rng.uniform(-0.3, 0.3, len(part))), 0.0, 1.0)
@@ -441,13 +442,11 @@ def draw_rest(
         impossible = sun["status"].values == SunStatus.IMPOSSIBLE
         rest, n_lit = data["phase"].values == "rest", sun["n_lit"].values
         judged = rest & ((sun["status"].values == SunStatus.OK) | (impossible & (n_lit >= 3)))
-        delta = sun["delta"].values[judged]
-        inside = np.mean((delta >= least) & (delta <= most)) if delta.size else 0.0
+        inside = share_in_shadowed_range(case, sun["delta"].values[judged])
         as_printed = {frozenset(pattern) for pattern in health["impossible"]} == printed
         if as_printed and [*health["explanations"]] == [("1",)] and inside >= CRITERIA.shadowed:
             return phases, power
-    what = "no path of the Sun shows what is printed of the samples at rest"
-    raise InputError(what, got=f"{MOST_DRAWS} draws", do="take another seed")
+    raise _not_found("no path of the Sun shows what is printed of the samples at rest")
 
 
 def make_landing(case: Case, seed: int, number: int) -> xr.Dataset:
@@ -485,15 +484,23 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     case, truth = load_case("philae"), options.out.parent / "twin_truth.toml"
     try:
+        for path in (options.out, truth):  # before the search, which takes long
+            refuse_existing(path, options.force)
         number = options.draw
         if number is None:
             number = next(find_printed_rebounds(case, options.seed, options.first))
+        selected = options.draw is None or (options.seed, number) == (SEED, DRAW)
+        why = (
+            "selected because it shows what the paper prints of the telemetry"
+            if selected
+            else "not compared with what the paper prints of the telemetry"
+        )
         telemetry = make_landing(case, options.seed, number)
         command = f"python -m sunspin.philae.telemetry --seed {options.seed} --draw {number}"
         comments = [
             f"synthetic: not measured; made by sunspin {version()} from published facts",
             f"synthetic: {command} {options.out.name}",
-            f"synthetic: draw {number} of first rebounds, selected because it shows what the paper prints of the telemetry",
+            f"synthetic: draw {number} of first rebounds, {why}",
         ]
         behind_them = "the truth behind them is in twin_truth.toml"
         scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"

@@ -19,17 +19,18 @@ from sunspin.estimate.posterior.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, titled
 from sunspin.philae.candidates import (
-    Candidates,
     CandidateSets,
-    draw_from_posterior,
+    draws_of_posterior,
+    sample_posterior,
+    states_dataset,
     touchdown_speeds,
 )
-from sunspin.philae.metrics import NearMinimum, draw_published_lines, rate_axes
+from sunspin.philae.metrics import NearMinimum, draw_published_lines, rate_space_views
 from sunspin.philae.rebound import (
     Options,
     Rebound,
     read_truth,
-    scan_limits,
+    start_states,
 )
 from sunspin.philae.row import Row, make_row
 
@@ -60,7 +61,7 @@ class Timing:
 
     Attributes
     ----------
-    motions : draws of the posterior, with the body as the vehicle file states it
+    motions : draws of the posterior at the candidates' instant, as `outcomes` takes them
     touchdown, collision : (n) rad/s, angular speed of the draws just after the first touchdown and just before the collision, each
         with inertia, wheel and friction of its own draw
     verdict : that of the posterior, in words
@@ -71,7 +72,7 @@ class Timing:
     """
 
     rebound: Rebound
-    motions: Candidates
+    motions: xr.Dataset
     touchdown: np.ndarray
     collision: np.ndarray
     verdict: str
@@ -99,22 +100,23 @@ def compute(
         No motion explains the readings.
     """
     case = rebound.case
-    if candidate_sets is not None and candidate_sets.posterior is not None:
-        tree, motions = candidate_sets.posterior, candidate_sets.chosen
-        verdict = candidate_sets.verdict
-    else:
-        tree, motions, _, verdict = draw_from_posterior(rebound, options)
+    posterior = None if candidate_sets is None else candidate_sets.posterior
+    if posterior is None:
+        posterior = sample_posterior(rebound, options)
+    motions = states_dataset(*draws_of_posterior(posterior), source="posterior")
     t = np.append(np.arange(0.0, rebound.window_s, SPEED_STEP_S), rebound.window_s)
     # the touchdown first, then from the candidates' instant to the collision
     instant = float(rebound.samples["utc_s"].values[rebound.first])
     times = instant + np.concatenate([[-rebound.lead_s], t])
-    rate = predict(case.vehicle, tree, times, options.workers)["rate"].values[0]  # (draw, time)
+    rate = predict(case.vehicle, posterior, times, options.workers)["rate"].values[
+        0
+    ]  # (draw, time)
     rate = rate[np.all(np.isfinite(rate), axis=1)]
     touchdown, collision, speed = rate[:, 0], rate[:, -1], np.quantile(rate[:, 1:], QUANTILES, 0)
     as_in_the_paper, _ = rebound.scenarios()
     collisions = outcomes(
         case.vehicle,
-        motions.dataset(),
+        motions,
         "off",
         runs,
         options.seed,
@@ -123,7 +125,7 @@ def compute(
     )
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
     after = after[np.isfinite(after)]
-    truth = _find_truth(rebound, t)
+    truth, verdict = _find_truth(rebound, t), str(posterior.attrs["verdict"])
     return Timing(rebound, motions, touchdown, collision, verdict, t, speed, after, truth)
 
 
@@ -140,9 +142,9 @@ def _find_truth(rebound: Rebound, t_s: np.ndarray) -> Truth | None:
     if not known:
         return None
     omega, sun, wheel = (
-        np.array([known[name]]) for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
+        np.array(known[name]) for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )
-    state = Rows(omega, sun / np.linalg.norm(sun), wheel)
+    state = start_states(rebound.case, omega, sun, wheel)
     before, after = (
         float(np.linalg.norm(known[f"collision_omega_{when}_B"])) for when in ("before", "after")
     )
@@ -189,16 +191,9 @@ def posterior_figure(timing: Timing, near: NearMinimum, synthetic: bool) -> Figu
     """Draw the published lines, the near-minimum set and the posterior in the space of initial rates, in two views."""
     case, truth = timing.rebound.case, timing.truth
     figure = Figure(figsize=(11, 5.4), layout="constrained")
-    draws = timing.motions.states.omega_B
+    draws = timing.motions["omega_B"].values
     draws = draws[:: max(len(draws) // 1000, 1)]
-    for k, (name, elevation, azimuth) in enumerate(
-        (("perspective", 22, -62), ("from +z", 90, -90))
-    ):
-        axes = rate_axes(figure, 1, 2, k + 1)
-        axes.computed_zorder = (
-            False  # lines, posterior and truth are drawn over the near-minimum set
-        )
-        axes.view_init(elevation, azimuth)
+    for axes in rate_space_views(figure, case):
         label = f"EMD < {near.factor:g} EMD_min ({len(near.points)} motions)"
         axes.scatter(*near.points.T, s=4, c="#cccccc", linewidths=0, label=label, zorder=1)
         draw_published_lines(axes, case)
@@ -208,11 +203,7 @@ def posterior_figure(timing: Timing, near: NearMinimum, synthetic: bool) -> Figu
             label, at = "truth of the synthetic telemetry", truth.state.omega_B[0]
             style: dict[str, Any] = {"facecolors": "none", "edgecolors": COLOURS[1], "zorder": 5}
             axes.scatter(*at, marker="*", s=160, label=label, **style)
-        if k:
-            axes.set(zlabel="", zticks=[])
-        axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
-        axes.set_title(name, fontsize=9)
-    what = "one motion" if timing.unique else "the motions"
+    what = "one motion" if timing.unique else "more than one motion"
     title = f"With the times of the samples {what} of the lines remains"
     figure.suptitle(titled(title, synthetic), fontsize=11)
     labels = figure.axes[0].get_legend_handles_labels()
@@ -220,10 +211,10 @@ def posterior_figure(timing: Timing, near: NearMinimum, synthetic: bool) -> Figu
     return figure
 
 
-def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> Figure:
+def speeds_figure(timing: Timing, near_minimum: np.ndarray, synthetic: bool) -> Figure:
     """Draw the angular speed just after the touchdown, up to the collision, and after it, by the posterior.
 
-    `near_minimum`: the motions of the paper's recipe, whose speeds are drawn too.
+    `near_minimum` (n): angular speeds in rad/s just after the touchdown of the motions of the paper's recipe, drawn too.
     """
     truth = timing.truth
     figure = Figure(figsize=(11, 4.4), layout="constrained")
@@ -232,7 +223,7 @@ def speeds_figure(timing: Timing, near_minimum: Candidates, synthetic: bool) -> 
         (
             first,
             timing.touchdown,
-            near_minimum.speed_touchdown,
+            near_minimum,
             truth and truth.touchdown,
             "just after the first touchdown",
         ),
@@ -284,4 +275,4 @@ def datasets(timing: Timing) -> dict[str, xr.Dataset]:
     )
     for name, values in (("touchdown", timing.touchdown), ("collision", timing.collision)):
         speed[name] = "draw", values, attrs
-    return {"timing": timing.motions.dataset(), "timing_speed": speed}
+    return {"timing": timing.motions, "timing_speed": speed}

@@ -24,9 +24,12 @@ LEAST_LIT = 2.0
 """A lit panel reads at least this many lit thresholds, so that noise does not make it count as dark."""
 
 
-def generator(seed: int, key: int) -> np.random.Generator:
-    """Return the random generator of one independent part (`key`) of a simulated case."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
+def generator(seed: int, *key: int) -> np.random.Generator:
+    """Return the random generator of one independent part of a simulated case.
+
+    `key` is the number of the part, followed by that of the draw if the part is drawn many times.
+    """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def noisy_power(
@@ -152,6 +155,14 @@ def truth_text(telemetry: xr.Dataset, comments: list[str]) -> str:
     return "".join(f"# {comment}\n" for comment in comments) + tomlkit.dumps(truth)
 
 
+def refuse_existing(path: Path, force: bool) -> None:
+    """Raise `OutputError` if the file exists and is not to be replaced (`force`)."""
+    if path.exists() and not force:
+        raise OutputError(
+            "the file exists", do="choose another name or add --force", where=str(path)
+        )
+
+
 def write_new(path: Path, text: str, force: bool) -> None:
     """Write a text file in UTF-8; an existing file is replaced only with `force`.
 
@@ -160,10 +171,7 @@ def write_new(path: Path, text: str, force: bool) -> None:
     OutputError
         The file exists, or cannot be written.
     """
-    if path.exists() and not force:
-        raise OutputError(
-            "the file exists", do="choose another name or add --force", where=str(path)
-        )
+    refuse_existing(path, force)
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
