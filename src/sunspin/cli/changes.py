@@ -127,8 +127,8 @@ class Command(click.Command):
 def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:
     """Return a decorator that adds --set and short options to a command, which receives all changes as `changes`.
 
-    A change is refused if another option sets the same key, or if the command does not use that assumption of the study. A change of
-    the vehicle file that the command does not use is accepted with a warning (`load_inputs`).
+    A change is refused if another option sets the same key, or if the command does not use that assumption of the study. A change
+    of the vehicle file that the command does not use is accepted with a warning (`load_inputs`).
 
     Parameters
     ----------

@@ -120,7 +120,10 @@ class Output:
             results_folder(self.folder, self.command)
 
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
-        """Print the summary as JSON, or the lines, or neither with --quiet; add where verdicts and warnings in them are explained."""
+        """Print the summary as JSON with --json, else the lines unless --quiet is given.
+
+        Adds where the verdicts and warnings in the lines are explained.
+        """
         from sunspin.output.verdicts import PAGE, find_labels
 
         if labels := find_labels(self.command, lines):
