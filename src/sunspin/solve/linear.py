@@ -29,7 +29,10 @@ class DenseSystem(NamedTuple):
     def from_residuals(
         cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None
     ) -> DenseSystem:
-        """Return the system whose cost is half the sum of squares of residuals (K, R), with their Jacobian (K, R, D)."""
+        """Return the system whose cost is half the sum of squares of residuals (K, R), with their Jacobian (K, R, D).
+
+        `scale` is that of the class.
+        """
         transposed = np.swapaxes(jacobian, -1, -2)
         return cls(
             (residual**2).sum(axis=1) / 2,

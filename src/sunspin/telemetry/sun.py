@@ -243,45 +243,79 @@ def sun_directions(
         arcs[i] = response.arc(clean[i], lit[i])
     sun_B = np.where(known[:, None], direction, np.nan)
     sigma_rad = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    variables = {
-        "sun_B": (sun_B, "direction to the Sun, body axes", "1", "axis"),
-        "best_B": (direction, "a minimiser of Delta, for any status", "1", "axis"),
-        "delta": (delta, "misfit Delta, paper eq. 2", "1"),
-        "sigma_rad": (sigma_rad, "rms angle of the error from panel noise", "rad"),
-        "sun_cov_B": (covariance, "tangent covariance", "1", "axis", "axis2"),
-        "n_lit": (lit.sum(axis=1).astype(np.int32), "number of lit panels", "1"),
-        "sun_arc_B": (arcs, "ends of the arc of directions", "1", "end", "axis"),
+    values = {
+        "sun_B": sun_B,
+        "best_B": direction,
+        "delta": delta,
+        "sigma_rad": sigma_rad,
+        "sun_cov_B": covariance,
+        "n_lit": lit.sum(axis=1).astype(np.int32),
+        "sun_arc_B": arcs,
+        "status": status,
+        "status_text": texts.astype(np.str_),
+        "lit": lit,
+        "noise": sigma,
+        "lit_threshold": each_panel * threshold,
     }
-    data = xr.Dataset(
+    return _directions_dataset(vehicle, base, values, noise_from)
+
+
+VARIABLES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "sun_B": (("time", "axis"), {"units": "1", "long_name": "direction to the Sun, body axes"}),
+    "best_B": (
+        ("time", "axis"),
+        {"units": "1", "long_name": "a minimiser of Delta, for any status"},
+    ),
+    "delta": (("time",), {"units": "1", "long_name": "misfit Delta, paper eq. 2"}),
+    "sigma_rad": (
+        ("time",),
+        {"units": "rad", "long_name": "rms angle of the error from panel noise"},
+    ),
+    "sun_cov_B": (("time", "axis", "axis2"), {"units": "1", "long_name": "tangent covariance"}),
+    "n_lit": (("time",), {"units": "1", "long_name": "number of lit panels"}),
+    "sun_arc_B": (
+        ("time", "end", "axis"),
+        {"units": "1", "long_name": "ends of the arc of directions"},
+    ),
+    "status": (
+        ("time",),
         {
-            name: (("time", *dimensions), value, {"units": units, "long_name": long_name})
-            for name, (value, long_name, units, *dimensions) in variables.items()
+            "long_name": "why a sample gives a direction or not",
+            "flag_values": [int(s) for s in SunStatus],
+            "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
         },
+    ),
+    "status_text": (("time",), {"long_name": "status in words"}),
+    "lit": (("time", "panel"), {"long_name": "panel is lit"}),
+    "noise": (("panel",), {"units": "as the readings"}),
+    "lit_threshold": (("panel",), {"units": "as the readings"}),
+}
+"""Variables of the Dataset of `sun_directions`: name -> dimensions and attributes."""
+
+
+def _directions_dataset(
+    vehicle: Vehicle, base: xr.Dataset | None, values: dict[str, np.ndarray], noise_from: str
+) -> xr.Dataset:
+    """Return the Dataset of `sun_directions` from the values of its `VARIABLES`.
+
+    The telemetry `base`, if it is a Dataset, gives times and attributes; `noise_from` is the origin of the noise in words.
+    """
+    data = xr.Dataset(
+        {name: (VARIABLES[name][0], value, VARIABLES[name][1]) for name, value in values.items()},
         coords={"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)},
         attrs=({} if base is None else dict(base.attrs))
         | provenance("sun_directions", **vehicle.result_attributes)
         | {
-            "noise": float(np.median(sigma)),
+            "noise": float(np.median(values["noise"])),
             "noise_from": noise_from,
-            "lit_threshold": float(np.median(threshold)),
+            "lit_threshold": float(np.median(values["lit_threshold"])),
             "source": "paper, eqs. 1 and 2, minimised exactly",
         },
     )
     if base is not None:
         coords = {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
         data = data.assign_coords(coords)
-    flags = {
-        "long_name": "why a sample gives a direction or not",
-        "flag_values": [int(s) for s in SunStatus],
-        "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
-    }
-    return data.assign(
-        status=("time", status, flags),
-        status_text=("time", texts.astype(np.str_), {"long_name": "status in words"}),
-        lit=(("time", "panel"), lit, {"long_name": "panel is lit"}),
-        noise=("panel", sigma, {"units": "as the readings"}),
-        lit_threshold=("panel", each_panel * threshold, {"units": "as the readings"}),
-    )
+    return data
 
 
 def _excluded(quality: xr.Dataset, usable: np.ndarray) -> dict[int, str]:
