@@ -39,9 +39,8 @@ def write_atomically(target: Path, write: Callable[[Path], Any]) -> Path:
     part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
     try:
         write(part)
-        with open(
-            part, "rb"
-        ) as file:  # on disk before the renaming: a power failure must not leave an empty file
+        # on disk before the renaming: a power failure must not leave an empty file
+        with open(part, "rb") as file:
             os.fsync(file.fileno())
         os.replace(part, target)
     finally:

@@ -58,17 +58,20 @@ def sentence(
 ) -> str:
     """Return the one-sentence text of an error: ``where: what (found got); do``.
 
-    `got` is the offending value, shown with at most 120 characters; `do` is the advice.
+    `got` is the offending value, shown with at most 120 characters, an empty text as "nothing"; `do` is the advice.
     """
     text = f"{where}: {what}" if where else what
     if got is not None:
-        try:
-            # a TOML date is shown as the file writes it
-            shown = got.isoformat() if isinstance(got, date | time) else repr(got)
-        except ValueError:  # Python refuses to print integers of thousands of digits
-            shown = "a number too long to print"
-        shown = (got if isinstance(got, str) else shown) or "nothing"
-        text += f" (found {shown if len(shown) <= 120 else shown[:117] + '...'})"
+        if isinstance(got, str):
+            value = got or "nothing"
+        elif isinstance(got, date | time):
+            value = got.isoformat()  # a TOML date as the file writes it
+        else:
+            try:
+                value = repr(got)
+            except ValueError:  # Python refuses to print integers of thousands of digits
+                value = "a number too long to print"
+        text += f" (found {value if len(value) <= 120 else value[:117] + '...'})"
     if do:
         text += f"; {do}"
     return printable(text)

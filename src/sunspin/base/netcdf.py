@@ -66,8 +66,8 @@ def read_groups(
     try:
         # xarray warns of attributes that it does not know
         with warnings.catch_warnings(action="ignore"), ExitStack() as stack:
-            form: Any = {"engine": "h5netcdf", "decode_times": times, "decode_timedelta": False}
-            groups = xr.open_groups(path, **form)
+            options: Any = {"engine": "h5netcdf", "decode_times": times, "decode_timedelta": False}
+            groups = xr.open_groups(path, **options)
             for data in groups.values():
                 stack.callback(data.close)
             size = sum(data.nbytes for data in groups.values())
@@ -77,8 +77,10 @@ def read_groups(
             # lone surrogates stand for bytes that are no UTF-8 text; they could not be printed or written again
             for data in groups.values():
                 attributes = [data.attrs, *(variable.attrs for variable in data.variables.values())]
-                texts = [text for attrs in attributes for pair in attrs.items() for text in pair]
-                all_texts = " ".join(map(str, (*data.variables, *data.dims, *texts)))
+                names_and_values = [
+                    each for attrs in attributes for pair in attrs.items() for each in pair
+                ]
+                all_texts = " ".join(map(str, (*data.variables, *data.dims, *names_and_values)))
                 if re.search("[\ud800-\udfff]", all_texts):
                     what = "a name or an attribute in it is not UTF-8 text"
                     raise error_type(what, do=REPAIR, where=where)

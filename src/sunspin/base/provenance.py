@@ -26,10 +26,11 @@ def with_units(data: Any) -> Any:
     """
     data = data.copy()
     epoch = {"epoch_utc": data.attrs["epoch_utc"]} if "epoch_utc" in data.attrs else {}
-    for node in getattr(data, "subtree", [data]):
+    for node in getattr(data, "subtree", [data]):  # all nodes of a tree, or the Dataset itself
         for name, variable in node.variables.items():
-            timed = epoch if name in ("time", "curve_time") else {}
-            variable.attrs = read_vocabulary().get(name, {}) | timed | variable.attrs
+            of_time = epoch if name in ("time", "curve_time") else {}
+            # attributes that the variable has already are kept
+            variable.attrs = read_vocabulary().get(name, {}) | of_time | variable.attrs
     return data
 
 
@@ -49,10 +50,10 @@ def provenance(kind: str, telemetry: Any = None, **attributes: Any) -> dict[str,
 
     For a vehicle pass ``**vehicle.result_attributes``: its name and the changes made to its file.
     """
-    given = getattr(telemetry, "attrs", {})
+    telemetry_attrs = getattr(telemetry, "attrs", {})
     return {
         "kind": kind,
-        **{key: given[key] for key in COPIED_ATTRIBUTES if key in given},
+        **{key: telemetry_attrs[key] for key in COPIED_ATTRIBUTES if key in telemetry_attrs},
         **attributes,
         "sunspin_version": version(),
     }

@@ -60,14 +60,13 @@ def read_bytes(
         what = f"the {kind} cannot be read ({getattr(error, 'strerror', None) or error})"
         raise error_type(what, do=do, where=where) from None
     if not is_regular:
-        sort = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+        found = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
         do = "give a file, or save its content to one"
-        raise error_type(f"this is {sort}, not a {kind}", do=do, where=where)
+        raise error_type(f"this is {found}, not a {kind}", do=do, where=where)
+    # the file may have grown since its size was read
     if max(status.st_size, len(content)) > max_bytes:
-        what, got = (
-            f"a {kind} is smaller than {max_bytes / 1e6:g} MB",
-            f"{status.st_size / 1e6:.0f} MB",
-        )
+        what = f"a {kind} is smaller than {max_bytes / 1e6:g} MB"
+        got = f"{status.st_size / 1e6:.0f} MB"
         do = "cut it into parts, or give the right file"
         raise error_type(what, got=got, do=do, where=where)
     return content
@@ -164,12 +163,13 @@ def run_isolated(script: Path, *arguments: str, content: bytes = b"", seconds: i
         *arguments,
     ]
     try:
+        # elapsed time is limited as well, generously for a busy machine: a process that waits uses no CPU time
         done = subprocess.run(
             command, input=content, capture_output=True, timeout=60 + 20 * seconds
         )
     except subprocess.TimeoutExpired:
         raise IsolatedRunError("reading it does not end") from None
-    if done.returncode < 0:
+    if done.returncode < 0:  # ended by a signal: that of the CPU limit, or of a crash
         limit = f"reading it takes more than {seconds} s or ends the program that reads it"
         raise IsolatedRunError(f"{limit}, with signal {-done.returncode}")
     if done.returncode:

@@ -42,22 +42,11 @@ def main() -> None:
 
     Exit codes: 0 done, 1 defect of sunspin, 2 bad input, 130 interrupted.
     """
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by the caller, as with >&-
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
-        stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper):
-            # names of files may have characters that the encoding of the terminal lacks
-            stream.reconfigure(errors="backslashreplace")
+    _prepare_streams()
     if not (sys.warnoptions or os.environ.get("SUNSPIN_TRACEBACK")):
         # warnings of libraries are for programmers, who can set PYTHONWARNINGS to see them
         warnings.simplefilter("ignore")
-    # Signals become exceptions, so that worker processes are ended too. A signal that is ignored, as SIGHUP under nohup,
-    # stays ignored.
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-                signal.signal(number, _stop)
+    _catch_signals()
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
@@ -74,27 +63,28 @@ def main() -> None:
         context = getattr(error, "ctx", None)
         text += f"; see `{context.command_path} --help`" if context is not None else ""
         text, code = f"error: {text}", 2
-    except (
-        BrokenPipeError
-    ):  # the program that reads our output has ended, as in `sunspin ... | head`
+    except BrokenPipeError:
+        # the program that reads the output has ended, as in `sunspin ... | head`
         text, code = "", 0
     except MemoryError:
         text, code = "error: not enough memory; use a coarser grid or a shorter file", 2
     except OSError as error:  # of files for which no function raises a more specific error
-        what = error.filename or "a file or the output"
+        target = error.filename or "a file or the output"
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
-        text, code = f"error: {what} cannot be used ({error.strerror or error}); {do}", 2
+        text, code = f"error: {target} cannot be used ({error.strerror or error}); {do}", 2
     except Exception as error:
-        text, code = INTERRUPTED, 130
-        # after an interruption, a library may have caught it and failed later: that is no defect
-        if not _STOPPED.is_set():
-            if os.environ.get("SUNSPIN_TRACEBACK"):
-                raise
-            what = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
+        if _STOPPED.is_set():
+            # a library has caught the interruption and failed later: that is no defect
+            text, code = INTERRUPTED, 130
+        elif os.environ.get("SUNSPIN_TRACEBACK"):
+            raise
+        else:
+            fault = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
             do = "set SUNSPIN_TRACEBACK=1 to see where, and please report it"
-            text, code = f"defect: this is {what}; {do}", 1
+            text, code = f"defect: this is {fault}; {do}", 1
     text = printable(text)
     text = text if len(text) <= 1200 else f"{text[:600]} ... {text[-600:]}"  # names may be long
+    # stdout gets no message; it is only flushed
     for stream, message in ((sys.stderr, f"sunspin: {text}\n" if text else ""), (sys.stdout, "")):
         try:
             stream.write(message)
@@ -103,6 +93,29 @@ def main() -> None:
             # The disk is full, for example. Python would flush again at exit and print an error, so the output is discarded.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
+
+
+def _prepare_streams() -> None:
+    """Make stdout and stderr writable: discard output if a stream is closed, and escape characters that its encoding lacks."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the caller, as with >&-
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper):
+            # names of files may have characters that the encoding of the terminal lacks
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _catch_signals() -> None:
+    """Make signals that would end the process raise `KeyboardInterrupt`, so that worker processes are ended too.
+
+    A signal that is ignored, as SIGHUP under nohup, stays ignored. Only the main thread can set handlers.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _stop)
 
 
 _STOPPED = threading.Event()

@@ -46,10 +46,15 @@ def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output)
 
     craft, samples = read_inputs(vehicle, telemetry)
     orbit = orbit_of(craft, samples, elements, shift_sigma)
-    copy = None if target is None else target if target.suffix == ".toml" else target / COPY
+    # --out is the copy itself or a results folder, which gets the copy and all results
+    copy, folder = None, None
+    if target is not None and target.suffix == ".toml":
+        copy = target
+    elif target is not None:
+        copy, folder = target / COPY, target
     if copy is not None and os.path.lexists(copy):
         raise OutputError("this file is there already", do="choose another --out", where=str(copy))
-    output = replace(output, folder=target if copy != target else None)
+    output = replace(output, folder=folder)
     output.claim()
     result = calibrate(craft, samples, orbit, progress=output.progress)
     lines = []

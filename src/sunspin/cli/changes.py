@@ -62,7 +62,11 @@ PANEL_KEYS = ("panel", "panel_response", "sun_rule", *TELEMETRY_KEYS)
 
 
 class Inputs(NamedTuple):
-    """Inputs of a command with the changes of --set: the vehicle file, the vehicle, and the assumptions of the study."""
+    """Inputs of a command with the changes of --set.
+
+    `file`: the vehicle file with its changes, which is saved with the results; `craft`: the vehicle; `assumptions`: those of the
+    study.
+    """
 
     file: Any
     craft: Vehicle
@@ -89,29 +93,32 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; if it fails, remove the results folders that it created and left empty."""
-        folder = "sunspin.output.folder"  # if it was not imported, no folder was claimed
+        module = "sunspin.output.folder"  # if it was not imported, no folder was created
         try:
             result = super().invoke(ctx)
         except BaseException:  # including interruptions
-            if folder in sys.modules:
-                sys.modules[folder].remove_empty_folders()
+            if module in sys.modules:
+                sys.modules[module].remove_empty_folders()
             raise
-        if folder in sys.modules:
-            sys.modules[folder].keep_folders()
+        if module in sys.modules:
+            sys.modules[module].keep_folders()
         return result
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Check the texts of all arguments, answer `--set list`, and parse the arguments."""
         if ctx.resilient_parsing:  # a shell completes a line that is not finished
             return super().parse_args(ctx, args)
-        given = self.make_parser(ctx).parse_args(args=list(args))[0]
+        given = self.make_parser(ctx).parse_args(args=list(args))[
+            0
+        ]  # name of parameter -> text or texts
         for parameter in self.params:
             values = given.get(parameter.name)
             for text in values if isinstance(values, list | tuple) else (values,):
                 check_text(text, parameter, ctx)
         if "list" in given.get("sets", ()):
-            vehicle = given.get("vehicle")  # of another type if it is left out
-            vehicle = vehicle if isinstance(vehicle, str) else "philae"
+            vehicle = given.get("vehicle")
+            if not isinstance(vehicle, str):  # left out: click gives a value of its own
+                vehicle = "philae"
             print_settings(vehicle, self.callback, bool(given.get("as_json")))
             ctx.exit()
         return super().parse_args(ctx, args)
@@ -120,7 +127,8 @@ class Command(click.Command):
 def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:
     """Return a decorator that adds --set and short options to a command, which receives all changes as `changes`.
 
-    A change is refused if another option sets the same key, or if the command does not use that assumption.
+    A change is refused if another option sets the same key, or if the command does not use that assumption of the study. A change
+    of the vehicle file that the command does not use is accepted with a warning (`load_inputs`).
 
     Parameters
     ----------
@@ -144,8 +152,8 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
             option_of_key = {SHORT[name][0]: name for name in typed if name in SHORT}
             changes = parse_changes(sets)
             for change in changes:
-                # the key without indices in brackets
-                if name := option_of_key.get(re.sub(r"\[[^\]]*\]", "", change.key)):
+                key_without_indices = re.sub(r"\[[^\]]*\]", "", change.key)
+                if name := option_of_key.get(key_without_indices):
                     what = f"--{name.replace('_', '-')} and --set {change.key} say the same thing"
                     raise InputError(what, do="give one of them")
                 if _is_listed(change.key, TABLES) and not _is_listed(change.key, uses):
@@ -153,9 +161,10 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
                     read_assumptions([change])
                     what, do = "this command does not use that assumption", "`--set list` shows all"
                     raise InputError(what, got=change.key, do=do)
+            # the short options become changes of their keys
             values = [(SHORT[name][0], given.pop(name)) for name in short]
-            of_options = [f"{key}={value}" for key, value in values if value is not None]
-            function(changes=parse_changes(of_options) + changes, **given)
+            option_changes = [f"{key}={value}" for key, value in values if value is not None]
+            function(changes=parse_changes(option_changes) + changes, **given)
 
         decorated: Any = command
         for name in reversed(short):
@@ -177,8 +186,10 @@ def load_inputs(vehicle: Any, changes: Iterable[Change]) -> Inputs:
     of_vehicle, of_study = split_changes(changes)
     file = attach_changes(vehicle, of_vehicle)
     craft, assumptions = load_vehicle(file), read_assumptions(of_study)
+    # the keys that the command does not use; none if no command runs, as in Python
     context = click.get_current_context(silent=True)
-    warn_unused(changes, getattr(context and context.command.callback, "idle", ()))
+    callback = None if context is None else context.command.callback
+    warn_unused(changes, getattr(callback, "idle", ()))
     return Inputs(file, craft, assumptions)
 
 
@@ -192,20 +203,23 @@ def warn_unused(changes: Iterable[Any], idle: tuple[str, ...]) -> None:
 
 
 def _is_listed(key: str, names: Iterable[str]) -> bool:
-    """Return whether a key, or its table, is one of these."""
+    """Return whether a key such as `panel[0].gain_W`, or its table `panel`, is one of `names`."""
     return key in names or re.split(r"[.\[]", key)[0] in names
 
 
-def print_settings(vehicle: str, command: Any, as_json: bool) -> None:
-    """Print key, value, unit and source of everything that a command can change."""
+def print_settings(vehicle: str, callback: Any, as_json: bool) -> None:
+    """Print key, value, unit and source of everything that a command can change.
+
+    `callback` is the function of the command, to which `set_options` has given the attributes `idle` and `uses`.
+    """
     from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
     from sunspin.vehicle.changes import format_value, list_settings
     from sunspin.vehicle.file import VehicleFile, read_vehicle_table
 
     of_vehicle = list_settings(read_vehicle_table(vehicle), VehicleFile)
     of_study = list_settings(assumptions_table(), AssumptionsFile)
-    rows = [row for row in of_vehicle if not _is_listed(row.key, command.idle)]
-    rows += [row for row in of_study if _is_listed(row.key, command.uses)]
+    rows = [row for row in of_vehicle if not _is_listed(row.key, callback.idle)]
+    rows += [row for row in of_study if _is_listed(row.key, callback.uses)]
     if as_json:
         names = ("key", "value", "unit", "source")
         entries = [{name: getattr(row, name) for name in names} for row in rows]

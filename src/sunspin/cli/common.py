@@ -31,6 +31,7 @@ PIECE = 1_000_000
 """Bytes of standard input that are read at once."""
 
 YOURS, MOTIONS, PHILAE, OTHERS = "Your satellite", "Motions", "Philae", "Data of others"
+"""Headings of the commands in --help, in their order."""
 
 COMMANDS = {
     "init": (YOURS, "Create an example vehicle file and telemetry file."),
@@ -80,9 +81,9 @@ class Group(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings."""
-        for title in (YOURS, MOTIONS, PHILAE, OTHERS):
-            with formatter.section(title):
-                lines = [(name, line) for name, (at, line) in COMMANDS.items() if at == title]
+        for heading in (YOURS, MOTIONS, PHILAE, OTHERS):
+            with formatter.section(heading):
+                lines = [(name, line) for name, (own, line) in COMMANDS.items() if own == heading]
                 formatter.write_dl(lines)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
@@ -119,7 +120,10 @@ class Output:
             results_folder(self.folder, self.command)
 
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
-        """Print the summary as JSON, or the lines; add where verdicts and warnings in the lines are explained."""
+        """Print the summary as JSON with --json, else the lines unless --quiet is given.
+
+        Adds where the verdicts and warnings in the lines are explained.
+        """
         from sunspin.output.verdicts import PAGE, find_labels
 
         if labels := find_labels(self.command, lines):
@@ -133,7 +137,7 @@ class Output:
             click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))
         elif not self.quiet:
             for line in lines:
-                indent = line[: len(line) - len(line.lstrip(" "))]
+                indent = line[: len(line) - len(line.lstrip(" "))]  # which `printable` would remove
                 click.echo(line if line.isprintable() else indent + printable(line))
 
     def deliver(
@@ -147,9 +151,10 @@ class Output:
     ) -> None:
         """Save a result if there is a results folder, and print its summary.
 
-        `also`: further entries of the summary; `lines`: further lines; `main`: the file of the folder that is named in the output.
+        `vehicle` and `telemetry` are the inputs, which are saved with the result. `also`: further entries of the summary; `lines`:
+        further lines; `main`: the file of the folder that is named in the output.
         """
-        import_module("sunspin.output.result")
+        import_module("sunspin.output.result")  # registers the accessor `.sunspin` of xarray
         summary = result.sunspin.summary()
         lines_shown = [*summary.lines, *lines, *summary.notes]
         if self.folder is not None:
@@ -228,9 +233,10 @@ def shared(*names: str, out: bool | str = True) -> Callable:
     The command receives the last three as one parameter `output` of the class `Output`. With --data, it receives TELEMETRY as the
     path of a file that exists, if there is one.
 
-    `out`: default of --out; True if there is none, False for a command without --out.
+    `out`: default of --out; True for --out without a default, False for a command without --out.
     """
-    declared = {names.split()[0]: (names.split(), options) for names, options in SHARED.items()}
+    # first name of an option -> all its names, arguments of `click.option`
+    declared = {key.split()[0]: (key.split(), arguments) for key, arguments in SHARED.items()}
 
     def decorate(function: Callable) -> Callable:
         @wraps(function)
@@ -243,9 +249,9 @@ def shared(*names: str, out: bool | str = True) -> Callable:
 
         decorated: Callable = command
         for name in reversed((*names, *(["--out"] if out else []), "--json", "--quiet")):
-            declarations, options = declared[name]
+            option_names, arguments = declared[name]
             default: dict[str, Any] = {} if name != "--out" or out is True else {"default": out}
-            decorated = click.option(*declarations, **options, **default)(decorated)
+            decorated = click.option(*option_names, **arguments, **default)(decorated)
         return decorated
 
     return decorate
@@ -272,6 +278,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
                 size += file.write(piece)
         return piped
     given = Path(path)
+    # a bare name without a suffix may be that of a built-in case
     if given.name == path and not given.suffix and not given.exists():
         given = case_telemetry_path(path) or given
     with suppress(OSError, ValueError):  # of a text that is no path; the reader reports it

@@ -27,7 +27,7 @@ def compare(folder, paths, frame, base, epoch, output) -> None:
       sunspin compare results what-if --out moved
       sunspin compare RESULTS LATT_EME2LDR_SDL_V1_0.BC ROS_V38.TF LANDER_170904_STEP.TSC naif0012.tls --frame ROS_LANDER
     """
-    if len(paths) == 1 and paths[0].is_dir():
+    if len(paths) == 1 and paths[0].is_dir():  # a results folder, else kernels
         from sunspin.output.compare import compare as compare_folders
 
         if frame is not None:

@@ -12,7 +12,7 @@ from sunspin.cli.common import PATH, POSITIVE, shared
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
     "--format",
-    "form",
+    "file_format",
     type=click.Choice(["aem", "aem-xml", "ck", "netcdf", "parquet"]),
     default="aem",
     help="Output format.",
@@ -29,7 +29,7 @@ from sunspin.cli.common import PATH, POSITIVE, shared
     "body rotates by more than 6 degrees from one to the next.",
 )
 @shared(out="export")
-def export(folder, form, frame, epoch, step, output) -> None:
+def export(folder, file_format, frame, epoch, step, output) -> None:
     """Export attitude and rates of a results folder.
 
     aem and aem-xml: CCSDS attitude ephemeris message; ck: SPICE kernels (.bc, .tsc, .tf); netcdf: with CF attributes; parquet.
@@ -48,23 +48,26 @@ def export(folder, form, frame, epoch, step, output) -> None:
     from sunspin.output.text import count_text
 
     data, source = read_attitude_data(folder)
-    tables = form in ("netcdf", "parquet")
-    attitude = build_attitude(data, frame, epoch, step, dense=not tables)
+    # attitude messages and kernels are interpolated by their readers, and get attitudes between distant samples as well
+    is_interpolated = file_format not in ("netcdf", "parquet")
+    attitude = build_attitude(data, frame, epoch, step, dense=is_interpolated)
     target = results_folder(output.folder, "export")
-    if form == "ck":
+    if file_format == "ck":
         paths = write_ck(target, attitude)
-    elif form == "netcdf":
+    elif file_format == "netcdf":
         paths = [write_cf(target / "attitude.nc", data, attitude)]
-    elif form == "parquet":
+    elif file_format == "parquet":
         paths = [write_parquet(target / "attitude.parquet", attitude)]
+    elif file_format == "aem":
+        paths = [write_aem(target / "sunspin.aem", attitude, "kvn")]
     else:
-        kind, name = ("kvn", "sunspin.aem") if form == "aem" else ("xml", "sunspin-aem.xml")
-        paths = [write_aem(target / name, attitude, kind)]
+        paths = [write_aem(target / "sunspin-aem.xml", attitude, "xml")]
     samples, segments = len(attitude.t_s), len(attitude.passes())
     files = [str(path) for path in paths]
     summary = {"from": str(source), "frame": attitude.frame, "samples": samples}
     summary["largest_rotation_deg"] = np.degrees(attitude.largest_rotation())
-    frame = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
-    line = f"{count_text(samples, 'attitude')} in {count_text(segments, 'segment')}, frame {frame}"
+    frame_text = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
+    counts = f"{count_text(samples, 'attitude')} in {count_text(segments, 'segment')}"
+    line = f"{counts}, frame {frame_text}"
     summary |= {"segments": segments, "files": files}
     output.report(summary, [line, *(f"  {path}" for path in files)])

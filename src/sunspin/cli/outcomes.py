@@ -103,7 +103,8 @@ def outcomes(
 
     inputs = load_inputs(vehicle, changes)
     craft, assumptions = inputs.craft, inputs.assumptions
-    chosen = [parse_strategy(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
+    names = dict.fromkeys(strategies or ("off", "held"))  # each once, in the order given
+    chosen = [parse_strategy(craft, name) for name in names]
     # options that are not given leave the built-in values of the case or the timeline
     scenario_options |= {
         "lead_s": assumptions.study.lead_s if lead is None else lead,
@@ -119,10 +120,13 @@ def outcomes(
     output.claim()
     execution = {"store": store, "workers": workers, "executor": executor}
     execution["progress"] = output.progress
-    table, outcome = compare(craft, candidates, chosen, runs, seed, scenario, **execution)
-    weighted = (
-        compare_with_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
+    table, outcome_of_strategy = compare(
+        craft, candidates, chosen, runs, seed, scenario, **execution
     )
-    tree = inputs.record_changes(comparison_tree(table, outcome, weighted))
+    weighted = None
+    if condition:
+        first_outcome = next(iter(outcome_of_strategy.values()))
+        weighted = compare_with_kernel(craft.name, first_outcome, data)
+    tree = inputs.record_changes(comparison_tree(table, outcome_of_strategy, weighted))
     also, lines = {"candidates_from": source}, [f"Candidates: {source}"]
     output.deliver(tree, inputs.file, also=also, lines=lines)

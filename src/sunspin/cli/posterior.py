@@ -20,11 +20,14 @@ from sunspin.cli.values import (
 )
 
 
-def observation_option(name: str, form: Parsed, about: str) -> Callable:
-    """Return the decorator for a repeatable option of an observation; the command receives rates, gyros or fields."""
-    names = f"--{name}", f"{name.partition('-')[0]}s"
+def observation_option(name: str, text_type: Parsed, about: str) -> Callable:
+    """Return the decorator for the repeatable option --`name` of an observation of the quantity `about`.
+
+    The command receives it in the plural of the first word of its name: rates, gyros or fields.
+    """
+    parameter = f"{name.partition('-')[0]}s"
     help_text = f"Extra observation of the {about}. Repeatable."
-    return click.option(*names, type=form, multiple=True, help=help_text)
+    return click.option(f"--{name}", parameter, type=text_type, multiple=True, help=help_text)
 
 
 @click.command(cls=Command)
@@ -76,7 +79,7 @@ def posterior(
     seed,
     workers,
     output,
-    **search,
+    **sampling_options,
 ) -> None:
     """Sample the posterior of a stretch of motion without impacts: each solution that fits and its probability, or that none fits.
 
@@ -117,7 +120,7 @@ def posterior(
         end_s=last_s,
         observations=[*rates, *gyros, *fields],
         workers=workers,
-        **search,
+        **sampling_options,
         progress=output.progress,
         periods=observed_periods,
     )

@@ -105,11 +105,11 @@ def rates(
     craft, samples = read_inputs(vehicle, telemetry)
     # The orbit is judged from the whole file, the rates are estimated from the part that is used.
     whole_file = assess(craft, samples)
-    unused = [SENSOR_VARIABLES[name] for name in without if SENSOR_VARIABLES[name] in samples]
-    if begin is None and end is None and not unused:
+    left_out = [SENSOR_VARIABLES[name] for name in without if SENSOR_VARIABLES[name] in samples]
+    if begin is None and end is None and not left_out:
         used = whole_file
     else:
-        used = assess(craft, select_interval(samples, begin, end).drop_vars(unused))
+        used = assess(craft, select_interval(samples, begin, end).drop_vars(left_out))
     observed_periods = [parse_period(text, samples.attrs.get("epoch_utc")) for text in periods]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
@@ -149,6 +149,7 @@ def rates(
     mismatches, repeats = describe_mismatches(used, vehicle), describe_repeats(used)
     keys = [key for key in ("wrong_units", "wrong_axes") if mismatches.summary[key]]
     also = {key: mismatches.summary[key] for key in keys} | repeats.summary | chosen_orbit.summary
+    # of the mismatches only wrong units and axes, which make the rates wrong
     wrong = [line for line in mismatches.lines if "WRONG" in line]
     lines = [*wrong, *repeats.lines, *chosen_orbit.lines]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

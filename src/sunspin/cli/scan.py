@@ -66,7 +66,7 @@ def scan(
     changes,
     seed,
     output,
-    **run,
+    **scan_options,
 ) -> None:
     """Scan a grid of initial body rates: which motions reproduce the measured r_z, the body-z component of the Sun direction?
 
@@ -90,28 +90,29 @@ def scan(
         # the scan uses directions without their sigmas, and here the directions do not depend on the noise
         warn_unused(craft.changes, ("telemetry.noise",))
     samples = read_telemetry(telemetry, craft)
-    track = directions_within(craft, samples, *parse_limits(samples, begin, end))
+    directions = directions_within(craft, samples, *parse_limits(samples, begin, end))
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
     if metric == "E" and inputs.assumptions.changes:
         what, do = "mask and target weights are those of EMD", "leave one of them out"
         raise InputError(what, got="--metric E", do=do)
-    target, weights = track, None
+    # the metric E compares directions at their times, EMD the distribution of their z components
+    target, weights = directions, None
     if metric == "emd":
-        target = track["sun_B"].values[:, 2]
-        weights = target_weights(study.target_weights, track["time"].values)
+        target = directions["sun_B"].values[:, 2]
+        weights = target_weights(study.target_weights, directions["time"].values)
     output.claim()
-    propagation = Propagation(run.pop("wheel_mode"), run.pop("direction_error"))
+    propagation = Propagation(scan_options.pop("wheel_mode"), scan_options.pop("direction_error"))
     volume = scan_rates(
         craft,
         target,
-        track["sun_B"].values[0],
+        directions["sun_B"].values[0],
         wheel_speed_rad_s=speeds or None,
-        duration_s=float(track["time"].values[-1]),
+        duration_s=float(directions["time"].values[-1]),
         propagation=propagation,
         weights=weights,
         mask=None if study.mask == "everywhere" else study.mask,
         progress=output.progress,
-        **run,
+        **scan_options,
     )
     result = inputs.record_changes(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     output.deliver(result, inputs.file, samples, {"seed": seed}, main="scan.nc")

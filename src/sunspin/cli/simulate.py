@@ -27,7 +27,9 @@ from sunspin.cli.values import BODY_RATE, VECTOR
 )
 @set_options(short=("friction",), idle=(*LANDING_KEYS, *PANEL_KEYS))
 @shared("--wheel-speed", "--wheel-mode")
-def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, output, **run) -> None:
+def simulate(
+    vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, output, **wheel_options
+) -> None:
     """Propagate one motion: body rates, Sun direction, attitude, wheel speeds and when wheels stop.
 
     With --out, writes trajectory.nc: the motion at the output times and, if the body rotates far in a step, between them.
@@ -43,15 +45,15 @@ def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, outp
     inputs = load_inputs(vehicle, changes)
     craft = inputs.craft
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
-    t = output_times(duration, step)
+    t_s = output_times(duration, step)
     check_work(craft, omega_B, speeds, duration)
     output.claim()
 
     def propagate_to(times):
         """Return the motion at these times (s)."""
-        return propagate(craft, omega_B, sun_B, speeds or None, times, **run)
+        return propagate(craft, omega_B, sun_B, speeds or None, times, **wheel_options)
 
-    result = propagate_to(t)
-    if output.folder is not None:
+    result = propagate_to(t_s)
+    if output.folder is not None:  # attitudes between the output times, for figures and exports
         result = with_curve(result, craft.require_inertia(), propagate_to)
     output.deliver(result, inputs.file, main="trajectory.nc")

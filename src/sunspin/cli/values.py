@@ -115,7 +115,10 @@ def parse_effort(text: str, name: str) -> float:
 
 
 def parse_grid(text: str, name: str) -> np.ndarray:
-    """Return the values of one axis of a grid in rad/s, from low:high:step or comma-separated values in deg/s."""
+    """Return the values of one axis of a grid in rad/s, from low:high:step or comma-separated values in deg/s.
+
+    With a step, the last value is the one nearest to `high`.
+    """
     import numpy as np
 
     from sunspin.estimate.scan.volume import check_size

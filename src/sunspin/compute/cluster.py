@@ -40,32 +40,37 @@ CONNECT_ATTEMPTS = 10
 def compute_on_cluster(
     function: RowFunction, chunks: Iterator[slice], scheduler: Any, n_workers: int
 ) -> Generator[tuple[slice, Values]]:
-    """Yield each chunk of rows with its results as it is finished; chunks of a dead worker are computed again."""
+    """Yield each chunk of rows with its results as it is finished; chunks of a dead worker are computed again.
+
+    `scheduler` and `n_workers` are those of :func:`sunspin.compute.rows.ensemble`. Raises `InputError` if the cluster cannot be
+    used.
+    """
     with ExitStack() as stack:
         client = _connect(scheduler, n_workers, stack)
         # sent once, as the result of a task, so that Dask can restore it if the worker that holds it dies
-        shared = client.submit(lambda: function, pure=False)
+        remote_function = client.submit(lambda: function, pure=False)
         running, finished = dict[Any, slice](), as_completed(loop=client.loop)
         threads: Any = client.nthreads()  # no coroutine, as the client is not asynchronous
-        free = IN_FLIGHT * max(sum(threads.values()), 1)
+        free_slots = IN_FLIGHT * max(sum(threads.values()), 1)
         try:
             while True:
-                for rows in islice(chunks, free):
+                for rows in islice(chunks, free_slots):
                     index = np.arange(rows.start, rows.stop)
                     # one retry, as a machine may be short of memory or disk for a moment
-                    task = client.submit(call, shared, index, retries=1, pure=False)
+                    task = client.submit(call, remote_function, index, retries=1, pure=False)
                     running[task] = rows
                     finished.add(task)
                 if not running:
                     return
-                task, free = next(finished), 1
+                task = next(finished)
                 yield running.pop(task), task.result()  # waits again if the result was lost
+                free_slots = 1
         except (KilledWorker, CancelledError) as error:
             what = "the cluster has dropped a chunk of rows, perhaps as its workers ended for lack of memory"
             raise InputError(what, got=str(error), do="use a smaller chunk") from None
         finally:
             with suppress(Exception):  # the scheduler may be unreachable by now
-                client.cancel([shared, *running])
+                client.cancel([remote_function, *running])
 
 
 class _IgnoreInterrupt(WorkerPlugin):
@@ -80,7 +85,11 @@ class _IgnoreInterrupt(WorkerPlugin):
 
 
 def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
-    """Return a client with at least one worker; everything opened for it is closed with the stack. Raises `InputError`."""
+    """Return a client with at least one worker; everything opened for it is closed with the stack.
+
+    `scheduler` is a client, "local" for `n_workers` processes on this machine, or an address. Raises `InputError` if no scheduler
+    with workers answers.
+    """
     try:
         if isinstance(scheduler, Client):
             client = scheduler

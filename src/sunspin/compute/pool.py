@@ -50,7 +50,8 @@ def process_pool(workers: int) -> Generator[Executor | None]:
     if workers < 2:
         yield None
         return
-    before, method = set(active_children()), "fork" if may_fork() else "spawn"
+    children_before = set(active_children())
+    method = "fork" if may_fork() else "spawn"
     pool = ProcessPoolExecutor(workers, get_context(method), _prepare_worker)
     try:
         # the idle threads of the linear algebra library do no harm: a copy starts its own
@@ -59,7 +60,7 @@ def process_pool(workers: int) -> Generator[Executor | None]:
             pool.submit(int)  # starts the copies now, before the pool adds a thread to this process
         yield pool
     except BaseException as error:
-        for process in set(active_children()) - before:
+        for process in set(active_children()) - children_before:
             process.terminate()
         if not isinstance(error, BrokenExecutor):
             raise

@@ -69,6 +69,7 @@ def ensemble(
 
     Parameters
     ----------
+    function : RowFunction
     workers : int, optional
         Threads on this machine, or worker processes of a "local" cluster; default one per core.
     chunk : int
@@ -90,39 +91,28 @@ def ensemble(
     Interrupted
         After Ctrl-C; its text says what was kept. Errors of the function are raised unchanged and at once.
     """
-    n_workers, chunk, n_rows = (
-        worker_count(workers),
-        positive_integer("chunk", chunk),
-        function.n_rows,
-    )
-    cluster = scheduler is not None and not isinstance(scheduler, Executor)
-    if cluster and find_spec("distributed") is None:
+    n_workers, n_rows = worker_count(workers), function.n_rows
+    chunk = positive_integer("chunk", chunk)
+    on_cluster = scheduler is not None and not isinstance(scheduler, Executor)
+    if on_cluster and find_spec("distributed") is None:
         what = "a scheduler needs Dask, which is not installed"
         raise InputError(what, do='pip install "sunspin[cluster]"')
-    # refused before it is allocated: the system would end the process later
-    outputs = function.outputs.items()
-    size = n_rows * sum(np.dtype(kind).itemsize * int(np.prod(s)) for _, (kind, s) in outputs)
-    if hasattr(os, "sysconf"):
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if size > MEMORY_SHARE * memory:
-            what = f"the results of {n_rows:.3g} rows would take {size / 1e9:.2g} GB of memory"
-            got = f"a machine with {memory / 1e9:.2g} GB"
-            raise InputError(what, got=got, do="ask for fewer rows")
-    out = {name: np.zeros((n_rows, *shape), kind) for name, (kind, shape) in outputs}
+    out = _allocate_results(function)
     # enough chunks that every worker gets one
     chunk = min(chunk, max(MIN_CHUNK, -(-n_rows // n_workers)))
     chunks = (slice(k, min(k + chunk, n_rows)) for k in range(0, n_rows, chunk))
-    save, done = None, 0
+    save, done = None, 0  # function that stores a chunk; number of finished rows
     bar: dict[str, Any] = {"desc": label, "unit": "row", "unit_scale": True, "leave": False}
     bar["disable"] = None if progress else True  # None: shown on a terminal only
     try:
         with ExitStack() as stack:
             if store is not None and n_rows:
                 save, missing = stack.enter_context(open_store(store, function, chunk, out))
-                chunks, done = iter(missing), n_rows - sum(c.stop - c.start for c in missing)
+                chunks = iter(missing)
+                done = n_rows - sum(rows.stop - rows.start for rows in missing)
             progress_bar = stack.enter_context(tqdm(total=n_rows, initial=done, **bar))
-            if not cluster or done == n_rows:
-                executor = None if cluster else scheduler
+            if not on_cluster or done == n_rows:  # for a complete store no cluster is needed
+                executor = None if on_cluster else scheduler
                 computed = _compute_on_executor(function, chunks, executor, n_workers)
             else:
                 from sunspin.compute.cluster import compute_on_cluster
@@ -148,6 +138,24 @@ def ensemble(
             do = "give one to be able to resume"
         raise Interrupted(what, do=do) from None
     return out
+
+
+def _allocate_results(function: RowFunction) -> Values:
+    """Return arrays of zeros for all results of a function.
+
+    Raises `InputError` if they would take more than `MEMORY_SHARE` of the machine's memory: the system would otherwise end the
+    process later, when the arrays are filled.
+    """
+    n_rows, outputs = function.n_rows, function.outputs.items()
+    row_bytes = sum(np.dtype(kind).itemsize * int(np.prod(shape)) for _, (kind, shape) in outputs)
+    size = n_rows * row_bytes
+    if hasattr(os, "sysconf"):
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if size > MEMORY_SHARE * memory:
+            what = f"the results of {n_rows:.3g} rows would take {size / 1e9:.2g} GB of memory"
+            got = f"a machine with {memory / 1e9:.2g} GB"
+            raise InputError(what, got=got, do="ask for fewer rows")
+    return {name: np.zeros((n_rows, *shape), kind) for name, (kind, shape) in outputs}
 
 
 def _compute_on_executor(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,31 +41,11 @@ def open_store(
 ) -> Generator[tuple[Callable[[slice], None], list[slice]]]:
     """Read the stored rows of a function into `out`; yield a function that stores rows of `out`, and the missing chunks.
 
-    Raises `InputError` for a store of other inputs or one that another run is writing to, `OutputError` if it cannot be
-    written.
+    The store stays locked for other runs within the `with` block, unless it is complete. Raises `InputError` for a store of other
+    inputs or one that another run is writing to, `OutputError` if it cannot be written.
     """
     folder = Path(path)
     digest = fingerprint([code_identity(), type(function).__name__, function])[:16]
-
-    def cannot_write(error: OSError) -> OutputError:
-        what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
-        do = "free space and run the same command, or choose another store"
-        return OutputError(what, do=do, where=str(folder))
-
-    def save(rows: slice) -> None:
-        arrays: dict[str, Any] = {name: array[rows] for name, array in out.items()}
-
-        def write(part: Path) -> None:
-            with open(part, "wb") as file:  # for a file name NumPy would append .npz
-                np.savez(file, **arrays)
-
-        try:
-            write_atomically(
-                folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write
-            )
-        except OSError as error:
-            raise cannot_write(error) from None
-
     with ExitStack() as stack:
         try:
             missing = _read_chunks(folder, digest, chunk, out)
@@ -72,19 +53,43 @@ def open_store(
                 make_folder(folder)
                 lock_file(stack.enter_context(open(folder / LOCK, "a+b")))
                 remove_abandoned(folder)
-                missing = _read_chunks(
-                    folder, digest, chunk, out
-                )  # another run may have added some
+                # again, because another run may have added some before the lock
+                missing = _read_chunks(folder, digest, chunk, out)
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
             raise InputError(what, do=do, where=str(folder)) from None
         except OSError as error:
-            raise cannot_write(error) from None
-        yield save, missing
+            raise _write_error(folder, error) from None
+        yield partial(_write_chunk, folder, digest, out), missing
+
+
+def _write_chunk(folder: Path, digest: str, out: Values, rows: slice) -> None:
+    """Write the rows `rows` of `out` to the file of their chunk. Raises `OutputError`."""
+    arrays: dict[str, Any] = {name: array[rows] for name, array in out.items()}
+
+    def write(part: Path) -> None:
+        """Write the arrays to a temporary file."""
+        with open(part, "wb") as file:  # for a file name NumPy would append .npz
+            np.savez(file, **arrays)
+
+    try:
+        write_atomically(folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write)
+    except OSError as error:
+        raise _write_error(folder, error) from None
+
+
+def _write_error(folder: Path, error: OSError) -> OutputError:
+    """Return the error for a store that cannot be written."""
+    what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
+    do = "free space and run the same command, or choose another store"
+    return OutputError(what, do=do, where=str(folder))
 
 
 def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
-    """Read all complete chunks of a folder into `out`; return the missing rows as slices of at most `chunk` rows."""
+    """Read all complete chunks of a folder into `out`; return the missing rows as slices of at most `chunk` rows.
+
+    Files of other inputs, which have another digest, and files that are no chunks raise `InputError`.
+    """
     done = np.zeros(len(next(iter(out.values()))), dtype=bool)
     for path in folder.iterdir() if folder.exists() else ():
         name = CHUNK_FILE.fullmatch(path.name)
@@ -95,8 +100,9 @@ def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[sli
                     arrays = {key: chunk_file[key] for key in out}
             except Exception:  # on damaged files NumPy raises errors of many types
                 continue
-            forms = {key: (array.dtype, array[rows].shape) for key, array in out.items()}
-            if forms == {key: (array.dtype, array.shape) for key, array in arrays.items()}:
+            expected = {key: (array.dtype, array[rows].shape) for key, array in out.items()}
+            # a damaged file may have arrays of another form: it counts as missing
+            if expected == {key: (array.dtype, array.shape) for key, array in arrays.items()}:
                 for key, array in arrays.items():
                     out[key][rows] = array
                 done[rows] = True
@@ -104,7 +110,10 @@ def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[sli
             what = "this is no store, or one of other inputs or of another version of sunspin"
             do = "give the same inputs or choose another folder"
             raise InputError(what, got=path.name, do=do, where=str(folder))
-    # first and end row of each run of missing rows
-    ends = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
-    begins = ((k, stop) for start, stop in ends for k in range(start, stop, chunk))
-    return [slice(k, min(k + chunk, stop)) for k, stop in begins]
+    # first and end row of each gap: the rows at which `done` changes
+    gaps = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
+    return [
+        slice(begin, min(begin + chunk, stop))
+        for start, stop in gaps
+        for begin in range(start, stop, chunk)
+    ]

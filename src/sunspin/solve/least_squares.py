@@ -109,12 +109,13 @@ def least_squares(
         step, gain = solver(active_system, damping[active])
         step, finite = _zero_if_not_finite(step)
         if length_ratio is not None:
-            times = np.maximum(length_ratio(active_state, step), 1.0)
-            step = _map_arrays(lambda part, by: part / _as_column(by, part), step, times)
+            excess = np.maximum(length_ratio(active_state, step), 1.0)
+            step = _map_arrays(lambda part, by: part / _as_column(by, part), step, excess)
         trial = retract(active_state, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
         trial = trial if carry is None else carry(trial, new)
+        # of the active problems: the step is taken; it was the last because little can be gained, or because no step helps
         better = finite & np.isfinite(new.cost) & (new.cost < active_system.cost)
         # under strong damping a predicted gain is small because the step is short
         converged = finite & (gain < tolerance) & (damping[active] <= CONVERGED_DAMPING)
@@ -122,17 +123,16 @@ def least_squares(
         no_descent = ~better & (damping[active] > MAX_DAMPING)
         stop[active[converged]], stop[active[no_descent]] = Stop.CONVERGED, Stop.NO_DESCENT
         running[active] = ~(converged | no_descent)
-        state, system = (
-            _replace_problems(old, active[better], _take_sorted(moved, np.flatnonzero(better)))
-            for old, moved in ((state, trial), (system, new))
-        )
+        improved = np.flatnonzero(better)
+        state = _replace_problems(state, active[better], _take_sorted(trial, improved))
+        system = _replace_problems(system, active[better], _take_sorted(new, improved))
     return Solution(state, system, stop)
 
 
 def limit_length(vector: np.ndarray, limit: float) -> np.ndarray:
-    """Return vectors (..., d), those longer than `limit` shortened to it; for use as the argument `limit` of states."""
-    size = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return vector * np.minimum(1.0, limit / np.maximum(size, 1e-300))
+    """Return vectors (..., d), those longer than `limit` shortened to it; for functions `limit` of :func:`least_squares`."""
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector * np.minimum(1.0, limit / np.maximum(length, 1e-300))
 
 
 def take_problems(tree: Any, rows: np.ndarray) -> Any:
@@ -165,7 +165,7 @@ def _take_sorted(tree: Any, rows: np.ndarray) -> Any:
 
 
 def _replace_problems(tree: Any, rows: np.ndarray, new: Any) -> Any:
-    """Return a copy in which the problems `rows` have the values of `new`."""
+    """Return a copy in which the problems `rows` (in increasing order) have the values of `new`; `new` itself if these are all."""
     if isinstance(tree, tuple):
         parts = [
             _replace_problems(part, rows, value) for part, value in zip(tree, new, strict=True)

@@ -29,7 +29,10 @@ class DenseSystem(NamedTuple):
     def from_residuals(
         cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None
     ) -> DenseSystem:
-        """Return the system whose cost is half the sum of squares of residuals (K, R), with their Jacobian (K, R, D)."""
+        """Return the system whose cost is half the sum of squares of residuals (K, R), with their Jacobian (K, R, D).
+
+        `scale` is that of the class.
+        """
         transposed = np.swapaxes(jacobian, -1, -2)
         return cls(
             (residual**2).sum(axis=1) / 2,
@@ -91,18 +94,22 @@ def solve_bordered(
     diagonal = _add_to_diagonal(system.diagonal, (damping[:, None] * system.scale)[:, None])
     factors = _factorise(diagonal, system.upper)
     if system.border is None:
-        change, step = -_substitute(factors, system.slope[..., None])[..., 0], None
+        node_step, shared_step = -_substitute(factors, system.slope[..., None])[..., 0], None
     else:
-        change, step, _, _ = _solve_with_border(factors, system)
+        node_step, shared_step, _, _ = _solve_with_border(factors, system)
     # at the minimum of the quadratic model the cost is lower by -slope.step / 2
-    gain = -(system.slope * change).reshape(len(change), -1).sum(axis=1) / 2
-    return (change, step), gain if step is None else gain - (system.border_slope * step).sum(
-        axis=1
-    ) / 2
+    gain = -(system.slope * node_step).reshape(len(node_step), -1).sum(axis=1) / 2
+    if shared_step is not None:
+        gain = gain - (system.border_slope * shared_step).sum(axis=1) / 2
+    return (node_step, shared_step), gain
 
 
 def invert_bordered(system: BorderedSystem) -> BorderedInverse:
-    """Return the covariances and the determinant of the undamped equations."""
+    """Return the covariances and the determinant of the undamped equations.
+
+    With shared unknowns, the covariance of a node is that for fixed shared unknowns plus what their covariance adds through the
+    sensitivity.
+    """
     factors = _factorise(system.diagonal, system.upper)
     nodes = _diagonal_of_inverse(factors)
     log_determinant = np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
@@ -158,20 +165,26 @@ def _diagonal_of_inverse(factors: _Factors) -> np.ndarray:
 
 
 def _solve_with_border(factors: _Factors, system: BorderedSystem) -> tuple[np.ndarray, ...]:
-    """Return the steps of nodes and shared unknowns, the nodes' sensitivity to these, and the Schur complement (K, m, m)."""
+    """Return the steps of nodes and shared unknowns, the nodes' sensitivity to these, and the Schur complement (K, m, m).
+
+    Let A be the matrix of the nodes, B the border, g the slope of the nodes and h that of the shared unknowns. For a step s of
+    these, the nodes' step is -A^-1 (g + B s). The equations of the shared unknowns then become S s = -(h - B^T A^-1 g). The Schur
+    complement is S = corner - B^T A^-1 B.
+    """
     assert system.border is not None
     assert system.corner is not None and system.border_slope is not None
     # one substitution for slope and border: the loop over the nodes takes the time
     right = -np.concatenate([system.slope[..., None], system.border], axis=-1)
     solution = _substitute(factors, right)
-    change, sensitivity = solution[..., 0], solution[..., 1:]
+    step_if_fixed, sensitivity = solution[..., 0], solution[..., 1:]  # -A^-1 g and -A^-1 B
     k, n, b, m = system.border.shape
-    dot = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ solution.reshape(
-        k, n * b, 1 + m
-    )
-    schur, downhill = system.corner + dot[..., 1:], system.border_slope[..., None] + dot[..., :1]
-    step = _nan_if_singular(np.linalg.solve, schur, -downhill)[..., 0]
-    return change + (sensitivity @ step[:, None, :, None])[..., 0], step, sensitivity, schur
+    border_T = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2)
+    product = border_T @ solution.reshape(k, n * b, 1 + m)
+    schur = system.corner + product[..., 1:]
+    reduced_slope = system.border_slope[..., None] + product[..., :1]
+    shared_step = _nan_if_singular(np.linalg.solve, schur, -reduced_slope)[..., 0]
+    node_step = step_if_fixed + (sensitivity @ shared_step[:, None, :, None])[..., 0]
+    return node_step, shared_step, sensitivity, schur
 
 
 def _add_to_diagonal(matrix: np.ndarray, addend: np.ndarray) -> np.ndarray:
@@ -202,9 +215,10 @@ def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Several times as fast as LAPACK. Accurate to rounding, or to 1e-8 of the largest eigenvalue if two are nearly equal. The
     roots of the cubic are trigonometric: O. K. Smith, Comm. ACM 4 (1961), 168.
     """
+    # diagonal a, b, c; above it xy = f, xz = e, yz = d
     a, b, c = (matrix[..., k, k] for k in range(3))
     f, e, d = matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2]
-    mean = (a + b + c) / 3
+    mean = (a + b + c) / 3  # of the eigenvalues; without it their sum is zero
     a, b, c = a - mean, b - mean, c - mean
     spread = np.sqrt((a * a + b * b + c * c + 2 * (d * d + e * e + f * f)) / 6)
     determinant = a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e)
@@ -218,6 +232,7 @@ def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
 
     Several times as fast as LAPACK. The relative error is rounding times the ratio of the eigenvalues.
     """
+    # diagonal a, b, c; above it xy = f, xz = e, yz = d
     a, b, c = (matrix[..., k, k] for k in range(3))
     f, e, d = matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2]
     xx, xy, xz = b * c - d * d, e * d - c * f, f * d - b * e

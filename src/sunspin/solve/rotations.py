@@ -33,17 +33,17 @@ def rotate_attitude(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     The matrix exp(-[angle]x) multiplies from the left: a rotation of the body rotates components in B the opposite way.
     """
     square = np.einsum("...i,...i->...", angle_B, angle_B)[..., None, None]
-    size = np.sqrt(square)
-    versine = np.sinc(size / (2 * np.pi)) ** 2 / 2  # (1 - cos(size)) / size^2, finite at zero
+    size = np.sqrt(square)  # angle of the rotation, rad
+    # Rodrigues' formula with factors that are finite at zero: sin(size) / size and (1 - cos(size)) / size^2
+    sine, versine = np.sinc(size / np.pi), np.sinc(size / (2 * np.pi)) ** 2 / 2
     outer = versine * (angle_B[..., :, None] * angle_B[..., None, :])
-    return (
-        (1 - versine * square) * np.eye(3) - np.sinc(size / np.pi) * cross_matrix(angle_B) + outer
-    ) @ matrix
+    rotation = (1 - versine * square) * np.eye(3) - sine * cross_matrix(angle_B) + outer
+    return rotation @ matrix
 
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return the rotation vectors (..., 3) in B by which :func:`rotate_attitude` takes attitude `start` to `end`."""
-    m = end @ np.swapaxes(start, -1, -2)
+    m = end @ np.swapaxes(start, -1, -2)  # = exp(-[angle]x)
     # four times the products q_i q_j of the quaternion's elements; the row with the largest diagonal element is
     # proportional to the quaternion and loses no digits (Shepperd 1978)
     products = np.empty((*m.shape[:-2], 4, 4))
@@ -57,7 +57,9 @@ def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     q = products.reshape(-1, 4, 4)[np.arange(largest.size), largest.ravel()].reshape(
         products.shape[:-1]
     )
-    q = np.where(q[..., 3:] < 0, -q, q)
+    q = np.where(
+        q[..., 3:] < 0, -q, q
+    )  # of the two quaternions, that of an angle up to pi; neither has unit length
     sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
     angle = 2 * np.arctan2(sine, q[..., 3:])
     return q[..., :3] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 0.0)
@@ -81,14 +83,16 @@ def without_sign_jumps(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
     """
     if not len(quaternion):
         return quaternion
-    same = part[1:] == part[:-1]
-    opposite = same & (np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0)
-    sign = np.cumprod(np.append(1.0, np.where(opposite, -1.0, 1.0)))
-    # index of the first sample of each part
-    begin = np.maximum.accumulate(np.append(0, np.where(same, 0, np.arange(1, len(quaternion)))))
-    return (
-        quaternion * (sign * sign[begin] * np.where(quaternion[begin, 3] < 0, -1.0, 1.0))[:, None]
+    same_part = part[1:] == part[:-1]
+    jumps = same_part & (np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0)
+    sign = np.cumprod(np.append(1.0, np.where(jumps, -1.0, 1.0)))
+    # for each sample, the index of the first one of its part
+    first = np.maximum.accumulate(
+        np.append(0, np.where(same_part, 0, np.arange(1, len(quaternion))))
     )
+    # relative to the sign of that sample, which gets a scalar of zero or more
+    sign = sign * sign[first] * np.where(quaternion[first, 3] < 0, -1.0, 1.0)
+    return quaternion * sign[:, None]
 
 
 def components_after_rotation(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
@@ -103,9 +107,13 @@ def components_after_rotation(vector: np.ndarray, angle_B: np.ndarray) -> np.nda
 
 
 def rotate_by_smallest(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return vectors x (n, 3) after the smallest rotation that takes the unit vectors a (n, 3) to b (n, 3)."""
-    v, c = cross(a, b), np.sum(a * b, axis=1, keepdims=True)
-    return x + cross(v, x) + cross(v, cross(v, x)) / np.maximum(1 + c, 1e-9)
+    """Return vectors x (n, 3) after the smallest rotation that takes the unit vectors a (n, 3) to b (n, 3).
+
+    For opposite a and b there is no smallest rotation, and the result is of no use.
+    """
+    v, cosine = cross(a, b), np.sum(a * b, axis=1, keepdims=True)
+    # Rodrigues' formula, in which v has the length of the sine
+    return x + cross(v, x) + cross(v, cross(v, x)) / np.maximum(1 + cosine, 1e-9)
 
 
 def tangent_basis(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ def pareto_tail(log_weight: np.ndarray) -> float:
     and -1 if all are equal.
     """
     weight = np.sort(np.exp(log_weight - log_weight.max()))
-    # size of the tail and threshold as recommended there
+    # size of the tail as recommended there; the threshold is the largest weight below the tail
     count = int(min(0.2 * len(weight), 3 * np.sqrt(len(weight))))
     if count < MIN_TAIL or weight[-count - 1] <= 0:
         return np.inf
@@ -40,12 +40,13 @@ def _pareto_shape(x: np.ndarray) -> float:
 
     # t = (e^u - 1) / max(x) keeps 1 + t x positive; u is bracketed on a logarithmic grid on both sides of zero
     def cost(u: float) -> float:
+        """Return the negative log likelihood of an exceedance, on average and up to a constant; at u = 0 (k = 0) its limit."""
         t = np.expm1(u) / x.max()
         k = float(np.mean(np.log1p(t * x)))
         return k + (np.log(k / t) if abs(u) > 1e-9 else float(np.log(x.mean())))
 
-    steps = np.concatenate([-np.geomspace(5.0, 1e-3, 40), np.geomspace(1e-3, 8.0, 40)])
-    best = int(np.argmin([cost(u) for u in steps]))
-    bracket = steps[max(best - 1, 0)], steps[min(best + 1, len(steps) - 1)]
+    grid = np.concatenate([-np.geomspace(5.0, 1e-3, 40), np.geomspace(1e-3, 8.0, 40)])
+    best = int(np.argmin([cost(u) for u in grid]))
+    bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     u = minimize_scalar(cost, bounds=bracket, method="bounded", options={"xatol": 1e-6}).x
     return float(np.mean(np.log1p(np.expm1(u) / x.max() * x)))

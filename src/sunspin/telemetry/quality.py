@@ -120,6 +120,7 @@ CHUNK = 20_000
 """Samples computed at once."""
 
 USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
+"""Values of `use`."""
 
 
 def judge_readings(
@@ -161,19 +162,21 @@ def judge_readings(
     usable = ~find_late_frames(telemetry) & np.isfinite(value).any(axis=1)
     sound_value = remove_spikes(vehicle, value)
     repeats = find_repeats(telemetry, sound_value, usable) if repeats is None else repeats
-    dropped, why = _unusable(telemetry, sound_value, value, negative, repeats)
+    dropped, drop_reason = _unusable(telemetry, sound_value, value, negative, repeats)
     held = np.zeros(value.shape, dtype=bool) if repeats.columns is None else repeats.columns
     value = np.where(held, np.nan, value)
     good = ~dropped
 
     # full Sun, spikes, noise and dead panels; `relative`: readings as multiples of the vehicle file's gains
-    gains = vehicle.input_gains
-    relative = value / gains
-    full, source = _full_sun(vehicle, relative[good])
+    stated_gains, stated_noise = vehicle.input_gains, vehicle.input_noise
+    relative = value / stated_gains
+    full, full_from = _full_sun(vehicle, relative[good])
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
-    stated = vehicle.input_noise
+    # the error of a rounded reading is uniform over one step
     quantisation = _quantisation_step(value[good]) / np.sqrt(12)
-    noise = np.hypot(np.zeros(len(gains)) if stated is None else stated, quantisation)
+    noise = np.hypot(
+        np.zeros(len(stated_gains)) if stated_noise is None else stated_noise, quantisation
+    )
     sound = good & ~spike.any(axis=1)
     missed = find_lost_panels(
         vehicle, telemetry["time"].values[sound], relative[sound] / full, noise / full
@@ -181,27 +184,23 @@ def judge_readings(
     dead = _find_dead_panels(relative[good], full) | missed
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
 
-    # samples without the Sun (dark), far below full Sun (idle), and somewhat below it (limited)
+    # samples by their brightness, and the brightness of full Sun in each
     bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
-    dark_light, _ = _estimate_albedo(vehicle, relative[sound & ~dark] / full)
-    dark |= ~_beyond_noise(vehicle, value, use_value, noise, full, dark_light)
-    idle = good & ~dark & (bright < IDLE_FRACTION * full)
-    limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
-    level = np.full((len(value), 1), full)  # scale of a sample
+    unlit_light, _ = _estimate_albedo(vehicle, relative[sound & ~dark] / full)
+    dark |= ~_beyond_noise(vehicle, value, use_value, noise, full, unlit_light)
+    level = np.full((len(value), 1), full)
     if vehicle.throttled:  # the battery may limit any sample, by one factor for all its readings
-        idle, limited = np.zeros((2, len(dark)), dtype=bool)
         level = np.maximum(bright, 1e-12)[:, None]
-    oblique = (idle | limited) & _is_oblique(vehicle, use_value, full, dead)
-    idle, limited = idle & ~oblique, limited & ~oblique
+    idle, limited, oblique = _find_dim_samples(vehicle, use_value, good & ~dark, bright, full, dead)
     clean = good & ~limited & ~idle & ~dark
 
     # Earth's light and gains
     albedo, albedo_samples = _estimate_albedo(vehicle, (relative / level)[clean])
-    relative_noise = float(np.median(noise) / (full * np.median(gains)))
+    relative_noise = float(np.median(noise) / (full * np.median(stated_gains)))
     earth = _earth_light(albedo, albedo_samples, relative_noise)
     fitted = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
-    gains = gains * fitted.factor
+    gains = stated_gains * fitted.factor
     lit_share, gain_cov = fitted.spread, fitted.covariance
     if lit_share is None:
         # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
@@ -214,55 +213,64 @@ def judge_readings(
     share = np.where(use_value > SURELY_LIT * albedo * level * gains, lit_share, albedo)
     # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
     # state, which is as large as the scatter of full Sun, or up to all of that light.
-    unknown = albedo if fitted.spread is None else min(fitted.spread, albedo)
-    left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
+    unstated = 0.0
+    if stated_noise is None:
+        unstated = albedo if fitted.spread is None else min(fitted.spread, albedo)
+    unmodelled = max(EARTH_LEFT * albedo, unstated)
     modelled_share = np.minimum(
-        share, np.hypot(left, np.where(share == albedo, 0.0, READING_SIGMA))
+        share, np.hypot(unmodelled, np.where(share == albedo, 0.0, READING_SIGMA))
     )
-    floor = np.hypot(share * level * gains, noise)
+    # in a power-limited sample a share of its largest reading in addition
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     by_battery = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
-    sigma = by_battery * largest * limited[:, None]
+    by_battery = by_battery * largest * limited[:, None]
     unused = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
-    modelled_floor = np.hypot(modelled_share * level * gains, noise)
-    sigma_modelled = np.where(unused, np.inf, np.hypot(sigma, modelled_floor))
-    sigma = np.where(unused, np.inf, np.hypot(sigma, floor))
+    sigma, sigma_modelled = (
+        np.where(unused, np.inf, np.hypot(by_battery, np.hypot(each * level * gains, noise)))
+        for each in (share, modelled_share)
+    )
 
     # use and reason of each sample; np.select takes the first that applies
     wrong = wrong_unit() if dark[good].any() else None
     no_panel_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
-    partly = spike.any(axis=1), negative.any(axis=1), held.any(axis=1)
-    down = np.logical_or.reduce([limited, *partly])
-    use = np.select([dropped | dark | idle, down], [DROPPED, DOWNWEIGHTED], USED)
-    why = np.select(
-        [dropped, dark, idle, limited, *partly, oblique],
-        [why, no_panel_lit, IDLE, BELOW_FULL, BEYOND_FULL, BELOW_NOISE, PARTLY_HELD, OBLIQUE],
-        "used",
-    )
+    has_spike, has_negative, has_held = spike.any(axis=1), negative.any(axis=1), held.any(axis=1)
+    reasons = [
+        (dropped, drop_reason),
+        (dark, no_panel_lit),
+        (idle, IDLE),
+        (limited, BELOW_FULL),
+        (has_spike, BEYOND_FULL),
+        (has_negative, BELOW_NOISE),
+        (has_held, PARTLY_HELD),
+        (oblique, OBLIQUE),
+    ]
+    why = np.select([applies for applies, _ in reasons], [text for _, text in reasons], "used")
+    downweighted = limited | has_spike | has_negative | has_held
+    use = np.select([dropped | dark | idle, downweighted], [DROPPED, DOWNWEIGHTED], USED)
+    # with throttled inputs no sample shows whether the Sun was on a dead panel: it may have been
     missed |= dead & vehicle.throttled
 
     # readings that exist, and those that depend on the Sun direction alone. If most samples are beyond full Sun, or nearly all
     # below, units or gains are wrong; that is reported elsewhere, and the readings stay readings.
     lit = good & ~dark
-    beyond = partly[0][good].sum() > MISREAD_SHARE * good.sum()
-    below = (bright[lit] >= LIMITED_FRACTION * full).sum() < FULL_SHARE * lit.sum()
-    read = np.isfinite(value) & (beyond | ~spike) & ~missed & good[:, None]
+    most_beyond = has_spike[good].sum() > MISREAD_SHARE * good.sum()
+    few_full = (bright[lit] >= LIMITED_FRACTION * full).sum() < FULL_SHARE * lit.sum()
+    was_read = np.isfinite(value) & (most_beyond | ~spike) & ~missed & good[:, None]
     # if panels cover all directions, a dark sample is in the shadow; else the Sun may be where no panel looks
     shadow = dark & (wrong is None and sees_everywhere(vehicle))
     # Full Sun must be stated: if it comes from the file's brighter samples, a shadowed panel looks like a full battery.
     stated_full = vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]
-    dim = (idle | limited) & (not below)
-    measured = read & ~((dim | shadow) & (stated_full and not beyond))[:, None]
+    dim = (idle | limited) & (not few_full)
+    measured = was_read & ~((dim | shadow) & (stated_full and not most_beyond))[:, None]
 
     scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
-    stated_gains = vehicle.input_gains
     uses = {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}
     modelled_name = "the same where the Earth's light is modelled"
     variables: dict[str, Any] = {
         "sigma": (sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
         "sigma_beside_earth": (sigma_modelled, {"long_name": modelled_name}),
-        "reading": (read, {"long_name": "the panel was read"}),
+        "reading": (was_read, {"long_name": "the panel was read"}),
         "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
         "scale": (scale, {"units": "1"}),
         "scale_sigma": (scale_sigma, {"units": "1"}),
@@ -290,7 +298,7 @@ def judge_readings(
             "full_sun": float(full),
             "albedo": float(albedo),
             "albedo_samples": albedo_samples,
-            "full_sun_from": source,
+            "full_sun_from": full_from,
             "gains_from": fitted.source,
             "earth_light": earth,
             "noise": float(np.median(noise)),
@@ -302,6 +310,7 @@ def judge_readings(
 def find_late_frames(telemetry: xr.Dataset) -> np.ndarray:
     """Return the samples (n) whose time does not increase: late or repeated frames."""
     time = np.asarray(telemetry["time"], dtype=np.float64)
+    # fmax ignores NaN; the last slice is for an empty file
     late = np.concatenate([[False], time[1:] <= np.fmax.accumulate(time)[:-1]])[: len(time)]
     if "flag" in telemetry:
         late |= np.asarray(telemetry["flag"]) & NOT_INCREASING != 0
@@ -309,7 +318,7 @@ def find_late_frames(telemetry: xr.Dataset) -> np.ndarray:
 
 
 def remove_negative_readings(vehicle: Vehicle, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings (n, n_panel) with NaN for those below zero beyond noise, and a mask (n, n_panel) of these."""
+    """Return readings (n, n_panel) with NaN for those below zero beyond noise or not finite, and a mask of the former."""
     negative = value < lowest_reading(vehicle, value)
     return np.where(negative | ~np.isfinite(value), np.nan, value), negative
 
@@ -347,28 +356,27 @@ def _unusable(
         Readings that were removed because they are below zero beyond noise.
     """
     empty = ~np.isfinite(value).any(axis=1)
-    late = find_late_frames(telemetry)
-    repeated = repeats.frozen
     equals_previous = np.zeros(len(value), dtype=bool)
     empty_cell = np.isnan(sound[1:]) | np.isnan(sound[:-1])
     equals_previous[1:] = np.all((sound[1:] == sound[:-1]) | empty_cell, axis=1)
-    held = repeats.repeated(PANELS) & ~repeated
-    reasons = [
-        late,
-        negative.any(axis=1) & empty,
-        empty,
-        repeated & equals_previous,
-        repeated,
-        held,
-    ]
-    why = np.select(reasons, [LATE, NEGATIVE, EMPTY, STALE, COPY, HELD], "").astype(object)
-    return np.logical_or.reduce(reasons), why
+    # the first reason that applies counts
+    reasons = {
+        LATE: find_late_frames(telemetry),
+        NEGATIVE: negative.any(axis=1) & empty,
+        EMPTY: empty,
+        STALE: repeats.frozen & equals_previous,
+        COPY: repeats.frozen,
+        HELD: repeats.repeated(PANELS),
+    }
+    masks = list(reasons.values())
+    return np.logical_or.reduce(masks), np.select(masks, list(reasons), "").astype(object)
 
 
 def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     """Return the brightness of full Sun in readings over gains (n, n_panel), and its origin in words.
 
-    It is 1 if the gains are in the unit of the readings; else it is estimated from the brighter samples.
+    It is 1 if the gains are in the unit of the readings. Else it is the upper quartile of the samples with light, those brighter
+    than a fifth of the median.
     """
     if vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]:
         return 1.0, "the gains of the vehicle file"
@@ -379,13 +387,45 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     return float(np.percentile(lit, 75)), "the brighter samples of the file"
 
 
+def _find_dim_samples(
+    vehicle: Vehicle,
+    use_value: np.ndarray,
+    lit: np.ndarray,
+    bright: np.ndarray,
+    full: float,
+    dead: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the samples (n) that are idle (far below full Sun), limited (somewhat below it), and oblique, each in at most one.
+
+    An oblique sample is as dim as these, but a Sun of full strength in some direction explains it. With throttled inputs no sample
+    counts as dim, because the battery may limit any of them.
+
+    Parameters
+    ----------
+    use_value : (n, n_panel)
+        Readings; zero for spikes and dead panels.
+    lit, bright : (n)
+        Samples with the Sun on some panel, and the brightness of all samples.
+    full : float
+        Brightness of full Sun.
+    dead : (n_panel)
+    """
+    if vehicle.throttled:
+        idle, limited = np.zeros((2, len(lit)), dtype=bool)
+    else:
+        idle = lit & (bright < IDLE_FRACTION * full)
+        limited = lit & ~idle & (bright < LIMITED_FRACTION * full)
+    oblique = (idle | limited) & _is_oblique(vehicle, use_value, full, dead)
+    return idle & ~oblique, limited & ~oblique, oblique
+
+
 def _beyond_noise(
     vehicle: Vehicle,
     value: np.ndarray,
     light: np.ndarray,
     noise: np.ndarray,
     full: float,
-    dark_light: float,
+    unlit_light: float,
 ) -> np.ndarray:
     """Return the samples (n) with at least one reading that noise does not explain.
 
@@ -402,16 +442,15 @@ def _beyond_noise(
         Stated noise with the quantisation of the readings.
     full : float
         Brightness of full Sun, as a factor on the gains.
-    dark_light : float
+    unlit_light : float
         Reading of panels that face away from the Sun, as a share of full Sun.
     """
     sigma = noise if vehicle.input_noise is not None else dark_noise(value)
-    limit = (
-        np.maximum(noise, sigma)
-        if sigma is not None
-        else full * min(dark_light, ASSUMED_SHARE) * vehicle.input_gains
-    )
-    return np.asarray((light > DARK_SIGMAS * limit).any(axis=1))
+    if sigma is None:
+        sigma = full * min(unlit_light, ASSUMED_SHARE) * vehicle.input_gains
+    else:
+        sigma = np.maximum(noise, sigma)
+    return np.asarray((light > DARK_SIGMAS * sigma).any(axis=1))
 
 
 def _find_dead_panels(relative: np.ndarray, full: float) -> np.ndarray:
@@ -419,9 +458,10 @@ def _find_dead_panels(relative: np.ndarray, full: float) -> np.ndarray:
 
     `relative` (n, n_panel) are readings over gains, `full` their brightness in full Sun. The brightest panel is never dead.
     """
-    high = np.nanmax(np.where(np.isfinite(relative), relative, -np.inf), axis=0, initial=-np.inf)
-    lit = (np.nan_to_num(relative) > DEAD_FRACTION * full).any(axis=1).sum()
-    return (high < DEAD_FRACTION * full) & (lit >= DEAD_SAMPLES) & (high < np.max(high))
+    largest = np.nanmax(np.where(np.isfinite(relative), relative, -np.inf), axis=0, initial=-np.inf)
+    n_lit = (np.nan_to_num(relative) > DEAD_FRACTION * full).any(axis=1).sum()
+    is_silent = (largest < DEAD_FRACTION * full) & (largest < np.max(largest))
+    return is_silent & (n_lit >= DEAD_SAMPLES)
 
 
 def _is_oblique(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> np.ndarray:
@@ -434,19 +474,30 @@ def _is_oblique(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarr
     allowed = light[:, ~dead].any(axis=1) & ~light[:, dead].any(axis=1)
     model = light[allowed][:, ~dead] / gains
     oblique = np.zeros(len(value), dtype=bool)
-    for start in range(0, len(value) if len(model) else 0, CHUNK):
+    if not len(model):
+        return oblique
+    for start in range(0, len(value), CHUNK):
         rows = slice(start, start + CHUNK)
-        seen = value[rows][:, ~dead] / gains
-        square = (seen**2).sum(axis=1)[:, None] - 2 * seen @ model.T + (model**2).sum(axis=1)
+        measured = value[rows][:, ~dead] / gains
+        # |measured - model|^2 of each sample and direction, multiplied out
+        square = (
+            (measured**2).sum(axis=1)[:, None] - 2 * measured @ model.T + (model**2).sum(axis=1)
+        )
         oblique[rows] = square.min(axis=1) < len(gains) * (OBLIQUE_MISFIT * full) ** 2
     return oblique
 
 
 def _quantisation_step(value: np.ndarray) -> float:
-    """Return the step of quantised readings: the smallest difference, if most differences are whole multiples of it; else zero."""
+    """Return the step of quantised readings, or zero if they are not quantised.
+
+    It is the smallest difference between two readings, if nine of ten differences between successive levels are whole multiples of
+    it, to 1 % of the step. With fewer than five differences this would prove nothing, and the step is zero.
+    """
     levels = np.unique(value[np.isfinite(value)][:QUANTUM_SAMPLES])
     gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * max(np.abs(levels).max(initial=0.0), 1e-300)]
+    gaps = gaps[
+        gaps > 1e-9 * max(np.abs(levels).max(initial=0.0), 1e-300)
+    ]  # smaller ones are rounding
     if len(gaps) < 5:
         return 0.0
     multiples = gaps / gaps.min()
@@ -457,13 +508,13 @@ def _quantisation_step(value: np.ndarray) -> float:
 def _estimate_albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     """Return the light on panels that face away from the Sun, as a share of full Sun, and the number of readings behind it.
 
-    It is a high quantile of the readings `share` (n, n_panel; shares of full Sun) of panels opposite to sunlit ones. With fewer
-    than `ALBEDO_READINGS` readings it is `ALBEDO_DEFAULT`.
+    It is the 84 % quantile, 1 to 30 %, of the readings `share` (n, n_panel; shares of full Sun) of panels opposite to sunlit ones.
+    With fewer than `ALBEDO_READINGS` readings it is `ALBEDO_DEFAULT`.
     """
     response = vehicle.response_in()
-    seen = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
-    # pairs (i, j): in some direction panel i gets light while panel j faces the Sun, so i is not dark then
-    both_lit = (seen > 0).T.astype(int) @ (seen > FACED) > 0
+    model = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
+    # both_lit[i, j]: in some direction panel i gets light while panel j faces the Sun, so i is not dark then
+    both_lit = (model > 0).T.astype(int) @ (model > FACED) > 0
     pairs = np.argwhere(opposite_panels(response.facing_B) & ~both_lit)
     readings = [share[share[:, j] > FACED, i] for i, j in pairs]
     dark = np.concatenate(readings) if readings else np.zeros(0)
@@ -490,7 +541,7 @@ def _earth_light(albedo: float, readings: int, noise: float) -> float:
 
 
 def count_reasons(quality: Any) -> dict[str, int]:
-    """Return the number of samples for each reason (sentence), most frequent first."""
+    """Return the number of samples for each reason (sentence in `why`) of a Dataset of `judge_readings`, most frequent first."""
     texts, counts = np.unique(quality["why"].values, return_counts=True)
     return dict(
         sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda item: -item[1])

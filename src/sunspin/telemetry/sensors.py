@@ -194,6 +194,7 @@ def _combine_sensors(
     seen = np.trace(information, axis1=1, axis2=2) > 0
     covariance[seen] = np.linalg.inv(information[seen])
     sun[seen] = np.einsum("nij,nj->ni", covariance[seen], weighted[seen])
+    # directions of sensors that see different Suns cancel in the mean
     length = np.linalg.norm(sun, axis=1)
     agree = seen & (length > AGREE)
     sun[agree] /= length[agree, None]

@@ -63,6 +63,7 @@ STATUS_TEXT = {
 }
 
 HIDDEN = "a panel without signal may be sunlit"
+"""Reason of a sample without a direction because a lost panel may have been in the Sun."""
 
 ON_EDGE = 1e-9
 """Share of full Sun below which a panel is not lit: its plane contains the Sun."""
@@ -71,6 +72,7 @@ ROUNDING = 1e-9
 """Share of the largest reading below which residuals are rounding errors."""
 
 RECONSTRUCTED = (SunStatus.OK, SunStatus.UNCHECKED)
+"""Status codes of samples that have a direction."""
 
 
 def is_reconstructed(status: Any) -> np.ndarray:
@@ -87,9 +89,9 @@ def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     vehicle.require_panels()
     response = vehicle.response_in()
     sun_B, lit = response.regions()
-    ambiguous = patterns_by_name(vehicle, lit[_is_ambiguous(vehicle, response.power(sun_B), 0.0)])
-    status = [status for status, _ in _statuses(vehicle, lit)]
-    return patterns_by_name(vehicle, lit[is_reconstructed(status)]) - ambiguous
+    ambiguous = lit[_is_ambiguous(vehicle, response.power(sun_B), noise=0.0)]
+    reconstructed = lit[is_reconstructed([status for status, _ in _statuses(vehicle, lit)])]
+    return patterns_by_name(vehicle, reconstructed) - patterns_by_name(vehicle, ambiguous)
 
 
 @lru_cache(maxsize=4096)
@@ -98,7 +100,8 @@ def _status_cached(
 ) -> tuple[SunStatus, str]:
     """Return status and sentence of one pattern `lit` (n_panel).
 
-    `possible` are the patterns that geometry allows; `rules` are pairs of the panels, one of which must be lit, and the reason.
+    `possible` are the patterns that geometry allows; `rules` are pairs of the panels, one of which must be lit, and the reason. The
+    first status that applies is returned, in the order of the body.
     """
     mask = np.array(lit)
     if not mask.any():
@@ -109,8 +112,8 @@ def _status_cached(
     if rank < 3:
         status = SunStatus.ARC if rank == 2 else SunStatus.REGION
         return status, STATUS_TEXT[status]
-    for dark, reason in rules:
-        if not any(lit[k] for k in dark):
+    for panels, reason in rules:
+        if not any(lit[k] for k in panels):
             return SunStatus.RULE, f"{STATUS_TEXT[SunStatus.RULE]}: {reason}"
     status = SunStatus.OK if mask.sum() > 3 else SunStatus.UNCHECKED
     return status, STATUS_TEXT[status]
@@ -119,6 +122,7 @@ def _status_cached(
 def _statuses(vehicle: Vehicle, lit: np.ndarray) -> list[tuple[SunStatus, str]]:
     """Return status and sentence of each pattern of lit panels (n, n_panel)."""
     names, response = vehicle.input_names, vehicle.response_in()
+    # of directions inside the cells of the sphere, and of those on their edges, where the Sun is in a panel's plane
     patterns = np.concatenate([response.regions().lit, response.edges()])
     possible = frozenset(map(tuple, patterns.tolist()))
     rules = tuple(
@@ -170,7 +174,7 @@ def sun_directions(
     """
     power = panel_readings(vehicle, telemetry)
     base = telemetry if isinstance(telemetry, xr.Dataset) else None
-    every = np.ones(power.shape[1])
+    each_panel = np.ones(power.shape[1])  # times one number for all panels
     sigma, threshold = vehicle.input_noise, vehicle.telemetry.lit_threshold
     if noise is not None:
         message = "the noise of a panel reading must be positive"
@@ -178,31 +182,34 @@ def sun_directions(
     if lit_threshold is not None:
         message = "lit_threshold must be zero or positive"
         threshold = per_panel(vehicle, lit_threshold, np.greater_equal, message)
-    # samples that are finite and not excluded by flags or quality
-    finite, excluded, lost = np.all(np.isfinite(power), axis=1), {}, np.zeros(power.shape[1], bool)
-    if base is not None and "flag" in base:
-        finite &= np.asarray(base["flag"]) == 0
+    # `usable` (n): samples that are finite and not excluded by flags or quality
+    usable = np.all(np.isfinite(power), axis=1)
+    excluded: dict[int, str] = {}  # sample -> reason
+    lost = np.zeros(power.shape[1], dtype=bool)
     if base is not None:
+        if "flag" in base:
+            usable &= np.asarray(base["flag"]) == 0
         unit = wrong_unit or (lambda: panel_unit(vehicle, power))
         quality = judge_readings(vehicle, base, unit) if quality is None else quality
-        excluded, lost = _excluded(quality, finite), quality["missed"].values
-        finite[list(excluded)] = False
-    clean = np.where(finite[:, None], power, 0.0)
+        excluded, lost = _excluded(quality, usable), quality["missed"].values
+        usable[list(excluded)] = False
+    clean = np.where(usable[:, None], power, 0.0)
     dark = dark_noise(clean) if sigma is None else None
     if threshold is None and sigma is not None:
         threshold = LIT_SIGMAS * sigma
     elif threshold is None:
         threshold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
-    lit = (clean > threshold) & finite[:, None]
+    lit = (clean > threshold) & usable[:, None]
     # the status follows from the illumination pattern, of which a file has few; `inverse` (n) is that of each sample
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
     inverse = inverse.ravel()
     pattern_statuses = _statuses(vehicle, patterns)
     status = np.array([code for code, _ in pattern_statuses], dtype=np.int8)[inverse]
     texts = np.array([text for _, text in pattern_statuses], dtype=object)[inverse]
-    status[~finite], texts[~finite] = SunStatus.MISSING, STATUS_TEXT[SunStatus.MISSING]
+    status[~usable], texts[~usable] = SunStatus.MISSING, STATUS_TEXT[SunStatus.MISSING]
     for sample, reason in excluded.items():
         texts[sample] = f"{STATUS_TEXT[SunStatus.MISSING]}: {reason}"
+    # a lost panel may have been in the Sun, so that the direction is not known
     hidden = is_reconstructed(status) & _may_lack_lost_panel(vehicle, patterns, lost)[inverse]
     status[hidden], texts[hidden] = SunStatus.MISSING, f"{STATUS_TEXT[SunStatus.MISSING]}: {HIDDEN}"
     if np.any(status == SunStatus.DARK):
@@ -213,16 +220,16 @@ def sun_directions(
     known = is_reconstructed(status)
     noise_from = "given"
     if sigma is None:
-        sigma = every * _pooled_noise(clean, delta, lit, status)
+        sigma = each_panel * _pooled_noise(clean, delta, lit, status)
         noise_from = "estimated from the redundancy of samples with more than three lit panels"
     if np.isnan(sigma).any() and dark is not None:
-        sigma, noise_from = every * dark, DARK_FROM
+        sigma, noise_from = each_panel * dark, DARK_FROM
     ambiguous = known.copy()
     ambiguous[known] = _is_ambiguous(vehicle, clean[known], sigma)
     ambiguous[known] |= _is_undetermined(vehicle, direction[known])
     # assumed last, so that an assumed noise makes no direction ambiguous
     if np.isnan(sigma).any():
-        sigma, noise_from = every * assumed_noise(clean), ASSUMED_FROM
+        sigma, noise_from = each_panel * assumed_noise(clean), ASSUMED_FROM
     response = vehicle.response_in()
     covariance, arcs = np.full((len(power), 3, 3), np.nan), np.full((len(power), 2, 3), np.nan)
     for k, pattern in enumerate(patterns):
@@ -236,57 +243,92 @@ def sun_directions(
         arcs[i] = response.arc(clean[i], lit[i])
     sun_B = np.where(known[:, None], direction, np.nan)
     sigma_rad = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    variables = {
-        "sun_B": (sun_B, "direction to the Sun, body axes", "1", "axis"),
-        "best_B": (direction, "a minimiser of Delta, for any status", "1", "axis"),
-        "delta": (delta, "misfit Delta, paper eq. 2", "1"),
-        "sigma_rad": (sigma_rad, "rms angle of the error from panel noise", "rad"),
-        "sun_cov_B": (covariance, "tangent covariance", "1", "axis", "axis2"),
-        "n_lit": (lit.sum(axis=1).astype(np.int32), "number of lit panels", "1"),
-        "sun_arc_B": (arcs, "ends of the arc of directions", "1", "end", "axis"),
+    values = {
+        "sun_B": sun_B,
+        "best_B": direction,
+        "delta": delta,
+        "sigma_rad": sigma_rad,
+        "sun_cov_B": covariance,
+        "n_lit": lit.sum(axis=1).astype(np.int32),
+        "sun_arc_B": arcs,
+        "status": status,
+        "status_text": texts.astype(np.str_),
+        "lit": lit,
+        "noise": sigma,
+        "lit_threshold": each_panel * threshold,
     }
-    data = xr.Dataset(
+    return _directions_dataset(vehicle, base, values, noise_from)
+
+
+VARIABLES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "sun_B": (("time", "axis"), {"units": "1", "long_name": "direction to the Sun, body axes"}),
+    "best_B": (
+        ("time", "axis"),
+        {"units": "1", "long_name": "a minimiser of Delta, for any status"},
+    ),
+    "delta": (("time",), {"units": "1", "long_name": "misfit Delta, paper eq. 2"}),
+    "sigma_rad": (
+        ("time",),
+        {"units": "rad", "long_name": "rms angle of the error from panel noise"},
+    ),
+    "sun_cov_B": (("time", "axis", "axis2"), {"units": "1", "long_name": "tangent covariance"}),
+    "n_lit": (("time",), {"units": "1", "long_name": "number of lit panels"}),
+    "sun_arc_B": (
+        ("time", "end", "axis"),
+        {"units": "1", "long_name": "ends of the arc of directions"},
+    ),
+    "status": (
+        ("time",),
         {
-            name: (("time", *dimensions), value, {"units": units, "long_name": long_name})
-            for name, (value, long_name, units, *dimensions) in variables.items()
+            "long_name": "why a sample gives a direction or not",
+            "flag_values": [int(s) for s in SunStatus],
+            "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
         },
+    ),
+    "status_text": (("time",), {"long_name": "status in words"}),
+    "lit": (("time", "panel"), {"long_name": "panel is lit"}),
+    "noise": (("panel",), {"units": "as the readings"}),
+    "lit_threshold": (("panel",), {"units": "as the readings"}),
+}
+"""Variables of the Dataset of `sun_directions`: name -> dimensions and attributes."""
+
+
+def _directions_dataset(
+    vehicle: Vehicle, base: xr.Dataset | None, values: dict[str, np.ndarray], noise_from: str
+) -> xr.Dataset:
+    """Return the Dataset of `sun_directions` from the values of its `VARIABLES`.
+
+    The telemetry `base`, if it is a Dataset, gives times and attributes; `noise_from` is the origin of the noise in words.
+    """
+    data = xr.Dataset(
+        {name: (VARIABLES[name][0], value, VARIABLES[name][1]) for name, value in values.items()},
         coords={"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)},
         attrs=({} if base is None else dict(base.attrs))
         | provenance("sun_directions", **vehicle.result_attributes)
         | {
-            "noise": float(np.median(sigma)),
+            "noise": float(np.median(values["noise"])),
             "noise_from": noise_from,
-            "lit_threshold": float(np.median(threshold)),
+            "lit_threshold": float(np.median(values["lit_threshold"])),
             "source": "paper, eqs. 1 and 2, minimised exactly",
         },
     )
     if base is not None:
         coords = {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
         data = data.assign_coords(coords)
-    flags = {
-        "long_name": "why a sample gives a direction or not",
-        "flag_values": [int(s) for s in SunStatus],
-        "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
-    }
-    return data.assign(
-        status=("time", status, flags),
-        status_text=("time", texts.astype(np.str_), {"long_name": "status in words"}),
-        lit=(("time", "panel"), lit, {"long_name": "panel is lit"}),
-        noise=("panel", sigma, {"units": "as the readings"}),
-        lit_threshold=("panel", every * threshold, {"units": "as the readings"}),
-    )
+    return data
 
 
-def _excluded(quality: xr.Dataset, known: np.ndarray) -> dict[int, str]:
-    """Return index -> reason of the samples, among the finite ones `known` (n), that give no direction.
+def _excluded(quality: xr.Dataset, usable: np.ndarray) -> dict[int, str]:
+    """Return index -> reason of the samples, among the `usable` ones (n), that give no direction.
 
-    A panel was not read (lost panels apart), or the battery and not the Sun determines all readings.
+    A panel was not read (lost panels apart), or the battery and not the Sun determines all readings. The reason is the part of the
+    sentence `why` after "dropped: " or "down-weighted: ".
     """
     reasons, measured = quality["why"].values.astype(str), quality["measured"].values
     complete = quality["reading"].values | quality["missed"].values
     follows_battery = np.isin(reasons, [IDLE, BELOW_FULL]) & ~measured.any(axis=1)
-    out = known & (~complete.all(axis=1) | follows_battery)
-    return {int(k): reasons[k].partition(": ")[2] for k in np.flatnonzero(out)}
+    excluded = usable & (~complete.all(axis=1) | follows_battery)
+    return {int(k): reasons[k].partition(": ")[2] for k in np.flatnonzero(excluded)}
 
 
 def _may_lack_lost_panel(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarray) -> np.ndarray:
@@ -294,8 +336,9 @@ def _may_lack_lost_panel(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarra
     if not lost.any():
         return np.zeros(len(patterns), dtype=bool)
     possible = vehicle.response_in().regions().lit
-    lit = possible[(possible & lost).any(axis=1)] & ~lost
-    return np.array([(lit == pattern).all(axis=1).any() for pattern in patterns & ~lost])
+    # what the patterns with a lost panel look like without it
+    without_lost = possible[(possible & lost).any(axis=1)] & ~lost
+    return np.array([(without_lost == pattern).all(axis=1).any() for pattern in patterns & ~lost])
 
 
 def per_panel(
@@ -337,17 +380,22 @@ def panel_readings(vehicle: Vehicle, telemetry: Any) -> np.ndarray:
 
 
 def _is_ambiguous(vehicle: Vehicle, power: np.ndarray, noise: npt.ArrayLike) -> np.ndarray:
-    """Return whether several directions fit the powers of each sample (n, n_panel) equally well.
+    """Return whether several directions fit the powers of each sample (n, n_panel) equally well, given the noise of a reading.
 
-    This happens only if panels share inputs.
+    This happens only if panels share inputs (channels of the vehicle file). An unknown noise (NaN) counts as zero.
     """
     if not vehicle.channels or not len(power):
         return np.zeros(len(power), dtype=bool)
-    size = np.linalg.norm(power, axis=1)
-    by_noise = LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(size > 0, size, np.inf)
-    alike = vehicle.response_in().near_best(power, np.maximum(by_noise, ALIKE))
-    away = np.linalg.norm(alike - alike[:, :1], axis=-1)
-    return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
+    length = np.linalg.norm(power, axis=1)
+    # Delta compares unit vectors of powers, and noise changes it by its ratio to their length
+    by_noise = (
+        LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(length > 0, length, np.inf)
+    )
+    tolerance = np.maximum(by_noise, ALIKE)
+    # the best direction of each sample first, then others that fit as well, then NaN
+    alike = vehicle.response_in().near_best(power, tolerance)
+    apart = np.linalg.norm(alike - alike[:, :1], axis=-1)
+    return np.asarray((np.nan_to_num(apart) > APART_RAD).any(axis=1))
 
 
 def _is_undetermined(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
@@ -371,10 +419,11 @@ def _pooled_noise(
     L lit panels have L - 3 degrees of freedom after brightness and direction. NaN if no sample has redundant panels, or if the
     residuals are rounding errors, as in computed powers without noise.
     """
-    checked = status == SunStatus.OK
-    freedom = (lit[checked].sum(axis=1) - 3).sum()
-    if freedom == 0:
+    redundant = status == SunStatus.OK
+    degrees_of_freedom = (lit[redundant].sum(axis=1) - 3).sum()
+    if degrees_of_freedom == 0:
         return float("nan")
-    residual = delta[checked] * np.linalg.norm(power[checked], axis=1)
-    noise = float(np.sqrt((residual**2).sum() / freedom))
+    # Delta is the misfit of unit vectors of powers
+    residual = delta[redundant] * np.linalg.norm(power[redundant], axis=1)
+    noise = float(np.sqrt((residual**2).sum() / degrees_of_freedom))
     return noise if noise > ROUNDING * power.max() else float("nan")

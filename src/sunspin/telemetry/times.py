@@ -127,7 +127,7 @@ def read_received_times(form: TelemetryForm, table: Table) -> np.ndarray | None:
         expected = "Unix seconds"
     else:
         moments = [parse_utc(cell) for cell in cells]
-        received = np.array([_unix(each) if each else np.nan for each in moments])
+        received = np.array([_unix(moment) if moment else np.nan for moment in moments])
         expected = "ISO-8601 dates"
     filled = np.array([bool(cell.strip()) for cell in cells])
     if filled.any() and not np.isfinite(received).any():  # a few cells may be damaged, not all
