@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 """Colours of Okabe and Ito, which colour-blind people can distinguish."""
 
+BLACK, GREY = COLOURS[6], COLOURS[7]
+"""Colours of what is no component and no solution: measured values, sizes and truths are black, auxiliary lines grey."""
+
 ABOVE: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 1.0),
