@@ -162,21 +162,23 @@ class Ephemeris:
     def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 3) m and velocities (n, 3) m/s in J2000, at UTC Julian dates (n) and fractions of a day (n).
 
-        Outside the table the nearest segment is continued along a Kepler ellipse: for shifts along the track and for comparison
-        orbits.
+        Times outside the table occur although it covers the telemetry: a shift along the track, or the random phase of a
+        comparison orbit, moves them. There the nearest segment is continued along a Kepler ellipse.
         """
-        nearest = np.argmin([s.outside_days(jd + fraction) for s in self.segments], axis=0)
+        outside = [segment.outside_days(jd + fraction) for segment in self.segments]
+        nearest = np.argmin(outside, axis=0)  # index of a segment for each time
         states = np.empty((2, len(jd), 3))
         for k, segment in enumerate(self.segments):
             is_nearest = nearest == k
-            t = ((jd[is_nearest] - segment.jd) + fraction[is_nearest]) * DAY_S
-            inside = np.clip(t, segment.t_s[0], segment.t_s[-1])
-            states[:, is_nearest] = _propagate_ellipse(*segment.state(inside), t - inside)
+            t_s = ((jd[is_nearest] - segment.jd) + fraction[is_nearest]) * DAY_S
+            inside_s = np.clip(t_s, segment.t_s[0], segment.t_s[-1])
+            states[:, is_nearest] = _propagate_ellipse(*segment.state(inside_s), t_s - inside_s)
         return states[0], states[1]
 
     def require_coverage(self, jd: np.ndarray) -> None:
         """Raise `InputError` if a date (n) of the telemetry is not in the table."""
-        missing = np.min([s.outside_days(jd) for s in self.segments], axis=0) > OUTSIDE_S / DAY_S
+        outside = np.min([segment.outside_days(jd) for segment in self.segments], axis=0)
+        missing = outside > OUTSIDE_S / DAY_S
         if missing.any():
             first, last, lacking = map(utc_from_jd, (*self.span_jd, float(jd[missing][0])))
             got = f"{first} to {last}, but not {lacking}"
@@ -402,7 +404,10 @@ def _read_oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Position
 def _build_oem_table(
     meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str
 ) -> _PositionTable:
-    """Return the table of an OEM segment; rows are times and text cells. Raises `InputError` for missing metadata."""
+    """Return the table of an OEM segment, whose numbers are in km and km/s; `rows`: time and text cells of each state.
+
+    Raises `InputError` if metadata are missing or the positions are not about the Earth, and as :func:`_build_table`.
+    """
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
             do = "give the whole message"
@@ -410,7 +415,8 @@ def _build_oem_table(
     if meta["CENTER_NAME"].upper() != "EARTH":
         what = "the positions of the OEM are not about the Earth"
         raise InputError(what, got=meta["CENTER_NAME"], where=where)
-    return _build_table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
+    time_scale, frame = meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"]
+    return _build_table(rows, to_m=1e3, to_m_s=1e3, scale=time_scale, frame=frame, where=where)
 
 
 def _build_table(

@@ -79,9 +79,10 @@ class _AtPosition(NamedTuple):
     def of(
         cls, position: np.ndarray, sun: np.ndarray, to_earth: np.ndarray, fields: FieldMap
     ) -> _AtPosition:
-        """Return the values at positions (n, 3) in J2000.
+        """Return the values at positions (n, 3) m in J2000.
 
-        `sun` (n, 3): position of the Sun in J2000, m; `to_earth` (n, 3, 3): rotation from J2000 to Earth-fixed axes.
+        `sun` (n, 3): position of the Sun in J2000, m; `to_earth` (n, 3, 3): rotation from J2000 to Earth-fixed axes, in which the
+        map of the field is.
         """
         field = fields.at(rotate_vectors(to_earth, position))
         field_J2000 = rotate_vectors(np.swapaxes(to_earth, -1, -2), field)

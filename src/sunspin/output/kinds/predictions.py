@@ -66,7 +66,7 @@ def predicted_figure(
     """Draw predictions, a row for each time: speed, rate components, Sun direction, angles of z to the Sun and to H.
 
     H is the angular momentum. `predictions`: from :func:`sunspin.estimate.posterior.predict.predict`; `labels`: the times in words;
-    `truth`: predictions of one motion, the true one.
+    `truth`: predictions of one motion, the true one, drawn as dashed lines and as a cross on the sky.
     """
     count = predictions.sizes["predicted_s"]
     dashed = "" if truth is None else "; dashed: the truth"
@@ -92,6 +92,7 @@ def predicted_figure(
             (true, {"marker": "+", "ms": 9, "color": COLOURS[6]}),
         ):
             if data is not None:
+                # azimuth about body z and height above the body's x-y plane
                 x, y, z = np.atleast_2d(data["sun_B"].values).T
                 height = np.degrees(np.arcsin(np.clip(z, -1, 1)))
                 sky.plot(np.degrees(np.arctan2(y, x)), height, ls="", rasterized=True, **style)

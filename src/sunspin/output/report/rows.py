@@ -91,7 +91,10 @@ def verdict_of(row: dict[str, Any]) -> str:
 
 
 def _row_texts(row: dict[str, Any]) -> dict[str, str]:
-    """Return the texts of a row, by the names that the template uses."""
+    """Return the texts of a row, by the names that the template uses.
+
+    The remark is the tolerance of a test with a verdict, or says why a row cannot be compared.
+    """
     verdict, tolerance = verdict_of(row), row.get("tolerance")
     remark = ""
     if tolerance is not None and verdict in ("agrees", "differs"):
