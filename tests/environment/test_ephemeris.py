@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.environment.earth import Instants, J2000_from_TEME, earth_from_J2000
+from sunspin.environment.earth import (
+    Instants,
+    J2000_from_TEME,
+    earth_from_J2000,
+    rotate_vectors,
+)
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
-from sunspin.environment.orbit import in_orbit, rotate_vectors
+from sunspin.environment.orbit import in_orbit
 
 VZLUSAT = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
 2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""

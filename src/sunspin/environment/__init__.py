@@ -49,11 +49,11 @@ class Circular:
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
         """Return the surroundings at times (n) in s."""
         angle = self.rate_rad_s * np.atleast_1d(np.asarray(t_s, dtype=np.float64))[:, None]
-        start, normal = np.array(self.nadir_N), np.array(self.normal_N)
-        nadir = np.cos(angle) * start + np.sin(angle) * np.cross(normal, start)
-        rate = np.tile(self.rate_rad_s * normal, (len(angle), 1))
+        first_nadir, normal = np.array(self.nadir_N), np.array(self.normal_N)
+        nadir = np.cos(angle) * first_nadir + np.sin(angle) * np.cross(normal, first_nadir)
+        nadir_rate = np.tile(self.rate_rad_s * normal, (len(angle), 1))
         sun = np.tile([0.0, 0.0, 1.0], (len(angle), 1))
-        return Surroundings(sun, nadir_N=nadir, nadir_turn_N=rate)
+        return Surroundings(sun, nadir_N=nadir, nadir_turn_N=nadir_rate)
 
 
 def circular(
@@ -65,14 +65,17 @@ def circular(
     `InputError` if the rate is not positive or the nadir is along the normal.
     """
     normal, nadir = (np.asarray(vector, dtype=np.float64) for vector in (normal_N, nadir_N))
-    if any(v.shape != (3,) or not np.isfinite(v).all() for v in (normal, nadir)):
+    if any(vector.shape != (3,) or not np.isfinite(vector).all() for vector in (normal, nadir)):
         what = "normal and nadir of an orbit must be three finite numbers each"
         raise InputError(what, got=f"{normal_N}, {nadir_N}")
     if not 0 < rate_rad_s < np.inf:
         raise InputError("the rate of an orbit must be positive, in rad/s", got=rate_rad_s)
+    # component of the nadir across the normal, times the square of the normal's length
     across = np.cross(np.cross(normal, nadir), normal)
-    least = 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)
-    if np.linalg.norm(across) < least or not normal.any():
+    shortest = 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)  # 1e-6 rad off the normal
+    if np.linalg.norm(across) < shortest or not normal.any():
         raise InputError("the nadir lies along the orbit's normal", do="give a nadir across it")
-    normal, nadir = (tuple((v / np.linalg.norm(v)).tolist()) for v in (normal, across))
-    return Circular(float(rate_rad_s), normal, nadir)
+    unit_normal, unit_nadir = (
+        tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across)
+    )
+    return Circular(float(rate_rad_s), unit_normal, unit_nadir)

@@ -53,7 +53,7 @@ class Instants(NamedTuple):
         import erfa
 
         moment = datetime.fromisoformat(epoch_utc.replace("Z", "+00:00"))
-        day = moment.toordinal() + 1_721_424.5
+        jd_at_midnight = moment.toordinal() + 1_721_424.5  # ordinal 1 is 0001-01-01, JD 1721425.5
         fraction = (
             moment.hour * 3600 + moment.minute * 60 + moment.second + moment.microsecond / 1e6
         ) / DAY_S
@@ -61,13 +61,13 @@ class Instants(NamedTuple):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", erfa.ErfaWarning)
             tai_ahead = float(erfa.dat(moment.year, moment.month, moment.day, fraction))
-        later = fraction + np.asarray(t_s, dtype=np.float64) / DAY_S
-        return cls(
-            day + np.floor(later), later - np.floor(later), (tai_ahead + TT_AHEAD_OF_TAI_S) / DAY_S
-        )
+        days = fraction + np.asarray(t_s, dtype=np.float64) / DAY_S  # from that midnight
+        whole_days = np.floor(days)
+        tt_ahead = (tai_ahead + TT_AHEAD_OF_TAI_S) / DAY_S
+        return cls(jd_at_midnight + whole_days, days - whole_days, tt_ahead)
 
     def later(self, seconds: Any) -> Instants:
-        """Return the instants `seconds` later, a number or (..., n)."""
+        """Return the instants `seconds` later, a number or (..., n); the fraction of the day may then exceed 1 or be negative."""
         return self._replace(fraction=self.fraction + np.asarray(seconds) / DAY_S)
 
     @property
@@ -79,37 +79,40 @@ class Instants(NamedTuple):
     def interpolate_slow(
         self, function: Callable[[np.ndarray, np.ndarray], np.ndarray]
     ) -> np.ndarray:
-        """Return a slowly changing function of TT (two-part Julian date) at these instants, interpolated linearly between nodes.
+        """Return a slowly changing function of TT at these instants, interpolated linearly between nodes `NODES_DAYS` apart.
 
-        Precession and nutation take too long to be computed at every instant.
+        `function` takes a two-part Julian date, arrays (m), and returns values (m, ...). Precession and nutation take too long to
+        be computed at every instant.
         """
         tt = self.jd + self.fraction + self.tt_ahead
-        low, high = NODES_DAYS * np.floor(tt.min() / NODES_DAYS), tt.max()
-        nodes = low + NODES_DAYS * np.arange(int(np.ceil((high - low) / NODES_DAYS)) + 2)
-        values = function(np.full(len(nodes), low), nodes - low)
-        position = (tt - low) / NODES_DAYS
-        k = position.astype(int)
-        share = (position - k).reshape(-1, *(1,) * (values.ndim - 1))
-        return (1 - share) * values[k] + share * values[k + 1]
+        # multiples of the interval, so that the values at an instant do not depend on the other instants
+        first = NODES_DAYS * np.floor(tt.min() / NODES_DAYS)
+        nodes = first + NODES_DAYS * np.arange(int(np.ceil((tt.max() - first) / NODES_DAYS)) + 2)
+        values = function(np.full(len(nodes), first), nodes - first)
+        intervals = (tt - first) / NODES_DAYS
+        before = intervals.astype(int)  # index of the node before each instant
+        # fraction of the interval after that node, with the dimensions of the values
+        share = (intervals - before).reshape(-1, *(1,) * (values.ndim - 1))
+        return (1 - share) * values[before] + share * values[before + 1]
 
 
 def _cached_by_instants(
     function: Callable[[Instants], np.ndarray],
 ) -> Callable[[Instants], np.ndarray]:
-    """Return a function that keeps its last four results, by the bytes of its instants.
+    """Decorate a function of instants so that it keeps its last four results, because a fit computes many orbits at the same times.
 
-    A fit computes many orbits at the same times.
+    Arrays cannot be keys of a cache, so the bytes of the instants are. The results cannot be written to.
     """
 
     @lru_cache(maxsize=4)
-    def rotation(jd: bytes, fraction: bytes, tt_ahead: float) -> np.ndarray:
+    def evaluate(jd: bytes, fraction: bytes, tt_ahead: float) -> np.ndarray:
         value = function(Instants(np.frombuffer(jd), np.frombuffer(fraction), tt_ahead))
         value.flags.writeable = False
         return value
 
     @wraps(function)
     def cached(when: Instants) -> np.ndarray:
-        return rotation(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
+        return evaluate(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
 
     return cached
 
@@ -118,11 +121,19 @@ def ahead_of_utc_s(scale: str, when: Instants) -> float:
     """Return the offset in s of one of `TIME_SCALES` from UTC at these instants."""
     if scale in ("UTC", "UT1"):
         return 0.0
-    tt = when.tt_ahead * DAY_S
-    if scale == "TDB":  # Astronomical Almanac, page B7
-        return tt + 1.657e-3 * float(np.sin(6.24 + 0.017202 * (when.middle_jd - 2451545.0)))
-    tai = tt - TT_AHEAD_OF_TAI_S
-    return {"TAI": tai, "GPS": tai - TAI_AHEAD_OF_GPS_S}.get(scale, tt)
+    tt_ahead = when.tt_ahead * DAY_S
+    if scale == "TDB":  # Astronomical Almanac, page B7: annual term, from J2000.0
+        days = when.middle_jd - 2451545.0
+        return tt_ahead + 1.657e-3 * float(np.sin(6.24 + 0.017202 * days))
+    if scale in ("TT", "TDT"):
+        return tt_ahead
+    tai_ahead = tt_ahead - TT_AHEAD_OF_TAI_S
+    return tai_ahead - TAI_AHEAD_OF_GPS_S if scale == "GPS" else tai_ahead
+
+
+def rotate_vectors(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return matrices (n, 3, 3) times vectors (..., n, 3)."""
+    return (matrix @ vector[..., None])[..., 0]
 
 
 @_cached_by_instants
@@ -154,8 +165,10 @@ def sun_J2000_m(when: Instants) -> np.ndarray:
     """Return the apparent position of the Sun (n, 3) in m from the Earth's centre, with aberration, in J2000."""
     import erfa
 
+    # position and velocity of the Earth relative to the Sun and to the barycentre, au and au/day
     heliocentric, barycentric = erfa.epv00(when.jd, when.fraction + when.tt_ahead)
-    place = -heliocentric["p"]
-    distance = np.linalg.norm(place, axis=-1, keepdims=True)
-    apparent = place / distance + barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
+    to_sun = -heliocentric["p"]
+    distance = np.linalg.norm(to_sun, axis=-1, keepdims=True)
+    # aberration: the direction is changed by the Earth's velocity over that of light
+    apparent = to_sun / distance + barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
     return erfa.DAU * distance * apparent / np.linalg.norm(apparent, axis=-1, keepdims=True)

@@ -115,15 +115,16 @@ class Elements:
 
         Raises `InputError` if SGP4 fails, for example as the orbit has decayed.
         """
-        error, place, speed = _satrec(self.given).sgp4_array(
+        error, position_km, velocity_km_s = _satrec(self.given).sgp4_array(
             np.ascontiguousarray(jd), np.ascontiguousarray(fraction)
         )
         if error.any():
             from sgp4.api import SGP4_ERRORS
 
-            what = f"these elements cannot be propagated to the telemetry: {SGP4_ERRORS[int(error[error > 0][0])]}"
+            why = SGP4_ERRORS[int(error[error > 0][0])]
+            what = f"these elements cannot be propagated to the telemetry: {why}"
             raise InputError(what, do="give elements of the telemetry's time", where=self.where)
-        return 1e3 * place, 1e3 * speed
+        return 1e3 * position_km, 1e3 * velocity_km_s
 
     def require_coverage(self, jd: np.ndarray) -> None:
         """Accept any time, as SGP4 has no limits in time."""
@@ -131,7 +132,7 @@ class Elements:
     @property
     def period_s(self) -> float:
         """Orbital period."""
-        return float(2 * np.pi / _satrec(self.given).no_kozai * 60)
+        return float(2 * np.pi / _satrec(self.given).no_kozai * 60)  # mean motion in rad/min
 
     def days_to(self, jd: float) -> float:
         """Return the days from the epoch to a UTC Julian date."""
@@ -156,10 +157,11 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
 
     `where` names the file in messages. Raises `InputError` with the file, the line, the offending text and the advice.
     """
-    first = text.lstrip()[:1]
-    if first == "<":
+    # the form of an OMM shows at the begin of the text, or by its keys; each message is a dict of the keys
+    first_character = text.lstrip()[:1]
+    if first_character == "<":
         messages = _read_xml(text, where)
-    elif first in ("[", "{"):
+    elif first_character in ("[", "{"):
         messages = _read_json(text, where)
     elif "MEAN_MOTION" in text.split("\n", 1)[0]:
         messages = csv.DictReader(io.StringIO(text.strip()))
@@ -170,10 +172,10 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
     if messages is None:
         sets = list(_read_tle(text, where))
     else:
-        listed = list(messages)
+        messages = list(messages)
         sets = [
-            _from_omm(fields, where if len(listed) == 1 else f"{where}, message {k}")
-            for k, fields in enumerate(listed, 1)
+            _from_omm(fields, where if len(messages) == 1 else f"{where}, message {k}")
+            for k, fields in enumerate(messages, 1)
         ]
     if not sets:
         do = "give two lines that begin with 1 and 2, or an OMM"
@@ -202,6 +204,7 @@ def _read_tle(text: str, where: str) -> Iterator[Elements]:
         if not line or line.startswith("#"):
             continue
         if first is None and line.startswith(("1 ", "2 ")):
+            # a short line that begins with 2 is damaged, which `_check_line` reports
             if line[0] == "2" and len(line) > 60:
                 what = "line 2 of the elements comes before line 1"
                 raise InputError(what, do="exchange the two lines", where=at)
@@ -232,23 +235,30 @@ def _read_tle(text: str, where: str) -> Iterator[Elements]:
         raise InputError("line 1 of the elements has no line 2", do="add it", where=where)
 
 
-def _check_line(line: str, form: re.Pattern[str], at: str) -> str:
-    """Return a line of elements whose length, checksum and columns are valid; raise `InputError` otherwise."""
+def _check_line(line: str, columns: re.Pattern[str], at: str) -> str:
+    """Return a line of elements unchanged if its length, checksum and columns are valid; raise `InputError` otherwise.
+
+    `columns`: `LINE_1` or `LINE_2`; `at` names file and line.
+    """
     if len(line) != 69:
         what = "a line of elements has 69 characters"
         raise InputError(what, got=f"{len(line)}", do="copy it whole", where=at)
-    total = sum(int(c) if c in DIGITS else c == "-" for c in line[:68]) % 10
-    if line[68] != str(total):
-        what = f"the checksum of the line is {total}, but its last character says {line[68]!r}"
+    # sum of all digits, where a minus sign counts as 1, modulo 10
+    checksum = sum(int(c) if c in DIGITS else c == "-" for c in line[:68]) % 10
+    if line[68] != str(checksum):
+        what = f"the checksum of the line is {checksum}, but its last character says {line[68]!r}"
         raise InputError(what, do="the line was damaged or edited: copy it again", where=at)
-    if not form.fullmatch(line):
+    if not columns.fullmatch(line):
         what = "the columns are not those of a line of elements"
         raise InputError(what, got=line, do="copy it again", where=at)
     return line
 
 
 def _parse_catalogue_number(text: str, at: str) -> int:
-    """Return the catalogue number of a satellite: digits, possibly padded with blanks or zeros, or Alpha-5."""
+    """Return the catalogue number of a satellite: digits, possibly padded with blanks or zeros, or Alpha-5.
+
+    A spreadsheet may have written it as 25544.0.
+    """
     text = text.strip()
     if digits := re.fullmatch(r"0*(\d{1,9})(\.0*)?", text, re.ASCII):
         return int(digits[1])
@@ -290,6 +300,7 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
 
     Raises `InputError` if its theory, frame, centre or time system is not supported.
     """
+    # keys without a value have the default
     known = DEFAULTS | {
         str(key).strip(): text
         for key, value in fields.items()
@@ -298,7 +309,8 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
     if _normalise_name(known["MEAN_ELEMENT_THEORY"]) not in THEORIES:
         what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
         raise InputError(what, got=known["MEAN_ELEMENT_THEORY"], do=do, where=where)
-    _require_SGP4(known["EPHEMERIS_TYPE"].removesuffix(".0").lstrip("0") or "0", where)
+    ephemeris_type = known["EPHEMERIS_TYPE"].removesuffix(".0").lstrip("0") or "0"  # 0.0 and 00: 0
+    _require_SGP4(ephemeris_type, where)
     if known["CENTER_NAME"].upper() not in ("EARTH", "399"):  # 399 is NAIF's number of the Earth
         what, do = "CENTER_NAME of the OMM is not EARTH", "give elements about the Earth"
         raise InputError(what, got=known["CENTER_NAME"], do=do, where=where)
@@ -326,19 +338,23 @@ def _normalise_name(name: str) -> str:
 
 
 def _parse_epoch(epoch: str, scale: str, where: str) -> datetime:
-    """Return the UTC of an epoch given in a time scale, as a calendar date or a day of the year."""
-    form = re.fullmatch(r"(\d{4}-(?:\d\d-\d\d|(\d{3}))T\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII)
+    """Return the UTC of an epoch given in a time scale, as a calendar date or a day of the year.
+
+    Raises `InputError` if the epoch is no time since 1957, or its time scale cannot be converted.
+    """
+    # groups: date and time to the second, day of the year if there is one, fraction of the second
+    match = re.fullmatch(r"(\d{4}-(?:\d\d-\d\d|(\d{3}))T\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII)
     try:
-        if form is None:
+        if match is None:
             raise ValueError
-        date = "%Y-%j" if form[2] else "%Y-%m-%d"
-        given = datetime.strptime(form[1], f"{date}T%H:%M:%S")
-        if given.year < FIRST_YEAR or given.year != int(form[1][:4]):  # day 366 of a common year
+        date_format = "%Y-%j" if match[2] else "%Y-%m-%d"
+        given = datetime.strptime(match[1], f"{date_format}T%H:%M:%S")
+        if given.year < FIRST_YEAR or given.year != int(match[1][:4]):  # day 366 of a common year
             raise ValueError
     except ValueError:
         what = "EPOCH must be a time such as 2026-01-31T12:00:00.0"
         raise InputError(what, got=epoch, where=where) from None
-    given += timedelta(seconds=float(form[3] or 0))
+    given += timedelta(seconds=float(match[3] or 0))
     exact = [each for each in TIME_SCALES if each != "UT1"]  # known to 0.9 s only, 7 km of flight
     if scale.upper() not in exact:
         what = "TIME_SYSTEM of the OMM cannot be converted to UTC"
@@ -353,7 +369,10 @@ def _parse_epoch(epoch: str, scale: str, where: str) -> datetime:
 
 
 def _read_kvn(text: str) -> Iterator[dict[str, str]]:
-    """Yield the messages of a KVN text; a repeated key, such as the version or the name, begins a new one."""
+    """Yield the messages of a KVN text, without comments and units in brackets.
+
+    A repeated key, such as the version or the name, begins a new message.
+    """
     fields: dict[str, str] = {}
     for line in text.splitlines():
         key, equals, value = line.partition("=")
@@ -369,23 +388,24 @@ def _read_kvn(text: str) -> Iterator[dict[str, str]]:
 
 
 def _read_json(text: str, where: str) -> list[dict[str, Any]]:
-    """Return the messages of a JSON text; raise `InputError` if it is no list of objects."""
+    """Return the messages of a JSON text, an object or a list of objects; raise `InputError` for anything else."""
     try:
-        table = json.loads(text)
+        data = json.loads(text)
     except (ValueError, RecursionError):
         raise InputError("this is not valid JSON", do="give the whole file", where=where) from None
-    table = table if isinstance(table, list) else [table]
-    if not all(isinstance(message, dict) for message in table):
+    messages = data if isinstance(data, list) else [data]
+    if not all(isinstance(message, dict) for message in messages):
         do = "give a list of messages with the keys of an OMM"
         raise InputError("the JSON is not an OMM", do=do, where=where)
-    return table
+    return messages
 
 
 def parse_xml(text: str, kind: str, where: str) -> ElementTree.Element:
-    """Return the root of an XML text; `kind` names the file in messages.
+    """Return the root of an XML text; `kind` ("OMM" or "OEM") names the file in messages.
 
     Entities are refused, as a few lines of them can expand to gigabytes.
     """
+    # declarations of entities begin with "<!", as do comments, which are allowed
     if "<!" in text.replace("<!--", ""):
         raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
     try:
@@ -396,7 +416,7 @@ def parse_xml(text: str, kind: str, where: str) -> ElementTree.Element:
 
 
 def _read_xml(text: str, where: str) -> Iterator[dict[str, str]]:
-    """Yield the messages of an XML text."""
+    """Yield the messages of an XML text: the texts of the elements without children, by name."""
     root = parse_xml(text, "OMM", where)
     for message in root.iter():
         if _tag_name(message) == "omm":

@@ -34,6 +34,7 @@ from sunspin.environment.earth import (
     J2000_from_TEME,
     ahead_of_utc_s,
     earth_from_J2000,
+    rotate_vectors,
 )
 from sunspin.environment.elements import Elements, parse_elements, parse_xml
 
@@ -60,6 +61,9 @@ MAX_RADIUS_M = 1e8
 VELOCITY_TOLERANCE_M_S = 30.0
 """Largest difference between given velocities and those of the spline; a larger one means another unit or frame."""
 
+NEWTON_STEPS = 20
+"""Iterations of Kepler's equation; a few suffice for an orbit of small eccentricity."""
+
 OUTSIDE_S = 1.0
 """Time by which telemetry may exceed a table, whose times may be cut to whole seconds."""
 
@@ -69,7 +73,7 @@ SPK_STEP_S, SPK_CPU_S, MAX_STATES = 60.0, 60, 200_000
 INERTIAL = {"EME2000", "GCRF", "ICRF", "J2000", "ICRF2", "ICRF3"}
 """Names of frames that agree with J2000 within the accuracy needed."""
 TIME = re.compile(r"(\d{4})-(?:(\d{3})|\d\d-\d\d)(T\d\d(?::\d\d(?::\d\d(?:\.\d*)?)?)?)?", re.ASCII)
-"""A calendar time or, if the second group matches, a time with a day of the year."""
+"""A calendar time or a time with a day of the year. Groups: year, day of the year if there is one, "T" and time of the day."""
 
 EARTH_FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
 """Names of Earth-fixed frames."""
@@ -81,12 +85,12 @@ class Segment:
 
     jd: float
     t_s: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
 
     @cached_property
     def spline(self) -> interpolate.BSpline:
         """Interpolating spline of the positions."""
-        return interpolate.make_interp_spline(self.t_s, self.place, k=DEGREE)
+        return interpolate.make_interp_spline(self.t_s, self.position, k=DEGREE)
 
     @property
     def span_jd(self) -> tuple[float, float]:
@@ -110,9 +114,10 @@ class Segment:
         """
         if len(self.t_s) < 2 * MIN_POSITIONS:
             return 0.0
-        coarse = interpolate.make_interp_spline(self.t_s[::2], self.place[::2], k=DEGREE)
-        inside = slice(1, len(self.t_s) - 1 - (len(self.t_s) % 2 == 0), 2)
-        error = np.linalg.norm(coarse(self.t_s[inside]) - self.place[inside], axis=1)
+        coarse = interpolate.make_interp_spline(self.t_s[::2], self.position[::2], k=DEGREE)
+        # odd indices, without the last one of an even number, which lies beyond the coarse spline
+        between = slice(1, len(self.t_s) - 1 - (len(self.t_s) % 2 == 0), 2)
+        error = np.linalg.norm(coarse(self.t_s[between]) - self.position[between], axis=1)
         return float(error.max()) / 2 ** (DEGREE + 1)
 
 
@@ -139,30 +144,35 @@ class Ephemeris:
 
     @property
     def period_s(self) -> float:
-        """Orbital period of the Kepler ellipse at the middle of the first segment."""
+        """Orbital period of the Kepler ellipse at the middle of the first segment.
+
+        For an unbound or suborbital state, as of a damaged file, it is that of an orbit at the Earth's surface.
+        """
         first = self.segments[0]
-        place, speed = first.state(first.t_s[len(first.t_s) // 2])
-        energy = speed @ speed / 2 - MU_M3_S2 / np.linalg.norm(place)
-        return float(2 * np.pi * np.sqrt(max(-MU_M3_S2 / (2 * energy), EQUATOR_M) ** 3 / MU_M3_S2))
+        position, velocity = first.state(first.t_s[len(first.t_s) // 2])
+        energy = velocity @ velocity / 2 - MU_M3_S2 / np.linalg.norm(position)
+        semi_major_axis = max(-MU_M3_S2 / (2 * energy), EQUATOR_M)
+        return float(2 * np.pi * np.sqrt(semi_major_axis**3 / MU_M3_S2))
 
     def days_to(self, jd: float) -> float:
-        """Return the days from the table to a UTC Julian date; 0 within it."""
+        """Return the days from the table to a UTC Julian date: negative before it, positive after it, 0 within it."""
         first, last = self.span_jd
         return min(jd - first, 0.0) + max(jd - last, 0.0)
 
     def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 3) m and velocities (n, 3) m/s in J2000, at UTC Julian dates (n) and fractions of a day (n).
 
-        Outside the table the nearest segment is continued along a Kepler ellipse: for shifts along the track and for comparison
-        orbits.
+        Times outside the table occur although it covers the telemetry: a shift along the track, or the random phase of a
+        comparison orbit, moves them. There the nearest segment is continued along a Kepler ellipse.
         """
-        nearest = np.argmin([s.outside_days(jd + fraction) for s in self.segments], axis=0)
+        outside = [segment.outside_days(jd + fraction) for segment in self.segments]
+        nearest = np.argmin(outside, axis=0)  # index of a segment for each time
         states = np.empty((2, len(jd), 3))
         for k, segment in enumerate(self.segments):
             is_nearest = nearest == k
-            t = ((jd[is_nearest] - segment.jd) + fraction[is_nearest]) * DAY_S
-            inside = np.clip(t, segment.t_s[0], segment.t_s[-1])
-            states[:, is_nearest] = _propagate_ellipse(*segment.state(inside), t - inside)
+            t_s = ((jd[is_nearest] - segment.jd) + fraction[is_nearest]) * DAY_S
+            inside_s = np.clip(t_s, segment.t_s[0], segment.t_s[-1])
+            states[:, is_nearest] = _propagate_ellipse(*segment.state(inside_s), t_s - inside_s)
         return states[0], states[1]
 
     def require_coverage(self, jd: np.ndarray) -> None:
@@ -170,42 +180,46 @@ class Ephemeris:
 
         A date up to `OUTSIDE_S` before or after a segment of the table counts as in it.
         """
-        missing = np.min([s.outside_days(jd) for s in self.segments], axis=0) > OUTSIDE_S / DAY_S
+        outside = np.min([segment.outside_days(jd) for segment in self.segments], axis=0)
+        missing = outside > OUTSIDE_S / DAY_S
         if missing.any():
-            got = f"{utc_from_jd(self.span_jd[0])} to {utc_from_jd(self.span_jd[1])}, but not {utc_from_jd(float(jd[missing][0]))}"
+            first, last, lacking = map(utc_from_jd, (*self.span_jd, float(jd[missing][0])))
+            got = f"{first} to {last}, but not {lacking}"
             do = "give one that does, or only the telemetry that it covers"
             what = "the ephemeris does not cover the telemetry"
             raise InputError(what, got=got, do=do, where=self.where)
 
 
 def _propagate_ellipse(
-    place: np.ndarray, speed: np.ndarray, t_s: np.ndarray
+    position: np.ndarray, velocity: np.ndarray, t_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and velocities (n, 3) after `t_s` (n) on the Kepler ellipses of states (n, 3).
+    """Return positions (n, 3) m and velocities (n, 3) m/s that states reach after times `t_s` (n) on their Kepler ellipses.
 
-    States with a time of exactly zero are returned unchanged. Kepler's equation is solved for the change of the eccentric
-    anomaly by Newton's method, and the state follows from Lagrange's f and g functions.
+    `position`, `velocity` (n, 3): the states at the start. Those with a time of exactly zero, at which the spline holds, are
+    returned unchanged. Kepler's equation is solved for the change of the eccentric anomaly by Newton's method. The state
+    follows from Lagrange's f and g functions (Vallado, Fundamentals of Astrodynamics and Applications, section 2.3).
     """
-    moved = np.flatnonzero(t_s)
-    place, speed = place.copy(), speed.copy()
-    r, v, t = place[moved], speed[moved], t_s[moved]
-    size = np.linalg.norm(r, axis=1)
-    axis = 1 / (2 / size - (v**2).sum(axis=1) / MU_M3_S2)
-    # r.v / sqrt(mu a) = e sin E and 1 - r / a = e cos E at the start; mean motion
-    e_sin, mean_motion = (r * v).sum(axis=1) / np.sqrt(MU_M3_S2 * axis), np.sqrt(MU_M3_S2 / axis**3)
-    e_cos = 1 - size / axis
-    change = mean_motion * t  # of the eccentric anomaly
-    for _ in range(20):
+    later = np.flatnonzero(t_s)
+    r, v, t = position[later], velocity[later], t_s[later]
+    radius = np.linalg.norm(r, axis=1)
+    semi_major_axis = 1 / (2 / radius - (v**2).sum(axis=1) / MU_M3_S2)
+    mean_motion = np.sqrt(MU_M3_S2 / semi_major_axis**3)
+    # eccentricity times sine and cosine of the eccentric anomaly at the start
+    e_sin = (r * v).sum(axis=1) / np.sqrt(MU_M3_S2 * semi_major_axis)
+    e_cos = 1 - radius / semi_major_axis
+    change = mean_motion * t  # of the eccentric anomaly: that of a circle at first
+    for _ in range(NEWTON_STEPS):
         residual = change - e_cos * np.sin(change) + e_sin * (1 - np.cos(change)) - mean_motion * t
         change = change - residual / (1 - e_cos * np.cos(change) + e_sin * np.sin(change))
-    f = 1 - axis / size * (1 - np.cos(change))
+    f = 1 - semi_major_axis / radius * (1 - np.cos(change))
     g = t - (change - np.sin(change)) / mean_motion
-    later = f[:, None] * r + g[:, None] * v
-    reached = np.linalg.norm(later, axis=1)
-    f_dot = -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change)
-    g_dot = 1 - axis / reached * (1 - np.cos(change))
-    place[moved], speed[moved] = later, f_dot[:, None] * r + g_dot[:, None] * v
-    return place, speed
+    r_later = f[:, None] * r + g[:, None] * v
+    radius_later = np.linalg.norm(r_later, axis=1)
+    f_dot = -np.sqrt(MU_M3_S2 * semi_major_axis) / (radius * radius_later) * np.sin(change)
+    g_dot = 1 - semi_major_axis / radius_later * (1 - np.cos(change))
+    position, velocity = position.copy(), velocity.copy()
+    position[later], velocity[later] = r_later, f_dot[:, None] * r + g_dot[:, None] * v
+    return position, velocity
 
 
 class _PositionTable(NamedTuple):
@@ -217,8 +231,8 @@ class _PositionTable(NamedTuple):
     epoch: str
     scale: str
     t_s: np.ndarray
-    place: np.ndarray
-    speed: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
     frame: str
 
 
@@ -240,11 +254,11 @@ def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
         tables = [_read_spk(path)]
     else:
         text = decode_text(content, where, InputError, do)
-        rows = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+        lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
         if "CCSDS_OEM_VERS" in text[:20_000] or "<oem" in text[:20_000]:
             read_oem = _read_oem_xml if text.lstrip()[:1] == "<" else _read_oem_kvn
             meta, tables = read_oem(text, where)
-        elif re.search(r"\b(time_utc|[xyz]_k?m)\b", next(rows, "")):
+        elif re.search(r"\b(time_utc|[xyz]_k?m)\b", next(lines, "")):  # the header of a CSV
             tables = [_read_csv(path)]
         else:
             return parse_elements(text, where)
@@ -263,11 +277,16 @@ def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
 
 
 def _build_segments(table: _PositionTable, where: str) -> list[Segment]:
-    """Return the segments of a table, in UTC and J2000; raise `InputError` for implausible positions or velocities."""
+    """Return the segments of a table, in UTC and J2000: its stretches without a gap that are long enough for a spline.
+
+    Raises `InputError` if the times do not increase, positions are not those of an orbit about the Earth, or given velocities are
+    not those of the positions.
+    """
     if np.any(np.diff(table.t_s) <= 0):
         what, do = "the times of the ephemeris do not increase", "sort its rows, remove repeats"
         raise InputError(what, do=do, where=where)
-    radius = np.linalg.norm(table.place, axis=1)
+    radius = np.linalg.norm(table.position, axis=1)
+    # the polar radius is 0.997 of the equatorial one
     wrong = (radius <= 0.99 * EQUATOR_M) | (radius >= MAX_RADIUS_M)
     if wrong.any():
         what = "a position is not one of an orbit about the Earth"
@@ -275,18 +294,18 @@ def _build_segments(table: _PositionTable, where: str) -> list[Segment]:
         do = "check the unit (km in an OEM) and the centre"
         raise InputError(what, got=got, do=do, where=where)
     when = _utc_instants(table, where)
-    place, speed = _to_J2000(table, when, where)
+    position, velocity = _to_J2000(table, when, where)
     step = np.median(np.diff(table.t_s)) if len(radius) > 1 else 0.0
-    # segments are separated by gaps; those too short for a spline are dropped
     segments = []
     jd = float(when.jd[0])
     t_s = (when.jd - jd + when.fraction) * DAY_S
-    gaps = np.flatnonzero(np.diff(table.t_s) > GAP_STEPS * step) + 1
-    for part in np.split(np.arange(len(radius)), gaps):
-        if len(part) < MIN_POSITIONS:
+    after_gaps = np.flatnonzero(np.diff(table.t_s) > GAP_STEPS * step) + 1
+    for rows in np.split(np.arange(len(radius)), after_gaps):
+        if len(rows) < MIN_POSITIONS:
             continue
-        segment = Segment(jd, t_s[part], place[part])
-        difference = np.linalg.norm(segment.spline(segment.t_s, 1) - speed[part], axis=1)
+        segment = Segment(jd, t_s[rows], position[rows])
+        # NaN without given velocities; a few wrong rows, such as at a manoeuvre, are accepted
+        difference = np.linalg.norm(segment.spline(segment.t_s, 1) - velocity[rows], axis=1)
         if (
             np.nanmax(np.append(difference, 0.0)) > VELOCITY_TOLERANCE_M_S
             and np.nanmedian(difference) > VELOCITY_TOLERANCE_M_S / 10
@@ -313,16 +332,19 @@ def _utc_instants(table: _PositionTable, where: str) -> Instants:
 
 
 def _to_J2000(table: _PositionTable, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and velocities in J2000; those of an Earth-fixed frame have no velocities (NaN)."""
+    """Return positions (n, 3) m and velocities (n, 3) m/s in J2000; raise `InputError` for an unknown frame.
+
+    Velocities of an Earth-fixed frame become NaN, because they lack those of the Earth's rotation.
+    """
     frame = table.frame.upper().replace(" ", "")
     if frame in INERTIAL:
-        return table.place, table.speed
+        return table.position, table.velocity
     if frame == "TEME":
         matrix = J2000_from_TEME(when)
-        return (matrix @ table.place[..., None])[..., 0], (matrix @ table.speed[..., None])[..., 0]
+        return rotate_vectors(matrix, table.position), rotate_vectors(matrix, table.velocity)
     if EARTH_FIXED.fullmatch(frame):
         matrix = np.swapaxes(earth_from_J2000(when), -1, -2)
-        return (matrix @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
+        return rotate_vectors(matrix, table.position), np.full_like(table.velocity, np.nan)
     do = f"give positions in one of {', '.join(sorted(INERTIAL))}, TEME, ITRF"
     raise InputError("the frame of the ephemeris is not known", got=table.frame, do=do, where=where)
 
@@ -331,30 +353,34 @@ def _to_J2000(table: _PositionTable, when: Instants, where: str) -> tuple[np.nda
 
 
 def _read_oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_PositionTable]]:
-    """Return the metadata of the last segment and the tables of all segments of an OEM in KVN."""
+    """Return the metadata of the last segment and the tables of all segments of an OEM in KVN.
+
+    A segment has metadata, then a row for each state (time, position, and possibly velocity and acceleration), and possibly
+    covariances, which are skipped.
+    """
     meta: dict[str, str] = {}
     rows: list[tuple[str, list[str]]] = []
-    tables, inside, skipping = [], False, False
+    tables, in_metadata, in_covariance = [], False, False
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
         if not line or line.startswith("COMMENT"):
             continue
         if line == "META_START":
             tables += [_build_oem_table(meta, rows, where)] if rows else []
-            meta, rows, inside, skipping = {}, [], True, False
+            meta, rows, in_metadata, in_covariance = {}, [], True, False
         elif line == "META_STOP":
-            inside = False
+            in_metadata = False
         elif line in ("COVARIANCE_START", "COVARIANCE_STOP"):
-            skipping = line.endswith("START")
-        elif inside:
+            in_covariance = line.endswith("START")
+        elif in_metadata:
             key, _, value = line.partition("=")
             meta[key.strip()] = value.strip()
-        elif "=" not in line and not skipping:
+        elif "=" not in line and not in_covariance:  # lines with "=" are the header's
             cells = line.split()
             if len(cells) not in (4, 7, 10):
                 what = "a line of an OEM has a time, three coordinates and three of velocity"
                 raise InputError(what, got=line, where=f"{where}, line {number}")
-            rows.append((cells[0], cells[1:7]))
+            rows.append((cells[0], cells[1:7]))  # without accelerations
     tables += [_build_oem_table(meta, rows, where)] if rows else []
     return meta, tables
 
@@ -381,7 +407,10 @@ def _read_oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Position
 def _build_oem_table(
     meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str
 ) -> _PositionTable:
-    """Return the table of an OEM segment; rows are times and text cells. Raises `InputError` for missing metadata."""
+    """Return the table of an OEM segment, whose numbers are in km and km/s; `rows`: time and text cells of each state.
+
+    Raises `InputError` if metadata are missing or the positions are not about the Earth, and as :func:`_build_table`.
+    """
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
             do = "give the whole message"
@@ -389,7 +418,8 @@ def _build_oem_table(
     if meta["CENTER_NAME"].upper() != "EARTH":
         what = "the positions of the OEM are not about the Earth"
         raise InputError(what, got=meta["CENTER_NAME"], where=where)
-    return _build_table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
+    time_scale, frame = meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"]
+    return _build_table(rows, to_m=1e3, to_m_s=1e3, scale=time_scale, frame=frame, where=where)
 
 
 def _build_table(
@@ -400,7 +430,11 @@ def _build_table(
     frame: str,
     where: str,
 ) -> _PositionTable:
-    """Return a table from rows of times and text cells, with factors to m and m/s; raise `InputError` for bad cells."""
+    """Return a table from rows of text: a time, and three cells of position or six of position and velocity.
+
+    `to_m`, `to_m_s`: factors of the cells to m and m/s; `scale`: time scale. A velocity may be empty or "nan". Raises `InputError`
+    for times and numbers that cannot be read, and for a missing position.
+    """
     try:
         times = np.array([_normalise_time(time) for time, _ in rows], dtype="datetime64[us]")
     except ValueError as error:
@@ -429,20 +463,20 @@ def _normalise_time(time: str) -> str:
     Raises ValueError for other texts, of which NumPy would accept some, such as `today`.
     """
     time = time.rstrip("Z").replace(" ", "T")
-    form = TIME.fullmatch(time)
-    if form is None or (form[2] and not 1 <= int(form[2]) <= 366):
+    match = TIME.fullmatch(time)
+    if match is None or (match[2] and not 1 <= int(match[2]) <= 366):
         raise ValueError(f"{time!r} is not a time such as 2026-01-31T12:00:00")
-    if form[2]:
-        time = str(np.datetime64(form[1], "D") + int(form[2]) - 1) + (form[3] or "")
-    seconds, _, fraction = time.partition(".")
-    return f"{seconds}.{fraction[:6]}" if fraction else seconds
+    if match[2]:  # year and day of the year
+        time = str(np.datetime64(match[1], "D") + int(match[2]) - 1) + (match[3] or "")
+    whole_seconds, _, fraction = time.partition(".")
+    return f"{whole_seconds}.{fraction[:6]}" if fraction else whole_seconds
 
 
 # ------------------------------------------------------------------------------------------------------------------- CSV and SPK
 
 
 def _read_csv(path: Path) -> _PositionTable:
-    """Return the table of a CSV file; raise `InputError` if columns or the frame are missing."""
+    """Return the table of a CSV file, in km or m, with or without velocities; raise `InputError` without columns or frame."""
     where = str(path)
     try:
         table = read_table(path)
@@ -483,14 +517,13 @@ def _read_spk(path: Path) -> _PositionTable:
     except ImportError:
         do = 'pip install "sunspin[spice]"'
         raise InputError("an SPK needs spiceypy", do=do, where=where) from None
-    script, most = Path(__file__).with_name("spk_states.py"), str(MAX_STATES)
+    script = Path(__file__).with_name("spk_states.py")
+    arguments = str(path.resolve()), str(SPK_STEP_S), str(MAX_STATES)
     try:
-        printed = run_isolated(
-            script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S
-        )
+        printed = run_isolated(script, *arguments, seconds=SPK_CPU_S)
     except IsolatedRunError as error:
         raise InputError(f"the SPK cannot be used ({error})", where=where) from None
-    values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)
+    values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)  # TDB s, km, km/s
     if not len(values):
         raise InputError("the SPK has no states", where=where)
     if not (np.abs(values) < LARGEST).all():
@@ -499,8 +532,8 @@ def _read_spk(path: Path) -> _PositionTable:
     # a calendar epoch near the table, as TT - UTC is taken at the epoch
     begin = int(values[0, 0])
     epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
-    place, speed = 1e3 * values[:, 1:4], 1e3 * values[:, 4:]
-    return _PositionTable(epoch, "TDB", values[:, 0] - begin, place, speed, "J2000")
+    position, velocity = 1e3 * values[:, 1:4], 1e3 * values[:, 4:]
+    return _PositionTable(epoch, "TDB", values[:, 0] - begin, position, velocity, "J2000")
 
 
 def utc_from_jd(jd: float) -> str:

@@ -30,12 +30,16 @@ MODEL_SIGMA_T = 1.5e-7
 STEP_DEG = 5
 """Grid step of the map."""
 POLE_ROWS = 8
-"""Rows of the map beyond each pole, so that its splines have no boundary there."""
+"""Rows of the map beyond each pole, and columns beyond each end of the longitudes, so that its splines have no boundary there."""
 
 REFERENCE_M = 6_371_200.0
 """Reference radius of IGRF."""
 MAP_DAYS = 30.0
 """Time step of maps: the field changes by 0.1 uT a year, so that of one day is used for half a step on both sides."""
+
+
+RADIUS_STEP_M = 1e4
+"""Step to which the radii of a map are rounded."""
 
 
 class FieldMap(NamedTuple):
@@ -47,22 +51,24 @@ class FieldMap(NamedTuple):
     coefficients: np.ndarray
     inverse: np.ndarray
 
-    def at(self, place: np.ndarray) -> np.ndarray:
+    def at(self, position: np.ndarray) -> np.ndarray:
         """Return the field (..., 3) in T at Earth-fixed positions (..., 3) in m, in Earth-fixed axes."""
-        flat = place.reshape(-1, 3)
+        flat = position.reshape(-1, 3)
         radius = np.linalg.norm(flat, axis=1)
-        row = (90 - np.degrees(np.arcsin(flat[:, 2] / radius))) / STEP_DEG + POLE_ROWS
-        column = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360 / STEP_DEG + POLE_ROWS
+        latitude = np.degrees(np.arcsin(flat[:, 2] / radius))
+        longitude = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360
+        # fractional indices into the map, which has `POLE_ROWS` more rows and columns before its first latitude and longitude
+        row, column = (90 - latitude) / STEP_DEG + POLE_ROWS, longitude / STEP_DEG + POLE_ROWS
         inverse, field = REFERENCE_M / radius, np.zeros_like(flat)
         for k, node in enumerate(self.inverse):
             # Lagrange polynomial in a / r that is one at this sphere and zero at the others
-            rest = np.delete(self.inverse, k)
-            weight = np.prod((inverse[:, None] - rest) / (node - rest), axis=1)
+            others = np.delete(self.inverse, k)
+            weight = np.prod((inverse[:, None] - others) / (node - others), axis=1)
             for axis in range(3):
                 field[:, axis] += weight * ndimage.map_coordinates(
                     self.coefficients[k, axis], [row, column], prefilter=False
                 )
-        return (field * inverse[:, None] ** 3).reshape(place.shape)
+        return (field * inverse[:, None] ** 3).reshape(position.shape)
 
 
 def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
@@ -74,37 +80,36 @@ def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
     if not YEARS[0] <= year < YEARS[1]:
         what = f"the Earth's field is known from {YEARS[0]:.0f} to {YEARS[1]:.0f} (IGRF-14)"
         raise InputError(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry")
-    step = 1e4
-    low, high = step * np.floor(radius_m[0] / step), step * np.ceil(radius_m[1] / step)
+    low = RADIUS_STEP_M * np.floor(radius_m[0] / RADIUS_STEP_M)
+    high = RADIUS_STEP_M * np.ceil(radius_m[1] / RADIUS_STEP_M)
     return _build_field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))
 
 
 @lru_cache(maxsize=8)
 def _build_field_map(jd: float, low: float, high: float) -> FieldMap:
-    """Compute the map for a Julian date and two radii (m), on spheres at Chebyshev nodes of a / r."""
+    """Return the map for a Julian date and positions between two radii (m), on spheres at Chebyshev nodes of a / r.
+
+    B (r / a)^3 is smooth in a / r, so a few spheres suffice for a nearly circular orbit; an eccentric one gets more.
+    """
     span = REFERENCE_M / low - REFERENCE_M / high
     spheres = 3 + int(np.ceil(12 * span))
-    chebyshev = np.cos(np.pi * (np.arange(spheres) + 0.5) / spheres)
-    inverse = (
-        REFERENCE_M / high + span * (1 + chebyshev) / 2
-        if span > 0
-        else np.array([REFERENCE_M / low])
-    )
+    chebyshev = np.cos(np.pi * (np.arange(spheres) + 0.5) / spheres)  # nodes from -1 to 1
+    inverse = REFERENCE_M / high + span * (1 + chebyshev) / 2
+    if span == 0:  # both radii are equal: one sphere
+        inverse = np.array([REFERENCE_M / low])
     latitude, longitude = np.arange(90, -91, -STEP_DEG), np.arange(0, 360, STEP_DEG)
-    rows = []
+    coefficients = []
     for value in inverse:
         field = value**-3 * _compute_igrf(jd, REFERENCE_M / value, latitude, longitude)
-        # a row beyond a pole has the longitudes of the opposite meridian
-        half = np.roll(field, len(longitude) // 2, axis=2)
-        field = np.concatenate(
-            [half[:, POLE_ROWS:0:-1], field, half[:, -2 : -2 - POLE_ROWS : -1]], axis=1
-        )
-        rows.append(
-            np.concatenate([field[:, :, -POLE_ROWS:], field, field[:, :, : POLE_ROWS + 1]], axis=2)
-        )
-    return FieldMap(
-        np.array([[ndimage.spline_filter(part) for part in row] for row in rows]), inverse
-    )
+        # rows beyond a pole repeat those before it, in reverse order, with the longitudes of the opposite meridian
+        opposite = np.roll(field, len(longitude) // 2, axis=2)
+        north, south = opposite[:, POLE_ROWS:0:-1], opposite[:, -2 : -2 - POLE_ROWS : -1]
+        field = np.concatenate([north, field, south], axis=1)
+        # columns beyond an end of the longitudes are those at the other end
+        west, east = field[:, :, -POLE_ROWS:], field[:, :, : POLE_ROWS + 1]
+        field = np.concatenate([west, field, east], axis=2)
+        coefficients.append([ndimage.spline_filter(component) for component in field])
+    return FieldMap(np.array(coefficients), inverse)
 
 
 def _compute_igrf(
@@ -117,10 +122,11 @@ def _compute_igrf(
     # at a pole itself ppigrf computes 0 / 0 for the eastward component
     colatitude = np.clip(90.0 - latitude, 1e-4, 180 - 1e-4)[:, None]
     up, south, east = (
-        part[0] * 1e-9 for part in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date)
+        component[0] * 1e-9  # from nT, and without the dimension of dates
+        for component in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date)
     )
     theta, phi = np.radians(colatitude), np.radians(longitude)[None]
-    # from up, south and east to Earth-fixed x, y and z; `level` is the component in the equatorial plane
-    level = up * np.sin(theta) + south * np.cos(theta)
-    x, y = level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi)
+    # from up, south and east to Earth-fixed x, y and z; `outward` is perpendicular to the Earth's axis
+    outward = up * np.sin(theta) + south * np.cos(theta)
+    x, y = outward * np.cos(phi) - east * np.sin(phi), outward * np.sin(phi) + east * np.cos(phi)
     return np.array([x, y, up * np.cos(theta) - south * np.sin(theta)])

@@ -21,6 +21,7 @@ from sunspin.environment.earth import (
     Instants,
     J2000_from_TEME,
     earth_from_J2000,
+    rotate_vectors,
     sun_J2000_m,
 )
 from sunspin.environment.elements import OLD_DAYS, Elements
@@ -74,6 +75,19 @@ class _AtPosition(NamedTuple):
     field_J2000: np.ndarray
     albedo: np.ndarray
 
+    @classmethod
+    def of(
+        cls, position: np.ndarray, sun: np.ndarray, to_earth: np.ndarray, fields: FieldMap
+    ) -> _AtPosition:
+        """Return the values at positions (n, 3) m in J2000.
+
+        `sun` (n, 3): position of the Sun in J2000, m; `to_earth` (n, 3, 3): rotation from J2000 to Earth-fixed axes, in which the
+        map of the field is.
+        """
+        field = fields.at(rotate_vectors(to_earth, position))
+        field_J2000 = rotate_vectors(np.swapaxes(to_earth, -1, -2), field)
+        return cls(sunlit_fraction(position, sun), field_J2000, albedo_light(position, sun))
+
 
 @dataclass(frozen=True)
 class Orbit:
@@ -104,7 +118,7 @@ class Orbit:
         return self.shift_s + self.drift_s_day * self.days(when)
 
     def ahead_sigma_s(self, when: Instants) -> np.ndarray:
-        """Return the standard deviation (n) along the track in s, from shift, drift and clock."""
+        """Return the standard deviation (n) of the position along the track in s of flight, from shift, drift and clock."""
         constant = np.hypot(self.shift_sigma_s, self.clock_sigma_s)
         return np.hypot(constant, self.drift_sigma_s_day * self.days(when))
 
@@ -125,10 +139,11 @@ class Orbit:
         jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
         # each time uses the elements with the nearest epoch
         epochs = [sum(source.epoch_jd) for source in self.elements]
-        which = np.abs((jd + fraction)[:, None] - epochs).argmin(axis=1)
-        states = np.empty((2, len(jd), 3))
-        for k in np.unique(which):
-            states[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
+        nearest = np.abs((jd + fraction)[:, None] - epochs).argmin(axis=1)
+        states = np.empty((2, len(jd), 3))  # positions, velocities
+        for k in np.unique(nearest):
+            uses_k = nearest == k
+            states[:, uses_k] = self.elements[k].states(jd[uses_k], fraction[uses_k])
         # precession and nutation of the telemetry times serve for all shifts, which are short
         to_J2000 = J2000_from_TEME(when) if self.elements[0].frame == "TEME" else np.eye(3)
         # a comparison orbit of the orbit check is rotated about the Earth's axis
@@ -138,48 +153,43 @@ class Orbit:
         position, velocity = rotate_vectors(to_J2000, states.reshape(2, *moved.fraction.shape, 3))
         return position, velocity
 
-    def field_map_around(self, when: Instants, place: np.ndarray) -> FieldMap:
-        """Return the map of the magnetic field that covers these times and positions."""
-        radius = np.linalg.norm(place, axis=-1)
+    def field_map_around(self, when: Instants, position: np.ndarray) -> FieldMap:
+        """Return the map of the magnetic field that covers these times and positions (..., 3) in m."""
+        radius = np.linalg.norm(position, axis=-1)
         return field_map(when.middle_jd, (float(radius.min()), float(radius.max())))
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
         """Return the surroundings at times (n) in s from the epoch, in J2000.
 
-        Errors come from shift and clock, and from the models. Those along the track are differences to positions one standard
-        deviation ahead and behind.
+        Errors come from shift and clock, and from the models. The errors that shift and clock cause are differences to the values
+        at positions one standard deviation ahead and behind along the track.
         """
         when = self.instants(t_s)
         sun, to_earth = sun_J2000_m(when), earth_from_J2000(when)
-        place, speed = self.states(when)
-        fields = self.field_map_around(when, place)
-        ahead, along = self.ahead_s(when), self.ahead_sigma_s(when)
-
-        def evaluate(position: np.ndarray) -> _AtPosition:
-            field = fields.at(rotate_vectors(to_earth, position))
-            field_J2000 = rotate_vectors(np.swapaxes(to_earth, -1, -2), field)
-            lit, albedo = sunlit_fraction(position, sun), albedo_light(position, sun)
-            return _AtPosition(lit, field_J2000, albedo)
-
-        here = evaluate(place)
-        behind, in_front = [
-            evaluate(self.states(when, ahead + side)[0]) for side in (-along, along)
-        ]
+        position, velocity = self.states(when)
+        fields = self.field_map_around(when, position)
+        ahead, ahead_sigma = self.ahead_s(when), self.ahead_sigma_s(when)
+        position_behind, _ = self.states(when, ahead - ahead_sigma)
+        position_in_front, _ = self.states(when, ahead + ahead_sigma)
+        here, behind, in_front = (
+            _AtPosition.of(each, sun, to_earth, fields)
+            for each in (position, position_behind, position_in_front)
+        )
         lit_sigma, field_sigma, albedo_sigma = (
             _larger_difference(*values) for values in zip(here, behind, in_front, strict=True)
         )
-        to_sun, distance = sun - place, np.linalg.norm(place, axis=1)
+        to_sun, distance = sun - position, np.linalg.norm(position, axis=1)
         # angular velocity of the position vector, and so of the nadir
-        nadir_rate = np.cross(place, speed) / distance[:, None] ** 2
+        nadir_rate = np.cross(position, velocity) / distance[:, None] ** 2
         return Surroundings(
             sun_N=to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True),
-            sun_sigma_rad=np.full(len(place), SUN_SIGMA_RAD),
+            sun_sigma_rad=np.full(len(position), SUN_SIGMA_RAD),
             lit=here.lit,
             lit_sigma=lit_sigma,
             field_N=here.field_J2000,
             field_sigma_T=np.hypot(np.linalg.norm(field_sigma, axis=1), MODEL_SIGMA_T),
-            nadir_N=-place / distance[:, None],
-            nadir_sigma_rad=np.linalg.norm(nadir_rate, axis=1) * along,
+            nadir_N=-position / distance[:, None],
+            nadir_sigma_rad=np.linalg.norm(nadir_rate, axis=1) * ahead_sigma,
             nadir_turn_N=nadir_rate,
             earth_radius_rad=np.arcsin(EQUATOR_M / distance),
             albedo_light_N=here.albedo,
@@ -194,9 +204,9 @@ class Orbit:
         """Return warnings about the elements for telemetry at these times: samples before all elements, and old elements."""
         when = self.instants(t_s)
         jd = when.jd + when.fraction
-        return [*self._before_all(jd), *self._far(jd[[0, -1]])]
+        return [*self._warn_of_early_samples(jd), *self._warn_of_old_elements(jd[[0, -1]])]
 
-    def _before_all(self, jd: np.ndarray) -> list[str]:
+    def _warn_of_early_samples(self, jd: np.ndarray) -> list[str]:
         """Return a warning if samples (n, UTC Julian dates) are long before the first elements, as with a wrong clock."""
         first = min(sum(source.epoch_jd) for source in self.elements)
         early = jd[jd < first - OLD_DAYS]
@@ -208,8 +218,11 @@ class Orbit:
             f"{early.size} of {jd.size} samples are dated {days}, before the first elements ({_iso_date(first)}): check the clock"
         ]
 
-    def _far(self, ends: np.ndarray) -> list[str]:
-        """Return a warning if the elements are old at either end of the telemetry (2, UTC Julian dates)."""
+    def _warn_of_old_elements(self, ends: np.ndarray) -> list[str]:
+        """Return a warning if the nearest elements are old at either end of the telemetry (2, UTC Julian dates).
+
+        If the error along the track exceeds a quarter of a revolution, the warning says that nothing is known of the position.
+        """
         days = max(min(abs(source.days_to(jd)) for source in self.elements) for jd in ends)
         if days < OLD_DAYS:
             return []
@@ -221,7 +234,7 @@ class Orbit:
 
 def _iso_date(jd: float) -> str:
     """Return the day of a Julian date in ISO-8601."""
-    return date.fromordinal(int(np.floor(jd - 1_721_424.5))).isoformat()
+    return date.fromordinal(int(np.floor(jd - 1_721_424.5))).isoformat()  # day 1: JD 1721425.5
 
 
 @dataclass(frozen=True)
@@ -253,15 +266,13 @@ VECTORS = ("sun_N", "field_N", "field_along_N", "nadir_N", "nadir_turn_N", "albe
 
 
 def _axes_along_z(sun: np.ndarray) -> np.ndarray:
-    """Return matrices (n, 3, 3) to axes with z along directions `sun` (n, 3), which are never along the Earth's axis."""
-    first = np.cross([0.0, 0.0, 1.0], sun)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(sun, first), sun], axis=1)
+    """Return matrices (n, 3, 3) from J2000 to axes with z along unit directions `sun` (n, 3).
 
-
-def rotate_vectors(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return matrices (n, 3, 3) times vectors (..., n, 3)."""
-    return (matrix @ vector[..., None])[..., 0]
+    x is perpendicular to the Earth's axis, along which the Sun never is.
+    """
+    x_axis = np.cross([0.0, 0.0, 1.0], sun)
+    x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
+    return np.stack([x_axis, np.cross(sun, x_axis), sun], axis=1)
 
 
 def _larger_difference(here: np.ndarray, behind: np.ndarray, in_front: np.ndarray) -> np.ndarray:
@@ -288,7 +299,8 @@ def in_orbit(
     clock_sigma = CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s
     orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, clock_sigma)
     when = orbit.instants(t_s)
-    elements[0].require_coverage(when.later(shift_s).jd + when.later(shift_s).fraction)
+    evaluated = when.later(shift_s)  # instants at which the elements are evaluated
+    elements[0].require_coverage(evaluated.jd + evaluated.fraction)
     middle = float((when.jd + when.fraction).mean())
     days = min((source.days_to(middle) for source in elements), key=abs)
     sigma = age_sigma_s(days) if shift_sigma_s is None else shift_sigma_s

@@ -13,7 +13,10 @@ EARTH = 399
 
 
 def main() -> None:
-    """Write the states of the only body in the kernel; end with a message if there is none, or another problem."""
+    """Write the states of the only body in the kernel, one every time step and at the end of each covered interval.
+
+    With no body or several, too many states, or an error of SPICE, the process ends with a message.
+    """
     import spiceypy
 
     kernel, step, max_states = sys.argv[1], float(sys.argv[2]), int(sys.argv[3])
@@ -23,11 +26,11 @@ def main() -> None:
         bodies = [body for body in spiceypy.spkobj(kernel) if body != EARTH]
         if len(bodies) != 1:
             sys.exit(f"it has {len(bodies)} bodies: {', '.join(map(str, bodies[:5]))}; keep yours")
-        window = spiceypy.spkcov(kernel, bodies[0])
-        spans = [spiceypy.wnfetd(window, k) for k in range(spiceypy.wncard(window))]
-        if sum(end - begin for begin, end in spans) / step > max_states:
+        window = spiceypy.spkcov(kernel, bodies[0])  # SPICE's set of intervals
+        intervals = [spiceypy.wnfetd(window, k) for k in range(spiceypy.wncard(window))]
+        if sum(end - begin for begin, end in intervals) / step > max_states:
             sys.exit(f"it covers more than {max_states * step / 86400:.0f} days: cut it")
-        for begin, end in spans:
+        for begin, end in intervals:
             for et in np.append(np.arange(begin, end, step), end):
                 rows.append([et, *spiceypy.spkgeo(bodies[0], et, "J2000", EARTH)[0]])
     except spiceypy.exceptions.SpiceyError as error:

@@ -75,13 +75,18 @@ def speed_of(omega: np.ndarray, drawn: list[np.ndarray], probability: np.ndarray
 
 
 def rate_known(result: Any) -> np.ndarray:
-    """Return the passes (n_pass) of a result that are decided, or would be if the error of their speed were smaller."""
+    """Return whether the rate vector of each pass (n_pass) of a result is known well enough to calibrate a gyro with it.
+
+    It is if the pass is decided. It also is if all checks but that of the speed are passed: a body that hardly rotates has known
+    components near zero, but a speed smaller than its error. Such a pass with doubtful columns does not count. A result without the
+    check of the speed has its decided passes only.
+    """
     if "constrained_speed" not in result:
         return np.asarray(result["decided"].values)
     checks = ("unique", "fits", "search_complete", *(f"constrained_{axis}" for axis in "xyz"))
-    slow = np.all([result[name].values for name in checks], axis=0)
-    sure = result["columns_checked"].values != DOUBTFUL
-    return np.asarray(result["decided"].values | (slow & sure))
+    all_but_speed = np.all([result[name].values for name in checks], axis=0)
+    columns_certain = result["columns_checked"].values != DOUBTFUL
+    return np.asarray(result["decided"].values | (all_but_speed & columns_certain))
 
 
 def padded(values: Sequence[np.ndarray]) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -82,25 +83,14 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     try:
         with np.errstate(all="ignore"):
             summaries = [json.loads(path.read_text("utf-8")) for path in files]
-            passes_a, passes_b = (summary.get("passes") or () for summary in summaries)
-            for row in passes_b:
-                # The two runs may number passes differently. A pass of B is compared with the pass of A that overlaps it in
-                # time, so it takes its number; if several overlap and one has the same number, that one is compared.
-                start, end = row["utc_start"], row["utc_end"]
-                overlapping = [
-                    p["pass_id"]
-                    for p in passes_a
-                    if p["utc_start"] <= end and start <= p["utc_end"]
-                ]
-                if row["pass_id"] not in overlapping:
-                    row["pass_id"] = overlapping[0] if overlapping else f"{row['pass_id']} of B"
-            numbers_a, numbers_b = tables = [NUMBERS[command](summary) for summary in summaries]
+            _match_passes(*(summary.get("passes") or () for summary in summaries))
+            numbers_a, numbers_b = (NUMBERS[command](summary) for summary in summaries)
             rows = [
                 _compare_numbers(name, number, numbers_b[name])
                 for name, number in numbers_a.items()
                 if name in numbers_b
             ]
-            attrs = _attributes(folders, summaries, tables)
+            attrs = _attributes(folders, summaries, [numbers_a, numbers_b])
     except InputError:
         raise
     except (LookupError, OverflowError, RecursionError, TypeError, ValueError, AttributeError) as e:
@@ -109,26 +99,48 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     if not rows:
         what, advice = "the two results have nothing in common", "compare results of the same data"
         raise InputError(what, got=got, do=advice)
+    # the largest change first; rows without a known error are last
     rows.sort(key=lambda row: (np.isnan(row["error"]), -row["size"]))
     columns = {name: ("row", np.array([row[name] for row in rows])) for name in rows[0]}
     return xr.Dataset(columns, attrs=provenance("comparison", command=command, **attrs))
 
 
+def _match_passes(passes_a: Iterable[dict[str, Any]], passes_b: Iterable[dict[str, Any]]) -> None:
+    """Renumber the passes of B, in place, so that each has the number of the pass of A that overlaps it in time.
+
+    The two runs may number passes differently. If several passes of A overlap a pass of B and one has its number, the pass of B
+    keeps it. A pass of B without one in A is named "N of B".
+    """
+    for row in passes_b:
+        start, end = row["utc_start"], row["utc_end"]
+        overlapping = [
+            row_a["pass_id"]
+            for row_a in passes_a
+            if row_a["utc_start"] <= end and start <= row_a["utc_end"]
+        ]
+        if row["pass_id"] not in overlapping:
+            row["pass_id"] = overlapping[0] if overlapping else f"{row['pass_id']} of B"
+
+
 def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:
-    """Return the row of the comparison from `a` to `b`. Of several values, the one that changes most is compared."""
+    """Return the row of the comparison from `a` to `b`, with the columns of :func:`compare`.
+
+    Of several values, the one that changes most is compared. If their number differs, only the texts are.
+    """
     words = [f"{old}, now {new}" for old, new in zip(a.facts, b.facts, strict=True) if old != new]
-    change, largest = 0.0, 0.0
+    change, largest_value = 0.0, 0.0
     if a.values and len(a.values) == len(b.values):
         changes = np.subtract(b.values, a.values)
-        change, largest = changes[np.argmax(np.abs(changes))], np.max(np.abs([a.values, b.values]))
+        change = changes[np.argmax(np.abs(changes))]
+        largest_value = np.max(np.abs([a.values, b.values]))
     elif a.text != b.text:
         words.append("another value")
     # two estimates have independent sigmas; intervals and tolerances are limits, of which the wider counts
     error = np.hypot(a.error, b.error) if a.error_kind == SIGMA else max(a.error, b.error)
     has_error = a.error_kind == b.error_kind and SMALLEST <= error <= LARGEST
-    size = (
-        abs(change) / (error if has_error else largest) if abs(change) > ROUNDING * largest else 0.0
-    )
+    size = 0.0
+    if abs(change) > ROUNDING * largest_value:
+        size = abs(change) / (error if has_error else largest_value)
     return {
         "row": printable(name),
         "what": printable(a.what),
@@ -144,17 +156,22 @@ def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:
     }
 
 
-def _attributes(folders: list[Path], summaries: list[dict], tables: list[dict]) -> dict[str, Any]:
-    """Return the attributes of a comparison: same telemetry or not, `--set` changes, rows and conclusions in one result only."""
+def _attributes(
+    folders: list[Path], summaries: list[dict], numbers: list[dict[str, Number]]
+) -> dict[str, Any]:
+    """Return the attributes of a comparison: same telemetry or not, `--set` changes, rows and conclusions in one result only.
+
+    The arguments are those of results A and B. Attributes of lists have an entry in each line.
+    """
     inputs = [summary.get("inputs") or () for summary in summaries]
     hashes = [{row["sha256"] for row in rows if row["what"] == "telemetry"} for rows in inputs]
     conclusions = [[str(line) for line in summary.get("headline") or ()] for summary in summaries]
     attrs: dict[str, Any] = {"same_telemetry": int(bool(hashes[0]) and hashes[0] == hashes[1])}
     attrs["synthetic"] = int(any(bool(summary.get("synthetic_telemetry")) for summary in summaries))
-    for letter, i in (("a", 0), ("b", 1)):
-        lines = {"folder": [folders[i]], "changes": summaries[i].get("changes") or ()}
-        lines["said"] = [line for line in conclusions[i] if line not in conclusions[1 - i]]
-        lines["only"] = [name for name in tables[i] if name not in tables[1 - i]]
+    for letter, this, other in (("a", 0, 1), ("b", 1, 0)):
+        lines = {"folder": [folders[this]], "changes": summaries[this].get("changes") or ()}
+        lines["said"] = [line for line in conclusions[this] if line not in conclusions[other]]
+        lines["only"] = [name for name in numbers[this] if name not in numbers[other]]
         for name, texts in lines.items():
             attrs[f"{name}_{letter}"] = "\n".join(printable(str(text)) for text in texts)
     return attrs
@@ -166,7 +183,7 @@ def _study_numbers(summary: dict[str, Any]) -> dict[str, Number]:
     If an entry has an interval, its ends are compared and not the value. The value comes from few motions and scatters by more
     than the interval.
     """
-    table = {}
+    numbers = {}
     for entry in summary.get("figures") or ():
         if str(entry["id"]).startswith("figure_"):
             continue
@@ -179,10 +196,11 @@ def _study_numbers(summary: dict[str, Any]) -> dict[str, Number]:
             error = np.max(np.abs(high - low)) / 2
         elif entry.get("kind") == "put_in" or not isinstance(error, int | float):
             error = np.nan  # an input of the study has no error of the result
-        judged = {True: "agrees", False: "differs"}.get(entry.get("agrees"), "not judged")
-        about, unit = str(entry.get("what")), str(entry.get("unit") or "").removeprefix("1")
-        table[str(entry["id"])] = Number(about, unit, values, error, error_kind, text, (judged,))
-    return table
+        verdict = {True: "agrees", False: "differs"}.get(entry.get("agrees"), "not judged")
+        what = str(entry.get("what"))
+        unit = str(entry.get("unit") or "").removeprefix("1")  # "1": a number without unit
+        numbers[str(entry["id"])] = Number(what, unit, values, error, error_kind, text, (verdict,))
+    return numbers
 
 
 def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
@@ -191,9 +209,10 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
     In a pass that is not decided, the likeliest solution may be another in each run. Speed and rates are then means over all
     solutions, weighted by probability, and their sigmas include the spread of the solutions.
     """
-    table = {}
+    numbers = {}
     for row in summary.get("passes") or ():
         name, decided, at = f"pass {row['pass_id']}", row["decided"] is not False, row["utc_at"]
+        # solutions are in order of falling probability
         used = pd.DataFrame(row["solutions"][:1] if decided else row["solutions"])
         share = used["probability"] / used["probability"].sum()
         source = "likeliest solution" if len(used) == 1 else "mean of all solutions, not decided"
@@ -205,25 +224,26 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
             estimates[f"omega_{axis} at {at}"] = used[f"omega_{axis}_deg_s"], sigma
         for what, (value, sigma) in estimates.items():
             mean = share @ value
-            spread = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
-            table[f"{name} {what}"] = _estimate(f"{what}: {source}", "deg/s", mean, spread)
+            total_sigma = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
+            numbers[f"{name} {what}"] = _estimate(f"{what}: {source}", "deg/s", mean, total_sigma)
         what, likeliest = "probability of the likeliest solution", row["solutions"][0]
         facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]
         facts += [f"columns {row['columns_checked']}", f"{summary.get('verdict_word')}"]
         probability = _estimate(what, "", likeliest["probability"], np.nan)
-        table[f"{name} probability"] = probability._replace(facts=tuple(facts))
-    return table
+        numbers[f"{name} probability"] = probability._replace(facts=tuple(facts))
+    return numbers
 
 
 def _outcome_numbers(summary: dict[str, Any]) -> dict[str, Number]:
     """Return means and shares over the runs of each strategy, by "wheels STRATEGY QUANTITY"."""
-    table = {}
+    numbers = {}
     for strategy, estimates in (summary.get("strategies") or {}).items():
         for name, estimate in estimates.items():
             what, unit, scale = quantity(name)
+            # an error of 0, as of a share of 0 in all runs, says nothing
             value, error = scale * estimate["value"], scale * (estimate["error"] or np.nan)
-            table[f"wheels {strategy} {name}"] = _estimate(what, unit, value, error)
-    return table
+            numbers[f"wheels {strategy} {name}"] = _estimate(what, unit, value, error)
+    return numbers
 
 
 def _estimate(what: str, unit: str, value: float, sigma: float) -> Number:

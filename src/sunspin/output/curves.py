@@ -22,50 +22,57 @@ def pass_motions(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     """Return (title, motion) of each of the longest passes of a result of `rates`, in their order.
 
     A motion is a Dataset like that of `propagate`, without momentum, on the times of the curves. Without curves the list is empty.
+    The longest passes are those of the longest time, at most `MOST_PASSES`.
     """
     if any(name not in rates for name in CURVE):
         return []
     pass_of, time = rates["curve_pass_of"].values, rates["curve_time"].values
-    lengths = {int(k): float(np.ptp(time[pass_of == k])) for k in np.unique(pass_of)}
-    chosen = sorted(sorted(lengths, key=lambda k: -lengths[k])[:MOST_PASSES])
-    return [(f"Pass {int(rates['pass_id'].values[k])}", _pass_motion(rates, k)) for k in chosen]
+    duration_s = {int(k): float(np.ptp(time[pass_of == k])) for k in np.unique(pass_of)}
+    longest = sorted(duration_s, key=lambda k: -duration_s[k])[:MOST_PASSES]
+    pass_id = rates["pass_id"].values
+    return [(f"Pass {int(pass_id[k])}", _pass_motion(rates, k)) for k in sorted(longest)]
 
 
 def with_wheel_speeds(
-    run: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset | None, wheel_use: str
+    motion: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset | None, wheel_use: str
 ) -> xr.Dataset:
     """Return a motion of :func:`pass_motions` with the wheel speeds (rad/s) that `rates` used, NaN for unknown speeds.
 
     `wheel_use` is the attribute `wheels` of the result: in words, how `rates` treated the wheels. Without telemetry only a speed
     that is held constant is known.
     """
-    t = run["time"].values
-    read = xr.Dataset(coords={"time": t}) if telemetry is None else telemetry
-    speeds_by_source = (
-        wheel_speeds(vehicle, read, t) if telemetry is not None or HELD in wheel_use else {}
-    )
-    # keys say in words where the speeds come from; `wheel_use` begins with the words of those that `rates` used
-    names = [
-        name
-        for name in speeds_by_source
-        if wheel_use.startswith(name) or len(speeds_by_source) == 1
+    t = motion["time"].values
+    samples = xr.Dataset(coords={"time": t}) if telemetry is None else telemetry
+    # source of the speeds in words -> speeds (n, wheel)
+    speeds_by_source: dict[str, np.ndarray] = {}
+    if telemetry is not None or HELD in wheel_use:
+        speeds_by_source = wheel_speeds(vehicle, samples, t)
+    # `wheel_use` begins with the words of the source that `rates` used; if one begins like another, the longer one is meant
+    sources = [
+        source
+        for source in speeds_by_source
+        if wheel_use.startswith(source) or len(speeds_by_source) == 1
     ]
     speed = np.full((len(t), len(vehicle.wheels)), np.nan)
-    if names:
-        speed = np.array(speeds_by_source[max(names, key=len)])
-    silent = untold(vehicle, read)
-    speed[:, [wheel.name in silent for wheel in vehicle.wheels]] = np.nan
-    return run.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
+    if sources:
+        speed = np.array(speeds_by_source[max(sources, key=len)])
+    unknown = untold(
+        vehicle, samples
+    )  # names of wheels whose speed neither file nor telemetry gives
+    speed[:, [wheel.name in unknown for wheel in vehicle.wheels]] = np.nan
+    return motion.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
 
 
 def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
-    """Return the motion of pass number `k` on the times of its curve."""
+    """Return the motion of pass number `k` on the times of its curve, as in :func:`pass_motions`."""
     samples, curve = (
         rates.isel({dim: np.flatnonzero(rates[name].values == k)})
         for dim, name in (("time", "pass_of"), ("curve_time", "curve_pass_of"))
     )
-    start = Rotation.from_quat(samples["B_from_N"].values[0])
+    first_attitude = Rotation.from_quat(samples["B_from_N"].values[0])
     attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
+    # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
+    sun_N = first_attitude.inv().apply(samples["sun_B"].values[0])
     count = samples.sizes["time"]
     about = f"the likeliest motion of {count} samples; between samples it is propagated with the equations of motion"
     if rates.attrs.get("frame_N") != J2000:
@@ -74,11 +81,7 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
         {
             "omega_B": (("time", "axis"), curve["curve_omega_B"].values),
             "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
-            # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-            "sun_B": (
-                ("time", "axis"),
-                attitude.apply(start.inv().apply(samples["sun_B"].values[0])),
-            ),
+            "sun_B": (("time", "axis"), attitude.apply(sun_N)),
         },
         coords={"time": curve["curve_time"].values},
         attrs={"epoch_utc": str(rates.attrs.get("epoch_utc", "")), "about": about},

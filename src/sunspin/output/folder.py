@@ -51,9 +51,9 @@ def results_folder(path: Any, command: str) -> Path:
         The folder holds other files or results of another command, or cannot be written.
     """
     folder = Path(path)
-    marker, what = folder / MARKER, ""
+    marker, what = folder / MARKER, ""  # `what` is wrong with the folder, empty if nothing is
     try:
-        _CLAIMED.append(_Claim.of(folder))
+        _CLAIMED.append(_Claim.of(folder))  # before the folder is made
         atomic_write.make_folder(folder)
         atomic_write.remove_abandoned(folder)
         if is_file_not_link(marker):
@@ -135,7 +135,7 @@ def write_whole(target: Path, content: str | bytes | Callable[[Path], Any]) -> P
 
 
 def write_json(target: Path, data: Any) -> Path:
-    """Write plain data as JSON; numbers that are not finite become null."""
+    """Write data as JSON, converted by :func:`to_plain_data`, and return the path; numbers that are not finite become null."""
     text = json.dumps(to_plain_data(data), indent=1, ensure_ascii=False, allow_nan=False)
     return write_whole(target, text + "\n")
 
@@ -156,7 +156,7 @@ def to_plain_data(value: Any) -> Any:
 
 
 def write_netcdf(target: Path, data: Any) -> Path:
-    """Write an xarray Dataset, DataArray or DataTree (each node a group) as NetCDF-4.
+    """Write an xarray Dataset, DataArray or DataTree (each node a group) as NetCDF-4, and return the path.
 
     The file is made in memory first, because HDF5 ends the process if the disk is full.
     """
@@ -202,7 +202,7 @@ class Contents:
 def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
     """Write data, tables, vehicle file, samples, `summary.json` and the manifest that lists all files with their hashes.
 
-    Figures and all other files of the folder must have been written before.
+    Figures and all other files of the folder must have been written before, so that the manifest has their hashes.
 
     Parameters
     ----------
@@ -238,7 +238,10 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
 
 
 def table_text(table: Table, synthetic: bool) -> str:
-    """Return a table as CSV text that `numpy.genfromtxt` and `pandas.read_csv` read: the header first, comments last."""
+    """Return a table as CSV text that `numpy.genfromtxt` and `pandas.read_csv` read: the header first, comments last.
+
+    Texts become plain cells, without commas and quotes, unless they are prose.
+    """
     comments = ["synthetic telemetry"] if synthetic else []
     comments += [table.comment] if table.comment else []
     texts = table.frame.select_dtypes(exclude="number")
@@ -267,25 +270,25 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     InputError
         There is no such folder, it is no results folder, its run did not end, or its manifest is damaged.
     """
-    what, do = "", "run the command again"
-    manifest: dict[str, Any] = {}
     command = read_command(folder / MARKER) if is_file_not_link(folder / MARKER) else ""
     if not command:
-        what = f"this is not a results folder of sunspin: it has no file {MARKER}"
-        what, do = what if folder.is_dir() else "there is no such folder", "give a command's --out"
-    elif not is_file_not_link(folder / MANIFEST):
+        what = "there is no such folder"
+        if folder.is_dir():
+            what = f"this is not a results folder of sunspin: it has no file {MARKER}"
+        raise InputError(what, do="give a command's --out", where=str(folder))
+    do = "run the command again"
+    if not is_file_not_link(folder / MANIFEST):
         what = f"the folder has no {MANIFEST}: the run did not end"
-    else:
-        try:
-            content = read_bytes(folder / MANIFEST, MAX_JSON_BYTES, "file", InputError, do)
-            manifest = json.loads(content)
-            complete = all(isinstance(manifest[key], list) for key in ("data", "figures", "tables"))
-            complete &= isinstance(manifest["sha256"], dict)
-        except (ValueError, LookupError, TypeError, RecursionError, OSError):
-            complete = False
-        what = "" if complete else f"its {MANIFEST} is damaged"
-    if what:
         raise InputError(what, do=do, where=str(folder))
+    try:
+        content = read_bytes(folder / MANIFEST, MAX_JSON_BYTES, "file", InputError, do)
+        manifest = json.loads(content)
+        complete = all(isinstance(manifest[key], list) for key in ("data", "figures", "tables"))
+        complete &= isinstance(manifest["sha256"], dict)
+        if not complete:
+            raise ValueError
+    except (ValueError, LookupError, TypeError, RecursionError, OSError):
+        raise InputError(f"its {MANIFEST} is damaged", do=do, where=str(folder)) from None
     return manifest
 
 

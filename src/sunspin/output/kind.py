@@ -30,9 +30,9 @@ class Summary(dict[str, Any]):
         in_words: Sequence[str] = (),
     ) -> None:
         super().__init__(numbers)
-        first, rest = list(lines[:1]), list(lines[1:])
-        self.lines, self.notes = [*first, *table, *rest], list(notes)
-        self.sentences = [*first, *in_words, *rest]
+        heading, others = list(lines[:1]), list(lines[1:])
+        self.lines, self.notes = [*heading, *table, *others], list(notes)
+        self.sentences = [*heading, *in_words, *others]
 
     def __str__(self) -> str:
         return "\n".join([*self.lines, *self.notes])
@@ -77,8 +77,9 @@ class Context(NamedTuple):
         """Return the vehicle as a `Vehicle`, loaded from its file if needed, or None."""
         from sunspin.vehicle import Vehicle, load_vehicle
 
-        loaded = self.vehicle is None or isinstance(self.vehicle, Vehicle)
-        return self.vehicle if loaded else load_vehicle(self.vehicle)
+        if self.vehicle is None or isinstance(self.vehicle, Vehicle):
+            return self.vehicle
+        return load_vehicle(self.vehicle)
 
 
 @dataclass(frozen=True)
@@ -108,5 +109,5 @@ KINDS: dict[str, Kind] = {}
 
 
 def synthetic_words(synthetic: Any) -> str:
-    """Return what is added to the caption of a figure from synthetic telemetry, else nothing."""
+    """Return the sentence that is added to the captions of a result from synthetic telemetry; empty for measured telemetry."""
     return " Synthetic telemetry." if synthetic else ""

@@ -42,15 +42,18 @@ class Result:
 
     def summary(self) -> Summary:
         """Return the main numbers as a dict of plain data; ``print()`` shows the text that the command line prints."""
-        summary, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
+        summary = self._kind.summary(self._data)
+        changes = str(self._data.attrs.get("changes", "")).splitlines()  # of the vehicle, by --set
         if notes := clock_notes(self._data):
             summary["clock_notes"] = notes
             for lines in (summary.lines, summary.sentences):
                 lines += [f"  {note}" for note in notes]
-        if changed:
-            summary["changes"] = changed.splitlines()
+        if changes:
+            summary["changes"] = changes
             for lines in (summary.lines, summary.sentences):
-                lines[:0] = [f"Changed for this run: {line}" for line in summary["changes"]]
+                lines[:0] = [
+                    f"Changed for this run: {change}" for change in changes
+                ]  # at the begin
         return summary
 
     def plot(self, name: str | None = None, *, telemetry: xr.Dataset | None = None) -> Any:
@@ -132,14 +135,18 @@ class Result:
             # attributes of a DataArray would be those of its variable, but `kind` must be one of the file
             attrs = {key: value for key, value in data.attrs.items() if key != "units"}
             data = data.to_dataset().assign_attrs(attrs)
-        note = synthetic_words(data.attrs.get("synthetic"))
+        synthetic = bool(data.attrs.get("synthetic"))
+        main = {kind.main: data} if kind.main else {}
         contents = Contents(
-            ({kind.main: data} if kind.main else {}) | dict(kind.datasets(data, context)),
-            [d._replace(caption=d.caption + note) for d in kind.drawings(self._data, context)],
-            list(kind.tables(self._data)),
-            vehicle,
-            telemetry,
-            bool(data.attrs.get("synthetic")),
+            data=main | dict(kind.datasets(data, context)),
+            figures=[
+                drawing._replace(caption=drawing.caption + synthetic_words(synthetic))
+                for drawing in kind.drawings(self._data, context)
+            ],
+            tables=list(kind.tables(self._data)),
+            vehicle=vehicle,
+            telemetry=telemetry,
+            synthetic=synthetic,
         )
         for drawing in contents.figures:
             save_figure(drawing.make(), path, drawing.name)
@@ -149,10 +156,12 @@ class Result:
             inputs = [{"what": "telemetry", "file": file, "sha256": digest}]
         summary = self.summary()
         # the first sentence is the verdict, so further ones of the command follow it
-        text = [*summary.sentences[:1], *lines, *summary.sentences[1:], *summary.notes]
-        sentences = [" ".join(line.split()) for line in text]
-        also = {**(also or {}), "sentences": sentences, "command": command, "inputs": inputs}
+        verdict, others = summary.sentences[:1], summary.sentences[1:]
+        # without the indents and alignment of the console
+        sentences = [" ".join(text.split()) for text in (*verdict, *lines, *others, *summary.notes)]
+        entries = {**summary, **(also or {})}
+        entries |= {"sentences": sentences, "command": command, "inputs": inputs}
         if labels := find_labels(kind.command, [*summary.lines, *sentences]):
-            also["explained"] = [f"{PAGE}#{label}" for label in labels]
-        write_contents(path, {**summary, **also}, contents)
+            entries["explained"] = [f"{PAGE}#{label}" for label in labels]
+        write_contents(path, entries, contents)
         return path

@@ -24,15 +24,15 @@ def write_templates(folder: Path) -> list[Path]:
         if os.path.lexists(target):
             what, do = "this file is there already", "choose another folder"
             raise OutputError(what, do=do, where=str(target))
-    written: list[Path] = []
+    created: list[Path] = []
     try:
         make_folder(folder)
         for target in targets:
             with open(target, "x", encoding="utf-8") as file:
-                written.append(target)
+                created.append(target)
                 file.write(source.joinpath(target.name).read_text(encoding="utf-8"))
     except OSError as error:
-        for target in written:
+        for target in created:
             target.unlink(missing_ok=True)
         what = f"files cannot be written here ({error.strerror or error})"
         raise OutputError(what, do="choose another folder", where=str(folder)) from None

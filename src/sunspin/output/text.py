@@ -15,10 +15,10 @@ LONGEST = 400
 
 
 def number_text(value: Any, digits: int = 4) -> str:
-    """Return a value of a summary as text.
+    """Return a value of a summary as text, cut at `LONGEST` characters.
 
-    Numbers have `digits` significant digits, lists are in parentheses, booleans are yes or no, lists of panel names are joined as
-    in 2-3; 2-3-6.
+    Numbers have `digits` significant digits, lists are in parentheses, booleans are yes or no, None and numbers that are not finite
+    are none, dicts are "key value; key value", lists of panel names are joined as in 2-3; 2-3-6.
     """
     value = to_plain_data(value)
     if isinstance(value, bool):
@@ -32,8 +32,9 @@ def number_text(value: Any, digits: int = 4) -> str:
     elif isinstance(value, list) and value and all(map(_is_list_of_names, value)):
         text = "; ".join(map(set_text, value))
     elif isinstance(value, list):
-        mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
-        text = "(" + mark.join(number_text(item, digits) for item in value) + ")"
+        nested = any(isinstance(item, list | dict) for item in value)
+        separator = "; " if nested else ", "
+        text = "(" + separator.join(number_text(item, digits) for item in value) + ")"
     else:
         text = "none" if value is None else str(value)
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
@@ -41,7 +42,8 @@ def number_text(value: Any, digits: int = 4) -> str:
 
 def set_text(names: Sequence[str]) -> str:
     """Return names of panels on one line: 2-3-6 as in the paper, or -X, +Y, -Z if a name has signs in it."""
-    return ("-" if all(name.isalnum() for name in names) else ", ").join(names)
+    separator = "-" if all(name.isalnum() for name in names) else ", "
+    return separator.join(names)
 
 
 def size_text(value: float, digits: int = 3) -> str:
@@ -66,7 +68,7 @@ def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
         return f"({', '.join(map(with_sigma, value, sigma))}){unit}"
     if not (np.isfinite(sigma) and sigma > 0):
         return f"{number_text(float(value))}{unit}"
-    if sigma < 1e-5:
+    if sigma < 1e-5:  # powers of ten, with digits of the value down to the second one of sigma
         digits = max(int(np.floor(np.log10(max(abs(value), sigma) / sigma))) + 2, 2)
         return f"{value:z.{digits}g} ± {sigma:.2g}{unit}"
     decimals = _decimals(sigma)
@@ -75,20 +77,20 @@ def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
 
 def with_range(value: float, low: float, high: float) -> str:
     """Return a number and the ends of its range, to two digits of half the range: 3.53 (3.49 to 3.57)."""
-    half = (high - low) / 2
-    decimals = _decimals(half) if np.isfinite(half) and half > 0 else 3
+    decimals = _decimals((high - low) / 2)
     return f"{value:z.{decimals}f} ({range_text(low, high)})"
 
 
 def range_text(low: float, high: float, sigma: float = 0.0) -> str:
     """Return the ends of a range, to two digits of half the range or of a larger `sigma`: 3.49 to 3.57."""
-    half = max((high - low) / 2, sigma)
-    decimals = _decimals(half) if np.isfinite(half) and half > 0 else 3
+    decimals = _decimals(max((high - low) / 2, sigma))
     return f"{low:z.{decimals}f} to {high:z.{decimals}f}"
 
 
 def _decimals(sigma: float) -> int:
-    """Return the number of decimals (0 to 9) that shows an error with two digits."""
+    """Return the number of decimals (0 to 9) that shows an error with two digits; 3 if the error is not finite or not positive."""
+    if not (np.isfinite(sigma) and sigma > 0):
+        return 3
     return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
 
 
@@ -106,12 +108,14 @@ def clock_text(data: Any, seconds: float) -> str:
 def start_texts(data: Any, seconds: Sequence[float]) -> list[str]:
     """Return start times (s from the epoch) for a table: month, day and minute in UTC, with the year if the years differ."""
     texts = [clock_text(data, second) for second in seconds]
-    begin = 5 if len({text[:4] for text in texts}) == 1 else 0
+    years = {text[:4] for text in texts}
+    begin = len("2026-") if len(years) == 1 else 0
+    # up to the minute; a time in s, of a result without epoch, has no "T" and stays
     return [text[begin:16].replace("T", " ") if "T" in text else text for text in texts]
 
 
 def period_text(rate_rad_s: float) -> str:
-    """Return the period of one revolution, in seconds below two minutes, else in minutes."""
+    """Return the period of one revolution at a rate (rad/s, not zero), in seconds below two minutes, else in minutes."""
     seconds = 2 * np.pi / abs(rate_rad_s)
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 

@@ -52,7 +52,10 @@ ANCHORS = {
 
 
 def find_labels(command: str, lines: Iterable[str]) -> list[str]:
-    """Return the labels of the sections of `PAGE` that explain verdicts and warnings in printed lines."""
+    """Return the labels of the sections of `PAGE` that explain verdicts and warnings in printed lines.
+
+    Only output of `COMMANDS` has any: for other commands the list is empty.
+    """
     text = "\n".join(lines) if command in COMMANDS else ""
     return [label for label, words in ANCHORS.items() if any(word in text for word in words)]
 
@@ -69,8 +72,9 @@ def read_section(label: str) -> str:
         near = get_close_matches(label, ANCHORS, n=1, cutoff=0.4)
         do = f"did you mean {near[0]}?" if near else f"known: {', '.join(ANCHORS)}"
         raise InputError("no verdict or warning has this label", got=label, do=do)
-    begin = re.escape(f"({label})=")
-    match = re.search(rf"^{begin}\n## (.+?)(?=^\([a-z-]+\)=$|\Z)", _read_page(), re.M | re.S)
+    # a section begins with a line "(label)=" and a heading, and ends before the next such line
+    label_line = re.escape(f"({label})=")
+    match = re.search(rf"^{label_line}\n## (.+?)(?=^\([a-z-]+\)=$|\Z)", _read_page(), re.M | re.S)
     text = match[1] if match else ""
     # a link to another section becomes the label to ask for; other links keep their words
     text = re.sub(r"\[([^]]+)\]\(#([a-z-]+)\)", r"\1 (`sunspin explain \2`)", text)

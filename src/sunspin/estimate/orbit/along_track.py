@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
+from sunspin.environment.earth import earth_from_J2000, rotate_vectors, sun_J2000_m
 from sunspin.environment.light import sunlit_fraction
-from sunspin.environment.orbit import Orbit, rotate_vectors
+from sunspin.environment.orbit import Orbit
 
 
 @dataclass(frozen=True)

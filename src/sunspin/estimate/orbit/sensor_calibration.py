@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.environment.orbit import Orbit, rotate_vectors
+from sunspin.environment.earth import rotate_vectors
+from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.orbit.invariants import (
     MATRIX_SIGMA,

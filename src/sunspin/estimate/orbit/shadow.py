@@ -91,35 +91,52 @@ def _least(size_s: float) -> str:
 
 
 def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInShadow:
-    """Return how the light contradicts an orbit at every along-track offset within so many `sigmas` of its prior."""
+    """Return how the light contradicts an orbit at every along-track offset within so many `sigmas` of its prior.
+
+    There is no contradiction if the samples are consistent with one of these offsets.
+    """
     t_s, clear = clear_sun(assessment)
     if clear.sum() <= FEW:
         return SunInShadow()
-
-    def counted(offsets_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Samples with clear Sun in the shadow (K), all there (K), and whether they contradict the orbit (K)."""
-        dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
-        seen, whole = (dark & clear).sum(axis=1), dark.sum(axis=1)
-        chance = SEEN_IN_SHADOW * whole
-        return seen, whole, seen > np.maximum(FEW, chance + CHANCE_SIGMAS * np.sqrt(chance))
-
-    if not counted(np.zeros(1))[2][0]:
+    # most orbits are consistent with the offset of the elements, which saves the search of the others
+    own_offset = np.zeros(1)
+    if not _contradicted(*_count_in_shadow(orbit, t_s, clear, own_offset, sigmas)).all():
         return SunInShadow()
-    half = orbit.elements[0].period_s / 2
-    prior = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-    reach = min(sigmas * prior + LEEWAY_S, half)
-    seen, whole, against = counted(np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1))
-    if not against.all():
+    half_period = orbit.elements[0].period_s / 2
+    prior_sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+    reach = min(sigmas * prior_sigma + LEEWAY_S, half_period)
+    within_prior = np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1)
+    sunlit, in_shadow = _count_in_shadow(orbit, t_s, clear, within_prior, sigmas)
+    if not _contradicted(sunlit, in_shadow).all():
         return SunInShadow()
-    wide = COARSE_S * np.arange(-int(half / COARSE_S), int(half / COARSE_S) + 1)
-    free = wide[~counted(wide)[2]]
+    steps = int(half_period / COARSE_S)
+    whole_orbit = COARSE_S * np.arange(-steps, steps + 1)
+    contradicted = _contradicted(*_count_in_shadow(orbit, t_s, clear, whole_orbit, sigmas))
+    consistent = whole_orbit[~contradicted]
     # a satellite that is ahead of its place has a clock that is behind; the contradiction may end a step of the grid earlier
     behind, ahead = (
-        float(side.min() - COARSE_S) if side.size else np.nan
-        for side in (free[free > 0], -free[free < 0])
+        float(sizes.min() - COARSE_S) if sizes.size else np.nan
+        for sizes in (consistent[consistent > 0], -consistent[consistent < 0])
     )
-    k = int(seen.argmin())
-    return SunInShadow(int(seen[k]), int(whole[k]), behind, ahead)
+    fewest = int(sunlit.argmin())
+    return SunInShadow(int(sunlit[fewest]), int(in_shadow[fewest]), behind, ahead)
+
+
+def _count_in_shadow(
+    orbit: Orbit, t_s: np.ndarray, clear: np.ndarray, offsets_s: np.ndarray, sigmas: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers (K) of samples in the full shadow that have clear Sun, and of all samples there.
+
+    `t_s`, `clear` (n): times, and which samples have clear Sun; `offsets_s` (K), `sigmas`: as in :func:`_in_full_shadow`.
+    """
+    dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
+    return (dark & clear).sum(axis=1), dark.sum(axis=1)
+
+
+def _contradicted(sunlit: np.ndarray, in_shadow: np.ndarray) -> np.ndarray:
+    """Return whether so many samples with clear Sun (K), of all in the full shadow (K), contradict the orbit and are not chance."""
+    chance = SEEN_IN_SHADOW * in_shadow
+    return sunlit > np.maximum(FEW, chance + CHANCE_SIGMAS * np.sqrt(chance))
 
 
 def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:

@@ -49,7 +49,7 @@ def describe_vehicle(craft: Vehicle) -> Findings:
         "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
     }
     parts = ", ".join(
-        count_text(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs")
+        count_text(len(summary[f"{part}s"]), part) for part in ("panel", "wheel", "leg")
     )
     inertia = "given"
     if not summary["inertia_given"]:
@@ -58,10 +58,10 @@ def describe_vehicle(craft: Vehicle) -> Findings:
         )
     lines = [f"Vehicle {craft.name}: {parts}; inertia {inertia}"]
     if craft.panels:
-        lit, clear = len(lit_patterns(craft)), len(reconstructible_patterns(craft))
-        summary |= {"lit_patterns": lit, "reconstructible": clear}
+        possible, reconstructible = len(lit_patterns(craft)), len(reconstructible_patterns(craft))
+        summary |= {"lit_patterns": possible, "reconstructible": reconstructible}
         lines += [
-            f"  geometry: {lit} panel combinations can be sunlit; {clear} of them determine the Sun direction"
+            f"  geometry: {possible} panel combinations can be sunlit; {reconstructible} of them determine the Sun direction"
         ]
     if craft.channels:
         joined_as = {"largest": "the largest", "sum": "the sum"}
@@ -70,14 +70,17 @@ def describe_vehicle(craft: Vehicle) -> Findings:
             for channel in craft.channels
         )
         summary["channels"] = {channel.name: list(channel.panels) for channel in craft.channels}
-        copies = len(craft.response_in().symmetries)
-        alike = f", so each sample allows {copies} Sun directions" if copies > 1 else ""
-        lines += [f"  shared inputs: {inputs}. The readings do not show which panel is lit{alike}"]
+        # sign changes of the direction's components that no reading shows, with that of no component
+        count = len(craft.response_in().symmetries)
+        ambiguity = f", so each sample allows {count} Sun directions" if count > 1 else ""
+        lines += [
+            f"  shared inputs: {inputs}. The readings do not show which panel is lit{ambiguity}"
+        ]
     unsourced = summary["without_source"]
     if unsourced:
-        shown = ", ".join(unsourced[:3]) + (", ..." if len(unsourced) > 3 else "")
+        names = ", ".join(unsourced[:3]) + (", ..." if len(unsourced) > 3 else "")
         lines.append(
-            f"  {count_text(len(unsourced), 'value')} in the vehicle file cite no source: {shown}"
+            f"  {count_text(len(unsourced), 'value')} in the vehicle file cite no source: {names}"
         )
     return Findings(summary, lines)
 
@@ -91,14 +94,16 @@ def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFin
     assessment = assess(craft, samples)
     time, flag = samples["time"].values, samples["flag"].values
     gaps = sampling_intervals(samples)
-    spread = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None
+    interval_s = None  # smallest, median and largest
+    if gaps.size:
+        interval_s = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())]
     summary: dict[str, Any] = {
         "file": str(path),
         "samples": int(time.size),
         "synthetic": bool(samples.attrs["synthetic"]),
         "epoch_utc": str(samples.attrs["epoch_utc"]),
         "span_s": float(np.ptp(time)) if time.size else 0.0,
-        "interval_s": spread,
+        "interval_s": interval_s,
         "flags": {
             text: n
             for bit, text in FLAGS.items()
@@ -110,21 +115,23 @@ def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFin
     begin = utc_after(float(time.min()), epoch) if time.size else epoch
     size = f"{count_text(time.size, kind)} over {summary['span_s']:.0f} s"
     lines = [f"Telemetry {path.name}: {size} from {begin}"]
-    if time.size and round(float(time[0])):
+    if time.size and round(float(time[0])):  # the first sample is not at time zero
         before = f"{time.min():.0f} s before the first sample"
         lines.append(f"  time zero: {epoch}, {before}")
-    if spread:
-        apart = "  sampling interval: {:.6g} s min, {:.6g} s median, {:.6g} s max"
-        lines.append(apart.format(*spread))
+    if interval_s:
+        least, median, largest = interval_s
+        lines.append(
+            f"  sampling interval: {least:.6g} s min, {median:.6g} s median, {largest:.6g} s max"
+        )
     if notes := clock_notes(samples):
         summary["clock_notes"] = notes
         lines += [f"  {note}" for note in notes]
-    order = {
+    changed_rows = {
         "rows_sorted": "rows sorted by time",
         "rows_merged": "duplicate rows merged",
         "rows_misdated": "rows left out: dated years from the others",
     }
-    for key, text in order.items():
+    for key, text in changed_rows.items():
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")

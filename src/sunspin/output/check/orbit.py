@@ -19,6 +19,9 @@ from sunspin.output.text import with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle.timeline import utc_after
 
+NODE_GAIN = 1.05
+"""Factor by which another node must make the residuals smaller for the check to name it."""
+
 
 class ChosenOrbit(NamedTuple):
     """The orbit that `sunspin rates` uses.
@@ -75,8 +78,8 @@ def _satellite_text(summary: dict[str, Any]) -> str:
     return f"{name} ({number})" if name else f"satellite {number}"
 
 
-def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
-    """Return the numbers of the comparison `fit` of an orbit with the samples, SI units in the names."""
+def _summary(orbit: Any, samples: xr.Dataset, check: Any) -> dict[str, Any]:
+    """Return the numbers of the check of an orbit, the result of `check_orbit`, SI units in the names."""
     time = samples["time"].values
     middle = orbit.instants(time).middle_jd
     elements = nearest(orbit.elements, middle)
@@ -87,67 +90,70 @@ def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
         "age_days": elements.days_to(middle),
         "satellite": elements.number,
         "name": elements.name,
-        "verdict": fit.verdict.name.lower(),
-        "copies": fit.copies,
-        "better_copies": fit.better,
-        "copies_expected_better_by_chance": fit.mistaken,
-        "node_turn_rad": fit.turn_rad,
-        "node_turn_times": fit.turn_times,
-        "shift_s": fit.shift_s,
-        "shift_sigma_s": fit.shift_sigma_s,
-        "shift_at_border": fit.border,
-        "drift_s_day": fit.drift_s_day,
-        "drift_sigma_s_day": fit.drift_sigma_s_day,
-        "samples": fit.samples,
-        "field_residual_T": fit.strength_residual_T,
-        "sun_field_residual_rad": fit.angle_residual_rad,
-        "sign_turned": fit.sign_turned,
-        "turned_axes": fit.turned_axes,
-        "clock_behind_s": fit.clock_behind_s,
-        "in_shadow": fit.eclipse[1],
-        "in_shadow_with_sun": fit.eclipse[0],
-        "contradicted_by_sun": fit.sun_in_shadow.samples,
-        "contradicted_by_s": fit.sun_in_shadow.beyond_s,
+        "verdict": check.verdict.name.lower(),
+        "copies": check.copies,
+        "better_copies": check.better,
+        "copies_expected_better_by_chance": check.mistaken,
+        "node_turn_rad": check.turn_rad,
+        "node_turn_times": check.turn_times,
+        "shift_s": check.shift_s,
+        "shift_sigma_s": check.shift_sigma_s,
+        "shift_at_border": check.border,
+        "drift_s_day": check.drift_s_day,
+        "drift_sigma_s_day": check.drift_sigma_s_day,
+        "samples": check.samples,
+        "field_residual_T": check.strength_residual_T,
+        "sun_field_residual_rad": check.angle_residual_rad,
+        "sign_turned": check.sign_turned,
+        "turned_axes": check.turned_axes,
+        "clock_behind_s": check.clock_behind_s,
+        "in_shadow": check.eclipse[1],
+        "in_shadow_with_sun": check.eclipse[0],
+        "contradicted_by_sun": check.sun_in_shadow.samples,
+        "contradicted_by_s": check.sun_in_shadow.beyond_s,
         "notes": orbit.notes(time),
     }
-    if fit.matrix is not None and fit.zero is not None:
-        summary["magnetometer"] = {"matrix_T": fit.matrix.tolist(), "zero_T": fit.zero.tolist()}
+    if check.matrix is not None and check.zero is not None:
+        summary["magnetometer"] = {"matrix_T": check.matrix.tolist(), "zero_T": check.zero.tolist()}
     return summary
 
 
-def _lines(summary: dict[str, Any], fit: Any) -> list[str]:
-    """Return the comparison of an orbit with the samples in words."""
-    lines = [f"Orbit of {_satellite_text(summary)}: {fit.verdict.value}"]
+def _lines(summary: dict[str, Any], check: Any) -> list[str]:
+    """Return the check of an orbit in words; `summary`: its numbers, from :func:`_summary`.
+
+    Without samples that can be compared the lines end early.
+    """
+    lines = [f"Orbit of {_satellite_text(summary)}: {check.verdict.value}"]
     lines += [f"  {note}" for note in summary["notes"]]
-    lines += [f"  {text}" for text in (str(fit.sun_in_shadow), clock_off(fit)) if text]
-    if fit.sign_turned:
+    lines += [f"  {text}" for text in (str(check.sun_in_shadow), clock_off(check)) if text]
+    if check.sign_turned:
         remedy = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
         lines.append(f"  {remedy}")
-    if fit.turned_axes:
-        lines.append(f"  {fit.turned_axes}")
-    used = ", ".join(f"{what} of {n}" for what, n in fit.samples.items() if n)
+    if check.turned_axes:
+        lines.append(f"  {check.turned_axes}")
+    used = ", ".join(f"{what} of {n}" for what, n in check.samples.items() if n)
     if not used:
         return [
             *lines,
             "  no sample can be compared: no magnetic field, Sun direction or eclipse in the file",
         ]
-    copies = f"{fit.copies} randomised comparison orbits with random node and phase"
-    lines.append(f"  {fit.better} of {copies} fit better (samples: {used})")
-    if fit.turn_times > 1.05:
-        turn = f"with the node turned by {np.degrees(fit.turn_rad):+z.0f} deg"
-        lines.append(f"  {turn} residuals are {fit.turn_times:.2f} times smaller")
-    border = ", at the border of what was tried: widen --tle-shift-sigma" if fit.border else ""
+    copies = f"{check.copies} randomised comparison orbits with random node and phase"
+    lines.append(f"  {check.better} of {copies} fit better (samples: {used})")
+    if check.turn_times > NODE_GAIN:
+        turn = f"with the node turned by {np.degrees(check.turn_rad):+z.0f} deg"
+        lines.append(f"  {turn} residuals are {check.turn_times:.2f} times smaller")
+    border = ", at the border of what was tried: widen --tle-shift-sigma" if check.border else ""
     # an orbit 1 s late and a clock 1 s early look the same
     clock = " (includes any clock error)"
-    shift = with_sigma(fit.shift_s, fit.shift_sigma_s, "s")
-    lines.append(f"  along-track offset {shift}{drifting(fit)}{clock}{border}")
-    if np.isfinite(fit.strength_residual_T):
-        angle, n = np.degrees(fit.angle_residual_rad), fit.samples.get("field and Sun", 0)
-        few = f" (too few samples to judge: {n})" if n < FEWEST else ""
-        sun = f", Sun-field angle {angle:.1f} deg{few}" if np.isfinite(angle) else ""
-        strength = f"{1e6 * fit.strength_residual_T:.2f} uT"
+    shift = with_sigma(check.shift_s, check.shift_sigma_s, "s")
+    lines.append(f"  along-track offset {shift}{drifting(check)}{clock}{border}")
+    if np.isfinite(check.strength_residual_T):
+        angle, n = np.degrees(check.angle_residual_rad), check.samples.get("field and Sun", 0)
+        remark = f" (too few samples to judge: {n})" if n < FEWEST else ""
+        sun = f", Sun-field angle {angle:.1f} deg{remark}" if np.isfinite(angle) else ""
+        strength = f"{1e6 * check.strength_residual_T:.2f} uT"
         lines.append(f"  median residuals: field magnitude {strength}{sun}")
-    seen, dark = fit.eclipse
-    if dark:
-        lines.append(f"  eclipse: {dark} samples, {seen} of them with a Sun signal")
+    with_sun, in_eclipse = check.eclipse
+    if in_eclipse:
+        lines.append(f"  eclipse: {in_eclipse} samples, {with_sun} of them with a Sun signal")
     return lines

@@ -30,25 +30,26 @@ def describe_repeats(assessment: Assessment) -> Findings:
     repeats, samples = assessment.repeats, assessment.telemetry
     summary: dict[str, Any] = {}
     lines: list[str] = []
-    stretches = _stretches(repeats.frozen)
+    stretches = _stretches(repeats.frozen)  # begin and end (exclusive) of each
     count, distinct = int(repeats.frozen.sum()), int((~repeats.frozen).sum())
     # Three cases: each reading is repeated a fixed number of times, or the file has long frozen stretches, or single copies.
     if len(stretches) > EACH_SHARE * distinct:
-        summary["repeated_each"] = round(float(np.mean([b - a for a, b in stretches]))) + 1
+        repeats_of_each = round(float(np.mean([end - begin for begin, end in stretches])))
+        summary["repeated_each"] = repeats_of_each + 1  # with the reading itself
         lines.append(
             f"  each reading is repeated {summary['repeated_each']} times: held values or copies of frames; "
             f"{count_text(count, 'repeat')} left out"
         )
     else:
-        long = [(a, b) for a, b in stretches if b - a >= FROZEN]
-        copies = count - sum(b - a for a, b in long)
+        frozen = [(begin, end) for begin, end in stretches if end - begin >= FROZEN]
+        copies = count - sum(end - begin for begin, end in frozen)
         time = samples["time"].values
-        summary["frozen"] = [[float(time[a]), float(time[b - 1])] for a, b in long]
-        lines += [
-            f"  FROZEN from {clock_text(samples, float(time[a]))} to {clock_text(samples, float(time[b - 1]))}: "
-            f"{count_text(b - a, 'sample')} equal to earlier ones; left out, like a gap"
-            for a, b in long
-        ]
+        summary["frozen"] = [[float(time[begin]), float(time[end - 1])] for begin, end in frozen]
+        for (begin, end), times in zip(frozen, summary["frozen"], strict=True):
+            first, last = (clock_text(samples, time_s) for time_s in times)
+            lines.append(
+                f"  FROZEN from {first} to {last}: {count_text(end - begin, 'sample')} equal to earlier ones; left out, like a gap"
+            )
         if copies:
             summary["copies"] = copies
             lines.append(
@@ -57,9 +58,9 @@ def describe_repeats(assessment: Assessment) -> Findings:
     for sensor, held in repeats.held.items():
         if held.any():
             summary.setdefault("held", {})[NAMES[sensor]] = int(held.sum())
-            repeat = "repeat" if sensor in PLURAL else "repeats"
+            verb = "repeat" if sensor in PLURAL else "repeats"
             lines.append(
-                f"  HELD VALUES: the {NAMES[sensor]} {repeat} the last reading in {count_text(int(held.sum()), 'sample')} while "
+                f"  HELD VALUES: the {NAMES[sensor]} {verb} the last reading in {count_text(int(held.sum()), 'sample')} while "
                 "other sensors change; left out"
             )
     if repeats.columns is not None and repeats.columns.any():

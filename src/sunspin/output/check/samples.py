@@ -27,32 +27,43 @@ MOST_PANELS = 2 / 3
 direction, two leave it open. If a file has a row for each packet, a row has a half or a third of the panels."""
 
 
+PASS_INTERVALS = 6
+"""Usual sampling intervals from which a gap separates two passes, as by default in `rates`."""
+
+EVEN_JITTER = 0.02
+"""Standard deviation of the intervals within passes, relative to the usual one, below which the sampling counts as even."""
+
+
 def describe_mismatches(assessment: Assessment, vehicle: str | None = None) -> Findings:
     """Return the findings on what does not match between telemetry and vehicle file: units, gyro axes, sensors, columns.
 
     `vehicle`: name or path of the vehicle file, from which messages quote the wrong line.
     """
-    units, samples = [], assessment.telemetry
+    unit_texts, samples = [], assessment.telemetry
     for wrong in assessment.wrong_units:
-        line, key = None, wrong.key.split(" or ")[0].split(",")[0]
+        # an entry may name alternative keys or several; the line of the first one is quoted
+        key = wrong.key.split(" or ")[0].split(",")[0]
+        line = None  # number and text
         if vehicle is not None:
             line = find_line(read_vehicle_text(vehicle), wrong.table, key)
-        units.append(wrong.at(f", line {line[0]} ({line[1][:60]}),") if line else str(wrong))
+        unit_texts.append(wrong.at(f", line {line[0]} ({line[1][:60]}),") if line else str(wrong))
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
-    lines = [f"  WRONG UNIT: {text}" for text in units]
+    lines = [f"  WRONG UNIT: {text}" for text in unit_texts]
+    # axes cannot be judged in a wrong unit
     gyro_misread = any(wrong.table == "gyro" for wrong in assessment.wrong_units)
     axes = None if gyro_misread else wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  sensors without columns in this file: {', '.join(missing)}"] if missing else []
     rest = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  unused columns: {', '.join(unused[:SHOWN])}{rest}"] if unused else []
-    misread = any(
+    panels_misread = any(
         wrong.table == "telemetry" and wrong.key.startswith("scale")
         for wrong in assessment.wrong_units
     )
-    summary: dict[str, Any] = {"wrong_units": units, "wrong_axes": [axes] if axes else []}
-    summary |= {"panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}
+    summary: dict[str, Any] = {"wrong_units": unit_texts, "wrong_axes": [axes] if axes else []}
+    summary |= {"panels_misread": panels_misread}
+    summary |= {"missing_sensors": missing, "unused_columns": unused}
     return Findings(summary, lines)
 
 
@@ -89,8 +100,10 @@ def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
         summary, lines = _describe_panels(assessment)
         if misread:
             lines = [f"  {n:6d}  {text}" for text, n in summary["worth"].items()]
-    alone = {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
-    sensors = {"sun_sensor_B": "Sun sensors"} | alone | {"wheel_speed_rad_s": "wheel speeds"}
+    # variable of telemetry -> name of the sensor
+    sensors = {"sun_sensor_B": "Sun sensors"}
+    sensors |= {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
+    sensors |= {"wheel_speed_rad_s": "wheel speeds"}
     sample_counts = {
         label: int(np.isfinite(samples[name].values).all(axis=1).sum())
         for name, label in sensors.items()
@@ -112,15 +125,15 @@ def _describe_panels(assessment: Assessment) -> Findings:
     # Panels without signal: `missed` are those without which the other panels do not account for the full Sun.
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()
-    whole = _complete_samples(assessment)
-    faces = np.bincount(_count_lit_sides(craft, assessment.telemetry, quality)[whole])
+    complete = _complete_samples(assessment)
+    lit_sides = _count_lit_sides(craft, assessment.telemetry, quality)[complete]
     summary: dict[str, Any] = {
         "worth": counts_by_reason,
         "dead_panels": dead,
         "unlit_panels": unlit,
         "full_sun": quality.attrs["full_sun"],
         "albedo": quality.attrs["albedo"],
-        "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n},
+        "samples_by_lit_faces": {k: int(n) for k, n in enumerate(np.bincount(lit_sides)) if n},
     }
     lines = [f"  {n:6d}  {text}" for text, n in counts_by_reason.items()]
     if dead:
@@ -138,16 +151,16 @@ def _describe_panels(assessment: Assessment) -> Findings:
     summary["gains_from"] = quality.attrs["gains_from"]
     weak = quality["weak"].values
     # relative gain of the other panels, with which that of a weak panel is compared
-    usual = np.median(relative_gains[~weak, 0]) if (~weak).any() else 1.0
-    weak_pairs = (relative_gains[weak] / usual).tolist()
+    gain_of_others = np.median(relative_gains[~weak, 0]) if (~weak).any() else 1.0
+    weak_pairs = (relative_gains[weak] / gain_of_others).tolist()  # gain and sigma
     summary["weak_panels"] = dict(zip(names[weak].tolist(), weak_pairs, strict=True))
     lines += [
-        f"  WEAK PANEL: {name} gives {with_sigma(g, s)} of what its gain in the vehicle file says, compared with the other panels; "
-        "`sunspin calibrate-sensors` writes a copy with the gains of this file"
-        for name, (g, s) in summary["weak_panels"].items()
+        f"  WEAK PANEL: {name} gives {with_sigma(gain, sigma)} of what its gain in the vehicle file says, compared with the other "
+        "panels; `sunspin calibrate-sensors` writes a copy with the gains of this file"
+        for name, (gain, sigma) in summary["weak_panels"].items()
     ]
     gains = f"  gains: {quality.attrs['gains_from']}"
-    if np.isfinite(quality.attrs["spread"]):
+    if np.isfinite(quality.attrs["spread"]):  # the gains were estimated from the samples
         values = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
         gains = (
             f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {values}"
@@ -158,7 +171,7 @@ def _describe_panels(assessment: Assessment) -> Findings:
     )
     counts = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
-    if not whole.any():
+    if not complete.any():
         # each row has only some of the panels, which `_partial_rows_advice` reports
         return Findings(summary, lines)
     lines.append(
@@ -172,26 +185,28 @@ def _count_lit_sides(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.nd
 
     Panels with the same normal count as one side. If panels share inputs (channels), the number of lit inputs is returned.
     """
-    light = SURELY_LIT * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
-    floor = np.maximum(light, LIT_SIGMAS * quality["noise"].values)
-    lit = np.nan_to_num(signals(samples)) > floor
+    # a panel is lit above the light of the Earth and above noise
+    albedo = SURELY_LIT * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
+    threshold = np.maximum(albedo, LIT_SIGMAS * quality["noise"].values)
+    lit = np.nan_to_num(signals(samples)) > threshold
     if craft.channels:
         return lit.sum(axis=1)
     # adding 0.0 turns -0.0 into 0.0, which would be another normal
-    _, face = np.unique(
-        np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True
-    )
-    return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
+    normals = np.round([panel.normal_B for panel in craft.panels], 6) + 0.0
+    sides, side_of_panel = np.unique(normals, axis=0, return_inverse=True)
+    lit_sides = [lit[:, side_of_panel.ravel() == k].any(axis=1) for k in range(len(sides))]
+    return np.sum(lit_sides, axis=0)
 
 
 def sampling_intervals(samples: xr.Dataset) -> np.ndarray:
     """Return the intervals (s) between samples; frames that arrive late or twice are not counted as samples."""
-    latest = np.unique(np.maximum.accumulate(samples["time"].values))
-    return np.diff(latest)
+    # a late frame has the time of the latest one before it, and so counts once
+    latest_time = np.maximum.accumulate(samples["time"].values)
+    return np.diff(np.unique(latest_time))
 
 
 def _complete_samples(assessment: Assessment) -> np.ndarray:
-    """Return in which samples (n) every panel that works was read."""
+    """Return in which samples (n) every panel that works was read; a failed panel (`missed`) need not be."""
     quality = assessment.quality
     return np.asarray((quality["reading"].values | quality["missed"].values).all(axis=1))
 
@@ -201,13 +216,14 @@ def _shows_motion(assessment: Assessment) -> np.ndarray:
     samples = assessment.telemetry
     shows = np.zeros(samples.sizes["time"], dtype=bool)
     if assessment.has_panels:
-        status, read = assessment.sun["status"].values, assessment.quality["reading"].values
-        value = np.where(read, signals(samples), np.nan)
-        # panels that have no reading in any sample are not missed
-        complete = read.sum(axis=1) >= MOST_PANELS * read.any(axis=0).sum()
+        status, usable = assessment.sun["status"].values, assessment.quality["reading"].values
+        value = np.where(usable, signals(samples), np.nan)
+        # the fraction is one of the panels that have a reading in any sample
+        nearly_complete = usable.sum(axis=1) >= MOST_PANELS * usable.any(axis=0).sum()
         lit = (np.nan_to_num(value) > 0).any(axis=1)
         shows |= ~np.isin(status, (SunStatus.DARK, SunStatus.MISSING))
-        shows |= (status == SunStatus.MISSING) & complete & lit
+        # a sample that lacks a panel has no direction, but the others bound it
+        shows |= (status == SunStatus.MISSING) & nearly_complete & lit
     for name in ("sun_B", "sun_sensor_B", *VARIABLES.values()):
         if name in samples:
             shows |= np.isfinite(assessment.sensors[name].values).all(axis=1)
@@ -228,21 +244,20 @@ def _describe_sampling(assessment: Assessment) -> Findings:
             f"{_partial_rows_advice(samples)}"
         )
         return Findings({"directions": int(present.sum())}, [line])
-    usual = float(np.median(gaps))
+    interval_s = float(np.median(gaps))
     # half a revolution per interval: a faster rotation gives the same directions as a slower one the other way round
-    clear = 180 / usual
-    within_passes = gaps[gaps < 6 * usual]
-    jitter = float(np.std(within_passes) / usual)
+    clear_rate = 180 / interval_s
+    within_passes = gaps[gaps < PASS_INTERVALS * interval_s]
+    jitter = float(np.std(within_passes) / interval_s)
     unambiguous = "are unambiguous (half a revolution between samples); faster rates alias"
-    lines = [f"  sampling: rates up to {clear:.3g} deg/s {unambiguous}"]
-    if (
-        jitter < 0.02
-    ):  # uneven intervals would distinguish rates that differ by a whole revolution per interval
-        text = f"rates that differ by {360 / usual:.3g} deg/s are indistinguishable (aliases)"
+    lines = [f"  sampling: rates up to {clear_rate:.3g} deg/s {unambiguous}"]
+    # uneven intervals would distinguish rates that differ by a whole revolution per interval
+    if jitter < EVEN_JITTER:
+        text = f"rates that differ by {360 / interval_s:.3g} deg/s are indistinguishable (aliases)"
         lines.append(f"  even sampling: {text}")
     summary = {
         "directions": int(present.sum()),
-        "clear_rate_deg_s": clear,
+        "clear_rate_deg_s": clear_rate,
         "relative_jitter": jitter,
     }
     return Findings(summary, lines)
@@ -252,8 +267,9 @@ def _partial_rows_advice(samples: xr.Dataset) -> str:
     """Return advice for a file in which each row has only some of the panels, as with a row for each packet; else nothing."""
     if "panel" not in samples.coords:
         return ""
-    read = np.isfinite(signals(samples))
-    most, panels = int(read.sum(axis=1).max(initial=0)), int(read.any(axis=0).sum())
-    if not 0 < most < MOST_PANELS * panels:
+    has_reading = np.isfinite(signals(samples))  # (sample, panel)
+    most_in_row = int(has_reading.sum(axis=1).max(initial=0))
+    panels = int(has_reading.any(axis=0).sum())  # that have a reading in any row
+    if not 0 < most_in_row < MOST_PANELS * panels:
         return ""
-    return f". A row has readings of {most} of {panels} panels at most: write the readings of one time in one row"
+    return f". A row has readings of {most_in_row} of {panels} panels at most: write the readings of one time in one row"

@@ -170,42 +170,60 @@ def build_attitude(
         The frame is not known for this result, the epoch is missing, or the result is damaged. With `step_s` or `dense` also: the
         instants of the result are more than `LARGEST_STEP_RAD` apart, or there would be more than `MAX_ATTITUDES`.
     """
-    frame_N = data.attrs.get("frame_N")
-    celestial = data.attrs.get("celestial_frame", J2000 if frame_N == J2000 else None)
-    written = frame or celestial or LOCAL_FRAME
-    local = "LOCAL" in written.upper()
-    orientation = ORIENTATIONS.get(str(frame_N), "its orientation in space is not known")
-    if written != celestial and not local:
-        remedy = "" if frame_N == BODY_AT_START else ", or give `rates` an orbit and a magnetometer"
-        what = f"this attitude is known in no celestial frame, but in a local one: {orientation}"
-        raise InputError(what, got=written, do=f"export in {LOCAL_FRAME}{remedy}")
+    frame_name, orientation = _choose_frame(data, frame)
     samples = _read_samples(data)
-    epoch = str(epoch_utc or data.attrs.get("epoch_utc"))
-    try:
-        moment = datetime.fromisoformat(epoch)
-        moment = moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
-    except (ValueError, OverflowError):
-        what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
-        raise InputError(what, got=epoch, do=do) from None
+    epoch = _parse_epoch(str(epoch_utc or data.attrs.get("epoch_utc")))
     if step_s is not None:
         samples = _resample(_add_curve(data, samples), step_s, dense)
-    elif dense and not _readers_follow(samples, with_curve := _add_curve(data, samples)):
-        samples = _fill_between(with_curve)
+    elif dense:
+        motion = _add_curve(data, samples)
+        if not _readers_follow(samples, motion):
+            samples = _fill_between(motion)
     number, name = (str(data.attrs.get(key, "")) for key in ("orbit", "orbit_name"))
     synthetic = ", synthetic telemetry" if data.attrs.get("synthetic", 0) else ""
     return Attitude(
         t_s=samples.t_s,
-        epoch=np.datetime64(moment, "us"),
+        epoch=epoch,
         quaternion=samples.quaternion,
         omega_B=samples.omega_B,
         pass_of=samples.pass_of,
         name=name if number and name else str(data.attrs.get("vehicle", "UNKNOWN")),
         number=number,
         centre="EARTH" if "orbit" in data.attrs else "UNKNOWN",
-        frame=written,
-        orientation=orientation if local else "",
+        frame=frame_name,
+        orientation=orientation,
         source=f"sunspin{synthetic}",
     )
+
+
+def _choose_frame(data: xr.Dataset, frame: str | None) -> tuple[str, str]:
+    """Return the name of the frame N in the file, and its orientation in words, which is empty for a celestial frame.
+
+    `frame`: the name that the user wants, or None. Raises `InputError` for the name of a celestial frame that is not that of the
+    result.
+    """
+    frame_N = data.attrs.get("frame_N")
+    celestial = data.attrs.get("celestial_frame", J2000 if frame_N == J2000 else None)
+    name = frame or celestial or LOCAL_FRAME
+    orientation = ORIENTATIONS.get(str(frame_N), "its orientation in space is not known")
+    if "LOCAL" in name.upper():
+        return name, orientation
+    if name != celestial:
+        remedy = "" if frame_N == BODY_AT_START else ", or give `rates` an orbit and a magnetometer"
+        what = f"this attitude is known in no celestial frame, but in a local one: {orientation}"
+        raise InputError(what, got=name, do=f"export in {LOCAL_FRAME}{remedy}")
+    return name, ""
+
+
+def _parse_epoch(epoch: str) -> np.datetime64:
+    """Return the UTC of time zero from an ISO-8601 text, with any time zone or none (UTC); raise `InputError` for other text."""
+    try:
+        moment = datetime.fromisoformat(epoch)
+        moment = moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
+    except (ValueError, OverflowError):
+        what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
+        raise InputError(what, got=epoch, do=do) from None
+    return np.datetime64(moment, "us")
 
 
 class AttitudeSamples(NamedTuple):
@@ -222,22 +240,25 @@ class AttitudeSamples(NamedTuple):
         return np.where(same, rotations(self.t_s, self.omega_B, self.quaternion), 0.0)
 
     def interpolate(self, t_s: np.ndarray, pass_of: np.ndarray) -> AttitudeSamples:
-        """Return attitudes and rates at times (m) within the passes, by cubics through attitudes and rates."""
+        """Return attitudes and rates at times `t_s` (m) within the passes `pass_of` (m), by cubics through attitudes and rates.
+
+        A single instant, between which and others nothing can be interpolated, is returned as it is.
+        """
         if len(self.t_s) == 1:
             return self
         omega, vector, scalar = self.omega_B, self.quaternion[:, :3], self.quaternion[:, 3:]
         # dq/dt = -(omega, 0) q / 2, a product of quaternions with scalar last, for q = B_from_N
-        change = -0.5 * np.hstack(
+        derivative = -0.5 * np.hstack(
             [scalar * omega + np.cross(omega, vector), -np.sum(omega * vector, 1, keepdims=True)]
         )
-        cubic = CubicHermiteSpline(self.t_s, self.quaternion, change)
-        q, change = cubic(t_s), cubic(t_s, 1)
-        size = np.linalg.norm(q, axis=1, keepdims=True)
-        q, change = q / size, change / size
-        # the same equation solved for the rate: (omega, 0) = -2 dq/dt conjugate(q)
-        omega = q[:, 3:] * change[:, :3] - change[:, 3:] * q[:, :3]
-        omega = -2 * (omega - np.cross(change[:, :3], q[:, :3]))
-        return AttitudeSamples(t_s, without_sign_jumps(q, pass_of), omega, pass_of)
+        cubic = CubicHermiteSpline(self.t_s, self.quaternion, derivative)
+        # the cubic leaves the unit sphere a little, so both are divided by its norm
+        norm = np.linalg.norm(cubic(t_s), axis=1, keepdims=True)
+        q, q_dot = cubic(t_s) / norm, cubic(t_s, 1) / norm
+        # the same equation solved for the rate: (omega, 0) = -2 dq/dt conjugate(q), of which the vector part is
+        scalar_terms = q[:, 3:] * q_dot[:, :3] - q_dot[:, 3:] * q[:, :3]
+        omega_interpolated = -2 * (scalar_terms - np.cross(q_dot[:, :3], q[:, :3]))
+        return AttitudeSamples(t_s, without_sign_jumps(q, pass_of), omega_interpolated, pass_of)
 
 
 def _read_samples(data: xr.Dataset, prefix: str = "") -> AttitudeSamples:
@@ -254,23 +275,26 @@ def _read_samples(data: xr.Dataset, prefix: str = "") -> AttitudeSamples:
     single_pass = xr.DataArray(np.zeros(data.sizes.get(names[0], 0), dtype=int))
     t, quaternion, omega, pass_of = (data.get(name, single_pass).values for name in names)
     arrays = (t, quaternion, omega, pass_of)
-    numeric = all(array.dtype.kind in "iuf" for array in arrays)
+    numeric = all(array.dtype.kind in "iuf" for array in arrays)  # integers and floats
     shapes = [array.shape for array in arrays]
     if not numeric or not t.size or shapes != [(t.size,), (t.size, 4), (t.size, 3), (t.size,)]:
         what = "times, attitudes, rates and passes of these results do not belong together"
         raise InputError(what, got=shapes, do="run the command again")
-    size = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=1)
-    order = np.append(True, t[1:] > t[:-1]) & (np.abs(t) < MAX_TIME_S) & np.isfinite(pass_of)
+    # clipped, as the square of a huge number in a damaged file would overflow
+    norm = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=1)
+    increasing = np.append(True, t[1:] > t[:-1])
     for what, valid in (
-        ("the times do not increase, or are no times", order),
-        ("the attitudes are not unit quaternions", np.abs(size - 1) < 1e-6),
+        (
+            "the times do not increase, or are no times",
+            increasing & (np.abs(t) < MAX_TIME_S) & np.isfinite(pass_of),
+        ),
+        ("the attitudes are not unit quaternions", np.abs(norm - 1) < 1e-6),
         (f"rates are not within {MAX_RATE:g} rad/s", np.abs(omega) <= MAX_RATE),
     ):
         if not np.all(valid):
             raise InputError(f"{what} in these results", do="run the command again")
-    return AttitudeSamples(
-        t, without_sign_jumps(quaternion / size[:, None], pass_of), omega, pass_of
-    )
+    unit_quaternion = without_sign_jumps(quaternion / norm[:, None], pass_of)
+    return AttitudeSamples(t, unit_quaternion, omega, pass_of)
 
 
 def _add_curve(data: xr.Dataset, samples: AttitudeSamples) -> AttitudeSamples:
@@ -286,10 +310,15 @@ def _add_curve(data: xr.Dataset, samples: AttitudeSamples) -> AttitudeSamples:
         curve = _read_samples(data, "curve_")
         # an instant within rounding of a sample is that sample: a cubic between the two would have no length
         middles = (samples.t_s[1:] + samples.t_s[:-1]) / 2
-        distance = np.abs(curve.t_s - samples.t_s[np.searchsorted(middles, curve.t_s)])
-        usual = np.median(np.diff(curve.t_s)) if len(curve.t_s) > 1 else 0.0
-        apart = distance > TOGETHER * usual
-        joined = [np.concatenate([a, b[apart]]) for a, b in zip(samples, curve, strict=True)]
+        nearest_sample = samples.t_s[
+            np.searchsorted(middles, curve.t_s)
+        ]  # its time, for each instant
+        usual_interval = np.median(np.diff(curve.t_s)) if len(curve.t_s) > 1 else 0.0
+        is_new = np.abs(curve.t_s - nearest_sample) > TOGETHER * usual_interval
+        joined = [
+            np.concatenate([of_samples, of_curve[is_new]])
+            for of_samples, of_curve in zip(samples, curve, strict=True)
+        ]
         by_time = np.argsort(joined[0], kind="stable")
         motion = AttitudeSamples(*(array[by_time] for array in joined))
         motion = motion._replace(quaternion=without_sign_jumps(motion.quaternion, motion.pass_of))
@@ -301,17 +330,21 @@ def _add_curve(data: xr.Dataset, samples: AttitudeSamples) -> AttitudeSamples:
     what += ", so an interpolation would take the wrong way"
     do = "estimate a shorter stretch of time: `sunspin rates --from --to`"
     if data.attrs.get("kind") != "rates":
-        do = f"simulate it again with --step {_two_digits(CURVE_RAD / _largest_speed(motion))}"
+        do = f"simulate it again with --step {_round_down(CURVE_RAD / _largest_speed(motion))}"
+        # fraction of the motion for which a simulation would write instants close enough
         share = MOST_INSTANTS * CURVE_RAD / rotation.sum()
         if share < 1:
-            do = f"simulate it in parts, with a --duration of {_two_digits(share / 2 * np.ptp(motion.t_s))}"
+            duration = (
+                share / 2 * np.ptp(motion.t_s)
+            )  # half, as the rotation may be faster in a part
+            do = f"simulate it in parts, with a --duration of {_round_down(duration)}"
     raise InputError(what, do=do)
 
 
-def _two_digits(value: float) -> str:
-    """Return a positive number with two significant digits, rounded down."""
-    figure = 10.0 ** (np.floor(np.log10(value)) - 1)
-    return f"{np.floor(value / figure) * figure:g}"
+def _round_down(value: float) -> str:
+    """Return a positive number with two significant digits, rounded down, so that it is within the limit that it states."""
+    last_digit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.floor(value / last_digit) * last_digit:g}"
 
 
 def _largest_speed(motion: AttitudeSamples) -> float:
@@ -324,23 +357,29 @@ def _count_parts(motion: AttitudeSamples) -> np.ndarray:
 
     The numbers are not rounded: one below 1 means that a single uniform rotation is more than close enough.
     """
-    change = np.linalg.norm(np.diff(motion.omega_B, axis=0), axis=1) * np.diff(motion.t_s)
-    change = np.where(motion.pass_of[1:] == motion.pass_of[:-1], change, 0.0)
+    rate_change = np.linalg.norm(np.diff(motion.omega_B, axis=0), axis=1)
     # If the rate changes linearly by w within dt, the motion departs from a uniform rotation by up to w dt / 8, at half time.
     # The departure falls with the square of the number of parts.
-    return np.maximum(motion.rotations() / DENSE_RAD, np.sqrt(change / (8 * BEND_RAD)))
+    departure = rate_change * np.diff(motion.t_s) / 8
+    departure = np.where(motion.pass_of[1:] == motion.pass_of[:-1], departure, 0.0)
+    return np.maximum(motion.rotations() / DENSE_RAD, np.sqrt(departure / BEND_RAD))
 
 
 def _readers_follow(samples: AttitudeSamples, motion: AttitudeSamples) -> bool:
-    """Return whether a reader that interpolates between the samples follows the motion, in attitude and in rate."""
+    """Return whether a reader that interpolates between the samples follows the motion, in attitude and in rate.
+
+    `motion`: the samples with the curve between them. A reader interpolates attitudes by uniform rotations and rates linearly.
+    """
     if np.any(_count_parts(samples) > 1):
         return False
     if len(samples.t_s) == 1:
         return True
     # at the instants of the dense motion: angle to the interpolated attitude, and error of the interpolated rate
-    path = Slerp(samples.t_s, Rotation.from_quat(samples.quaternion))(motion.t_s)
-    angle = (path.inv() * Rotation.from_quat(motion.quaternion)).magnitude()
-    rates = np.stack([np.interp(motion.t_s, samples.t_s, x) for x in samples.omega_B.T], axis=1)
+    read = Slerp(samples.t_s, Rotation.from_quat(samples.quaternion))(motion.t_s)
+    angle = (read.inv() * Rotation.from_quat(motion.quaternion)).magnitude()
+    rates = np.stack(
+        [np.interp(motion.t_s, samples.t_s, component) for component in samples.omega_B.T], axis=1
+    )
     error = np.abs(rates - motion.omega_B).max() / max(np.abs(motion.omega_B).max(), TINY)
     return bool(angle.max() < BEND_RAD and error < RATE_SHARE)
 
@@ -359,9 +398,9 @@ def _fill_between(motion: AttitudeSamples) -> AttitudeSamples:
     parts = np.ceil(np.maximum(parts, np.maximum(rotation / COARSEST_RAD, 1.0))).astype(int)
     if parts.sum() >= MAX_ATTITUDES:
         what = f"this motion would take more than {MAX_ATTITUDES} attitudes"
-        do = f"give --step {_two_digits(COARSEST_RAD / _largest_speed(motion))}"
+        do = f"give --step {_round_down(COARSEST_RAD / _largest_speed(motion))}"
         raise InputError(what, got=int(parts.sum()) + 1, do=do)
-    share = np.concatenate([np.arange(n) / n for n in parts])
+    share = np.concatenate([np.arange(n) / n for n in parts])  # of the interval, at each instant
     t_s = np.repeat(motion.t_s[:-1], parts) + share * np.repeat(np.diff(motion.t_s), parts)
     pass_of = np.repeat(motion.pass_of[:-1], parts)
     return motion.interpolate(
@@ -379,30 +418,29 @@ def _resample(motion: AttitudeSamples, step_s: float, dense: bool) -> AttitudeSa
     """
     if not np.isfinite(step_s):
         raise InputError("--step must be a time in s", got=step_s, do="give a number of seconds")
-    t, pass_of = motion.t_s, motion.pass_of
-    numbers = np.unique(pass_of)
-    ends = [t[pass_of == number][[0, -1]] for number in numbers]
-    starts, spans = np.array([(first, last - first) for first, last in ends]).T
-    # 1e-9 of a step: the last instant of a pass counts although it is a rounding error late
-    counts = (np.minimum(spans / step_s + 1e-9, 10.0 * MAX_ATTITUDES)).astype(int) + 1
+    passes = np.unique(motion.pass_of)
+    ends = np.array([motion.t_s[motion.pass_of == number][[0, -1]] for number in passes])
+    starts, durations = ends[:, 0], ends[:, 1] - ends[:, 0]
+    # 1e-9 of a step: the last instant of a pass counts although it is a rounding error late. A tiny step gives a number that no
+    # integer holds, so it is limited to one that is refused below.
+    counts = (np.minimum(durations / step_s + 1e-9, 10.0 * MAX_ATTITUDES)).astype(int) + 1
     if counts.sum() > MAX_ATTITUDES:
         what = f"this would be more than {MAX_ATTITUDES} attitudes"
         raise InputError(what, got=step_s, do="give a longer --step")
     times = [start + step_s * np.arange(n) for start, n in zip(starts, counts, strict=True)]
-    grid = motion.interpolate(np.concatenate(times), np.repeat(numbers, counts))
+    grid = motion.interpolate(np.concatenate(times), np.repeat(passes, counts))
     largest = grid.rotations().max(initial=0.0)
     if dense and largest > COARSEST_RAD:
         what = f"the body rotates by up to {np.degrees(largest):.0f} degrees in this --step, and readers of the file interpolate"
-        do = f"give --step {_two_digits(COARSEST_RAD / _largest_speed(motion))} or less, or none"
+        do = f"give --step {_round_down(COARSEST_RAD / _largest_speed(motion))} or less, or none"
         raise InputError(what, got=f"{step_s:g} s", do=do)
     return grid
 
 
 def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
     """Write a result with its attitude as exported to NetCDF with CF attributes, and return the path."""
-    if not np.array_equal(
-        data["time"].values, attitude.t_s
-    ):  # on a grid: other variables hold at samples only
+    # attitudes at other times than the samples: the other variables over time hold at samples only
+    if not np.array_equal(data["time"].values, attitude.t_s):
         data = data.drop_dims("time").assign(pass_of=("time", attitude.pass_of))
     time = {"units": f"seconds since {str(attitude.epoch).replace('T', ' ')} UTC"}
     time |= {"standard_name": "time", "long_name": "UTC", "calendar": "standard"}

@@ -25,6 +25,7 @@ IN_KVN_ALONE = ("ATTITUDE_DIR", "QUATERNION_TYPE")
 def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     """Write an attitude ephemeris message with a segment for each pass, and return its path; `form`: "kvn" or "xml"."""
     utc = np.datetime_as_string(attitude.utc)
+    # the standard allows printable ASCII only
     name, number = (
         "".join(c if c.isascii() and c.isprintable() else "_" for c in text).strip()
         for text in (attitude.name, attitude.number)
@@ -43,7 +44,7 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     # the CCSDS quaternion rotates axes, B_from_N rotates vectors: one is the conjugate of the other (docs/conventions.md, 19)
     conjugate = attitude.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
     components = [[f"{x:.15f}" for x in q] for q in conjugate]
-    segments = []
+    segments = []  # metadata, and (UTC, components) of each attitude
     for samples in attitude.passes():
         metadata = object_metadata | {"START_TIME": utc[samples[0]], "STOP_TIME": utc[samples[-1]]}
         metadata |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
@@ -63,32 +64,35 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     return write_whole(target, "\n".join(lines))
 
 
+def _add_element(
+    parent: ElementTree.Element, key: str, text: str | None = None
+) -> ElementTree.Element:
+    """Add an element with a text to a parent element, and return it."""
+    element = ElementTree.SubElement(parent, key)
+    element.text = text
+    return element
+
+
 def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:
     """Return the message as XML; `segments`: metadata and (UTC, quaternion components) of each pass."""
-
-    def add(parent: ElementTree.Element, key: str, text: str | None = None) -> ElementTree.Element:
-        element = ElementTree.SubElement(parent, key)
-        element.text = text
-        return element
-
     root = ElementTree.Element("aem", {"id": "CCSDS_AEM_VERS", "version": "2.0"})
-    head, body = add(root, "header"), add(root, "body")
+    head, body = _add_element(root, "header"), _add_element(root, "body")
     for key, value in header.items():
-        add(head, key, value)
+        _add_element(head, key, value)
     for metadata, states in segments:
-        segment = add(body, "segment")
-        metadata_element, data = add(segment, "metadata"), add(segment, "data")
+        segment = _add_element(body, "segment")
+        metadata_element, data = _add_element(segment, "metadata"), _add_element(segment, "data")
         for text in comments:
-            add(metadata_element, "COMMENT", text)
+            _add_element(metadata_element, "COMMENT", text)
         for key, value in metadata.items():
             if key not in IN_KVN_ALONE:
-                add(metadata_element, key, value)
+                _add_element(metadata_element, key, value)
         for utc, components in states:
-            state = add(add(data, "attitudeState"), "quaternionEphemeris")
-            add(state, "EPOCH", utc)
-            quaternion = add(state, "quaternion")
+            state = _add_element(_add_element(data, "attitudeState"), "quaternionEphemeris")
+            _add_element(state, "EPOCH", utc)
+            quaternion = _add_element(state, "quaternion")
             for key, value in zip(("Q1", "Q2", "Q3", "QC"), components, strict=True):
-                add(quaternion, key, value)
+                _add_element(quaternion, key, value)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

@@ -24,6 +24,8 @@ def against_kernels(
 ) -> tuple[dict[str, Any], str]:
     """Return the differences between the rates of a result and those of kernels, as data (deg/s) and as a line of text.
 
+    Compared are the samples of the result whose times the kernels cover.
+
     Parameters
     ----------
     frame, base : names of the body frame and of an inertial frame in the kernels
@@ -59,17 +61,18 @@ def against_kernels(
     if not covered.any():
         got = f"{attitude.utc[0]} to {attitude.utc[-1]}"
         raise InputError("the kernels do not cover any of these times", got=got)
-    ours, theirs = np.degrees(attitude.omega_B[covered]), np.degrees(rates[covered])
-    speed = np.linalg.norm(ours, axis=1) - np.linalg.norm(theirs, axis=1)
+    of_result, of_kernels = np.degrees(attitude.omega_B[covered]), np.degrees(rates[covered])
+    difference = of_result - of_kernels
+    speed_difference = np.linalg.norm(of_result, axis=1) - np.linalg.norm(of_kernels, axis=1)
     summary = {
         "samples": len(rates),
         "covered": int(covered.sum()),
-        "rms_deg_s": np.sqrt(((ours - theirs) ** 2).mean(axis=0)).tolist(),
-        "rms_speed_deg_s": float(np.sqrt((speed**2).mean())),
+        "rms_deg_s": np.sqrt((difference**2).mean(axis=0)).tolist(),
+        "rms_speed_deg_s": float(np.sqrt((speed_difference**2).mean())),
     }
-    shown, size = (number_text(summary[name]) for name in ("rms_deg_s", "rms_speed_deg_s"))
+    components, speed = (number_text(summary[name]) for name in ("rms_deg_s", "rms_speed_deg_s"))
     line = (
-        f"{summary['covered']} of {len(rates)} times covered; rms difference of the rates {shown} deg/s in body axes, "
-        f"of their size {size} deg/s"
+        f"{summary['covered']} of {len(rates)} times covered; rms difference of the rates {components} deg/s in body axes, "
+        f"of their size {speed} deg/s"
     )
     return summary, line

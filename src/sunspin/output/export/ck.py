@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.errors import InputError, OutputError
+from sunspin.environment.earth import TT_AHEAD_OF_TAI_S
 from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
@@ -35,14 +36,15 @@ def ephemeris_time(utc: Any) -> np.ndarray:
     utc = np.asarray(utc, dtype="datetime64[us]")
     if np.any(utc < np.datetime64("1972-01-01")):
         raise InputError("UTC before 1972 has no leap seconds", got=str(utc.min()))
-    month = utc.astype("datetime64[M]").astype(int)
+    month = utc.astype("datetime64[M]").astype(int)  # since 1970; leap seconds begin with a month
     with warnings.catch_warnings():  # years beyond the announced leap seconds
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         tai_ahead = erfa.dat(1970 + month // 12, month % 12 + 1, 1, 0.0)
-    # TT = TAI + 32.184 s
-    since = (utc - np.datetime64("2000-01-01T12:00")) / np.timedelta64(1, "s") + tai_ahead + 32.184
-    anomaly = 6.239996 + 1.99096871e-7 * since
-    return since + 1.657e-3 * np.sin(anomaly + 1.671e-2 * np.sin(anomaly))
+    utc_s = (utc - np.datetime64("2000-01-01T12:00")) / np.timedelta64(1, "s")
+    tt_s = utc_s + tai_ahead + TT_AHEAD_OF_TAI_S  # past J2000
+    # constants of the kernel: DELTET/M (mean anomaly), DELTET/K and DELTET/EB
+    mean_anomaly = 6.239996 + 1.99096871e-7 * tt_s
+    return tt_s + 1.657e-3 * np.sin(mean_anomaly + 1.671e-2 * np.sin(mean_anomaly))
 
 
 def import_spice() -> Any:
@@ -56,7 +58,7 @@ def import_spice() -> Any:
 
 
 def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
-    """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into a folder, and return their paths.
+    """Write the C-kernel sunspin.bc (type 3, with rates), its clock sunspin.tsc and frames sunspin.tf, and return their paths.
 
     Each pass is an interpolation interval. Between two records SPICE interpolates along the shorter rotation, so `attitude` must be
     dense: from :func:`sunspin.output.export.build_attitude` with `dense`.
@@ -81,16 +83,19 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     quaternion = np.roll(attitude.quaternion, 1, axis=1)
     rate_N = Rotation.from_quat(attitude.quaternion).inv().apply(attitude.omega_B)
     starts = np.array([ticks[samples[0]] for samples in attitude.passes()])
-    span, header = (ticks[0], ticks[-1]), (BODY_ID, attitude.frame, True, "sunspin")
+    # arguments of SPICE's ckw03; True: the segment has rates
+    descriptor = ticks[0], ticks[-1], BODY_ID, attitude.frame, True, "sunspin"
     records = len(ticks), ticks, quaternion, rate_N, len(starts), starts
 
     def write(path: Path) -> None:
+        """Write the C-kernel to a path, with a function that `write_whole` calls."""
         handle = spiceypy.ckopn(str(path), "sunspin attitude", 0)
         try:
-            spiceypy.ckw03(handle, *span, *header, *records)
+            spiceypy.ckw03(handle, *descriptor, *records)
         finally:
             spiceypy.ckcls(handle)
 
+    # SPICE needs clock and frames while it writes
     spiceypy.furnsh([str(clock), str(frames)])
     try:
         return [write_whole(folder / "sunspin.bc", write), clock, frames]
@@ -107,7 +112,7 @@ def _text_kernels(start: float, frame: str) -> dict[str, str]:
     The ticks of the clock are microseconds of TDB from `start` (TDB seconds past J2000). The frames are that of the body and, if
     `frame` is local, that one: a CK frame to which no kernel gives an orientation.
     """
-    number = -SPACECRAFT
+    number = -SPACECRAFT  # the keys of a clock have the positive id
     clock = f"""KPL/SCLK
 Clock made up by sunspin: one tick is a microsecond, tick 0 is TDB {start:.9f} s past J2000.
 \\begindata
@@ -125,13 +130,13 @@ SCLK01_COEFFICIENTS_{number} = ( 0.0 {start:.9f} 1.0 )
 """
     frames = "KPL/FK\nFrames of sunspin's attitude kernel.\n\\begindata\n"
     local = {frame.upper(): LOCAL_ID} if "LOCAL" in frame.upper() else {}
-    for name, number in ({BODY_NAME: BODY_ID} | local).items():
-        frames += f"""FRAME_{name} = {number}
-FRAME_{number}_NAME = '{name}'
-FRAME_{number}_CLASS = 3
-FRAME_{number}_CLASS_ID = {number}
-FRAME_{number}_CENTER = {SPACECRAFT}
-CK_{number}_SCLK = {SPACECRAFT}
-CK_{number}_SPK = {SPACECRAFT}
+    for name, frame_id in ({BODY_NAME: BODY_ID} | local).items():
+        frames += f"""FRAME_{name} = {frame_id}
+FRAME_{frame_id}_NAME = '{name}'
+FRAME_{frame_id}_CLASS = 3
+FRAME_{frame_id}_CLASS_ID = {frame_id}
+FRAME_{frame_id}_CENTER = {SPACECRAFT}
+CK_{frame_id}_SCLK = {SPACECRAFT}
+CK_{frame_id}_SPK = {SPACECRAFT}
 """
     return {"sunspin.tsc": clock, "sunspin.tf": frames + "\\begintext\n"}

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 """Colours of Okabe and Ito, which colour-blind people can distinguish."""
 
+BLACK, GREY = COLOURS[6], COLOURS[7]
+"""Colours of what is no component and no solution: measured values, sizes and truths are black, auxiliary lines grey."""
+
 ABOVE: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 1.0),
@@ -71,15 +74,16 @@ def axes_grid(
 ) -> tuple[Figure, Any]:
     """Create a figure of a size in inches, with a title and axes, and return figure and axes.
 
-    `options` are further arguments of matplotlib's `Figure.subplots`, which also determines the form of the axes.
+    `options` are further arguments of matplotlib's `Figure.subplots`. As there, the axes are a single object for one row and
+    column, an array (n) for one row or one column, and else an array (rows, columns).
     """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.suptitle(title, wrap=True)
     axes = figure.subplots(rows, columns, **options)
-    for panel in np.ravel(axes):
-        panel.tick_params(labelsize=8)
+    for each in np.ravel(axes):
+        each.tick_params(labelsize=8)
     return figure, axes
 
 
@@ -93,14 +97,15 @@ def lay_out(figure: Figure) -> Figure:
 
     if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
-        none: Any = {"figure.autolayout": False, "figure.constrained_layout.use": False}
-        with matplotlib.rc_context(none):
+        # without these settings matplotlib would take an engine from the user's defaults
+        no_engine: Any = {"figure.autolayout": False, "figure.constrained_layout.use": False}
+        with matplotlib.rc_context(no_engine):
             figure.set_layout_engine(None)
     return figure
 
 
 def render(figure: Figure) -> dict[str, bytes]:
-    """Return a figure as the contents of its files: "png" and "svg"."""
+    """Return a figure as the contents of its files, by suffix: "png" and "svg"; its layout is computed and fixed."""
     import matplotlib
 
     contents = {}
@@ -132,8 +137,9 @@ def escape_name(name: Any, most: int = LONGEST_NAME) -> str:
     """
     text = str(name)
     if len(text) > most:
-        head = (most - 1) // 2
-        text = f"{text[:head]}…{text[head + 1 - most :]}"
+        begin = (most - 1) // 2  # characters before the ellipsis, the others after it
+        end = most - 1 - begin
+        text = f"{text[:begin]}…{text[-end:]}"
     return text.replace("$", r"\$")
 
 

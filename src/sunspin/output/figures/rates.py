@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.terms.sensors import SENSORS
-from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
+from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.text import clock_text
 
 SHOWN = 8
@@ -31,28 +31,30 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
         for k, axes in enumerate(column):
             draw_component(axes, result, number, k)
             if gyro is not None:
-                near = gyro.isel(axis=k).dropna("time").sel(time=slice(t[0] - 1, t[-1] + 1))
-                minutes = (near["time"].values - t[0]) / 60
-                axes.plot(minutes, np.degrees(near.values), "x", color=COLOURS[6], ms=4)
-        standing = f"probability {result['probability'].values[number, 0]:.2f}"
+                # readings from a second before the first sample to a second after the last one
+                component = gyro.isel(axis=k).dropna("time").sel(time=slice(t[0] - 1, t[-1] + 1))
+                minutes = (component["time"].values - t[0]) / 60
+                axes.plot(minutes, np.degrees(component.values), "x", color=BLACK, ms=4)
+        remark = f"probability {result['probability'].values[number, 0]:.2f}"
         if "fits" in result and not result["fits"].values[number]:
-            standing += ", poor fit"
+            remark += ", poor fit"
         elif "decided" in result and not result["decided"].values[number]:
-            standing += ", not decided"
-        column[0].set_title(f"{clock_text(result, t[0])}\n{standing}", fontsize=8)
+            remark += ", not decided"
+        column[0].set_title(f"{clock_text(result, t[0])}\n{remark}", fontsize=8)
         column[-1].set_xlabel("time (min)")
     for k, row in enumerate(grid):
         row[0].set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
         low, high = row[0].get_ylim()
         if low < 0 < high:  # a line that is out of sight would squeeze the curve
             for axes in row:
-                axes.axhline(0, color=COLOURS[7], lw=0.5)
-    curve = Line2D([], [], color=COLOURS[6], lw=1, marker=".", ms=5)
+                axes.axhline(0, color=GREY, lw=0.5)
+    # the legend is for all components, whose colours differ: black and grey
+    curve = Line2D([], [], color=BLACK, lw=1, marker=".", ms=5)
     curve.set_label("solution: samples, and between them")
-    band = Patch(color=COLOURS[7], alpha=0.5, lw=0, label="one sigma")
+    band = Patch(color=GREY, alpha=0.5, lw=0, label="one sigma")
     handles: list[Any] = [curve, band]
     if gyro is not None:
-        handles.append(Line2D([], [], color=COLOURS[6], marker="x", ls="", ms=4, label="gyro"))
+        handles.append(Line2D([], [], color=BLACK, marker="x", ls="", ms=4, label="gyro"))
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return figure
 
@@ -65,17 +67,16 @@ def draw_component(
     The curve is that between samples if the result holds one, else it connects the samples.
     """
     inside = result["pass_of"].values == number
-    t, points = result["time"].values[inside], np.degrees(result["omega_B"].values[inside, k])
-    sigma, begin = np.sqrt(result["omega_cov_B"].values[inside, k, k]), t[0]
-    axes.plot((t - begin) / 60, points, ".", color=COLOURS[k], ms=4)
-    mean = points
+    t, mean = result["time"].values[inside], np.degrees(result["omega_B"].values[inside, k])
+    sigma, begin = np.sqrt(result["omega_cov_B"].values[inside, k, k]), t[0]  # rad/s
+    axes.plot((t - begin) / 60, mean, ".", color=COLOURS[k], ms=4)
     if "curve_omega_B" in result:
         curve = result.isel(curve_time=result["curve_pass_of"].values == number)
         t, mean = curve["curve_time"].values, np.degrees(curve["curve_omega_B"].values[:, k])
         sigma = curve["curve_omega_sigma_B"].values[:, k]
-    minutes, sigma = (t - begin) / 60, np.degrees(sigma)
+    minutes, sigma_deg = (t - begin) / 60, np.degrees(sigma)
     band = {"color": COLOURS[k], "alpha": 0.25, "lw": 0}
-    axes.fill_between(minutes, mean - sigma, mean + sigma, **band)
+    axes.fill_between(minutes, mean - sigma_deg, mean + sigma_deg, **band)
     axes.plot(minutes, mean, color=COLOURS[k], lw=1, label=label)
 
 
@@ -90,12 +91,13 @@ def attitude_figure(result: xr.Dataset) -> Any:
     sigmas = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
     error = np.degrees(np.hypot(*sigmas))
     for axes, number in zip(grid, passes, strict=True):
-        at, fine = (result[name].values == number for name in ("pass_of", "curve_pass_of"))
-        t, begin = result["curve_time"].values[fine], result["time"].values[at][0]
-        for k, part in enumerate("xyzw"):
-            curve = result["curve_B_from_N"].values[fine, k]
-            axes.plot((t - begin) / 60, curve, lw=1, color=COLOURS[k], label=part)
-        rms = np.sqrt(np.mean(error[at] ** 2))
+        in_pass = result["pass_of"].values == number
+        on_curve = result["curve_pass_of"].values == number
+        t, begin = result["curve_time"].values[on_curve], result["time"].values[in_pass][0]
+        for k, component in enumerate("xyzw"):
+            curve = result["curve_B_from_N"].values[on_curve, k]
+            axes.plot((t - begin) / 60, curve, lw=1, color=COLOURS[k], label=component)
+        rms = np.sqrt(np.mean(error[in_pass] ** 2))
         axes.set_title(f"{clock_text(result, begin)}\none sigma {rms:.2g} deg", fontsize=8)
         axes.set_xlabel("time (min)")
         axes.set_ylim(-1.05, 1.05)
@@ -107,14 +109,18 @@ def attitude_figure(result: xr.Dataset) -> Any:
 
 def sensors_text(result: xr.Dataset) -> str:
     """Return the sensors from which the motion of a result of `rates` was estimated, in words."""
-    direction_sources = {"panels": "panel signals", "sun_sensor": "Sun sensors"}
-    direction_sources |= {"directions": "Sun directions", "field": ""}
-    others = [sensor.called for sensor in SENSORS if result.attrs.get(f"{sensor.name}_used")]
-    used = [*filter(None, [direction_sources[result.attrs["source"]]]), *others]
+    direction_sources = {
+        "panels": ["panel signals"],
+        "sun_sensor": ["Sun sensors"],
+        "directions": ["Sun directions"],
+        "field": [],  # no Sun direction: the magnetometer is one of the sensors below
+    }
+    sensors = [sensor.called for sensor in SENSORS if result.attrs.get(f"{sensor.name}_used")]
+    used = [*direction_sources[result.attrs["source"]], *sensors]
     return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
 
 
 def largest_passes(result: xr.Dataset) -> np.ndarray:
-    """Return the numbers of the passes with the most samples, in the order of time."""
+    """Return the numbers of the passes with the most samples, at most `SHOWN`, in the order of time."""
     count = np.bincount(result["pass_of"].values, minlength=result.sizes["pass_id"])
     return np.sort(np.argsort(-count, kind="stable")[:SHOWN])

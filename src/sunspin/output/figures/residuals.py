@@ -18,7 +18,10 @@ LIMIT = 3.0
 
 
 def residuals_figure(result: xr.Dataset) -> Figure:
-    """Draw the residuals of a result of `rates`: a row of axes for each sensor that was used, a column for each pass."""
+    """Draw the residuals of a result of `rates`: a row of axes for each sensor that was used, a column for each pass.
+
+    The share of residuals beyond `LIMIT`, over all passes, is written at each row.
+    """
     residual = result["residual"].dropna("sensor", how="all")
     passes, sensors = largest_passes(result), residual["sensor"].values
     rows = max(len(sensors), 1)
@@ -28,9 +31,10 @@ def residuals_figure(result: xr.Dataset) -> Figure:
     for row, sensor in zip(grid, sensors, strict=False):
         value = residual.sel(sensor=sensor).values
         for axes, number in zip(row, passes, strict=True):
-            at = np.flatnonzero(result["pass_of"].values == number)
-            minutes = (result["time"].values[at] - result["time"].values[at[0]]) / 60
-            axes.plot(minutes, np.minimum(value[at], SHOWN_SIGMAS), ".", ms=5, color=COLOURS[0])
+            in_pass = result["pass_of"].values == number
+            t = result["time"].values[in_pass]
+            drawn = np.minimum(value[in_pass], SHOWN_SIGMAS)
+            axes.plot((t - t[0]) / 60, drawn, ".", ms=5, color=COLOURS[0])
             axes.axhline(LIMIT, color=COLOURS[7], lw=1, ls="--")
             axes.set_ylim(0, 1.05 * SHOWN_SIGMAS)
         share = np.mean(value[np.isfinite(value)] > LIMIT)
@@ -42,8 +46,8 @@ def residuals_figure(result: xr.Dataset) -> Figure:
         column[0].set_title(clock_text(result, first), fontsize=8)
         column[-1].set_xlabel("time (min)")
     count = result.sizes["pass_id"]
-    some = f", {SHOWN} of {count} passes" if count > SHOWN else ""
+    part = f", {SHOWN} of {count} passes" if count > SHOWN else ""
     # of normal noise, 2 ndtr(-LIMIT) lies beyond LIMIT to both sides
-    text = f"Readings less prediction{some}; of noise alone {2 * ndtr(-LIMIT):.1%} lie beyond {LIMIT:g} sigma"
+    text = f"Readings less prediction{part}; of noise alone {2 * ndtr(-LIMIT):.1%} lie beyond {LIMIT:g} sigma"
     figure.suptitle(titled(text, result.attrs.get("synthetic")), fontsize=10)
     return figure

@@ -53,13 +53,14 @@ def find_gaps(hours: np.ndarray) -> np.ndarray:
 
 
 def build_time_axis(time_s: np.ndarray) -> TimeAxis:
-    """Return the time axis for samples at these times (s)."""
+    """Return the time axis for samples at these times (s): with shortened pauses if they take more than `APART` of the time."""
     hours = np.sort(np.asarray(time_s, dtype=np.float64)) / 3600
-    cuts = find_gaps(hours)
-    whole = float(np.ptp(hours)) if hours.size else 0.0
-    if not cuts.size or (hours[cuts] - hours[cuts - 1]).sum() < APART * whole:
-        return TimeAxis(np.zeros(0), np.zeros(0), whole < SHORT_H)
-    passes = np.split(hours, cuts)
+    after_pauses = find_gaps(hours)  # indices
+    pauses = hours[after_pauses] - hours[after_pauses - 1]
+    span = float(np.ptp(hours)) if hours.size else 0.0
+    if not pauses.size or pauses.sum() < APART * span:
+        return TimeAxis(np.zeros(0), np.zeros(0), span < SHORT_H)
+    passes = np.split(hours, after_pauses)
     # a pass of one sample has the length 1e-6 h and ends 1e-9 h later, so that positions increase with time
     lengths = np.array([max(times[-1] - times[0], 1e-6) for times in passes])
     begins = np.cumsum(lengths + PAUSE_WIDTH * lengths.sum()) - lengths
@@ -74,17 +75,17 @@ def label_time_axis(axes: Any, data: xr.Dataset, time_axis: TimeAxis) -> None:
         unit = "min" if time_axis.in_min else "h"
         axes.set_xlabel(f"time ({unit}) since {epoch or 'the first sample'}")
         return
-    begins, at = time_axis.hours[::2], time_axis.places[::2]  # time (h) and position of each begin
-    shown = [0]  # passes whose begin is written: each far enough from the last one
-    for k in range(1, len(at)):
-        if at[k] - at[shown[-1]] > (at[-1] - at[0]) / MOST_TICKS:
-            shown.append(k)
-    zero = np.datetime64(str(epoch or "1970-01-01").removesuffix("Z"), "s")
-    utc = zero + np.round(3600 * begins[shown]).astype("timedelta64[s]")
+    begins, places = time_axis.hours[::2], time_axis.places[::2]  # time (h) and position of begins
+    labelled = [0]  # passes whose begin is written: each far enough from the last one
+    for k in range(1, len(places)):
+        if places[k] - places[labelled[-1]] > (places[-1] - places[0]) / MOST_TICKS:
+            labelled.append(k)
+    time_zero = np.datetime64(str(epoch or "1970-01-01").removesuffix("Z"), "s")
+    utc = time_zero + np.round(3600 * begins[labelled]).astype("timedelta64[s]")
     texts = [str(time)[:16].replace("T", "\n") for time in utc]
     # the year is written if passes are of different years
-    year_end = 5 if len({text[:4] for text in texts}) == 1 else 0
-    axes.set_xticks(at[shown], [text[year_end:] for text in texts])
+    first_character = 0 if len({text[:4] for text in texts}) > 1 else len("2026-")
+    axes.set_xticks(places[labelled], [text[first_character:] for text in texts])
     for end, begin in zip(time_axis.places[1:-1:2], time_axis.places[2::2], strict=True):
         axes.axvspan(end, begin, color=COLOURS[7], alpha=0.12, lw=0, zorder=0)
     longest = 60 * float(np.diff(time_axis.hours.reshape(-1, 2), axis=1).max())

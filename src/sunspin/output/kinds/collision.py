@@ -15,9 +15,9 @@ from sunspin.output.text import with_sigma
 
 def collision_summary(runs: Any) -> Summary:
     """Return the summary of collisions: the share that agrees with the trajectory, rates and periods under each weighting."""
-    table, agreeing = read_weightings(runs), read_explained_share(runs)
+    table, agreeing_share = read_weightings(runs), read_explained_share(runs)
     lines = [
-        f"collision: {with_sigma(*agreeing)} of the runs come near the kernel's jump and speed"
+        f"collision: {with_sigma(*agreeing_share)} of the runs come near the kernel's jump and speed"
     ]
     for row in table:
         rates = (row[name] for name in ("rate_before", "rate_after"))
@@ -26,7 +26,7 @@ def collision_summary(runs: Any) -> Summary:
             f"  {row['name']}: effective sample size {row['effective_runs']:.0f}, rate before {before}, after {after}, "
             f"median period after {row['median_period_after']:.1f} s"
         )
-    return Summary({"facts": read_facts(runs), "explained": agreeing, "table": table}, lines)
+    return Summary({"facts": read_facts(runs), "explained": agreeing_share, "table": table}, lines)
 
 
 def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
@@ -41,7 +41,11 @@ def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def collision_figure(runs: Any) -> Any:
-    """Draw simulated collisions with the speeds of the trajectory, and the angular speed after it, unweighted and weighted."""
+    """Draw simulated collisions against the speeds of the trajectory kernel, and the angular speed after the collision.
+
+    Left: speed after a collision over the change of velocity. Right: histograms of the angular speed, unweighted and weighted by
+    agreement with the kernel, and the range that the magnetometer's period gives.
+    """
     figure, (left, right) = axes_grid(11, 4.4, 1, 2, "The collision")
     facts, sigma = read_facts(runs), runs.attrs["sigma_m_s"]
     change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
@@ -50,26 +54,27 @@ def collision_figure(runs: Any) -> Any:
     image = left.hexbin(change[finite], speed[finite], **style)
     figure.colorbar(image, ax=left, label="simulated collisions")
     angle = np.linspace(0, 2 * np.pi, 100)
-    for k in (1, 2):
-        x = facts["velocity_change"] + k * sigma * np.cos(angle)
-        y = facts["speed_after"] + k * sigma * np.sin(angle)
-        label = "trajectory kernel, 1 and 2 sigma" if k == 1 else None
+    for radius in (sigma, 2 * sigma):  # circles about the kernel's values, one label for both
+        x = facts["velocity_change"] + radius * np.cos(angle)
+        y = facts["speed_after"] + radius * np.sin(angle)
+        label = "trajectory kernel, 1 and 2 sigma" if radius == sigma else None
         left.plot(x, y, color=COLOURS[1], lw=1.8, label=label)
-    x, y = "change of velocity at the collision (m/s)", "speed after the collision (m/s)"
-    left.set(xlabel=x, ylabel=y)
+    left.set_xlabel("change of velocity at the collision (m/s)")
+    left.set_ylabel("speed after the collision (m/s)")
     left.legend(loc="lower left", frameon=True)
     left.set_title(f"Impacts at {facts['speed_before']:.3f} m/s and what the trajectory shows")
     rate = np.degrees(np.linalg.norm(runs["omega_after_B"].values, axis=1))
     finite, edges = np.isfinite(rate), np.linspace(0, 60, 61)
-    for k, text in enumerate(("as drawn", "weighted by the kernel's speeds")):
-        weight = runs["weight"].values[finite] if k else None
-        style = {"histtype": "step", "lw": 1.8, "ls": ("-", "--")[k], "color": COLOURS[k]}
-        right.hist(rate[finite], edges, weights=weight, density=True, label=text, **style)
+    for label, weights, dashes, colour in (
+        ("as drawn", None, "-", COLOURS[0]),
+        ("weighted by the kernel's speeds", runs["weight"].values[finite], "--", COLOURS[1]),
+    ):
+        style = {"histtype": "step", "lw": 1.8, "ls": dashes, "color": colour}
+        right.hist(rate[finite], edges, weights=weights, density=True, label=label, **style)
     period, width = runs.attrs["period_after_s"], 2 * runs.attrs["sigma_period_s"]
     label = f"magnetometer: {period:g} s, drawn {width:g} s wide to each side"
-    # deg/s for periods in s
-    slow, fast = 360 / (period + width), 360 / (period - width)
-    right.axvspan(slow, fast, color=COLOURS[2], alpha=0.25, lw=0, label=label)
+    slowest, fastest = 360 / (period + width), 360 / (period - width)  # deg/s
+    right.axvspan(slowest, fastest, color=COLOURS[2], alpha=0.25, lw=0, label=label)
     right.set(xlabel="angular speed just after the collision (deg/s)", xlim=(0, edges[-1]))
     right.set_ylabel("probability density (s/deg)")
     right.legend(**ABOVE)

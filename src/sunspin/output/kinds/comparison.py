@@ -20,7 +20,11 @@ UNITS = {INTERVAL: "half widths", TOLERANCE: "tolerances", SIGMA: "sigmas"}
 
 
 def comparison_summary(data: Any) -> Summary:
-    """Return the summary of a comparison: the number of rows that changed by more than their error, and the largest changes."""
+    """Return the summary of a comparison of results A and B.
+
+    It has changed inputs, conclusions and rows that only one of them has, the number of rows that changed by more than their
+    error, and the largest changes.
+    """
     attrs, table = data.attrs, data.to_dataframe().reset_index()
     has_error = table["error"].notna()
     changed = table[table["beyond"] | (table["words"] != "")]
@@ -42,8 +46,8 @@ def comparison_summary(data: Any) -> Summary:
         lines += [f"   {line}" for line in attrs[f"changes_{letter}"].splitlines()]
         lines += [f"   concludes: {line}" for line in numbers[f"said_{letter}"]]
         if only := numbers[f"only_{letter}"]:
-            shown = ", ".join(only[:MOST_LINES]) + ", ..." * (len(only) > MOST_LINES)
-            lines.append(f"   {len(only)} rows are in this result alone: {shown}")
+            names = ", ".join(only[:MOST_LINES]) + (", ..." if len(only) > MOST_LINES else "")
+            lines.append(f"   {len(only)} rows are in this result alone: {names}")
     lines.append(
         f"{numbers['beyond']} of {has_error.sum()} rows with a known error changed by more than it; "
         f"of {(~has_error).sum()} without one {numbers['changed_without_error']} changed"
@@ -52,10 +56,12 @@ def comparison_summary(data: Any) -> Summary:
         same = "both are" if numbers["same_telemetry"] else "not"
         lines[-1] += f"; {same} of the same telemetry"
     for row in changed[:MOST_LINES].itertuples():
+        # without a known error, the size of a change is relative to the value
         size, units = (row.size, UNITS[row.of]) if row.of in UNITS else (100 * row.size, "%")
-        unit, words = row.unit and f" {row.unit}", row.words and f"; {row.words}"
-        now = f"{row.row}: {row.a}, now {row.b}{unit}{words}"
-        lines.append(f"  {f'{size:7.2g} {units}':22}{now}")
+        unit = f" {row.unit}" if row.unit else ""
+        other_changes = f"; {row.words}" if row.words else ""
+        change = f"{row.row}: {row.a}, now {row.b}{unit}{other_changes}"
+        lines.append(f"  {f'{size:7.2g} {units}':22}{change}")
     rest = len(changed) - MOST_LINES
     notes = [f"  and {rest} more: give --out for the whole table"] if rest > 0 else []
     return Summary(numbers, lines, notes)
@@ -83,9 +89,10 @@ def comparison_figure(data: Any) -> Any:
     height = 1.5 + 0.27 * max(len(table), 4)
     figure, axes = axes_grid(10, height, title="Changes from A to B over their errors")
     axes.barh(range(len(table)), size, height=0.5)
-    for error in (-1, 1):
-        axes.axvline(error, color="0.3", lw=1, ls="--")
+    for one_error in (-1, 1):
+        axes.axvline(one_error, color="0.3", lw=1, ls="--")
     axes.set(xscale="symlog", xlim=(-100, 100))
+    # the rows of a study are named by ids, which say less than what they are
     names = table["what" if data.attrs["command"] == "reproduce" else "row"]
     labels = [escape_name(shorten(name, 72, placeholder="...")) for name in names]
     axes.set_yticks(range(len(table)), labels)
@@ -96,10 +103,9 @@ def comparison_figure(data: Any) -> Any:
 
 def comparison_tables(data: Any) -> Iterator[Table]:
     """Yield the table of all rows."""
-    shown = {name: name for name in ("row", "a", "b", "unit", "size", "words")}
-    yield Table(
-        "comparison", data.to_dataframe().reset_index(), "Changes, the largest first", shown
-    )
+    headings = {name: name for name in ("row", "a", "b", "unit", "size", "words")}
+    frame = data.to_dataframe().reset_index()
+    yield Table("comparison", frame, "Changes, the largest first", headings)
 
 
 _comparison = (comparison_summary, comparison_drawings, comparison_tables)

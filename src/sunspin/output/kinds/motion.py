@@ -7,7 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import ABOVE, COLOURS, axes_grid, axis_labels, styled
+from sunspin.output.figures import (
+    ABOVE,
+    BLACK,
+    COLOURS,
+    GREY,
+    axes_grid,
+    axis_labels,
+    styled,
+)
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import number_text, rate_text, with_sigma
 
@@ -17,11 +25,17 @@ MOST_EVENTS = 20
 
 def trajectory_summary(run: Any) -> Summary:
     """Return the summary of a trajectory: the state at the last time, and the wheel events."""
-    t, end = run["time"].values, run.isel(time=-1)
-    names = {"event_time_s": "t_s", "event_wheel": "wheel", "event_what": "what"}
-    columns = (run[name].values.tolist() for name in names)
-    events = [dict(zip(names.values(), row, strict=True)) for row in zip(*columns, strict=True)]
-    state = {name: end[name].values.tolist() for name in ("omega_B", "sun_B", "wheel_speed_rad_s")}
+    t, last = run["time"].values, run.isel(time=-1)
+    events = [
+        {"t_s": t_s, "wheel": wheel, "what": what}
+        for t_s, wheel, what in zip(
+            run["event_time_s"].values.tolist(),
+            run["event_wheel"].values.tolist(),
+            run["event_what"].values.tolist(),
+            strict=True,
+        )
+    ]
+    state = {name: last[name].values.tolist() for name in ("omega_B", "sun_B", "wheel_speed_rad_s")}
     speeds = state["wheel_speed_rad_s"]
     wheels = f", wheels {number_text(speeds)} rad/s" if speeds else ""
     rate, sun = rate_text(state["omega_B"]), number_text(state["sun_B"])
@@ -46,44 +60,51 @@ def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def trajectory_figure(run: Any) -> Any:
-    """Draw components and size of the body rate (deg/s), and wheel speeds if there are any, against time."""
-    wheels, rows = run.sizes.get("wheel", 0), 2 if run.sizes.get("wheel", 0) else 1
+    """Draw the body rate (deg/s) against time, and below it the wheel speeds if the vehicle has wheels.
+
+    The components of the rate have the first three colours and different dashes, its size is black.
+    """
+    wheels = run.sizes.get("wheel", 0)
+    rows, height = (2, 5.85) if wheels else (1, 3.6)
     layout: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": (3, 2)[:rows]}
-    figure, grid = axes_grid(10, 3.6 * rows**0.7, rows, **layout)
+    figure, grid = axes_grid(10, height, rows, **layout)
     t, omega = run["time"].values, np.degrees(run["omega_B"].values)
-    rates, speeds = grid[0, 0], grid[-1, 0]
+    rate_axes, bottom_axes = grid[0, 0], grid[-1, 0]  # the same without wheels
     for k, axis in enumerate("xyz"):
         label, dashes = rf"$\omega_{axis}$", ("-", "--", ":")[k]
-        rates.plot(t, omega[:, k], color=COLOURS[k], ls=dashes, lw=1.2, label=label)
-    rates.plot(t, np.linalg.norm(omega, axis=1), color=COLOURS[6], lw=1.6, label=r"$|\omega|$")
-    rates.set_ylabel("body rate (deg/s)")
+        rate_axes.plot(t, omega[:, k], color=COLOURS[k], ls=dashes, lw=1.2, label=label)
+    speed = np.linalg.norm(omega, axis=1)
+    rate_axes.plot(t, speed, color=BLACK, lw=1.6, label=r"$|\omega|$")
+    rate_axes.set_ylabel("body rate (deg/s)")
     names = axis_labels(run["wheel"].values) if "wheel" in run.coords else []
     for k in range(wheels):
         name = names[k] if names else f"wheel {k + 1}"
-        speed = run["wheel_speed_rad_s"].values[:, k]
-        speeds.plot(t, speed, color=COLOURS[k % 7], lw=1.4, label=name)
-        speeds.set_ylabel("wheel speed (rad/s)")
+        wheel_speed = run["wheel_speed_rad_s"].values[:, k]
+        colour = COLOURS[k % 7]  # all but grey, which is for auxiliary lines
+        bottom_axes.plot(t, wheel_speed, color=colour, lw=1.4, label=name)
+        bottom_axes.set_ylabel("wheel speed (rad/s)")
     for axes in grid[:, 0]:
         axes.legend(ncols=4, **ABOVE)
-    speeds.set_xlabel("time (s)")
+    bottom_axes.set_xlabel("time (s)")
     return figure
 
 
 def impact_summary(hit: Any) -> Summary:
-    """Return the summary of impacts: rates, speed and impulse just after; medians if there are several cases."""
-    cases = int(np.prod(hit["omega_B"].shape[:-1]))
+    """Return the summary of impacts: body rate, wheel speeds, velocity just after, and impulse; medians over several cases."""
+    cases = int(np.prod(hit["omega_B"].shape[:-1]))  # the last dimension is x, y, z
     numbers, lines = {}, ["after the impact" if cases == 1 else f"after {cases} impacts, medians"]
     for name in ("omega_B", "wheel_speed_rad_s", "velocity_B", "impulse_B"):
-        values = np.median(hit[name].values.reshape(-1, hit[name].shape[-1]), axis=0)
-        numbers[name] = values.tolist()
+        median = np.median(hit[name].values.reshape(-1, hit[name].shape[-1]), axis=0)
+        numbers[name] = median.tolist()
         text = f"{number_text(numbers[name])} {hit[name].attrs['units']}"
-        lines.append(f"  {name} {rate_text(values) if name == 'omega_B' else text}")
+        lines.append(f"  {name} {rate_text(median) if name == 'omega_B' else text}")
     return Summary({"cases": cases, **numbers}, lines)
 
 
 def spin_down_summary(fit: Any) -> Summary:
     """Return the summary of a spin-down fit: coefficients with sigmas, friction, rms residual."""
-    sigma, names = np.sqrt(np.diag(fit["covariance"].values)), ("c1_rad_s", "c2_per_s", "c3_rad_s")
+    names = ("c1_rad_s", "c2_per_s", "c3_rad_s")
+    sigma = np.sqrt(np.diag(fit["covariance"].values))  # in the order of the names
     frictions = "coulomb_N_m", "viscous_N_m_s"
     numbers = {name: float(fit[name]) for name in (*names, *frictions, "rms_rad_s")}
     coefficients = ", ".join(
@@ -112,14 +133,17 @@ def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str = "") -> Any:
-    """Draw wheel speeds (rad/s) by label against time, of several friction laws (paper, Fig. 5) or recorded and fitted."""
+    """Draw wheel speeds (rad/s, by label) against time: of several friction laws (paper, Fig. 5), or recorded and fitted.
+
+    The default title is that of the paper's figure.
+    """
     published = "computed from published friction (no measured record is public)"
     figure, axes = axes_grid(7, 4, title=title or f"Spin-down of the wheel, {published}")
     for k, (label, speed) in enumerate(curves.items()):
         axes.plot(t_s / 60, speed, "-" if k == 0 else "--", color=COLOURS[k], label=label)
     axes.set(xlabel="time (min)", ylabel="wheel speed (rad/s)")
-    axes.set_ylim(bottom=-20)
-    axes.axhline(0, lw=0.5, color=COLOURS[7])
+    axes.set_ylim(bottom=-20)  # shows the line at zero above the edge
+    axes.axhline(0, lw=0.5, color=GREY)
     axes.legend()
     return figure
 

@@ -25,9 +25,9 @@ HATCHES = ("", "//", "..", "xx")
 def outcomes_summary(runs: Any) -> Summary:
     """Return the summary of the runs of one strategy: the estimate of each quantity with its standard error."""
     estimates = {
-        name: {"value": float(e.value), "error": float(e.error)}
-        for name, e in tally(runs).items()
-        if np.isfinite(e.value)
+        name: {"value": float(estimate.value), "error": float(estimate.error)}
+        for name, estimate in tally(runs).items()
+        if np.isfinite(estimate.value)
     }
     numbers = {"runs": runs.sizes["run"], "estimates": estimates}
     undetermined = runs.attrs.get("not_told")  # in words: what the vehicle file does not determine
@@ -35,15 +35,18 @@ def outcomes_summary(runs: Any) -> Summary:
 
 
 def run_lines(runs: Any, estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Return lines on a strategy: number of runs, failed runs, and the estimates."""
-    failed = int((runs["outcome"].values != 0).sum())
+    """Return lines on the runs of a strategy: their number, how many failed, and :func:`estimate_lines` of `estimates`."""
+    failed = int((runs["outcome"].values != 0).sum())  # 0: the run could be computed
     head = f"wheels {runs.attrs['strategy']}: {runs.sizes['run']} runs"
     head += f", {failed} of them could not be computed" if failed else ""
     return [head, *estimate_lines(estimates)]
 
 
 def estimate_lines(estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Return a line for each estimate that is printed, with its standard error."""
+    """Return a line for each quantity of `PRINTED` that has been estimated, in that order: its mean and standard error.
+
+    `estimates`: name of the quantity -> its "value" and "error" as stored; `quantity` gives the factor to the unit of the line.
+    """
     lines = []
     for name in PRINTED:
         if name in estimates:
@@ -59,7 +62,10 @@ def outcomes_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
 
 
 def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
-    """Yield the figures of the runs of strategies (name -> runs), those whose quantities the runs have."""
+    """Yield the figures that compare the runs of strategies (name -> runs).
+
+    Without ground contacts in the runs, or without points of a hull, the figures that need them are left out.
+    """
     yield Drawing(
         "sun-height",
         lambda: sun_height_figure(runs),
@@ -84,7 +90,7 @@ def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
 def strategy_name(name: str) -> str:
     """Return a wheel strategy, such as "delay:60", in plain words."""
     if name.startswith("delay:"):
-        seconds = float(name[6:])
+        seconds = float(name.removeprefix("delay:"))
         return f"off after {seconds:g} s" if seconds < 120 else f"off after {seconds / 60:.3g} min"
     words = {"off": "off at touchdown", "brake": "braked", "after_rest": "off after rest"}
     return words.get(name, escape_name(name))
@@ -96,7 +102,9 @@ def sun_height_figure(runs: dict[str, Any]) -> Any:
     figure, axes = axes_grid(7.5, 4.2, title="Height of the Sun on the way to the landing")
     for k, (name, data) in enumerate(runs.items()):
         curve = density(data, merge=2)  # bins 0.05 wide
-        value, edges = curve["density"].values, np.append(curve["rz"] - 1 / curve.sizes["rz"], 1.0)
+        half_bin = 1 / curve.sizes["rz"]  # r_z from -1 to 1
+        value, edges = curve["density"].values, np.append(curve["rz"] - half_bin, 1.0)
+        # the first strategy is a filled area, so that the lines of the others are seen on it
         style = {"color": COLOURS[k % 8], "lw": 1.6, "fill": k == 0, "alpha": 1 if k else 0.45}
         label = f"{strategy_name(name)}: {count_text(data.sizes['run'], 'run')}"
         axes.stairs(value, edges, label=label, **style)
@@ -157,10 +165,11 @@ def first_contact_figure(runs: dict[str, Any]) -> Any:
         estimates = _first_contacts(data)
         value, error = np.transpose(list(estimates.values()))
         labels, width = list(estimates), 0.8 / len(runs)
+        # the bars of all strategies stand side by side, centred on the tick
         place = np.arange(len(labels)) + width * (k - (len(runs) - 1) / 2)
         style = {"color": COLOURS[k % 8], "hatch": HATCHES[k % 4], "ec": "white", "capsize": 2}
-        bars = clip_errors(value, error)
-        axes.bar(place, value, width, yerr=bars, label=strategy_name(name), **style)
+        error_bars = clip_errors(value, error)
+        axes.bar(place, value, width, yerr=error_bars, label=strategy_name(name), **style)
     axes.set_xticks(range(len(labels)), labels)
     axes.set_ylabel("probability of touching first")
     axes.legend(title="wheel")
@@ -169,23 +178,30 @@ def first_contact_figure(runs: dict[str, Any]) -> Any:
 
 def _first_contacts(runs: Any) -> dict[str, Estimate]:
     """Return the probability with standard error of each leg, each panel and the bare body to touch first, by label."""
-    estimates, touched = tally(runs), runs["contact_point"].values
-    contacts, legs = {}, runs["point_leg"].values
-    for leg in range(int(legs.max()) + 1):
-        share = float(np.mean(legs[touched][touched >= 0] == leg))
+    # point of the hull that touches first in each run, -1 for none; leg of each point, -1 for none
+    estimates, touching_point = tally(runs), runs["contact_point"].values
+    contacts, leg_of_point = {}, runs["point_leg"].values
+    touching_leg = leg_of_point[touching_point[touching_point >= 0]]
+    for leg in range(int(leg_of_point.max()) + 1):
+        share = float(np.mean(touching_leg == leg))
         error = np.sqrt(share * (1 - share) / runs.sizes["run"])
         contacts[f"leg {leg + 1}"] = Estimate(share, float(error))
     panels = runs["panel"].values
-    names = {
-        f"touch_panel_{p}": f"panel {label}"
-        for p, label in zip(panels, axis_labels(panels), strict=True)
+    labels = {
+        f"touch_panel_{panel}": f"panel {label}"
+        for panel, label in zip(panels, axis_labels(panels), strict=True)
     }
-    names["touch_body"] = "bare body"
-    return contacts | {text: estimates[name] for name, text in names.items() if name in estimates}
+    labels["touch_body"] = "bare body"
+    return contacts | {
+        label: estimates[name] for name, label in labels.items() if name in estimates
+    }
 
 
 def clip_errors(value: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Return errors of probabilities (2, n), below and above, cut so that bars end at 0 and 1."""
+    """Return the lengths (2, n) of error bars below and above probabilities (n), cut so that bars end at 0 and 1.
+
+    A length is never negative, even if a sum of probabilities exceeds 1 by rounding.
+    """
     return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
 
 

@@ -24,17 +24,17 @@ NEGLIGIBLE = 1e-6
 
 def quality_summary(quality: Any) -> Summary:
     """Return the summary of panel quality: samples that are used or why not, the gain of each panel, dead panels."""
-    texts, counts = np.unique(quality["why"].values.astype(str), return_counts=True)
+    reasons, counts = np.unique(quality["why"].values.astype(str), return_counts=True)
     names = quality["panel"].values.astype(str)
     gain, sigma = quality["gain"].values, quality["gain_sigma"].values
     numbers = {
-        "samples": dict(zip(texts.tolist(), counts.tolist(), strict=True)),
+        "samples": dict(zip(reasons.tolist(), counts.tolist(), strict=True)),
         "dead": names[quality["dead"].values.astype(bool)].tolist(),
         "gain": dict(zip(names.tolist(), gain.tolist(), strict=True)),
         "gain_sigma": dict(zip(names.tolist(), sigma.tolist(), strict=True)),
     }
     lines = [f"quality of {len(quality['use'])} samples of {len(names)} panels"]
-    lines += [f"  {count:6d}  {text}" for text, count in numbers["samples"].items()]
+    lines += [f"  {count:6d}  {reason}" for reason, count in numbers["samples"].items()]
     for name, value, error in zip(names, gain, sigma, strict=True):
         lines.append(f"  panel {name}: gain {with_sigma(value, error)}")
     if numbers["dead"]:
@@ -53,7 +53,10 @@ def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
 def gains_figure(quality: Any) -> Any:
     """Draw the gain of each panel with one sigma; dead panels are crossed out."""
     figure, axes = axes_grid(7, 3.6, title="Gains of the panels")
-    place, gain = np.arange(quality.sizes["panel"]), quality["gain"].values
+    place, gain = (
+        np.arange(quality.sizes["panel"]),
+        quality["gain"].values,
+    )  # a place on x per panel
     dead = quality["dead"].values.astype(bool)
     axes.errorbar(place, gain, quality["gain_sigma"], fmt="o", color=COLOURS[0], capsize=3)
     axes.plot(place[dead], gain[dead], "x", ms=10, color=COLOURS[1])
@@ -85,29 +88,36 @@ def health_summary(health: Any) -> Summary:
         "explanations": [list(lost) for lost in named_panels(health, "lost")],
         "noise_probability": {lit: value for lit, value in probabilities if np.isfinite(value)},
     }
-    none = "all illumination patterns are physically possible"
-    return Summary(numbers, health_lines(numbers) or [none])
+    return Summary(
+        numbers,
+        health_lines(numbers) or ["all illumination patterns are physically possible"],
+    )
 
 
 def health_lines(numbers: Mapping[str, Any]) -> list[str]:
-    """Return the numbers of :func:`health_summary` in words; no line if no pattern is impossible."""
+    """Return a line on the impossible patterns and what may explain them; none if no pattern is impossible.
+
+    `numbers`: those of :func:`health_summary`. `sunspin check` adds the entry `made_by`, a cause other than a failed panel in
+    words, which is empty if there is none.
+    """
     if not numbers["impossible"]:
         return []
     by_frequency = sorted(numbers["impossible"].items(), key=lambda item: -item[1])
-    shown = by_frequency[:SETS]
-    if any("," in lit for lit, _ in shown):
-        patterns = "; ".join(f"({lit}) in {count_text(n, 'sample')}" for lit, n in shown)
+    printed = by_frequency[:SETS]
+    # names with signs, as in "-X, +Y", have commas; such a pattern gets parentheses
+    if any("," in lit for lit, _ in printed):
+        patterns = "; ".join(f"({lit}) in {count_text(n, 'sample')}" for lit, n in printed)
     else:
-        patterns = ", ".join(f"{lit} ({n})" for lit, n in shown)
+        patterns = ", ".join(f"{lit} ({n})" for lit, n in printed)
     patterns += f" and {len(by_frequency) - SETS} other sets" if len(by_frequency) > SETS else ""
     head = "  impossible illumination patterns"
     if made_by := numbers.get("made_by"):
         return [f"{head}, explained by {made_by}: {patterns}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
     why = f"a failed or shaded panel {lost} would explain" if lost else "no failed panel explains"
-    likely, noise = max(numbers["noise_probability"].values(), default=0.0), ""
-    if likely > NEGLIGIBLE:
-        noise = f"; noise alone makes the likeliest of them with a probability of at most {number_text(likely, 2)}"
+    largest, noise = max(numbers["noise_probability"].values(), default=0.0), ""
+    if largest > NEGLIGIBLE:
+        noise = f"; noise alone makes the likeliest of them with a probability of at most {number_text(largest, 2)}"
     elif numbers["noise_probability"]:
         noise = "; noise alone does not make them"
     return [f"{head}: {patterns}; {why} them{noise}"]
@@ -127,7 +137,7 @@ def health_drawings(health: Any, _: Context) -> Iterator[Drawing]:
 def health_figure(health: Any) -> Any:
     """Draw the impossible illumination patterns, a row each with its number of samples.
 
-    Panels are marked whose loss explains all patterns.
+    A dashed line marks each panel of the first explanation: the set of panels whose loss explains all patterns.
     """
     lit, lost = (health[name].values.astype(bool) for name in ("impossible_lit", "lost"))
     title = "Nothing was lit that the Sun cannot light"
@@ -136,9 +146,9 @@ def health_figure(health: Any) -> Any:
     figure, axes = axes_grid(7, 1.6 + 0.35 * max(len(lit), 3), title=title)
     row, column = np.nonzero(lit)
     axes.plot(column, row, "s", ms=11, color=COLOURS[4], label="lit")
-    for k, place in enumerate(np.flatnonzero(lost[:1].any(axis=0))):
-        text = None if k else "its loss explains them"
-        axes.axvline(place, color=COLOURS[1], lw=1.4, ls="--", label=text)
+    for k, panel in enumerate(np.flatnonzero(lost[:1].any(axis=0))):
+        label = None if k else "its loss explains them"  # once in the legend
+        axes.axvline(panel, color=COLOURS[1], lw=1.4, ls="--", label=label)
     axes.set_yticks(range(len(lit)), [f"{n} samples" for n in health["samples"].values])
     _label_panels(axes, np.arange(lit.shape[1]), health["panel"].values)
     axes.set(xlabel="panel", xlim=(-0.6, lit.shape[1] - 0.4))

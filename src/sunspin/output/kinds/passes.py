@@ -23,6 +23,9 @@ position. `posterior` has no alternative models."""
 SPEED = ("constrained_speed", "speed_sigma", "speed_below")
 """Columns of a pass, the last ones: whether the speed is constrained, its sigma and 95 % upper limit (rad/s, all solutions)."""
 
+SPEED_RATES = SPEED[1:]
+"""Those of `SPEED` that are in rad/s and have a second column in deg/s."""
+
 SOLUTION = tuple(
     "speed_low speed_median speed_high omega_x omega_y omega_z sigma_x sigma_y sigma_z".split()
 )
@@ -48,10 +51,15 @@ def solution_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
 
 
 def rates_in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
-    """Return those columns that are in rad/s converted to deg/s, with names that end in `_deg_s`."""
-    rate_names = (*SOLUTION, *SPEED[1:])
-    rates = [name for name in columns if name.endswith("_rad_s") or name in rate_names]
-    return {name.removesuffix("_rad_s") + "_deg_s": np.degrees(columns[name]) for name in rates}
+    """Return those columns that are in rad/s converted to deg/s, with names that end in `_deg_s`.
+
+    In rad/s are columns whose names say it, and those of `SOLUTION` and `SPEED_RATES`, whose names do not.
+    """
+    return {
+        name.removesuffix("_rad_s") + "_deg_s": np.degrees(value)
+        for name, value in columns.items()
+        if name.endswith("_rad_s") or name in (*SOLUTION, *SPEED_RATES)
+    }
 
 
 SHOWN = {"pass_id": "pass", "utc_start": "begins (UTC)"}
@@ -70,13 +78,14 @@ def passes_table(result: Any) -> Table:
     rows = []
     for k in range(result.sizes["pass_id"]):
         of_pass = pass_numbers(result, k)
+        # a pass with fewer solutions than others is padded with NaN
         for solution in np.flatnonzero(np.isfinite(result["probability"].values[k])):
             rows.append(of_pass | solution_numbers(result, k, int(solution)))
     # the order of the columns is public: new ones are added at the end
-    head = ("pass_id", *PASS, "solution", "probability", *CHECKS, *SOLUTION)
-    head += (*(f"{name}_deg_s" for name in SOLUTION), *MODEL, "why_not_decided")
-    head += (*SPEED, *(f"{name}_deg_s" for name in SPEED[1:]))
+    columns = ("pass_id", *PASS, "solution", "probability", *CHECKS, *SOLUTION)
+    columns += (*(f"{name}_deg_s" for name in SOLUTION), *MODEL, "why_not_decided")
+    columns += (*SPEED, *(f"{name}_deg_s" for name in SPEED_RATES))
     frame = pd.DataFrame(rows)
-    frame = frame[[name for name in head if name in frame]]
-    shown = {name: heading for name, heading in SHOWN.items() if name in frame}
-    return Table("passes", frame, "Every solution of every pass", shown)
+    frame = frame[[name for name in columns if name in frame]]
+    headings = {name: heading for name, heading in SHOWN.items() if name in frame}
+    return Table("passes", frame, "Every solution of every pass", headings)

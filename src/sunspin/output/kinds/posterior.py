@@ -40,10 +40,12 @@ MOST_ROUNDS = 8
 def posterior_summary(tree: Any) -> Summary:
     """Return the summary of a posterior: verdict, angular speed, solutions, diagnostics, priors, and predictions if any."""
     numbers = main_numbers(tree)
-    if "passes" in tree.children:
+    if (
+        "passes" in tree.children
+    ):  # the only pass and its solutions, with the same names as in `rates`
         passes = tree["passes"].to_dataset()
-        motions = [solution_numbers(passes, 0, k) for k in range(passes.sizes["solution"])]
-        numbers["passes"] = [pass_numbers(passes, 0) | {"solutions": motions}]
+        solutions = [solution_numbers(passes, 0, k) for k in range(passes.sizes["solution"])]
+        numbers["passes"] = [pass_numbers(passes, 0) | {"solutions": solutions}]
     lines = [numbers["verdict"]]
     if numbers["synthetic_telemetry"]:
         lines.append("  synthetic telemetry: not measured")
@@ -72,8 +74,8 @@ def posterior_summary(tree: Any) -> Summary:
     if "period" in tree.children:
         period = tree["period"].to_dataset()
         lines += [f"  {text}" for text in period_sentences(period)]
-        draws = float(period.attrs["effective_draws"])
-        numbers["period"] = {"told": bool(period.attrs["told"]), "effective_draws": draws}
+        effective = float(period.attrs["effective_draws"])
+        numbers["period"] = {"told": bool(period.attrs["told"]), "effective_draws": effective}
         for name in ("probability", "solution_probability", "rate_quantile"):
             numbers["period"][name] = period[name].values.tolist()
     if "predictions" in tree.children:
@@ -101,9 +103,12 @@ def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
 
 @styled
 def corner_figure(tree: Any) -> Any:
-    """Draw every pair of rate components and speed at the first sample, with a colour for each solution."""
-    word = f": {escape_name(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
-    title = f"Body rate of {escape_name(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
+    """Draw every pair of rate components and speed at the first sample, with a colour for each solution.
+
+    Histograms are on the diagonal, pairs below it; nothing is above it.
+    """
+    verdict = f": {escape_name(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
+    title = f"Body rate of {escape_name(tree.attrs.get('vehicle', 'the body'))} at the first sample{verdict}"
     figure, grid = axes_grid(9, 9, 4, 4, title, sharex="col")
     omega = np.degrees(tree["posterior"]["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS])
     solution = tree["posterior"]["solution_id"].values.ravel()[:SHOWN_DRAWS]
@@ -118,18 +123,18 @@ def corner_figure(tree: Any) -> Any:
             continue
         edges = np.histogram_bin_edges(value[:, i], 60)
         for k in np.unique(solution):
-            own, color = value[solution == k], COLOURS[int(k) % 8]
+            draws, color = value[solution == k], COLOURS[int(k) % 8]
             if i == j:
-                axes.hist(own[:, i], edges, histtype="stepfilled", color=color, alpha=0.7)
+                axes.hist(draws[:, i], edges, histtype="stepfilled", color=color, alpha=0.7)
             else:
                 style = {"ms": 1.5, "alpha": 0.4, "color": color, "rasterized": True}
-                axes.plot(own[:, j], own[:, i], ".", **style)
+                axes.plot(draws[:, j], draws[:, i], ".", **style)
         if i == j:
             axes.set_yticks([])
-        if i == 3:
+        if i == 3:  # lowest row
             axes.set_xlabel(f"{names[j]} (deg/s)")
             axes.tick_params(axis="x", labelrotation=45)
-        if j == 0 and i > 0:
+        if j == 0 and i > 0:  # first column, without its histogram
             axes.set_ylabel(f"{names[i]} (deg/s)")
     return figure
 
@@ -141,17 +146,26 @@ def search_figure(tree: Any) -> Any:
     figure, (left, right) = axes_grid(9, 3.6, 1, 2, "Search and sampling")
     stage = np.arange(search.sizes["stage"])
     for k, (name, label) in enumerate({"hypotheses": "fitted", "kept": "kept"}.items()):
-        count = np.maximum(search[name].values, 1)
+        count = np.maximum(search[name].values, 1)  # the axis is logarithmic
         left.semilogy(stage, count, "os"[k] + "-", color=COLOURS[k], label=label)
     left.set_xticks(stage, [str(n) for n in search["samples"].values], fontsize=7)
     left.set(xlabel="samples in the window", ylabel="trial solutions")
     left.legend()
     right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
     right.set(xlabel="round, effective share, Pareto's k", ylabel="log evidence")
-    rounds = np.arange(0, sampling.sizes["round"], -(-sampling.sizes["round"] // MOST_ROUNDS) or 1)
-    shares, tails = sampling["effective_share"].values[rounds], sampling["pareto_k"].values[rounds]
-    texts = [f"{i}\n{s:.0%}\n{k:.2f}" for i, s, k in zip(rounds, shares, tails, strict=True)]
-    right.set_xticks(rounds, texts, fontsize=7)
+    # every n-th round has a label, with the smallest n that leaves at most `MOST_ROUNDS`
+    stride = max(int(np.ceil(sampling.sizes["round"] / MOST_ROUNDS)), 1)
+    rounds = np.arange(0, sampling.sizes["round"], stride)
+    labels = [
+        f"{i}\n{share:.0%}\n{pareto_k:.2f}"
+        for i, share, pareto_k in zip(
+            rounds,
+            sampling["effective_share"].values[rounds],
+            sampling["pareto_k"].values[rounds],
+            strict=True,
+        )
+    ]
+    right.set_xticks(rounds, labels, fontsize=7)
     return figure
 
 
@@ -160,19 +174,20 @@ def posterior_tables(tree: Any) -> Iterator[Table]:
     import pandas as pd
 
     solutions, sigma = tree["solutions"], sigmas(tree["solutions"])
-    columns: dict[str, Any]
-    columns = {name: solutions[name].values for name in ("probability", "log_evidence")}
+    columns: dict[str, Any] = {
+        name: solutions[name].values for name in ("probability", "log_evidence")
+    }
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = solutions["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
     columns |= rates_in_degrees(columns)
     columns |= {name: solutions[name].values for name in ("chi_square", "lit_readings", "starts")}
-    shown = {"probability": "probability"}
+    headings = {"probability": "probability"}
     for axis in "xyz":
-        shown |= {f"omega_{axis}_B_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
-    shown |= {"chi_square": "chi-square", "lit_readings": "lit readings", "starts": "starts"}
+        headings |= {f"omega_{axis}_B_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
+    headings |= {"chi_square": "chi-square", "lit_readings": "lit readings", "starts": "starts"}
     title = "Solutions: rates at the first sample, body axes"
-    yield Table("solutions", pd.DataFrame(columns), title, shown)
+    yield Table("solutions", pd.DataFrame(columns), title, headings)
     if "passes" in tree.children:
         yield passes_table(tree["passes"].to_dataset())
     if "predictions" in tree.children:
@@ -180,7 +195,7 @@ def posterior_tables(tree: Any) -> Iterator[Table]:
 
 
 def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
-    """Return the best motion of each solution, by file name; nothing if the vehicle is not known."""
+    """Return the best motion of each solution, by file name; nothing if the vehicle is not known, which the propagation needs."""
     if context.vehicle is None:
         return {}
     from sunspin.estimate.posterior.motion import best_motions

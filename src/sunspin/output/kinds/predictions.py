@@ -16,21 +16,25 @@ from sunspin.output.text import with_range
 
 def predictions_summary(predictions: Any) -> Summary:
     """Return the summary of predictions: medians and 90 % intervals at each time."""
-    table, lines, times = intervals(predictions), [], predictions["predicted_s"].values
-    collided = predictions.get("after_collision", np.zeros(len(times), bool))
-    for t, label, after in zip(times, labels(predictions), collided, strict=True):
-        row = {r["quantity"]: r for r in table if r["t_s"] == t}
-        radius = np.degrees(row["sun_off"]["high_90"])
+    rows, lines, times = intervals(predictions), [], predictions["predicted_s"].values
+    after_collision = predictions.get("after_collision", np.zeros(len(times), bool))
+    for t, label, after in zip(times, labels(predictions), after_collision, strict=True):
+        by_quantity = {row["quantity"]: row for row in rows if row["t_s"] == t}
+        radius = np.degrees(
+            by_quantity["sun_off"]["high_90"]
+        )  # of the cone about the mean direction
         lines += [
             f"  at {label}{', after the collision' if after else ''} (90 % of the draws):",
-            f"    angular speed {degrees_text(row['rate'])} deg/s",
-            f"    angle of z to the angular momentum {degrees_text(row['z_to_momentum'])} deg",
-            f"    angle of z to the Sun {degrees_text(row['z_to_sun'])} deg",
+            f"    angular speed {degrees_text(by_quantity['rate'])} deg/s",
+            f"    angle of z to the angular momentum {degrees_text(by_quantity['z_to_momentum'])} deg",
+            f"    angle of z to the Sun {degrees_text(by_quantity['z_to_sun'])} deg",
             f"    Sun direction: 90 % within {radius:.1f} deg of the mean (body axes)",
         ]
+    # the attribute has the leg that hits and the drawn parameters, or says that no collision was simulated
     collision = str(predictions.attrs.get("collision", ""))
-    lines += [f"    collision: {collision}"] if collision.startswith("a leg") else []
-    return Summary({"predicted": table}, lines)
+    if collision.startswith("a leg"):
+        lines.append(f"    collision: {collision}")
+    return Summary({"predicted": rows}, lines)
 
 
 def degrees_text(row: Mapping[str, float]) -> str:
@@ -39,7 +43,7 @@ def degrees_text(row: Mapping[str, float]) -> str:
 
 
 def labels(predictions: Any) -> list[str]:
-    """Return the times of predictions as the user gave them, or in s."""
+    """Return the times of predictions in words: as the user gave them if the data have that, else in s."""
     if "asked" in predictions.coords:
         return predictions["asked"].values.astype(str).tolist()
     return [f"{t:g} s" for t in predictions["predicted_s"].values]
@@ -62,7 +66,7 @@ def predicted_figure(
     """Draw predictions, a row for each time: speed, rate components, Sun direction, angles of z to the Sun and to H.
 
     H is the angular momentum. `predictions`: from :func:`sunspin.estimate.posterior.predict.predict`; `labels`: the times in words;
-    `truth`: predictions of one motion, the true one.
+    `truth`: predictions of one motion, the true one, drawn as dashed lines and as a cross on the sky.
     """
     count = predictions.sizes["predicted_s"]
     dashed = "" if truth is None else "; dashed: the truth"
@@ -80,7 +84,7 @@ def predicted_figure(
             (angles, "z_to_sun", None, COLOURS[4], "z and Sun"),
         ]
         for axes, quantity, k, color, text in histograms:
-            index = ... if k is None else (..., k)
+            index = ... if k is None else (..., k)  # the whole scalar, or a component of the vector
             exact = None if true is None else np.degrees(true[quantity].values)[index]
             _draw_histogram(axes, np.degrees(draws[quantity].values)[index], color, text, exact)
         for data, style in (
@@ -88,6 +92,7 @@ def predicted_figure(
             (true, {"marker": "+", "ms": 9, "color": COLOURS[6]}),
         ):
             if data is not None:
+                # azimuth about body z and height above the body's x-y plane
                 x, y, z = np.atleast_2d(data["sun_B"].values).T
                 height = np.degrees(np.arcsin(np.clip(z, -1, 1)))
                 sky.plot(np.degrees(np.arctan2(y, x)), height, ls="", rasterized=True, **style)
@@ -96,10 +101,10 @@ def predicted_figure(
         speed.set_ylabel(f"{label}\ndraws", fontsize=9)
         rates.legend(fontsize=7)
         angles.legend(fontsize=7)
-    units = ("angular speed (deg/s)", "components of the rate (deg/s)")
-    units += ("azimuth of the Sun about z (deg)", "angle (deg)")
-    for axes, text in zip(grid[-1], units, strict=True):
-        axes.set_xlabel(text)
+    x_labels = ("angular speed (deg/s)", "components of the rate (deg/s)")
+    x_labels += ("azimuth of the Sun about z (deg)", "angle (deg)")
+    for axes, x_label in zip(grid[-1], x_labels, strict=True):
+        axes.set_xlabel(x_label)
     return figure
 
 
@@ -121,9 +126,9 @@ def predictions_tables(predictions: Any) -> Iterator[Table]:
     import pandas as pd
 
     names = ("t_s", "quantity", "median", "low_90", "high_90")
-    shown = {name: name.replace("_", " ") for name in names}
+    headings = {name: name.replace("_", " ") for name in names}
     frame = pd.DataFrame(intervals(predictions))
-    yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", shown)
+    yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", headings)
 
 
 _predictions = (predictions_summary, predictions_drawings, predictions_tables)

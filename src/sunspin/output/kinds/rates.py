@@ -73,11 +73,11 @@ class RateAt(NamedTuple):
 
 def rate_at(result: Any, k: int) -> RateAt:
     """Return the rate of the likeliest solution of pass number `k` of a result of `rates`."""
-    at = np.flatnonzero(result["pass_of"].values == k)
-    t, omega = result["time"].values[at], np.degrees(result["omega_B"].values[at])
+    samples = np.flatnonzero(result["pass_of"].values == k)
+    t, omega = result["time"].values[samples], np.degrees(result["omega_B"].values[samples])
     speed = np.linalg.norm(omega, axis=1)
     middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
-    variance = np.diagonal(result["omega_cov_B"].values[at[middle]])
+    variance = np.diagonal(result["omega_cov_B"].values[samples[middle]])
     # The covariance of samples is that of the likeliest solution. The sigmas of the mean rate, over all solutions and of the
     # likeliest one, give the additional variance from the other solutions.
     sigma_all, sigma_best = (
@@ -97,13 +97,13 @@ def rates_summary(result: Any) -> Summary:
     starts = start_texts(result, begins)
     width = max(map(len, ["start (UTC)", *starts]))
     table = [f"pass  {'start (UTC)':{width}}  {HEADING}"]
-    passes, lines, in_words = [], [verdict], []
+    passes, sentences = [], []
     for k, start in enumerate(starts):
         summary = _summarize_pass(result, k)
         entries = summary.entries
         passes.append(entries)
         table.append(f"{entries['pass_id']:4d}  {start:{width}}  {summary.row}")
-        in_words += [summary.sentence] if k < PASSES_IN_WORDS else []
+        sentences.append(summary.sentence)
         if entries.get("model", AS_STATED) != AS_STATED:
             probability = f"{entries['model_probability']:.2f}"
             notes.append(
@@ -111,8 +111,8 @@ def rates_summary(result: Any) -> Summary:
             )
     if any(row.endswith(COARSE_WORD) for row in table):
         notes.append(f"coarse: one sigma of a component exceeds {COARSE:.0%} of the speed")
-    lines += [f"  {note}" for note in notes]
-    texts, counts = np.unique(result["why"].values.astype(str), return_counts=True)
+    lines = [verdict, *(f"  {note}" for note in notes)]
+    reasons, counts = np.unique(result["why"].values.astype(str), return_counts=True)
     left_out = str(result.attrs.get("panels_left_out", ""))
     numbers: dict[str, Any] = {
         "verdict": result.attrs["verdict"],
@@ -120,7 +120,7 @@ def rates_summary(result: Any) -> Summary:
         "passes": passes,
         "acceleration_noise": result.attrs["acceleration_noise"],
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
-        "samples": dict(zip(texts.tolist(), counts.tolist(), strict=True)),
+        "samples": dict(zip(reasons.tolist(), counts.tolist(), strict=True)),
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
         "panels_left_out": [name for name in left_out.split(", ") if name],
     }
@@ -135,21 +135,22 @@ def rates_summary(result: Any) -> Summary:
         size = size_text(numbers["noise"])
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _unseen_column_lines(result, passes)
-    numbers["samples_in_passes"] = result.sizes["time"]
-    if (kept := int(result.attrs.get("samples_searched", result.sizes["time"]))) < result.sizes[
-        "time"
-    ]:
-        numbers["samples_searched"] = kept
+    in_passes = result.sizes["time"]
+    numbers["samples_in_passes"] = in_passes
+    # the search thins long passes
+    if (searched := int(result.attrs.get("samples_searched", in_passes))) < in_passes:
+        numbers["samples_searched"] = searched
         lines.append(
-            f"  {result.sizes['time']} samples used in passes; the search keeps {kept} of them, the others refine what it finds"
+            f"  {in_passes} samples used in passes; the search keeps {searched} of them, the others refine what it finds"
         )
-    lines += [f"  {count:6d} samples  {text}" for text, count in numbers["samples"].items()]
-    return Summary(numbers, lines, table=table, in_words=in_words)
+    lines += [f"  {count:6d} samples  {reason}" for reason, count in numbers["samples"].items()]
+    return Summary(numbers, lines, table=table, in_words=sentences[:PASSES_IN_WORDS])
 
 
 def _period_sentence(result: Any, period: dict[str, Any]) -> str:
     """Return a sentence on how an observed period changes the probabilities of the solutions of its pass.
 
+    They stay as they are if no solution is near the period, if too few draws have it, or if the samples contradict it.
     `period`: its entry in the attribute `periods` of the result.
     """
     k = int(np.flatnonzero(result["pass_id"].values == period["pass"])[0])
@@ -161,35 +162,41 @@ def _period_sentence(result: Any, period: dict[str, Any]) -> str:
             f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
     words = reading_words(period["t_s"], period["period_s"], period["sigma_s"], period["shares"])
-    # probability, without the period, of the solution that is now likeliest, and of the one that was
-    own, largest = period["without"]
-    was = f"{own:.0%}" if own == largest else f"{own:.0%}, when another held {largest:.0%}"
-    return f"{words}; in pass {period['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
+    now = result["probability"].values[k, 0]
+    # probabilities without the period: of the solution that is now the likeliest, and of the one that was the likeliest then
+    same_solution, largest = period["without"]
+    without = f"{same_solution:.0%}"
+    if same_solution != largest:
+        without += f", when another held {largest:.0%}"
+    return f"{words}; in pass {period['pass']} the likeliest motion holds {now:.0%} (without: {without})"
 
 
 def _unseen_column_lines(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     """Return a line on changes of columns and signs that this telemetry cannot distinguish from the vehicle file, if any.
 
-    The line states the rate of the first decided pass under each change.
+    The line states the rate of the first decided pass with unchecked columns, and what it would be under each change. `passes`: the
+    entries of the summary.
     """
-    decided = [
-        k for k, p in enumerate(passes) if p["decided"] and p["columns_checked"] == "unchecked"
+    unchecked = [
+        k
+        for k, entries in enumerate(passes)
+        if entries["decided"] and entries["columns_checked"] == "unchecked"
     ]
-    if not decided or "columns_unseen" not in result.attrs:
+    if not unchecked or "columns_unseen" not in result.attrs:
         return []
-    rate, changes = rate_at(result, decided[0]), json.loads(result.attrs["columns_unseen"])
-    unseen = []
+    rate, changes = rate_at(result, unchecked[0]), json.loads(result.attrs["columns_unseen"])
+    alternatives = []
     for change in changes[:MOST_UNSEEN]:
         matrix = np.array(change["matrix"])
         # a rate is an axial vector: a mirror image (determinant -1) also changes its sign
         omega = np.linalg.det(matrix) * matrix @ np.radians(rate.omega)
-        unseen.append(f"with {change['what']} it would be {rate_text(omega)}")
+        alternatives.append(f"with {change['what']} it would be {rate_text(omega)}")
     rest = len(changes) - MOST_UNSEEN
     others = f"; and with {rest} other changes another" if rest > 0 else ""
     stated = f"{rate_text(np.radians(rate.omega))} at {clock_text(result, rate.at_s)}"
     return [
         f"  columns unchecked: the file as it is written gives {stated}; this telemetry looks the same if the file is wrong in one "
-        f"of these ways: {'; '.join(unseen)}{others}"
+        f"of these ways: {'; '.join(alternatives)}{others}"
     ]
 
 
@@ -203,17 +210,17 @@ class PassSummary(NamedTuple):
 
 def _summarize_pass(result: Any, k: int) -> PassSummary:
     """Return the summary of pass number `k` of a result of `rates`."""
-    at = np.flatnonzero(result["pass_of"].values == k)
-    t, rate = result["time"].values[at], rate_at(result, k)
+    t, rate = result["time"].values[result["pass_of"].values == k], rate_at(result, k)
     probability = result["probability"].values[k]
-    n = int(np.isfinite(probability).sum())
-    mean = np.degrees(result["omega_mean_B"].values[k, :n]).tolist()
+    solutions = int(np.isfinite(probability).sum())  # padded with NaN
+    mean_rates = np.degrees(result["omega_mean_B"].values[k, :solutions]).tolist()
     numbers = pass_numbers(result, k) | {
         "start_s": float(t[0]),
         "end_s": float(t[-1]),
         "sigma_deg_s": np.degrees(result["omega_sigma_all_B"].values[k]).tolist(),
         "solutions": [
-            {"omega_deg_s": omega} | solution_numbers(result, k, i) for i, omega in enumerate(mean)
+            {"omega_deg_s": mean} | solution_numbers(result, k, i)
+            for i, mean in enumerate(mean_rates)
         ],
         "speed_deg_s": [rate.low, rate.mean, rate.high],
         "at_s": rate.at_s,
@@ -221,14 +228,14 @@ def _summarize_pass(result: Any, k: int) -> PassSummary:
     }
     speed, omega = _speed_text(numbers, rate), with_sigma(rate.omega, rate.sigma)
     over_the_pass = range_text(rate.low, rate.high, float(rate.sigma.max()))
-    # the reasons without what is in parentheses, except the limit "(95 %)": those are remedies
+    # parentheses hold remedies, which are left out with all that follows; "(95 %)" belongs to the limit of the speed
     verdict = re.sub(r" \((?!95 %\)).*", "", str(numbers["why_not_decided"])) or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = COARSE_WORD
-    verdict = verdict.replace("several solutions", f"{n} solutions")
-    row = f"{len(at):7d}  {speed:17}  {over_the_pass:19}  "
-    row += f"{omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
-    name = f"pass {numbers['pass_id']} ({len(at)} samples)"
+    verdict = verdict.replace("several solutions", f"{solutions} solutions")
+    row = f"{len(t):7d}  {speed:17}  {over_the_pass:19}  "
+    row += f"{omega.strip('()'):45}  {probability[0]:.2f}  {verdict}"
+    name = f"pass {numbers['pass_id']} ({len(t)} samples)"
     sentence = (
         f"{name}: speed {speed} deg/s ({RANGE}: {over_the_pass}), body rate {omega} deg/s at mid-pass; "
         f"{verdict}"
@@ -280,12 +287,12 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
     if context.telemetry is None or context.vehicle is None:
         return
     samples, vehicle = context.telemetry, context.craft()
-    if "panel" in samples.coords and (runs := pass_motions(result)):
+    if "panel" in samples.coords and (motions := pass_motions(result)):
         left_out = str(result.attrs.get("panels_left_out", "")).split(", ")
         used = np.char.startswith(result["why"].values.astype(str), "used")
         yield Drawing(
             "signals",
-            lambda: panel_signals_figure(samples, runs, vehicle, used, left_out),
+            lambda: panel_signals_figure(samples, motions, vehicle, used, left_out),
             "Signal of each panel against time in up to four passes: samples as dots, the solution's prediction as a line.",
             "Panel signals of the passes with the most samples: dots are samples, lines what the likeliest solution predicts, with "
             "one factor for each pass.",
@@ -296,9 +303,10 @@ def rates_tables(result: Any) -> Iterator[Table]:
     """Yield the tables of `rates`: `passes`, `estimates` of nuisance parameters, and `rates` with a row for each sample."""
     import pandas as pd
 
-    epoch, frame = (result.attrs.get(name) for name in ("epoch_utc", "frame_N"))
+    epoch, frame_N = (result.attrs.get(name) for name in ("epoch_utc", "frame_N"))
     pass_of = result["pass_of"].values
-    time, rate, sun, q = (result[name].values for name in ("time", "omega_B", "sun_B", "B_from_N"))
+    time, rate, sun = (result[name].values for name in ("time", "omega_B", "sun_B"))
+    quaternion = result["B_from_N"].values
     columns: dict[str, Any] = {
         "time_s": time,
         "utc": ["" if epoch is None else utc_after(t, epoch, 3) for t in time.tolist()],
@@ -310,21 +318,23 @@ def rates_tables(result: Any) -> Iterator[Table]:
         columns[f"sigma_{axis}_rad_s"] = np.sqrt(result["omega_cov_B"].values[:, k, k])
     columns |= rates_in_degrees(columns)
     columns |= {f"sun_{axis}_B": sun[:, k] for k, axis in enumerate("xyz")}
-    columns |= {f"q_{axis}_B_from_N": q[:, k] for k, axis in enumerate("xyzw")}
+    columns |= {f"q_{axis}_B_from_N": quaternion[:, k] for k, axis in enumerate("xyzw")}
     columns["sun_sigma_rad"] = result["sun_sigma_rad"].values
     if "turn_sigma_rad" in result:
         # Rms angle of the attitude error: the errors of the Sun direction and of the rotation about it are perpendicular.
-        angles = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
-        columns["attitude_sigma_rad"] = np.hypot(*angles)
-    frame = "z to the Sun, local" if frame == SUN_Z_LOCAL else frame
-    comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {frame}"
+        columns["attitude_sigma_rad"] = np.hypot(
+            result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
+        )
+    N_in_words = "z to the Sun, local" if frame_N == SUN_Z_LOCAL else frame_N
+    comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {N_in_words}"
     yield passes_table(result)
     if result.sizes.get("estimate"):
         names = ["estimate_value", "estimate_sigma", "estimate_unit"]
-        frame = result[names].to_dataframe().reset_index().dropna()
-        shown = {"pass_id": "pass", "estimate": "estimate", "estimate_value": "value"}
-        shown |= {"estimate_sigma": "±", "estimate_unit": "unit"}
-        yield Table("estimates", frame, "Estimated with the motion", shown)
+        # a pass without an estimate has NaN
+        estimates = result[names].to_dataframe().reset_index().dropna()
+        headings = {"pass_id": "pass", "estimate": "estimate", "estimate_value": "value"}
+        headings |= {"estimate_sigma": "±", "estimate_unit": "unit"}
+        yield Table("estimates", estimates, "Estimated with the motion", headings)
     yield Table("rates", pd.DataFrame(columns), comment=comment)
 
 

@@ -18,7 +18,7 @@ DIMS = ("omega_x", "omega_y", "omega_z")
 DEFAULT_FACTOR = 1.1
 """Near-minimum set of a scan without one: misfit below this factor times the smallest."""
 
-LEAST = 1e-6
+SMALLEST_DRAWN = 1e-6
 """Smaller misfits are drawn as this, because colours follow the logarithm."""
 
 
@@ -46,45 +46,52 @@ def read_near_minimum(scan: Any) -> tuple[np.ndarray, str]:
 
 def scan_summary(scan: Any) -> Summary:
     """Return the summary of a scan: the smallest misfit and its rate, the size of the near-minimum set, the fitted lines."""
-    volume, (points, chosen) = read_misfit(scan), read_near_minimum(scan)
-    at = {name: xr.DataArray(points[:, k], dims="point") for k, name in enumerate(DIMS)}
+    volume, (points, criterion) = read_misfit(scan), read_near_minimum(scan)
+    grid_points = {name: xr.DataArray(points[:, k], dims="point") for k, name in enumerate(DIMS)}
+    misfit_of_points = volume.sel(grid_points, method="nearest").values
     numbers: dict[str, Any] = {
         "metric": str(volume.name),
         "rows": int(volume.size),
         "minimum": float(volume.min()),
-        "best_omega_B": points[np.argmin(volume.sel(at, method="nearest").values)].tolist(),
+        "best_omega_B": points[np.argmin(misfit_of_points)].tolist(),
         "near_minimum_points": len(points),
     }
     directions = volume.attrs.get("directions")
     against = f" against {directions} directions" if directions is not None else ""
     best = f"{numbers['minimum']:.4f} at {rate_text(numbers['best_omega_B'])}"
-    text = f"{volume.size} motions{against}: smallest {volume.metric} {best}; {count_text(len(points), 'point')} {chosen}"
+    line = f"{volume.size} motions{against}: smallest {volume.metric} {best}; {count_text(len(points), 'point')} {criterion}"
     if isinstance(scan, xr.Dataset) and "point" in scan:
-        lines = lines_summary(scan)
-        return Summary(numbers | lines, [text, *lines.lines])
-    return Summary(numbers, [text])
+        fitted_lines = lines_summary(scan)
+        return Summary(numbers | fitted_lines, [line, *fitted_lines.lines])
+    return Summary(numbers, [line])
 
 
 def lines_summary(lines: Any) -> Summary:
-    """Return the summary of fitted lines: a point and the direction of each."""
+    """Return the summary of straight lines in rate space that were fitted to a near-minimum set.
+
+    Each has a point, a direction, and the number of points of the set that lie along it.
+    """
     columns = (lines[name].values.tolist() for name in ("point", "direction", "count"))
     rows = [
-        {"point": p, "direction": d, "points": int(n)} for p, d, n in zip(*columns, strict=True)
+        {"point": point, "direction": direction, "points": int(count)}
+        for point, direction, count in zip(*columns, strict=True)
     ]
-    ends = ((rate_text(row["point"]), number_text(row["direction"])) for row in rows)
-    text = [f"  line through {point} along {direction}" for point, direction in ends]
-    return Summary({"lines": rows}, text)
+    texts = [
+        f"  line through {rate_text(row['point'])} along {number_text(row['direction'])}"
+        for row in rows
+    ]
+    return Summary({"lines": rows}, texts)
 
 
 def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
     """Yield the figure of a scan."""
-    volume, (points, chosen) = read_misfit(scan), read_near_minimum(scan)
+    volume, (points, criterion) = read_misfit(scan), read_near_minimum(scan)
     metric = volume.metric
     yield Drawing(
         "scan",
         lambda: scan_figure(volume, points),
         f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: the {count_text(len(points), 'motion')} with an {metric} {chosen}; any may be "
+        f"The smallest {metric} over ωz. Circles: the {count_text(len(points), 'motion')} with an {metric} {criterion}; any may be "
         "the true one.",
     )
 
@@ -93,9 +100,10 @@ def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
 def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
     """Draw the smallest misfit over omega_z for each omega_x and omega_y, and the near-minimum set `points` (n, 3), rad/s."""
     figure, axes = axes_grid(7.5, 5.6, title="Scan of initial rates")
-    least = np.maximum(volume.min("omega_z").transpose("omega_y", "omega_x").values, LEAST)
+    least = volume.min("omega_z").transpose("omega_y", "omega_x").values  # rows: omega_y
+    least = np.maximum(least, SMALLEST_DRAWN)
     rate_x, rate_y = (np.degrees(volume[name].values) for name in DIMS[:2])
-    # a volume with a single value still needs a range of colours
+    # if all misfits are equal, the scale of colours still needs two different ends
     high = max(np.nanmax(least), 1.001 * np.nanmin(least))
     style = {"shading": "nearest", "cmap": "cividis_r", "rasterized": True}
     image = axes.pcolormesh(rate_x, rate_y, least, norm="log", vmax=high, **style)
@@ -113,18 +121,23 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
 
 
 def scan_tables(scan: Any) -> Iterator[Table]:
-    """Yield the table of the lines fitted to the near-minimum set, if there are any."""
+    """Yield the table `lines`: the lines fitted to the near-minimum set, a row each; nothing if the scan has none.
+
+    The file has the point of each line in rad/s and deg/s, the page in deg/s only.
+    """
     import pandas as pd
 
     if "point" not in scan or "direction" not in scan:
         return
+    point, direction = scan["point"].values, scan["direction"].values  # (line, 3)
     columns: dict[str, Any] = {"points": scan["count"].values}
-    for name, unit in (("point", "_rad_s"), ("direction", "")):
-        columns |= {f"{name}_{a}{unit}": scan[name].values[:, k] for k, a in enumerate("xyz")}
-    columns |= {f"point_{a}_deg_s": np.degrees(columns[f"point_{a}_rad_s"]) for a in "xyz"}
-    shown = {"points": "points"} | {f"point_{a}_deg_s": f"point {a} (deg/s)" for a in "xyz"}
-    shown |= {f"direction_{a}": f"direction {a}" for a in "xyz"}
-    yield Table("lines", pd.DataFrame(columns), "Lines fitted to the near-minimum set", shown)
+    columns |= {f"point_{axis}_rad_s": point[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"direction_{axis}": direction[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"point_{axis}_deg_s": np.degrees(point[:, k]) for k, axis in enumerate("xyz")}
+    headings = {"points": "points"}
+    headings |= {f"point_{axis}_deg_s": f"point {axis} (deg/s)" for axis in "xyz"}
+    headings |= {f"direction_{axis}": f"direction {axis}" for axis in "xyz"}
+    yield Table("lines", pd.DataFrame(columns), "Lines fitted to the near-minimum set", headings)
 
 
 KINDS.update(

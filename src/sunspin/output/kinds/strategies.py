@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from textwrap import fill
 from typing import Any
 
@@ -28,17 +28,18 @@ def strategies_summary(table: Any) -> Summary:
     """Return the summary of a comparison of strategies: the estimates of each one with standard errors."""
     estimates, lines = {}, []
     for name in table["strategy"].values.astype(str):
-        at = table.sel(strategy=name)
-        columns = (at[key].values for key in ("quantity", "value", "error"))
+        of_strategy = table.sel(strategy=name)
+        columns = (of_strategy[column].values for column in ("quantity", "value", "error"))
         estimates[name] = {
-            str(q): {"value": float(v), "error": float(e)}
-            for q, v, e in zip(*columns, strict=True)
-            if np.isfinite(v)
+            str(quantity_name): {"value": float(value), "error": float(error)}
+            for quantity_name, value, error in zip(*columns, strict=True)
+            if np.isfinite(value)
         }
         lines += [f"wheels {name}: {table.attrs['runs']} runs", *estimate_lines(estimates[name])]
-    numbers: dict[str, Any] = {k: int(table.attrs[k]) for k in ("runs", "seed", "candidates")}
-    numbers |= {"not_told": table.attrs["not_told"], "strategies": estimates}
-    return Summary(numbers, lines, [numbers["not_told"]] if numbers["not_told"] else [])
+    numbers: dict[str, Any] = {key: int(table.attrs[key]) for key in ("runs", "seed", "candidates")}
+    undetermined = table.attrs["not_told"]  # in words: what the vehicle file does not determine
+    numbers |= {"not_told": undetermined, "strategies": estimates}
+    return Summary(numbers, lines, [undetermined] if undetermined else [])
 
 
 def strategies_drawings(table: Any, _: Context) -> Iterator[Drawing]:
@@ -51,58 +52,99 @@ def strategies_drawings(table: Any, _: Context) -> Iterator[Drawing]:
 STACKS = (("touches the ground first", "touch"), ("comes to rest on", "rest"))
 """Stacked bars of :func:`strategies_figure`: title, begin of the names of the quantities."""
 
+PARTS = {"leg": "leg", "panel": "panel", "body": "bare body"}
+"""Parts of a stack from below: end of the name of the quantity -> label."""
+
+DOTS = (
+    (
+        "orbiter in the antenna cone",
+        "probability",
+        {
+            "antenna_share": "in flight",
+            "antenna_at_contact": "at contact",
+            "antenna_at_rest": "at rest",
+        },
+    ),
+    (
+        "speed at first contact",
+        "mean speed over ground (m/s)",
+        {"contact_speed": "point that touches", "leg_tip_speed": "fastest leg tip"},
+    ),
+    (
+        "Sun below the body's equator",
+        "share of the time",
+        {"rz_time_below_0": "$r_z$ < 0", "rz_time_below_-0.5": "$r_z$ < -0.5"},
+    ),
+    (
+        "angular speed",
+        "mean (deg/s)",
+        {"rate_before": "before the collision", "rate_after": "after it"},
+    ),
+)
+"""Axes with dots of :func:`strategies_figure`: title, label of the y axis, and quantities -> their labels."""
+
 
 @styled
 def strategies_figure(table: Any) -> Any:
-    """Draw contacts, rest, antenna, speeds, height of the Sun and rates for each strategy, with standard errors."""
+    """Draw contacts, rest, antenna, speeds, height of the Sun and rates for each strategy, with standard errors.
+
+    The first two of the six axes have the stacked bars of `STACKS`, the others the dots of `DOTS`; quantities that the table lacks
+    are left out.
+    """
     title = f"Momentum-wheel strategies after the touchdown: {table.attrs['runs']} runs each, one standard error"
     figure, grid = axes_grid(11, 6.4, 2, 3, title)
-    antenna = {"antenna_share": "in flight", "antenna_at_contact": "at contact"}
-    antenna |= {"antenna_at_rest": "at rest"}
-    speed = {"contact_speed": "point that touches", "leg_tip_speed": "fastest leg tip"}
-    sun = {"rz_time_below_0": "$r_z$ < 0", "rz_time_below_-0.5": "$r_z$ < -0.5"}
-    rate = {"rate_before": "before the collision", "rate_after": "after it"}
-    # title, label of the axis, quantities with their labels
-    dots = (
-        ("orbiter in the antenna cone", "probability", antenna),
-        ("speed at first contact", "mean speed over ground (m/s)", speed),
-        ("Sun below the body's equator", "share of the time", sun),
-        ("angular speed", "mean (deg/s)", rate),
-    )
-    names = table["strategy"].values.astype(str)
-    quantities_known = set(table["quantity"].values)
-    places = np.arange(len(names))
+    strategies = table["strategy"].values.astype(str)
+    place = np.arange(len(strategies))
     for axes, (title, prefix) in zip(grid.flat, STACKS, strict=False):
-        bottom = np.zeros(len(names))
-        touching = {"leg": "leg", "panel": "panel", "body": "bare body"}
-        for k, (kind, label) in enumerate(touching.items()):
-            if f"{prefix}_{kind}" in quantities_known:
-                at = table.sel(quantity=f"{prefix}_{kind}")
-                style = {"color": COLOURS[k], "hatch": HATCHES[k], "alpha": 0.85, "ec": "white"}
-                axes.bar(places, at["value"], 0.65, bottom, label=label, **style)
-                bottom = bottom + at["value"].values
-                bars = clip_errors(bottom, at["error"].values)
-                axes.errorbar(places, bottom, bars, fmt="none", ecolor="black", lw=1, capsize=2)
-        axes.set(title=title, ylabel="probability", ylim=(0, 1.22))
-        if not np.any(bottom):
-            explain_empty_axes(axes, "not determined without a hull")
-    for axes, (title, label, quantities) in zip(grid.flat[2:], dots, strict=True):
-        for k, (name, text) in enumerate(quantities.items()):
-            if name in quantities_known:
-                at = table[["value", "error"]].sel(quantity=name) * quantity(name).scale
-                value, error = at["value"].values, at["error"].values
-                bars = error if "(" in label else clip_errors(value, error)  # a share has no unit
-                style = {"fmt": "osD"[k], "ms": 5, "color": COLOURS[k], "capsize": 2}
-                axes.errorbar(places + 0.12 * (k - 0.5), value, bars, label=text, **style)
-        axes.set(title=title, ylabel=label, ylim=(0, 1.3 * max(axes.dataLim.y1, 1e-3)))
-        if not quantities_known & set(quantities):
-            explain_empty_axes(axes, "not determined by this vehicle and scenario")
+        _draw_stack(axes, table, prefix)
+        axes.set(title=title, ylabel="probability", ylim=(0, 1.22))  # room for the legend above 1
+    for axes, (title, label, quantities) in zip(grid.flat[2:], DOTS, strict=True):
+        _draw_dots(axes, table, quantities, probability="(" not in label)  # no unit in the label
+        top = 1.3 * max(axes.dataLim.y1, 1e-3)  # room for the legend, even if all values are 0
+        axes.set(title=title, ylabel=label, ylim=(0, top))
     for axes in grid.flat:
         if axes.get_legend_handles_labels()[0]:
             axes.legend(ncols=3, loc="upper center", columnspacing=1, handletextpad=0.3)
-        axes.set_xticks(places, [fill(strategy_name(name), 10) for name in names])
-        axes.set_xlim(-0.6, len(names) - 0.4)
+        axes.set_xticks(place, [fill(strategy_name(name), 10) for name in strategies])
+        axes.set_xlim(-0.6, len(strategies) - 0.4)
     return figure
+
+
+def _draw_stack(axes: Any, table: Any, prefix: str) -> None:
+    """Draw for each strategy a bar of the probabilities of the `PARTS`, stacked; the error bars are at the top of each part.
+
+    `prefix`: "touch" or "rest", with which the names of the quantities begin.
+    """
+    place = np.arange(table.sizes["strategy"])
+    top = np.zeros(len(place))  # of the parts drawn so far
+    for k, (part, label) in enumerate(PARTS.items()):
+        if f"{prefix}_{part}" in table["quantity"].values:
+            estimates = table.sel(quantity=f"{prefix}_{part}")
+            style = {"color": COLOURS[k], "hatch": HATCHES[k], "alpha": 0.85, "ec": "white"}
+            axes.bar(place, estimates["value"], 0.65, top, label=label, **style)
+            top = top + estimates["value"].values
+            error_bars = clip_errors(top, estimates["error"].values)
+            axes.errorbar(place, top, error_bars, fmt="none", ecolor="black", lw=1, capsize=2)
+    if not np.any(top):
+        explain_empty_axes(axes, "not determined without a hull")
+
+
+def _draw_dots(axes: Any, table: Any, quantities: Mapping[str, str], probability: bool) -> None:
+    """Draw dots with error bars for each strategy and quantity (name -> label), side by side.
+
+    `probability`: whether the values are probabilities, so that their error bars end at 0 and 1.
+    """
+    place = np.arange(table.sizes["strategy"])
+    known = [name for name in quantities if name in table["quantity"].values]
+    for k, (name, label) in enumerate(quantities.items()):
+        if name in known:
+            estimates = table[["value", "error"]].sel(quantity=name) * quantity(name).scale
+            value, error = estimates["value"].values, estimates["error"].values
+            error_bars = clip_errors(value, error) if probability else error
+            style = {"fmt": "osD"[k], "ms": 5, "color": COLOURS[k], "capsize": 2}
+            axes.errorbar(place + 0.12 * (k - 0.5), value, error_bars, label=label, **style)
+    if not known:
+        explain_empty_axes(axes, "not determined by this vehicle and scenario")
 
 
 def strategies_tables(table: Any) -> Iterator[Table]:
@@ -111,26 +153,28 @@ def strategies_tables(table: Any) -> Iterator[Table]:
 
     rows = []
     for name in table["quantity"].values.astype(str):
-        label, at = quantity(name), table.sel(quantity=name)
-        if np.isfinite(at["value"]).any():
-            values, errors = at["value"].values * label.scale, at["error"].values * label.scale
-            texts = [with_sigma(v, e) for v, e in zip(values, errors, strict=True)]
-            rows.append([name, capitalize_first(label.heading), *texts])
-    names = table["strategy"].values.astype(str)
-    frame = pd.DataFrame(rows, columns=["quantity", "what", *names])
-    shown = {"what": "quantity"} | {name: strategy_name(name) for name in names}
-    yield Table("strategies", frame, "Commands to the wheel (one standard error)", shown)
+        in_words, estimates = quantity(name), table.sel(quantity=name)
+        if np.isfinite(estimates["value"]).any():
+            values = estimates["value"].values * in_words.scale
+            errors = estimates["error"].values * in_words.scale
+            cells = map(with_sigma, values, errors)
+            rows.append([name, capitalize_first(in_words.heading), *cells])
+    strategies = table["strategy"].values.astype(str)
+    frame = pd.DataFrame(rows, columns=["quantity", "what", *strategies])
+    headings = {"what": "quantity"} | {name: strategy_name(name) for name in strategies}
+    yield Table("strategies", frame, "Commands to the wheel (one standard error)", headings)
 
 
 def landing_summary(tree: Any) -> Summary:
     """Return the summary of a landing: the strategies, runs that could not be computed, and the collision if simulated."""
-    numbers, lines = strategies_summary(tree["strategies"].to_dataset()), []
+    strategies = strategies_summary(tree["strategies"].to_dataset())
+    numbers, lines = dict(strategies), []
     for name, runs in read_runs(tree).items():
         lines += run_lines(runs, numbers["strategies"][name])
     if "collision" in tree:
         numbers["collision"] = collision = collision_summary(tree["collision"].to_dataset())
         lines += collision.lines
-    return Summary(numbers, lines, numbers.notes)
+    return Summary(numbers, lines, strategies.notes)
 
 
 def read_runs(tree: Any) -> dict[str, Any]:

@@ -24,6 +24,9 @@ from sunspin.telemetry.sun import STATUS_TEXT, SunStatus, is_reconstructed
 MOST_JOINED = 80
 """Number of samples up to which dotted lines connect them."""
 
+NO_MISFIT = 1e-4
+"""Value at which smaller misfits Delta are drawn on their logarithmic axis; that of a direction from three panels is 0."""
+
 UNKNOWN_WAY = np.radians(60.0)
 """Angle (rad) between successive Sun directions from which no line connects them, as the path in between is not known."""
 
@@ -62,19 +65,19 @@ def signals_figure(telemetry: xr.Dataset) -> Any:
 
 
 def _draw_signals(axes: Any, telemetry: xr.Dataset, time_axis: TimeAxis) -> None:
-    """Draw the signals of the panels into axes, with a legend above them."""
-    labels_of_units = {"power_W": "power (W)", "current_A": "current (A)"}
-    name = next(name for name in labels_of_units if name in telemetry)
+    """Draw the signals of the panels into axes, powers or currents, with a legend above them."""
+    axis_titles = {"power_W": "power (W)", "current_A": "current (A)"}
+    name = next(name for name in axis_titles if name in telemetry)
     hours = telemetry["time"].values / 3600
     gaps = find_gaps(hours)  # a NaN before each pause breaks the line
     x = np.insert(time_axis.x(hours), gaps, np.nan)
     line = ".:" if hours.size <= MOST_JOINED else "."  # lines between many samples hide them
     labels = axis_labels(telemetry["panel"].values)
     for k, panel in enumerate(telemetry["panel"].values):
-        broken = np.insert(telemetry[name].sel(panel=panel).values, gaps, np.nan)
-        text = f"panel {labels[k]}"
-        axes.plot(x, broken, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=text)
-    axes.set_ylabel(labels_of_units[name])
+        signal = np.insert(telemetry[name].sel(panel=panel).values, gaps, np.nan)
+        label = f"panel {labels[k]}"
+        axes.plot(x, signal, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=label)
+    axes.set_ylabel(axis_titles[name])
     # about 120 characters fit side by side; each entry has a line sample and a space besides its name
     columns = int(np.clip(120 // (max(map(len, labels), default=1) + 9), 1, 8))
     axes.legend(ncols=columns, columnspacing=0.8, handletextpad=0.2, **ABOVE)
@@ -96,22 +99,25 @@ def sun_summary(sun: Any) -> Summary:
     lines = [f"Sun direction determined for {reconstructed.sum()} of {reconstructed.size} samples"]
     lines += status_lines(sun)
     if numbers["median_sigma_deg"] is not None:
-        size = "" if numbers["noise_from"] == "given" else f"{size_text(numbers['noise'])}, "
-        noise = f"(noise: {size}{numbers['noise_from']})"
-        lines.append(f"  median 1-sigma error {numbers['median_sigma_deg']:.2f} deg {noise}")
+        source = numbers["noise_from"]
+        # the size of a given noise is in the vehicle file, maybe one for each panel
+        noise = source if source == "given" else f"{size_text(numbers['noise'])}, {source}"
+        lines.append(
+            f"  median 1-sigma error {numbers['median_sigma_deg']:.2f} deg (noise: {noise})"
+        )
     return Summary(numbers, lines)
 
 
 def status_counts(sun: Any) -> dict[str, int]:
     """Return the number of samples with each status text, the most frequent first."""
-    texts, numbers = np.unique(sun["status_text"].values, return_counts=True)
-    order = np.argsort(-numbers, kind="stable")
-    return dict(zip(texts[order].tolist(), numbers[order].tolist(), strict=True))
+    texts, counts = np.unique(sun["status_text"].values, return_counts=True)
+    by_frequency = np.argsort(-counts, kind="stable")
+    return dict(zip(texts[by_frequency].tolist(), counts[by_frequency].tolist(), strict=True))
 
 
 def status_lines(sun: Any) -> list[str]:
     """Return the counts of :func:`status_counts` as lines."""
-    return [f"  {number:6d}  {text}" for text, number in status_counts(sun).items()]
+    return [f"  {count:6d}  {text}" for text, count in status_counts(sun).items()]
 
 
 def sun_drawings(sun: Any, context: Context) -> Iterator[Drawing]:
@@ -138,52 +144,73 @@ def sun_directions_figure(
     hours = (sun["time"].values if "time" in sun.coords else np.arange(sun.sizes["time"])) / 3600
     rows, height = (2, 5.6) if telemetry is None else (3, 8.5)
     title = "Panel signals and the directions to the Sun that follow from them"
-    ratios = (3, 3, 1.6)[3 - rows :]
+    ratios = (3, 3, 1.6)[-rows:]  # of signals, if drawn, directions and misfit
     figure, grid = axes_grid(10, height, rows, 1, title, sharex=True, height_ratios=ratios)
     time_axis = build_time_axis(3600 * hours)
-    x, direction, error = time_axis.x(hours), sun["sun_B"].values, sun["sigma_rad"].values
-    has_direction = np.isfinite(direction[:, 0])
+    x = time_axis.x(hours)
     if telemetry is not None:
         _draw_signals(grid[0], telemetry, time_axis)
-    middle, low = grid[-2:]
+    sun_axes, misfit_axes = grid[-2:]
+    _draw_directions(sun_axes, sun, x, connected_stretches(hours, sun))
+    _draw_misfits(misfit_axes, sun, x)
+    top = 60 if events else 1  # room for the names of events
+    misfit_axes.set(ylim=(5e-5, top), ylabel=r"$\Delta$")
+    label_time_axis(misfit_axes, sun, time_axis)
+    for k, (event, second) in enumerate((events or {}).items()):
+        place = float(time_axis.x(np.asarray(second / 3600)))
+        for axes in grid:
+            axes.axvline(place, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
+        # names at three heights, and on alternating sides of their lines, overlap less; the first is at the left edge
+        side = "right" if k % 2 == 0 and k > 0 else "left"
+        style = {"ha": side, "va": "center", "bbox": ON_PAPER}
+        misfit_axes.text(place, 20 / 4 ** (k % 3), f" {event}", fontsize=7, **style)
+    return figure
+
+
+def _draw_directions(
+    axes: Any, sun: xr.Dataset, x: np.ndarray, stretches: list[np.ndarray]
+) -> None:
+    """Draw the components of the Sun direction with one sigma, and grey marks for samples without one, by status.
+
+    `x`: positions (n) of the samples on the time axis; `stretches`: indices of the samples that a line connects.
+    """
+    direction, error = sun["sun_B"].values, sun["sigma_rad"].values
+    has_direction = np.isfinite(direction[:, 0])
     for k, axis in enumerate("xyz"):
         style = {"fmt": ".", "ms": 5, "lw": 0.8, "color": COLOURS[k], "label": f"$n_{axis}$"}
-        middle.errorbar(
-            x[has_direction], direction[has_direction, k], error[has_direction], **style
-        )
-    for piece in connected_stretches(hours, sun):
+        axes.errorbar(x[has_direction], direction[has_direction, k], error[has_direction], **style)
+    for samples in stretches:
         for k in range(3):
             style = {"lw": 0.6, "alpha": 0.6, "color": COLOURS[k], "zorder": 1}
-            middle.plot(x[piece], direction[piece, k], "-", **style)
+            axes.plot(x[samples], direction[samples, k], "-", **style)
     markers = {SunStatus.ARC: "|", SunStatus.REGION: "x", SunStatus.DARK: "v", SunStatus.RULE: "s"}
     for status in SunStatus:
         at = sun["status"].values == status
         if status not in (SunStatus.OK, SunStatus.UNCHECKED) and at.any():
-            text = f"{re.split('[:(]', STATUS_TEXT[status])[0].strip()} ({at.sum()})"
-            # below the components, a line for each status
+            # the begin of the text, without its explanation
+            label = f"{re.split('[:(]', STATUS_TEXT[status])[0].strip()} ({at.sum()})"
+            # below the components, a line for each status; those without direction count from 2
             height = np.full(at.sum(), -1.1 - 0.05 * (int(status) - 2))
             marker = markers.get(status, "d")
-            middle.plot(x[at], height, marker, ms=4, color=COLOURS[7], label=text)
-    middle.set(ylim=(-1.5, 1.15), ylabel="Sun direction, body axes")
-    middle.legend(ncols=4, fontsize=7, columnspacing=0.8, handletextpad=0.2, **ABOVE)
+            axes.plot(x[at], height, marker, ms=4, color=COLOURS[7], label=label)
+    axes.set(ylim=(-1.5, 1.15), ylabel="Sun direction, body axes")
+    axes.legend(ncols=4, fontsize=7, columnspacing=0.8, handletextpad=0.2, **ABOVE)
+
+
+def _draw_misfits(axes: Any, sun: xr.Dataset, x: np.ndarray) -> None:
+    """Draw the misfit Delta of each sample with a direction on a logarithmic axis, at positions `x` (n) of the samples.
+
+    A direction from exactly three panels has no misfit to check; grey crosses mark it.
+    """
     status = sun["status"].values
     checked, unchecked = status == SunStatus.OK, status == SunStatus.UNCHECKED
-    delta = np.maximum(sun["delta"].values, 1e-4)  # the axis is logarithmic
-    low.semilogy(x[checked], delta[checked], ".", color=COLOURS[6], ms=4)
+    delta = np.maximum(sun["delta"].values, NO_MISFIT)
+    axes.semilogy(x[checked], delta[checked], ".", color=COLOURS[6], ms=4)
     if unchecked.any():
-        text = "exactly three panels lit: always 0"
-        zero = np.full(unchecked.sum(), 1e-4)
-        low.plot(x[unchecked], zero, "x", color=COLOURS[7], ms=4, label=text)
-        low.legend(**ABOVE)
-    low.set(ylim=(5e-5, 60 if events else 1), ylabel=r"$\Delta$")  # room for the names of events
-    label_time_axis(low, sun, time_axis)
-    for k, (event, second) in enumerate((events or {}).items()):
-        at = float(time_axis.x(np.asarray(second / 3600)))
-        for axes in grid:
-            axes.axvline(at, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
-        style = {"ha": "right" if k % 2 == 0 and k else "left", "va": "center", "bbox": ON_PAPER}
-        low.text(at, 20 / 4 ** (k % 3), f" {event}", fontsize=7, **style)
-    return figure
+        label = "exactly three panels lit: always 0"
+        zero = np.full(unchecked.sum(), NO_MISFIT)
+        axes.plot(x[unchecked], zero, "x", color=COLOURS[7], ms=4, label=label)
+        axes.legend(**ABOVE)
 
 
 def connected_stretches(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
@@ -196,15 +223,14 @@ def connected_stretches(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
     direction = sun["sun_B"].values[with_direction]
     far = (direction[1:] * direction[:-1]).sum(axis=1) < np.cos(UNKNOWN_WAY)
     phase = sun["phase"].values.astype(str) if "phase" in sun.coords else np.full(hours.size, "")
-    usual = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
-    parted = (
+    usual_interval = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
+    separated = (
         (phase[with_direction[1:]] != phase[with_direction[:-1]])
-        | (np.diff(hours[with_direction]) > PAUSE * usual)
+        | (np.diff(hours[with_direction]) > PAUSE * usual_interval)
         | far
     )
-    return [
-        piece for piece in np.split(with_direction, np.flatnonzero(parted) + 1) if piece.size > 1
-    ]
+    stretches = np.split(with_direction, np.flatnonzero(separated) + 1)
+    return [samples for samples in stretches if samples.size > 1]
 
 
 def sun_tables(sun: Any) -> Iterator[Table]:
@@ -216,10 +242,10 @@ def sun_tables(sun: Any) -> Iterator[Table]:
     columns |= {f"sun_{axis}_B": sun["sun_B"].values[:, k] for k, axis in enumerate("xyz")}
     names = ("delta", "sigma_rad", "status_text", "utc", "phase")
     columns |= {name: sun[name].values for name in names if name in sun.variables}
-    shown = {"time_s": "time (s)", "delta": "Delta", "sigma_rad": "error (rad)"}
-    shown |= {f"sun_{axis}_B": f"Sun {axis}" for axis in "xyz"} | {"status_text": "status"}
+    headings = {"time_s": "time (s)", "delta": "Delta", "sigma_rad": "error (rad)"}
+    headings |= {f"sun_{axis}_B": f"Sun {axis}" for axis in "xyz"} | {"status_text": "status"}
     comment = f"time_s from {sun.attrs.get('epoch_utc')}; body axes; sigma_rad is the rms angle of the error"
-    yield Table("sun", pd.DataFrame(columns), "Sun direction of each sample", shown, comment)
+    yield Table("sun", pd.DataFrame(columns), "Sun direction of each sample", headings, comment)
 
 
 KINDS.update(

@@ -31,19 +31,35 @@ UNCLEAR_ROTATION_RAD = 2.0
 PLATE_M = 0.5
 """Distance (m) of a panel's plate from the centre, for a vehicle file without hull."""
 
+HALF_PLATE_M = 0.45
+"""Half the edge (m) of such a plate; plates of a cube leave gaps between them."""
+
+
+class Shape(NamedTuple):
+    """The body as triangles.
+
+    `vertices` (n, 3): in body axes, m; `faces` (m, 3): indices of the vertices of each triangle; `owner` (m): index of the panel of
+    each triangle, -1 for none; `size`: distance of the farthest vertex or leg tip from the origin, m.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    owner: np.ndarray
+    size: float
+
 
 def body_in_motion(results: Results, motions: Motions) -> Iterator[View]:
     """Yield a view of the rotating vehicle for each motion whose instants are close enough to show it."""
     vehicle = results.vehicle
     if vehicle is None:
         return
-    for k, (title, run) in enumerate(motions):
-        animation = _animate(vehicle, run)
+    for k, (title, motion) in enumerate(motions):
+        animation = _animate(vehicle, motion)
         if animation is None:
             continue
         figure, frames = animation
-        about = capitalize_first(str(run.attrs.get("about", "")))
-        shape = "The vehicle's file gives no shape: panels are plates of equal size."
+        about = capitalize_first(str(motion.attrs.get("about", "")))
+        no_hull = " The vehicle's file gives no shape: panels are plates of equal size."
         yield View(
             f"motion-{k}",
             title,
@@ -51,91 +67,124 @@ def body_in_motion(results: Results, motions: Motions) -> Iterator[View]:
             "The vehicle in three dimensions as it rotates; the line under it states time, angular speed and wheel speeds.",
             (f"{about}. " if about else "")
             + "Gold: direction to the Sun. Blue: angular momentum, or the first axis of rotation if the momentum is not known. "
-            f"A panel is the brighter the more sunlight it gets.{'' if vehicle.hull else f' {shape}'}",
+            f"A panel is the brighter the more sunlight it gets.{'' if vehicle.hull else no_hull}",
             frames,
         )
 
 
-def _animate(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[str, Any]]] | None:
-    """Return the figure of a motion and the frames of its animation.
+def _animate(vehicle: Vehicle, motion: xr.Dataset) -> tuple[go.Figure, list[dict[str, Any]]] | None:
+    """Return the figure of a motion and the frames of its animation as plain data for plotly.js.
 
     None if the attitude is known at fewer than two instants, or at instants too far apart to see the path in between.
     """
-    t = np.asarray(run["time"].values, dtype=float)
-    order = np.argsort(t)
-    states = np.concatenate([run["B_from_N"].values, run["omega_B"].values], axis=1)[order]
-    order = order[np.flatnonzero(np.isfinite(states).all(axis=1))]
-    if len(order) < 2:
+    instants = _choose_instants(motion)
+    if instants is None:
         return None
-    t, speed = t[order], np.linalg.norm(run["omega_B"].values[order], axis=1)
-    # rotation (rad) since the first instant, by the trapezoidal rule
-    rotation = np.concatenate([[0.0], np.cumsum(np.diff(t) * (speed[1:] + speed[:-1]) / 2)])
-    if np.diff(rotation).max() > UNCLEAR_ROTATION_RAD:
-        return None
-    # frames evenly spaced in rotation, not in time; `frames` are indices into t, `at` into the times of the run
-    end = min(rotation[-1], LARGEST_ROTATION_RAD * (MOST_FRAMES - 1))
-    frames = np.unique(np.searchsorted(rotation, np.linspace(0.0, end, MOST_FRAMES)))
-    if rotation[-1] == 0:
-        frames = np.array([0, len(t) - 1])
-    at = order[frames]
-    attitude = Rotation.from_quat(run["B_from_N"].values[at])
-    sun, omega = run["sun_B"].values[at], run["omega_B"].values[at]
-    has_momentum = "momentum_B" in run
-    up = run["momentum_B"].values[at[0]] if has_momentum else omega[0]
+    attitude = Rotation.from_quat(motion["B_from_N"].values[instants])
+    sun, omega = motion["sun_B"].values[instants], motion["omega_B"].values[instants]
+    has_momentum = "momentum_B" in motion
+    up = motion["momentum_B"].values[instants[0]] if has_momentum else omega[0]
     # rotations from body axes to those of the scene, one for each frame
     to_scene = _inertial_to_scene(attitude[0], sun[0], up) * attitude.inv()
-    vertices, faces, owner, size = _shape(vehicle)
+    shape = _shape(vehicle)
     toward_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
     # signal of each panel (frame, panel) as a fraction of its largest one
     light = vehicle.response_of_panels().power(toward_sun) / vehicle.panel_gains
-    wheels = np.zeros((len(at), 0))
-    if "wheel_speed_rad_s" in run:
-        wheels = run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)
     # each leg is a line from the origin to its tip, and a NaN ends the line
     legs = [(np.zeros(3), leg.tip_B_m, np.full(3, np.nan)) for leg in vehicle.legs]
-    lines, reach = np.array(legs).reshape(-1, 3), 1.3 * size
-    name = "angular momentum" if has_momentum else "axis of rotation"
-    still = [
-        _arrow(to_scene[0].apply(sun[0]), reach, COLOURS[4], "Sun"),
-        _arrow(to_scene[0].apply(up), reach, COLOURS[0], name),
-    ]
-
-    def pose(k: int) -> list[dict[str, Any]]:
-        """Return the changes of body and legs in frame `k`: coordinates and colours."""
-        colours = [_panel_colour(light[k, panel]) if panel >= 0 else "#9aa2a9" for panel in owner]
-        tips = to_scene[k].apply(lines) if len(lines) else lines
-        body, ends = (
-            {axis: values.round(6).tolist() for axis, values in zip("xyz", points.T, strict=True)}
-            for points in (to_scene[k].apply(vertices), tips)
-        )
-        return [body | {"facecolor": colours}, ends]
-
-    body, ends = pose(0)
+    leg_lines, reach = (
+        np.array(legs).reshape(-1, 3),
+        1.3 * shape.size,
+    )  # half the width of the scene
+    poses = [_pose(shape, leg_lines, to_scene[k], light[k]) for k in range(len(instants))]
+    body, leg_ends = poses[0]
     mesh = go.Mesh3d(
-        body | dict(zip("ijk", faces.T, strict=True)),
+        body | dict(zip("ijk", shape.faces.T, strict=True)),
         flatshading=True,
         hoverinfo="skip",
         lighting={"ambient": 0.85, "diffuse": 0.3},
     )
-    figure = go.Figure([mesh, line_trace(lines, INK, 5).update(ends), *still])
-    texts = []
-    for frame, speeds in zip(frames, wheels, strict=True):
-        words = [_time_text(run, float(t[frame])), f"{np.degrees(speed[frame]):.3g} deg/s"]
-        for wheel, spin in zip(vehicle.wheels, speeds, strict=False):
-            words.append(
-                f"{wheel.name} {f'{spin:.0f} rad/s' if np.isfinite(spin) else 'not known'}"
-            )
-        texts.append(", ".join(words))
-    # plain data for plotly.js: plotly's classes would check each trace and take ten seconds
-    poses = [{"name": str(k), "traces": [0, 1], "data": pose(k)} for k in range(len(frames))]
-    axes = {f"{a}axis": {"range": [-reach, reach], "visible": False} for a in "xyz"}
+    up_name = "angular momentum" if has_momentum else "axis of rotation"
+    figure = go.Figure(
+        [
+            mesh,
+            line_trace(leg_lines, INK, 5).update(leg_ends),
+            _arrow(to_scene[0].apply(sun[0]), reach, COLOURS[4], "Sun"),
+            _arrow(to_scene[0].apply(up), reach, COLOURS[0], up_name),
+        ]
+    )
+    axes = {f"{axis}axis": {"range": [-reach, reach], "visible": False} for axis in "xyz"}
     figure.update_layout(
         scene=axes, scene_aspectmode="cube", scene_camera_eye={"x": 0.5, "y": -1.3, "z": 0.4}
     )
+    figure.update_layout(_controls(_frame_texts(vehicle, motion, instants)))
+    # plain data for plotly.js: plotly's classes would check each trace and take ten seconds
+    frames = [{"name": str(k), "traces": [0, 1], "data": pose} for k, pose in enumerate(poses)]
+    return set_page_style(figure), frames
+
+
+def _choose_instants(motion: xr.Dataset) -> np.ndarray | None:
+    """Return the indices of the times of a motion that are frames of its animation, evenly spaced in rotation, not in time.
+
+    None as for :func:`_animate`. A motion that rotates too much for `MOST_FRAMES` ends early; one at rest has its first and last
+    instant.
+    """
+    t = np.asarray(motion["time"].values, dtype=float)
+    by_time = np.argsort(t)
+    states = np.concatenate([motion["B_from_N"].values, motion["omega_B"].values], axis=1)[by_time]
+    known = by_time[np.flatnonzero(np.isfinite(states).all(axis=1))]
+    if len(known) < 2:
+        return None
+    speed = np.linalg.norm(motion["omega_B"].values[known], axis=1)
+    # rotation (rad) since the first instant, by the trapezoidal rule
+    rotation = np.concatenate([[0.0], np.cumsum(np.diff(t[known]) * (speed[1:] + speed[:-1]) / 2)])
+    if np.diff(rotation).max() > UNCLEAR_ROTATION_RAD:
+        return None
+    if rotation[-1] == 0:
+        return known[[0, -1]]
+    end = min(rotation[-1], LARGEST_ROTATION_RAD * (MOST_FRAMES - 1))
+    return known[np.unique(np.searchsorted(rotation, np.linspace(0.0, end, MOST_FRAMES)))]
+
+
+def _pose(
+    shape: Shape, leg_lines: np.ndarray, to_scene: Rotation, light: np.ndarray
+) -> list[dict[str, Any]]:
+    """Return the coordinates of body and legs in one frame, and the colours of the body's triangles.
+
+    `leg_lines` (n, 3): points of the legs in body axes; `light` (panel): signal of each panel as a fraction of its largest.
+    """
+    colours = [_panel_colour(light[panel]) if panel >= 0 else "#9aa2a9" for panel in shape.owner]
+    leg_points = to_scene.apply(leg_lines) if len(leg_lines) else leg_lines
+    body, legs = (
+        {axis: values.round(6).tolist() for axis, values in zip("xyz", points.T, strict=True)}
+        for points in (to_scene.apply(shape.vertices), leg_points)
+    )
+    return [body | {"facecolor": colours}, legs]
+
+
+def _frame_texts(vehicle: Vehicle, motion: xr.Dataset, instants: np.ndarray) -> list[str]:
+    """Return for each frame its time, the angular speed and the wheel speeds, in words; `instants`: indices of its times."""
+    t, speed = motion["time"].values, np.linalg.norm(motion["omega_B"].values, axis=1)
+    wheel_speeds = np.zeros((len(t), 0))
+    if "wheel_speed_rad_s" in motion:
+        wheel_speeds = motion["wheel_speed_rad_s"].values.reshape(len(t), -1)
+    texts = []
+    for k in instants:
+        words = [_time_text(motion, float(t[k])), f"{np.degrees(speed[k]):.3g} deg/s"]
+        for wheel, wheel_speed in zip(vehicle.wheels, wheel_speeds[k], strict=False):
+            known = np.isfinite(wheel_speed)
+            words.append(f"{wheel.name} {f'{wheel_speed:.0f} rad/s' if known else 'not known'}")
+        texts.append(", ".join(words))
+    return texts
+
+
+def _controls(texts: list[str]) -> dict[str, Any]:
+    """Return the parts of plotly's layout that play an animation: two buttons, and a slider with a text for each frame."""
     play: dict[str, Any] = {"frame": {"duration": 60, "redraw": True}, "fromcurrent": True}
     play["transition"] = {"duration": 0}
     stop = {"frame": {"duration": 0, "redraw": False}, "mode": "immediate"}
     show = {"frame": {"duration": 0, "redraw": True}, "mode": "immediate"}
+    # plotly's convention: None plays all frames, [None] stops, [name] shows one frame
     buttons = [
         {"label": "▶ Play", "method": "animate", "args": [None, play]},
         {"label": "❚❚ Pause", "method": "animate", "args": [[None], stop]},
@@ -147,11 +196,11 @@ def _animate(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[st
     corner = {"x": 0, "y": 0, "xanchor": "left", "yanchor": "top", "pad": {"t": 8}}
     menu = {"type": "buttons", "direction": "right", **corner, "buttons": buttons}
     # page.css replaces the colour by that of the theme
-    shown_now = {"prefix": "", "font": {"size": 13, "color": GREY}}
+    current_text = {"prefix": "", "font": {"size": 13, "color": GREY}}
+    # no ticks and labels along the slider
     bare = {"ticklen": 0, "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}
-    slider = {"currentvalue": shown_now, "pad": {"t": 50}, **bare, "steps": steps}
-    figure.update_layout(updatemenus=[menu], sliders=[slider])
-    return set_page_style(figure), poses
+    slider = {"currentvalue": current_text, "pad": {"t": 50}, **bare, "steps": steps}
+    return {"updatemenus": [menu], "sliders": [slider]}
 
 
 def _inertial_to_scene(attitude: Rotation, sun_B: np.ndarray, up_B: np.ndarray) -> Rotation:
@@ -167,19 +216,6 @@ def _inertial_to_scene(attitude: Rotation, sun_B: np.ndarray, up_B: np.ndarray) 
         side = side - (side @ z) * z
     x = side / np.linalg.norm(side)
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
-
-
-class Shape(NamedTuple):
-    """The body as triangles.
-
-    `vertices` (n, 3): in body axes, m; `faces` (m, 3): indices of the vertices of each triangle; `owner` (m): index of the panel of
-    each triangle, -1 for none; `size`: distance of the farthest vertex or leg tip from the origin, m.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    owner: np.ndarray
-    size: float
 
 
 def _shape(vehicle: Vehicle) -> Shape:
@@ -216,12 +252,14 @@ def _plates(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]]:
     """Return a square plate of two triangles for each panel as in `Shape`, without size."""
     vertices, faces, owner = [], [], []
     for k, normal in enumerate(vehicle.panel_normals_B):
+        # unit vectors along the edges; the first is across the axis that is farthest from the normal
         u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
         u /= np.linalg.norm(u)
-        v, base = np.cross(normal, u), 4 * k
+        v = np.cross(normal, u)
         corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        vertices += [PLATE_M * normal + 0.45 * (a * u + b * v) for a, b in corners]
-        faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
+        vertices += [PLATE_M * normal + HALF_PLATE_M * (a * u + b * v) for a, b in corners]
+        first = 4 * k  # index of the plate's first vertex
+        faces += [[first, first + 1, first + 2], [first, first + 2, first + 3]]
         owner += [k, k]
     return np.array(vertices).reshape(-1, 3), faces, owner
 
@@ -234,7 +272,7 @@ def _panel_colour(share: float) -> str:
 
 
 def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.Scatter3d:
-    """Return an arrow from the origin with its name at the tip."""
+    """Return an arrow from the origin with its name at the tip; a zero direction gives a point."""
     tip = direction / max(float(np.linalg.norm(direction)), 1e-30) * length
     return go.Scatter3d(
         {axis: [0, end] for axis, end in zip("xyz", tip, strict=True)},

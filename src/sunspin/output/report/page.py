@@ -51,20 +51,17 @@ def _render_page(results: Results) -> str:
     """Return the HTML of the page."""
     summary = results.summary
     views = results.attempt("the views", lambda: _views(results)) or {}
-    # `reproduce` writes headline, score and conclusions, the other commands sentences
-    sentences = [str(line) for key in ("headline", "score") for line in _read_list(summary, key)]
-    count = len(sentences) or FIRST_SENTENCES
-    sentences += [
-        str(line) for line in _read_list(summary, "conclusions" if sentences else "sentences")
-    ]
+    first_sentences, folded_sentences = _sentences(summary)
     figures = []
     for figure in results.figures:
-        kind = "svg+xml" if figure.name.endswith(".svg") else "png"
-        data = f"data:image/{kind};base64,{base64.b64encode(figure.content).decode('ascii')}"
+        image_type = "svg+xml" if figure.name.endswith(".svg") else "png"
+        data = f"data:image/{image_type};base64,{base64.b64encode(figure.content).decode('ascii')}"
         figures.append(figure._asdict() | {"data": data})
-    shown = [view for part in views.values() for view in part]
+    # id of the HTML element -> figure and frames as plain data for plotly.js
     plotted = {
-        view.id: json.loads(view.figure.to_json()) | {"frames": view.frames} for view in shown
+        view.id: json.loads(view.figure.to_json()) | {"frames": view.frames}
+        for views_of_section in views.values()
+        for view in views_of_section
     }
     scripts = [*([_plotly()] if plotted else []), _read_asset("page.js")]
     return _template().render(
@@ -72,8 +69,8 @@ def _render_page(results: Results) -> str:
         results=results,
         stop=str(summary.get("stop") or ""),
         changes=[str(line) for line in _read_list(summary, "changes")],
-        first=sentences[:count],
-        folded=sentences[count:],
+        first=first_sentences,
+        folded=folded_sentences,
         views=views,
         figures=figures,
         tables=results.tables + _event_tables(results),
@@ -88,19 +85,35 @@ def _render_page(results: Results) -> str:
     )
 
 
+def _sentences(summary: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Return the sentences of the first screen, and those that are folded.
+
+    `reproduce` writes headline and score for the first screen, and conclusions; the other commands write sentences in one list.
+    """
+    first = [str(line) for key in ("headline", "score") for line in _read_list(summary, key)]
+    if first:
+        return first, [str(line) for line in _read_list(summary, "conclusions")]
+    sentences = [str(line) for line in _read_list(summary, "sentences")]
+    return sentences[:FIRST_SENTENCES], sentences[FIRST_SENTENCES:]
+
+
 def _views(results: Results) -> dict[str, list[Any]]:
     """Return the interactive views of each section of the page, by its heading; sections without views are left out."""
     from sunspin.output.report.body import body_in_motion
     from sunspin.output.report.views import rate_space, read_motions, sun_on_sphere
 
     motions = results.attempt("the motions", lambda: read_motions(results)) or []
-    parts = {
+    # None for a section that failed, and for the Sun's path without data
+    attempts = {
         "Motion": results.attempt("the motion", lambda: list(body_in_motion(results, motions))),
         "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results, motions)]),
         "Rate space": results.attempt("rate space", lambda: list(rate_space(results))),
     }
-    views = {title: [view for view in part or [] if view] for title, part in parts.items()}
-    return {title: part for title, part in views.items() if part}
+    sections = {
+        heading: [view for view in views or [] if view is not None]
+        for heading, views in attempts.items()
+    }
+    return {heading: views for heading, views in sections.items() if views}
 
 
 def _read_list(summary: dict[str, Any], key: str) -> list[Any]:
@@ -144,7 +157,10 @@ def _event_tables(results: Results) -> list[PageTable]:
 
 
 def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return name and text of each entry of the summary that the page shows nowhere else."""
+    """Return name and text of each entry of the summary that the page shows nowhere else.
+
+    A dict becomes an entry for each of its keys.
+    """
     entries = []
     for key, value in summary.items():
         if key not in HIDDEN:

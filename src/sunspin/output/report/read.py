@@ -81,7 +81,7 @@ class Results:
                 yield file, data
 
     def first_with(self, *names: str) -> xr.Dataset | None:
-        """Return the first Dataset that holds all these variables, or None."""
+        """Return the first Dataset, in the order of the manifest, that holds all these variables, or None."""
         return next((data for _, data in self.with_variables(*names)), None)
 
     @property
@@ -143,7 +143,10 @@ def read_results(folder: str | Path) -> Results:
 
 
 def _read_data(path: Path, _: Any) -> dict[str, xr.Dataset]:
-    """Read the groups of a NetCDF file, each with the attributes of the root added."""
+    """Read the groups of a NetCDF file, by name of file and group, each with the attributes of the root added.
+
+    Groups without variables are left out, unless the file has no other.
+    """
     if path.stat().st_size > MAX_DATA_BYTES:
         size = f"{MAX_DATA_BYTES / 1e6:.0f} MB"
         raise InputError(f"the file is larger than {size}", do="look into it with xarray")
@@ -164,17 +167,19 @@ def _read_figure(path: Path, entry: Any) -> PageFigure:
 
 def _read_tables(path: Path, entry: Any) -> list[PageTable]:
     """Read the table of a CSV file; the list is empty if the page shows none of its columns."""
-    shown = entry.get("shown")
-    if not isinstance(shown, dict) or not shown:
+    headings = entry.get("shown")  # columns that the page shows -> their headings
+    if not isinstance(headings, dict) or not headings:
         return []
     lines = [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
     rows = csv.reader(io.StringIO("\n".join(lines)))
-    head = next(rows)
-    columns = [(head.index(name), str(heading)) for name, heading in shown.items() if name in head]
-    cells = [[_cell_text(row[index]) for index, _ in columns] for row in islice(rows, MAX_ROWS)]
-    left = sum(1 for _ in rows)
+    names = next(rows)
+    columns = [name for name in headings if name in names]
+    indices = [names.index(name) for name in columns]
+    cells = [[_cell_text(row[index]) for index in indices] for row in islice(rows, MAX_ROWS)]
+    omitted = sum(1 for _ in rows)  # the rows after `MAX_ROWS`
     title = str(entry.get("title", ""))
-    return [PageTable(title, [heading for _, heading in columns], cells, path.name, left)]
+    head = [str(headings[name]) for name in columns]
+    return [PageTable(title, head, cells, path.name, omitted)]
 
 
 def _cell_text(text: str) -> str:

@@ -32,14 +32,14 @@ OF_KIND = {
 }
 """Kind of a row -> its entry `holds` -> verdict."""
 
-CHAINS = {
+SOURCES = {
     "telemetry": "from this telemetry",
     "scan": "from the scan's 90 % set",
     "posterior": "from the posterior of the readings",
     "published": "from the printed lines",
     "none": "no telemetry",
 }
-"""Source of a row in words; another source is the name of a file of candidates."""
+"""Source of our value, the entry `chain` of a row, in words; another source is the name of a file of candidates."""
 
 FIGURE = re.compile(r"figure_\d+")
 """Form of the ids of rows that only refer a figure of the paper to figures of this run."""
@@ -55,15 +55,15 @@ def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
     entries = [row for row in entries if isinstance(row, dict)]
     if not entries:
         return None
-    shown = [_row_texts(row) for row in entries]
-    sections: dict[str, dict[str, list[dict[str, str]]]] = {}
-    for row in shown:
+    rows = [_row_texts(row) for row in entries]
+    sections: dict[str, dict[str, list[dict[str, str]]]] = {}  # section -> part -> rows
+    for row in rows:
         sections.setdefault(row["section"], {}).setdefault(row["part"], []).append(row)
-    count = Counter(row["verdict"] for row in shown)
-    tests = any(count[key] for key in TESTS)
-    title = "The paper against this run, row by row" if tests else "Figures of this run"
+    count = Counter(row["verdict"] for row in rows)
+    has_tests = any(count[key] for key in TESTS)
+    title = "The paper against this run, row by row" if has_tests else "Figures of this run"
     filters = [
-        {"key": key, "label": text[2:], "count": count[key]}
+        {"key": key, "label": text[2:], "count": count[key]}  # without the mark of the verdict
         for key, text in VERDICTS.items()
         if count[key]
     ]
@@ -71,9 +71,15 @@ def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def verdict_of(row: dict[str, Any]) -> str:
-    """Return the key of `VERDICTS` for a row of the summary. Only an informative test agrees or differs."""
-    kind, agrees, holds = (row.get(key) for key in ("kind", "agrees", "holds"))
-    agrees, holds = (value if isinstance(value, bool) else None for value in (agrees, holds))
+    """Return the key of `VERDICTS` for a row of the summary. Only an informative test agrees or differs.
+
+    A row without a kind, as of an old file, is a test. A row without a verdict is a figure, or its values cannot be compared.
+    """
+    kind = row.get("kind")
+    # anything but a truth value, as in a damaged file, is no verdict
+    agrees, holds = (
+        row[key] if isinstance(row.get(key), bool) else None for key in ("agrees", "holds")
+    )
     if kind in OF_KIND:
         return OF_KIND[kind][holds]
     if kind in ("test", None):
@@ -85,21 +91,24 @@ def verdict_of(row: dict[str, Any]) -> str:
 
 
 def _row_texts(row: dict[str, Any]) -> dict[str, str]:
-    """Return the texts of a row, by the names that the template uses."""
+    """Return the texts of a row, by the names that the template uses.
+
+    The remark is the tolerance of a test with a verdict, or says why a row cannot be compared.
+    """
     verdict, tolerance = verdict_of(row), row.get("tolerance")
     remark = ""
     if tolerance is not None and verdict in ("agrees", "differs"):
         remark = f"within {number_text(tolerance, 3)}"
     if row.get("informative") is False and verdict == "not-comparable":
         remark = "the data leave it open"
-    chain = str(row.get("chain") or "")
-    texts = ("id", "part", "section", "what", "note", "source")
-    return {name: str(row.get(name, "")) for name in texts} | {
+    source = str(row.get("chain") or "")
+    unchanged = ("id", "part", "section", "what", "note", "source")
+    return {name: str(row.get(name, "")) for name in unchanged} | {
         "published": "–" if row.get("published") is None else number_text(row["published"]),
         "ours": number_text(row.get("ours")),
         "interval": interval_text(row.get("low"), row.get("high")),
         "before": interval_text(row.get("prior_low"), row.get("prior_high")),
-        "chain": CHAINS.get(chain, f"from the motions of {chain}" if chain else ""),
+        "chain": SOURCES.get(source, f"from the motions of {source}" if source else ""),
         "unit": "" if row.get("unit") == "1" else str(row.get("unit", "")),
         "verdict": verdict,
         "verdict_text": VERDICTS[verdict],
@@ -115,9 +124,8 @@ def interval_text(low: Any, high: Any) -> str:
     if low is None or high is None:
         return ""
     if isinstance(low, list) and isinstance(high, list) and len(low) == len(high):
-        return "; ".join(
-            text for pair in zip(low, high, strict=True) if (text := interval_text(*pair))
-        )
+        texts = (interval_text(*ends) for ends in zip(low, high, strict=True))
+        return "; ".join(text for text in texts if text)
     return " to ".join(
         number_text(round(end, 5) if isinstance(end, float) and abs(end) < 1 else end, 3)
         for end in (low, high)

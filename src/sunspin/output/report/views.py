@@ -50,26 +50,29 @@ Motions = list[tuple[str, xr.Dataset]]
 
 
 def read_motions(results: Results) -> Motions:
-    """Return the first motions of a folder; each pass of a result of `rates` is a motion."""
+    """Return the first `MOST_MOTIONS` motions of a folder; each pass of a result of `rates` is a motion.
+
+    Motions of the Philae study are first, in the order of `FIRST`; the others follow in the order of the manifest.
+    """
     motions, telemetry = [], results.data.get("telemetry")
     for name, data in results.with_variables("B_from_N", "sun_B", "omega_B"):
         if "pass_of" not in data:
             motions.append((str(data.attrs.get("title", name)), data))
             continue
         wheels = str(data.attrs.get("wheels", ""))
-        for title, run in pass_motions(data):
+        for title, motion in pass_motions(data):
             if results.vehicle is not None:
-                run = with_wheel_speeds(run, results.vehicle, telemetry, wheels)
-            motions.append((title, run))
+                motion = with_wheel_speeds(motion, results.vehicle, telemetry, wheels)
+            motions.append((title, motion))
     rank = {title: k for k, title in enumerate(FIRST)}
-    return sorted(motions, key=lambda item: rank.get(item[0], len(FIRST)))[:MOST_MOTIONS]
+    return sorted(motions, key=lambda motion: rank.get(motion[0], len(FIRST)))[:MOST_MOTIONS]
 
 
 def sun_on_sphere(results: Results, motions: Motions) -> View | None:
     """Return the view of measured Sun directions on the unit sphere in body axes, with the paths of motions; None without data."""
     sun = results.first_with("sun_B", "status")
     traces = _sphere()
-    empty_count = len(traces)
+    traces_without_data = len(traces)
     if sun is not None:
         has_direction = np.isfinite(sun["sun_B"].values).all(axis=1)
         phase = np.full(has_direction.size, "samples")
@@ -78,12 +81,13 @@ def sun_on_sphere(results: Results, motions: Motions) -> View | None:
         for k, name in enumerate(dict.fromkeys(phase[has_direction])):
             points = _thin(sun["sun_B"].values[has_direction & (phase == name)])
             traces.append(_point_trace(points, name.replace("_", " "), COLOURS[k % 6], 4))
-    for k, (title, run) in enumerate(motions):
-        path = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
+    for k, (title, motion) in enumerate(motions):
+        sun_B = motion["sun_B"].values
+        path = sun_B / np.linalg.norm(sun_B, axis=1, keepdims=True)
         # slightly outside the unit sphere, so that dots do not hide it
         trace = line_trace(1.004 * path[:MOST_PATH], INK, 3, f"path: {title}")
         traces.append(trace.update(visible=True if k == 0 else "legendonly", showlegend=True))
-    if len(traces) == empty_count:
+    if len(traces) == traces_without_data:
         return None
     if results.vehicle is not None and len(results.vehicle.panels):
         traces.append(_panel_labels(results.vehicle))
@@ -104,18 +108,23 @@ def sun_on_sphere(results: Results, motions: Motions) -> View | None:
 
 def _sphere() -> list[Any]:
     """Return the traces of a unit sphere: parallels and meridians, and a pale ball inside that hides the far side."""
-    angle, gap, rings = np.linspace(0, 2 * np.pi, 73), np.full((1, 3), np.nan), []
+    angle, rings = np.linspace(0, 2 * np.pi, 73), []
+    gap = np.full((1, 3), np.nan)  # breaks the line between two circles
     for z in np.sin(np.radians([-60, -30, 0, 30, 60])):
         radius = np.sqrt(1 - z**2)
         parallel = [radius * np.cos(angle), radius * np.sin(angle), np.full(73, z)]
         rings += [np.stack(parallel, 1), gap]
     for azimuth in np.radians(np.arange(0, 180, 30)):
-        across = np.cos(angle)
-        meridian = [np.cos(azimuth) * across, np.sin(azimuth) * across, np.sin(angle)]
+        in_equator = np.cos(angle)  # component in the plane of the equator
+        meridian = [np.cos(azimuth) * in_equator, np.sin(azimuth) * in_equator, np.sin(angle)]
         rings += [np.stack(meridian, 1), gap]
-    v, u = np.meshgrid(np.linspace(0, np.pi, 19), np.linspace(0, 2 * np.pi, 37), indexing="ij")
-    ball = 0.98 * np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)])
-    pale = [[0, "#b8c0c8"], [1, "#b8c0c8"]]
+    theta, phi = np.meshgrid(  # angle from z, azimuth
+        np.linspace(0, np.pi, 19), np.linspace(0, 2 * np.pi, 37), indexing="ij"
+    )
+    ball = 0.98 * np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)]
+    )
+    pale = [[0, "#b8c0c8"], [1, "#b8c0c8"]]  # a scale of one colour
     surface = go.Surface(
         coordinates(np.moveaxis(ball, 0, -1)),
         surfacecolor=(0 * ball[0]).astype(np.float32),
@@ -144,59 +153,73 @@ def _panel_labels(vehicle: Vehicle) -> go.Scatter3d:
 
 
 def rate_space(results: Results) -> Iterator[View]:
-    """Yield the views of initial rates that fit: draws of a posterior, or near-minimum sets of scans with their lines."""
+    """Yield the views of initial rates that fit: the draws of a posterior, or else the near-minimum set of each scan."""
     draws = results.first_with("omega_B", "log_weight", "solution_id")
     if draws is not None:
-        omega = np.degrees(draws["omega_B"].values.reshape(-1, 3).astype(float))
-        solution = draws["solution_id"].values.ravel()
-        numbers, counts = np.unique(solution, return_counts=True)
-        traces = [
-            _point_trace(_thin(omega[solution == n]), f"solution {n + 1}", COLOURS[k % 6], 2)
-            for k, n in enumerate(numbers[np.argsort(-counts)][:7])
-        ]
-        text = "Draws of the body rate at the first sample, body axes, a colour for each solution."
-        yield View("rate-space", "Rate space", _rate_figure(traces, "deg/s"), text, text)
+        yield _draws_view(draws)
         return
     for k, (_, scan) in enumerate(results.with_variables("near_minimum")):
-        points = scan["near_minimum"].values
-        member = 0 * points[:, 0]
-        if "member" in scan and scan["member"].size == len(points):
-            member = scan["member"].values
-        traces = [
-            _point_trace(_thin(points[member == group]), f"set {int(group) + 1}", COLOURS[i % 6], 3)
-            for i, group in enumerate(np.unique(member))
-        ]
-        rates = (scan[f"omega_{a}"] for a in "xyz")
-        box = [(float(rate.min()), float(rate.max())) for rate in rates]
-        # the lines fitted to the set, and in the Philae study those of the paper
-        for point, direction, label, colour in (
-            ("point", "direction", "fitted lines", INK),
-            ("published_point", "published_direction", "published lines", COLOURS[1]),
-        ):
-            if point in scan and scan[point].ndim == 2:
-                pieces = []
-                for p, d in zip(scan[point].values, scan[direction].values, strict=True):
-                    pieces += [_clip_line(p, d, box), np.full((1, 3), np.nan)]
-                path = np.concatenate(pieces)
-                traces.append(line_trace(path, colour, 5, label).update(showlegend=True))
-        if "truth" in scan:
-            name, point = "truth of the synthetic telemetry", scan["truth"].values[None]
-            traces.append(_point_trace(point, name, COLOURS[4], 8))
-        about = str(scan.attrs.get("about", ""))
-        caption = (
-            f"Each dot is a motion, by its initial body rate: the {len(points)} with a misfit near the smallest. "
-            "This set is not a confidence region."
-        )
-        title = f"Rate space: scan {about}" if about else "Rate space"
-        alt = (
-            "A cloud of initial body rates whose misfit is near the smallest, and lines through it."
-        )
-        figure = _rate_figure(traces, "rad/s")
-        span = np.ptp(box, axis=1) / np.ptp(box, axis=1).max()
-        ratio = {a: max(float(part), 0.2) for a, part in zip("xyz", span, strict=True)}
-        ends = {f"{a}axis_range": ends for a, ends in zip("xyz", box, strict=True)}
-        figure.update_scenes({**ends, "aspectmode": "manual", "aspectratio": ratio})
-        yield View(f"rate-space-{k}", title, figure, alt, caption)
+        yield _scan_view(scan, f"rate-space-{k}")
+
+
+def _draws_view(draws: xr.Dataset) -> View:
+    """Return the view of the draws of a posterior, in deg/s, with a colour for each of the seven solutions that have most draws."""
+    omega = np.degrees(draws["omega_B"].values.reshape(-1, 3).astype(float))
+    solution = draws["solution_id"].values.ravel()
+    numbers, counts = np.unique(solution, return_counts=True)
+    traces = [
+        _point_trace(_thin(omega[solution == n]), f"solution {n + 1}", COLOURS[k % 6], 2)
+        for k, n in enumerate(numbers[np.argsort(-counts)][:7])
+    ]
+    text = "Draws of the body rate at the first sample, body axes, a colour for each solution."
+    return View("rate-space", "Rate space", _rate_figure(traces, "deg/s"), text, text)
+
+
+def _scan_view(scan: xr.Dataset, element_id: str) -> View:
+    """Return the view of the near-minimum set of a scan, in rad/s, with the lines fitted to it and the truth if it is known.
+
+    A set of several groups, as of the Philae study, has `member`, the group of each point.
+    """
+    points = scan["near_minimum"].values
+    group_of = 0 * points[:, 0]
+    if "member" in scan and scan["member"].size == len(points):
+        group_of = scan["member"].values
+    traces = [
+        _point_trace(_thin(points[group_of == group]), f"set {int(group) + 1}", COLOURS[i % 6], 3)
+        for i, group in enumerate(np.unique(group_of))
+    ]
+    rates = (scan[f"omega_{axis}"] for axis in "xyz")
+    box = [(float(rate.min()), float(rate.max())) for rate in rates]  # of the scanned rates
+    # the lines fitted to the set, and in the Philae study those of the paper
+    for point, direction, label, colour in (
+        ("point", "direction", "fitted lines", INK),
+        ("published_point", "published_direction", "published lines", COLOURS[1]),
+    ):
+        if point in scan and scan[point].ndim == 2:
+            pieces = []
+            for point_on_line, along in zip(
+                scan[point].values, scan[direction].values, strict=True
+            ):
+                pieces += [_clip_line(point_on_line, along, box), np.full((1, 3), np.nan)]
+            path = np.concatenate(pieces)
+            traces.append(line_trace(path, colour, 5, label).update(showlegend=True))
+    if "truth" in scan:
+        name, truth = "truth of the synthetic telemetry", scan["truth"].values[None]
+        traces.append(_point_trace(truth, name, COLOURS[4], 8))
+    about = str(scan.attrs.get("about", ""))
+    caption = (
+        f"Each dot is a motion, by its initial body rate: the {len(points)} with a misfit near the smallest. "
+        "This set is not a confidence region."
+    )
+    title = f"Rate space: scan {about}" if about else "Rate space"
+    alt = "A cloud of initial body rates whose misfit is near the smallest, and lines through it."
+    figure = _rate_figure(traces, "rad/s")
+    # the sides of the view are as long as those of the box, but a flat box is made thicker to be seen
+    span = np.ptp(box, axis=1) / np.ptp(box, axis=1).max()
+    ratio = {axis: max(float(side), 0.2) for axis, side in zip("xyz", span, strict=True)}
+    ranges = {f"{axis}axis_range": ends for axis, ends in zip("xyz", box, strict=True)}
+    figure.update_scenes({**ranges, "aspectmode": "manual", "aspectratio": ratio})
+    return View(element_id, title, figure, alt, caption)
 
 
 def _rate_figure(traces: list[Any], unit: str) -> go.Figure:
@@ -216,9 +239,11 @@ def _clip_line(
     with np.errstate(divide="ignore", invalid="ignore"):
         # parameters of the line at which it meets the two planes of each axis
         crossings = (np.array(box) - point[:, None]) / direction[:, None]
-    low, high = np.nanmax(crossings.min(axis=1)), np.nanmin(crossings.max(axis=1))
-    inside = low < high
-    return point + np.array([[low], [high]]) * direction if inside else np.full((2, 3), np.nan)
+    # the line enters the box at the last of the nearer planes and leaves it at the first of the farther ones
+    enters, leaves = np.nanmax(crossings.min(axis=1)), np.nanmin(crossings.max(axis=1))
+    if not enters < leaves:
+        return np.full((2, 3), np.nan)
+    return point + np.array([[enters], [leaves]]) * direction
 
 
 def _point_trace(points: np.ndarray, name: str, colour: str, size: float) -> go.Scatter3d:
@@ -249,7 +274,7 @@ def set_page_style(figure: go.Figure) -> go.Figure:
 
 def _thin(points: np.ndarray) -> np.ndarray:
     """Return every k-th point, with the smallest k that leaves at most `MOST_POINTS`."""
-    return points[:: -(-len(points) // MOST_POINTS) or 1]
+    return points[:: max(int(np.ceil(len(points) / MOST_POINTS)), 1)]
 
 
 def coordinates(points: np.ndarray) -> dict[str, np.ndarray]:
