@@ -72,7 +72,7 @@ def test_simulated_directions_agree_with_the_reference_trajectory(scan, monkeypa
         return samples.exact_power(vehicle, tilt)
 
     monkeypatch.setattr(study, "add_rebound_noise", exact)
-    rebound = study.simulate_rebound(scan, 1, 0)
+    (rebound,) = study.simulate_rebounds(scan, 1, range(1))
     t = used["t"] - used["t"][0]
     run = propagate(CASE.vehicle, rebound.omega_B, rebound.sun_B, 865.0, t)
     np.testing.assert_allclose(used["sun_B"], run["sun_B"].values, atol=3 * study.DIRECTION_ERROR)
