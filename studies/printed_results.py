@@ -242,7 +242,7 @@ class Rebound(NamedTuple):
 
 
 def simulate_rebounds(scan: Scan, seed: int, numbers: range) -> list[Rebound]:
-    """Draw true rates and simulate the readings of their rebounds: each follows from seed and number alone."""
+    """Draw true rates and simulate the readings of their rebounds: each follows from seed and number, within `DIRECTION_ERROR`."""
     vehicle = scan.case.vehicle
     drawn = []
     for number in numbers:
