@@ -177,6 +177,50 @@ def carry(
     return moved
 
 
+def _entry_of_bodies(sources: int) -> Any:
+    """Return the cached entry point for motions of several bodies; `sources` as in `_entry`."""
+
+    @cached("compiling the step of rates for many bodies, once (some 5 s)")
+    def run(states, dt, counts, momentum, momentum_end, inertia, inverse, nothing):
+        _ = sources
+        size = len(states) // len(inertia)
+        for k in range(len(inertia)):
+            rows = slice(k * size, (k + 1) * size)
+            loads = Loads(momentum[rows], momentum_end[rows], nothing, nothing)
+            body = BodyNumbers(inertia[k], np.zeros(3), np.zeros(3), 0.0)
+            _advance(states[rows], dt[rows], counts[rows], loads, body, inverse[k])
+
+    return run
+
+
+_run_bodies = _entry_of_bodies(digest(__file__))
+
+
+def carry_bodies(
+    states: np.ndarray,
+    dt_s: np.ndarray,
+    counts: np.ndarray,
+    momenta: tuple[np.ndarray, np.ndarray],
+    inertia: np.ndarray,
+) -> np.ndarray:
+    """Return states (b, n, 7) of b bodies without torques, n of each, after `dt_s` (b, n) seconds in `counts` (b, n) steps.
+
+    `momenta` (b, n, 3) of the wheels at the start and at the end, and `inertia` (b, 3, 3), in mean moments. A state is as in
+    :func:`carry`; a motion is the same as there.
+    """
+    moved = np.array(states, dtype=np.float64, order="C").reshape(-1, WITHOUT_NADIR)
+    _run_bodies(
+        moved,
+        _plain(dt_s).ravel(),
+        np.require(counts, np.int64, ["C", "W"]).ravel(),
+        *(_plain(momentum).reshape(-1, 3) for momentum in momenta),
+        _plain(inertia),
+        _plain(symmetric_inverse(inertia)),
+        np.zeros((0, 3)),
+    )
+    return moved.reshape(states.shape)
+
+
 def _plain(values: np.ndarray) -> np.ndarray:
     """Return float64 values in one block that can be written: arrays of another kind would compile the step once more."""
     return np.require(values, np.float64, ["C", "W"])

@@ -1,0 +1,1 @@
+"""How a spacecraft moved, estimated from what its sensors saw: model, observations, search, fit, evidence, verdict."""

@@ -1,0 +1,40 @@
+"""How much an estimate may compute: counted in motions times samples, never in seconds, so that a result is the same anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+
+USUAL = 2e5
+"""Motions times samples fitted that an effort of one allows in a pass: ten times what a usual pass takes."""
+
+
+@dataclass
+class Budget:
+    """What was `used` of what is allowed; `cut`: something was left out because nothing was left."""
+
+    most: float
+    used: float = 0.0
+    cut: bool = False
+
+    @classmethod
+    def of(cls, effort: float) -> Budget:
+        """Return the budget of one pass for an effort; one is usual, infinity allows anything."""
+        number = isinstance(effort, int | float | np.number) and not isinstance(effort, bool)
+        if not number or not effort > 0:
+            what = "effort must be a positive number, or infinity"
+            raise InputError(what, got=effort, do="1 is the usual effort")
+        return cls(USUAL * float(effort))
+
+    def spend(self, count: float) -> None:
+        """Count so many motions times samples."""
+        self.used += count
+
+    def exhausted(self) -> bool:
+        """Return whether what could be left out has to be; then it is noted that something was."""
+        if self.used >= self.most:
+            self.cut = True
+        return self.used >= self.most

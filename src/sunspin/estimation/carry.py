@@ -1,0 +1,142 @@
+"""Motions carried from one instant to another by the equations of motion, and how they answer to their start and to the inertia.
+
+The steps are those of :mod:`sunspin.dynamics.step`. Answers are differences of runs that take the same steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sunspin.dynamics.step import carry_bodies
+from sunspin.solve.linear import symmetric_inverse, symmetric_product
+from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
+
+STEP_RAD, LEAST_STEPS, MOST_STEPS = 0.4, 2, 400
+"""Turn of the body in one Runge-Kutta step at most: the error over a whole turn is 1e-4 rad, below that of any panel. Steps of one
+interval: 400 of 0.4 rad are 25 turns, more than sparse directions can tell."""
+
+DIFFERENCE = 1e-5
+"""Turn (rad) over an interval by which the rate is changed for the answer of a motion to its start."""
+
+INERTIA_DIFFERENCE = 0.02
+"""The same for the inertia, in sigmas."""
+
+LOST_RAD_S = 1e6
+"""Rate of a motion that no step is fine enough for: it must cost much, not fail."""
+
+
+class Step(NamedTuple):
+    """Motions after their intervals.
+
+    `turned` (K, n, 3, 3): the attitude at the end relative to that at the start; `omega` (K, n, 3). If asked: `by_start` (K, n, 6,
+    6), what turn and rate at the end answer to turn and rate at the start, and `by_inertia` (K, n, 6, e), to one sigma of each
+    error of the inertia.
+    """
+
+    turned: np.ndarray
+    omega: np.ndarray
+    by_start: np.ndarray | None = None
+    by_inertia: np.ndarray | None = None
+
+
+def nutation(inertia: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+    """Return the angular frequency (..., n) in rad/s at which wheels with momenta (n, 3) turn the rate of bodies (..., 3, 3) round.
+
+    Beside the wheels, dw/dt = I^-1 (w x h); the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
+    """
+    square = np.einsum("...ni,...ij,...nj->...n", momentum, inertia, momentum)
+    return np.sqrt(square / np.linalg.det(inertia)[..., None])
+
+
+def angle_turned(
+    inertia: np.ndarray,
+    omega: np.ndarray,
+    dt: npt.ArrayLike,
+    momenta: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Return the angle (..., n) in rad by which body and rate turn at most in intervals dt (n) that begin at rates (..., n, 3)."""
+    swing = np.maximum(*(nutation(inertia, momentum) for momentum in momenta))
+    return (np.linalg.norm(omega, axis=-1) + swing) * np.abs(dt)
+
+
+def step(
+    inertia: np.ndarray,
+    omega: np.ndarray,
+    dt: np.ndarray,
+    momenta: tuple[np.ndarray, np.ndarray],
+    answers: bool = False,
+    errors: np.ndarray | None = None,
+) -> Step:
+    """Carry K motions over n intervals each.
+
+    Parameters
+    ----------
+    inertia : (3, 3) or, of each motion, (K, 3, 3)
+        In mean moments.
+    omega : (K, n, 3), rad/s
+        Rates at the start.
+    dt : (n), s
+        May be negative.
+    momenta : two (n, 3)
+        Momentum of the wheels at start and end, in mean moments times rad/s.
+    answers : bool
+        Whether the answers to the start are wanted.
+    errors : (e, 3, 3), optional
+        Errors of the inertia to which the answers are wanted.
+    """
+    bodies = np.broadcast_to(inertia, (len(omega), 3, 3))
+    angle = angle_turned(bodies, omega, dt, momenta)
+    counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
+    if not answers:
+        turned, rate = _run(bodies[None], omega[None], dt, momenta, counts)
+        return Step(turned[0], rate[0])
+
+    # runs: the motion itself, three with another rate, and one with each error of the inertia
+    errors = np.zeros((0, 3, 3)) if errors is None else errors
+    size = np.where(dt == 0, 1.0, dt)[:, None]
+    rates = np.repeat(omega[None], 4 + len(errors), axis=0)
+    rates[1:4] += np.eye(3)[:, None, None] * (DIFFERENCE / size)
+    bodies = np.repeat(bodies[None], len(rates), axis=0)
+    bodies[4:] += INERTIA_DIFFERENCE * errors[:, None]
+    turned, rate = _run(bodies, rates, dt, momenta, counts)
+    change = np.concatenate([rotation_between(turned[0], turned[1:]), rate[1:] - rate[0]], axis=-1)
+    change = np.moveaxis(change, 0, -1)
+    by_start = np.zeros((*omega.shape[:-1], 6, 6))
+    # a turn at the start is the same turn seen from the axes of the end, and changes no rate
+    by_start[..., :3, :3] = turned[0]
+    by_start[..., 3:] = change[..., :3] * size[..., None] / DIFFERENCE
+    return Step(turned[0], rate[0], by_start, change[..., 3:] / INERTIA_DIFFERENCE)
+
+
+def _run(
+    inertia: np.ndarray,
+    omega: np.ndarray,
+    dt: np.ndarray,
+    momenta: tuple[np.ndarray, np.ndarray],
+    counts: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return relative attitudes (r, K, n, 3, 3) and rates (r, K, n, 3) of r runs of K motions in intervals dt (n).
+
+    Each motion of each run has its own inertia (r, K, 3, 3); `counts` (K, n) of steps are alike in all runs, or differences of runs
+    would be those of the steps.
+    """
+    shape = omega.shape[:-1]
+    start, end = (np.broadcast_to(h, omega.shape) for h in momenta)
+    states = np.zeros((*shape, 7))
+    states[..., :3] = omega @ inertia + start
+    states[..., 6] = 1.0  # the quaternion of no turn
+    rows = (-1, shape[-1])
+    moved = carry_bodies(
+        states.reshape(*rows, 7),
+        np.broadcast_to(dt, shape).reshape(rows),
+        np.broadcast_to(counts, shape).reshape(rows),
+        (start.reshape(*rows, 3), end.reshape(*rows, 3)),
+        inertia.reshape(-1, 3, 3),
+    ).reshape(*shape, 7)
+    lost = ~np.isfinite(moved).all(axis=-1) | ~moved[..., 3:].any(axis=-1)
+    moved[lost] = (LOST_RAD_S, LOST_RAD_S, LOST_RAD_S, 0.0, 0.0, 0.0, 1.0)
+    rate = symmetric_product(symmetric_inverse(inertia)[..., None, :], moved[..., :3] - end)
+    return matrix_from_quaternion(moved[..., 3:]), rate

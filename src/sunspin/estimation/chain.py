@@ -1,0 +1,410 @@
+"""Motions fitted to what was observed: attitude and rate at every sample are unknown (multiple shooting).
+
+Readings at a sample and the equations of motion between neighbours are residuals, equation (smoother) of docs/model.md. The normal
+equations are a chain of 6 x 6 blocks with a border for the other unknowns; a step of Gauss and Newton costs a time linear in the
+number of samples. As each interval starts anew, a start may be poor without the end of a pass being wild. Only the Sun is known in
+N, as its z axis: the turn about it is held by a weak prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.estimation.carry import step
+from sunspin.estimation.copies import distinct
+from sunspin.estimation.model import Model, Noise, Observations, Track
+from sunspin.estimation.settings import SearchSettings
+from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
+from sunspin.solve.linear import (
+    BorderedSystem,
+    DenseSystem,
+    invert_bordered,
+    solve_bordered,
+    solve_dense,
+)
+from sunspin.solve.rotations import rotate_attitude, rotation_between
+
+TURN, RATE = slice(0, 3), slice(3, 6)
+"""Where the turn (rad, B) and the rate (rad/s) of a sample stand among its six unknowns."""
+
+TURN_PRIOR = 10.0
+"""rad; holds the turn about the Sun, which nothing measures, without telling anything."""
+
+RATE_LIMIT = 4.0
+"""No trial rate exceeds this many sigmas of the prior: a step far out of the basin must not overflow."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """K motions fitted under a model.
+
+    `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m) of
+    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown.
+    """
+
+    model: Model
+    motions: Track
+    log_evidence: np.ndarray
+    u_covariance: np.ndarray
+    answer: np.ndarray
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return len(self.log_evidence)
+
+    def take(self, which: np.ndarray | slice) -> Fit:
+        """Return some of the motions."""
+        return Fit(
+            self.model,
+            self.motions.take(which),
+            self.log_evidence[which],
+            self.u_covariance[which],
+            self.answer[which],
+        )
+
+
+class Whitening(NamedTuple):
+    """Inverse Cholesky factors of the covariance that white angular acceleration makes in intervals (n), alike for each axis.
+
+    The covariance of turn and rate is q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt). `matrix` (n, 6, 6); `log_determinant`: half the log
+    of the determinants of all covariances.
+    """
+
+    matrix: np.ndarray
+    log_determinant: float
+
+    @classmethod
+    def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
+        """Return those of unknown torques."""
+        turn = noise.acceleration * dt**1.5 / np.sqrt(3)
+        mixed, rate = 1.5 * turn / dt, noise.acceleration * np.sqrt(dt) / 2
+        matrix = np.zeros((len(dt), 6, 6))
+        for axis in range(3):
+            matrix[:, axis, axis] = 1 / turn
+            matrix[:, axis + 3, axis] = -mixed / (turn * rate)
+            matrix[:, axis + 3, axis + 3] = 1 / rate
+        return cls(matrix, float(3 * (np.log(turn) + np.log(rate)).sum()))
+
+
+def equations(model: Model, motions: Track) -> BorderedSystem:
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
+    k, n = motions.omega.shape[:2]
+    m = motions.u.shape[1]
+    diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
+    border, corner = np.zeros((k, n, 6, m)), np.repeat(np.eye(m)[None], k, axis=0)
+    border_slope, cost = motions.u.copy(), (motions.u**2).sum(axis=1) / 2
+
+    for term, place in zip(model.obs.terms, model.of_terms, strict=True):
+        for residual in term.residuals(motions, motions.u[:, place]):
+            part, weight = residual.law(residual.value)
+            cost += part.sum(axis=1)
+            columns = [
+                (rows, derivative)
+                for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
+                if derivative is not None
+            ]
+            for rows, derivative in columns:
+                weighted = np.swapaxes(weight[..., None, None] * derivative, -1, -2)
+                slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
+                for others, other in columns:
+                    diagonal[..., rows, others] += weighted @ other
+                if residual.by_u is not None:
+                    border[..., rows, place] += weighted @ residual.by_u
+            if residual.by_u is not None:
+                weighted = np.swapaxes(weight[..., None, None] * residual.by_u, -1, -2)
+                corner[:, place, place] += (weighted @ residual.by_u).sum(axis=1)
+                border_slope[:, place] += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+
+    # damping in the measure of what was read: in that of the equations of motion, which are stiff where samples are close together,
+    # it would hold a whole motion in its place
+    damping = damping_scale(diagonal, model.obs.t_s)
+
+    value, by_first, by_second, by_u = defects(model, motions)
+    first_T, second_T = (np.swapaxes(part, -1, -2) for part in (by_first, by_second))
+    cost += np.einsum("kni,kni->k", value, value) / 2
+    diagonal[:, :-1] += first_T @ by_first
+    diagonal[:, 1:] += second_T @ by_second
+    upper = first_T @ by_second
+    slope[:, :-1] += (first_T @ value[..., None])[..., 0]
+    slope[:, 1:] += (second_T @ value[..., None])[..., 0]
+    if m:
+        border[:, :-1] += first_T @ by_u
+        border[:, 1:] += second_T @ by_u
+        by_u_T = np.swapaxes(by_u, -1, -2)
+        corner += (by_u_T @ by_u).sum(axis=1)
+        border_slope += (by_u_T @ value[..., None]).sum(axis=1)[..., 0]
+
+    diagonal[:, 0, TURN, TURN] += _free_turn(model.obs, motions.sun_B[:, 0])
+    diagonal[:, 0, RATE, RATE] += np.eye(3) / model.rate_sigma**2
+    slope[:, 0, RATE] += motions.omega[:, 0] / model.rate_sigma**2
+    cost += (motions.omega[:, 0] ** 2).sum(axis=1) / (2 * model.rate_sigma**2)
+    shared = (border, corner, border_slope) if m else (None, None, None)
+    return BorderedSystem(cost, diagonal, upper, slope, damping, *shared)
+
+
+def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
+    """Return how far motions leave the equations of motion between neighbours (K, n - 1, 6), in sigmas of unknown torques.
+
+    And the derivatives by turn and rate at the first and at the second sample (K, n - 1, 6, 6), and by the unknowns (..., m).
+    """
+    body, dt = model.body, np.diff(model.obs.t_s)
+    momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
+    inertia = body.inertia_at(motions.u[:, model.of_body])
+    made = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
+    relative = motions.attitude[:, 1:] @ np.swapaxes(motions.attitude[:, :-1], -1, -2)
+    value = np.concatenate(
+        [rotation_between(made.turned, relative), motions.omega[:, 1:] - made.omega], axis=-1
+    )
+    assert made.by_start is not None and made.by_inertia is not None
+    by_u = np.zeros((*value.shape, motions.u.shape[1]))
+    by_u[..., model.of_body] = made.by_inertia
+    for term, place in zip(model.obs.terms, model.of_terms, strict=True):
+        push = term.pushes(motions, dt)
+        if push is not None:
+            by_u[..., place] = push
+            value = value - np.einsum("knim,km->kni", push, motions.u[:, place])
+    white = Whitening.of(model.noise, dt).matrix
+    by_second = np.broadcast_to(white, (len(value), *white.shape))
+    return (white @ value[..., None])[..., 0], -white @ made.by_start, by_second, -white @ by_u
+
+
+def damping_scale(read: np.ndarray, t_s: np.ndarray) -> np.ndarray:
+    """Return the damping (K, 6) of turn and rate in the measure of the readings' normal matrices (K, n, 6, 6)."""
+    size = np.einsum("knii->kni", read).mean(axis=1)
+    turn = size[:, TURN].mean(axis=1, keepdims=True)
+    usual_s = np.diff(t_s).mean() if len(t_s) > 1 else 1.0
+    rate = size[:, RATE].mean(axis=1, keepdims=True) + turn * usual_s**2
+    return np.repeat(np.concatenate([turn, rate], axis=1), 3, axis=1)
+
+
+def _free_turn(obs: Observations, sun_B: np.ndarray) -> np.ndarray:
+    """Return the weak prior (K, 3, 3) of the turn about the Sun (K, 3), which no reading tells; without a Sun, of any turn."""
+    if not any(term.of_sun for term in obs.terms):
+        return np.tile(np.eye(3) / TURN_PRIOR**2, (len(sun_B), 1, 1))
+    return sun_B[:, :, None] * sun_B[:, None, :] / TURN_PRIOR**2
+
+
+def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) -> Fit:
+    """Fit states at all samples and the unknowns by Levenberg and Marquardt's method; return the motions with their evidence.
+
+    Unknowns that `motions` lack, as those of a term that was added last, begin at their centres.
+    """
+    limits = np.array([unknown.limit for unknown in model.unknowns])
+    longest = RATE_LIMIT * model.rate_sigma
+
+    def moved(state: tuple[np.ndarray, ...], change: tuple[np.ndarray, np.ndarray | None]):
+        attitude, omega, u = state
+        nodes, shared = change
+        u = u if shared is None else np.clip(u + shared, -limits, limits)
+        u[:, model.of_body] = model.body.possible(u[:, model.of_body])
+        return (
+            rotate_attitude(attitude, nodes[..., TURN]),
+            limit_length(omega + nodes[..., RATE], longest),
+            u,
+        )
+
+    u = np.zeros((len(motions), len(model.unknowns)))
+    u[:, : motions.u.shape[1]] = motions.u[:, : u.shape[1]]
+    solution = least_squares(
+        lambda state: equations(model, Track(*state)),
+        moved,
+        solve_bordered,
+        (motions.attitude, motions.omega, u),
+        steps=steps,
+        tolerance=tolerance,
+    )
+    system, inverse = solution.system, invert_bordered(solution.system)
+    fitted = Track(*solution.state, system.cost, inverse.nodes)
+    determinants = inverse.log_determinant / 2
+    torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    log_evidence = model.log_prior - system.cost - determinants - torques
+    # a fit that ended on a slope has a matrix of no minimum, and no evidence
+    log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
+    return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
+
+
+def variance_of(model: Model, motions: Track, weights: np.ndarray) -> np.ndarray:
+    """Return the variances (K, r) of sums of turns and rates over the samples with weights (K, n, r, 6)."""
+    system = equations(model, motions)
+    still = None if system.border_slope is None else np.zeros_like(system.border_slope)
+    variances = []
+    for row in range(weights.shape[2]):
+        asked = system._replace(slope=-weights[..., row, :], border_slope=still)
+        (nodes, _), _ = solve_bordered(asked, np.zeros(len(motions)))
+        variances.append(np.einsum("kni,kni->k", weights[..., row, :], nodes))
+    return np.maximum(np.stack(variances, axis=1), 0.0)
+
+
+def carried(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
+    """Return the motions, without unknowns, that have attitudes (K, 3, 3) and rates (K, 3) at a sample."""
+    n = len(model.obs)
+    attitudes, rates = np.empty((len(omega), n, 3, 3)), np.empty((len(omega), n, 3))
+    attitudes[:, sample], rates[:, sample] = attitude, omega
+    for start, end in _ways(sample, n):
+        made = _one_step(model, rates[:, start], start, end)
+        attitudes[:, end] = made.turned[:, 0] @ attitudes[:, start]
+        rates[:, end] = made.omega[:, 0]
+    return Track.free(attitudes, rates)
+
+
+def _ways(sample: int, n: int) -> list[tuple[int, int]]:
+    """Return the steps from sample to sample, away from one to both ends."""
+    return [(i, i + 1) for i in range(sample, n - 1)] + [(i, i - 1) for i in range(sample, 0, -1)]
+
+
+def _one_step(model: Model, omega: np.ndarray, start: int, end: int, answers: bool = False):
+    """Carry rates (K, 3) from one sample to another with the inertia of the vehicle file."""
+    t_s, momentum = model.obs.t_s, model.obs.momentum
+    dt = np.array([t_s[end] - t_s[start]])
+    momenta = momentum[start][None], momentum[end][None]
+    return step(model.body.inertia, omega[:, None], dt, momenta, answers)
+
+
+def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
+    """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
+
+    Where samples are close together a chain is too stiff to move: a step that bends with the turns breaks the motion. Six numbers
+    of one sample bend nothing. The model has no unknowns.
+    """
+    n = len(model.obs)
+    longest = RATE_LIMIT * model.rate_sigma
+
+    def linearise(state: tuple[np.ndarray, np.ndarray]) -> DenseSystem:
+        attitude, omega = state
+        k = len(omega)
+        track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        answer = np.empty((k, n, 6, 6))
+        track.attitude[:, sample], track.omega[:, sample], answer[:, sample] = *state, np.eye(6)
+        for start, end in _ways(sample, n):
+            made = _one_step(model, track.omega[:, start], start, end, answers=True)
+            track.attitude[:, end] = made.turned[:, 0] @ track.attitude[:, start]
+            track.omega[:, end] = made.omega[:, 0]
+            answer[:, end] = made.by_start[:, 0] @ answer[:, start]
+        matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
+        for term in model.obs.terms:
+            for residual in term.residuals(track, track.u):
+                part, weight = residual.law(residual.value)
+                cost += part.sum(axis=1)
+                derivative = sum(
+                    by @ answer[..., rows, :]
+                    for rows, by in ((TURN, residual.by_turn), (RATE, residual.by_rate))
+                    if by is not None
+                )
+                weighted = np.swapaxes(weight[..., None, None] * derivative, -1, -2)
+                matrix += (weighted @ derivative).sum(axis=1)
+                slope += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+        matrix[:, TURN, TURN] += _free_turn(model.obs, track.sun_B[:, sample])
+        matrix[:, RATE, RATE] += np.eye(3) / model.rate_sigma**2
+        slope[:, RATE] += omega / model.rate_sigma**2
+        cost += (omega**2).sum(axis=1) / (2 * model.rate_sigma**2)
+        return DenseSystem(cost, matrix, slope, extras=(track.attitude, track.omega))
+
+    solution = least_squares(
+        linearise,
+        lambda state, change: (
+            rotate_attitude(state[0], change[:, TURN]),
+            limit_length(state[1] + change[:, RATE], longest),
+        ),
+        solve_dense,
+        (motions.attitude[:, sample], motions.omega[:, sample]),
+        steps=steps,
+    )
+    return replace(Track.free(*solution.system.extras), cost=solution.system.cost)
+
+
+def costs(obs: Observations, motions: Track) -> np.ndarray:
+    """Return the cost of the readings (K, n) of motions without unknowns."""
+    total = np.zeros(motions.omega.shape[:2])
+    for term in obs.terms:
+        for residual in term.residuals(motions, motions.u):
+            total += residual.law(residual.value)[0]
+    return total
+
+
+class Chain:
+    """How a search fits, compares and carries motions under a model without unknowns: see :class:`search.Carrier`."""
+
+    def __init__(self, model: Model, settings: SearchSettings) -> None:
+        self.model, self.s, self.t_s = model, settings, model.obs.t_s
+
+    def cost_limit(self, window: slice) -> float:
+        """Return the cost that a true motion does not exceed in a window."""
+        return self.model.obs.take(window).cost_limit
+
+    def joined(self, motions: list[Track]) -> Track:
+        """Return the motions of several searches."""
+        return Track.joined(motions)
+
+    def fit(self, motions: Track, window: slice) -> Track:
+        """Return motions fitted to a window; in a short one those that still fit badly are shot first, as the chain creeps."""
+        model = self.model.seeing(window)
+        fitted = fit(model, motions, steps=4).motions
+        half_s = np.abs(model.obs.t_s - model.obs.t_s[len(model.obs) // 2]).max()
+        short = model.noise.acceleration * np.sqrt(half_s**3 / 3) <= self.s.stiff_rad
+        poor = np.flatnonzero(fitted.cost > self.s.poor * model.obs.cost_limit)
+        if not (short and len(poor)):
+            return fitted
+        moved = fit(model, shot(model, len(model.obs) // 2, fitted.take(poor), 8), 4).motions
+        good = fitted.take(np.setdiff1d(np.arange(len(fitted)), poor))
+        return Track.joined([good, moved]) if len(good) else moved
+
+    def kept(self, motions: Track, window: slice) -> Track:
+        """Return motions without copies and without those that are hopeless beside the best, best first."""
+        s = self.s
+        return motions.take(
+            distinct(motions, self.t_s[window], s.most, s.drop, s.copies_rad, s.copies_sigmas)
+        )
+
+    def widened(self, motions: Track, window: slice, wider: slice) -> Track:
+        """Return motions carried to the samples of a wider window, and others along what the window leaves open of the rate."""
+        model = self.model.seeing(wider)
+        first, last = window.start - wider.start, window.stop - wider.start
+        n, k = wider.stop - wider.start, len(motions)
+        attitude, omega = np.empty((k, n, 3, 3)), np.empty((k, n, 3))
+        attitude[:, first:last], omega[:, first:last] = motions.attitude, motions.omega
+        ways = [(i, i + 1) for i in range(last - 1, n - 1)] + [
+            (i, i - 1) for i in range(first, 0, -1)
+        ]
+        for start, end in ways:
+            made = _one_step(model, omega[:, start], start, end)
+            attitude[:, end] = made.turned[:, 0] @ attitude[:, start]
+            omega[:, end] = made.omega[:, 0]
+        middle = (window.stop - window.start) // 2
+        others = along_the_valley(self.model.seeing(window), motions, middle, self.s)
+        carried_on = carried(model, first + middle, *others)
+        return Track.joined([Track.free(attitude, omega), carried_on])
+
+
+def along_the_valley(
+    model: Model, motions: Track, middle: int, s: SearchSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return attitudes (K, 3, 3) and rates (K, 3) at a sample along the least certain direction of each motion's rate.
+
+    A few samples of the Sun hardly tell the spin about the Sun's direction, so that the cost has a long flat valley in which a fit
+    rests anywhere. As the window grows, the valley bends and breaks into several minima: a slow body was lost so, as a motion that
+    begins at one place ends in the nearest of them. Here the valley is sampled as densely as a fit moves. Motions that do not fit
+    have none, as their covariance says nothing, nor have those far from the best.
+    """
+    good = motions.cost < min(
+        s.poor * model.obs.cost_limit, motions.cost.min(initial=np.inf) + s.valley_leading
+    )
+    motions = motions.take(np.flatnonzero(good))
+    covariance = np.nan_to_num(motions.covariance[:, middle])
+    variance, axes = np.linalg.eigh(covariance[:, RATE, RATE])
+    sigma, axis = np.sqrt(np.maximum(variance[:, -1], 0.0)), axes[:, :, -1]
+    # an error of the rate turns the body by that times the time to the farther end of the window
+    spacing = 2 * s.basin_rad / np.abs(model.obs.t_s - model.obs.t_s[middle]).max()
+    sides = np.clip(np.ceil(s.valley_sigmas * sigma / spacing - 0.5), 0, s.valley_each).astype(int)
+    # the attitude that goes with a rate, by the covariance: the Sun stays where it was seen
+    turn_per_rate = np.einsum("kij,kj->ki", covariance[:, TURN, RATE], axis)
+    turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
+    which = np.repeat(np.arange(len(sigma)), 2 * sides)[: s.valley_most]
+    places = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
+    change = spacing * np.concatenate([np.zeros(0), *places])[: s.valley_most, None]
+    omega = motions.omega[which, middle] + change * axis[which]
+    attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
+    slow = np.linalg.norm(omega, axis=1) < 2 * model.rate_sigma
+    return attitude[slow], omega[slow]

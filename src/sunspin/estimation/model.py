@@ -1,0 +1,277 @@
+"""What a fit believes: the body, what the equations of motion leave out, what was observed, and numbers estimated with a motion.
+
+An alternative model is a :class:`Model` with one entry changed. Units are SI and radians; K candidates, n samples, m unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sunspin.estimation.settings import INERTIA, INERTIA_SIGMAS, UNKNOWN_MOMENT, UNKNOWN_PRODUCT
+from sunspin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from sunspin.estimation.terms.term import Term
+
+SUN_N = np.array([0.0, 0.0, 1.0])
+"""The direction to the Sun in N, whose z axis follows it."""
+
+AS_STATED = "as stated"
+"""Name of the model that believes the vehicle file."""
+
+THINNEST = 0.1
+"""No principal moment is less than this part of the mean one, and no second moment of the masses less than minus this."""
+
+DRAWN_IN, BY = 10, 0.8
+"""A trial inertia that no body has is drawn towards that of the vehicle file by the factor, so many times at most."""
+
+SAMPLE_COST, READING_COST = 3.7, 1.5
+"""Cost that a sample with a Sun, and another reading of three numbers, do not exceed in the mean of a true motion."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number that is estimated with the motion, in units of the sigma of what was known before.
+
+    `index`: which of its `kind`; `limit`: how far (sigmas) a trial may be from the centre. `shares`: sigmas that are equally likely
+    before the data, as parts of `sigma`. `doubted`: an error that the vehicle file does not state; a sensor fits only without it.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    centre: float
+    sigma: float
+    index: int = 0
+    limit: float = np.inf
+    shares: tuple[float, ...] = (1.0,)
+    doubted: bool = False
+
+
+@dataclass(frozen=True)
+class Body:
+    """What moves.
+
+    `inertia` (3, 3) in units of its mean moment `unit_kg_m2`, which a torque-free motion does not determine; `errors` (e, 3, 3):
+    one sigma of each independent error of it; `sphere`: no inertia is known.
+    """
+
+    inertia: np.ndarray
+    errors: np.ndarray
+    unit_kg_m2: float = 1.0
+    sphere: bool = False
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, torques_stated: bool = False) -> Body:
+        """Return the body of a vehicle; without an inertia a sphere, give or take much.
+
+        `torques_stated`: the strength of unknown torques is stated, and stands for what the body is not a sphere too.
+        """
+        if vehicle.inertia_kg_m2 is None:
+            sigma = np.where(np.eye(3, dtype=bool), UNKNOWN_MOMENT, UNKNOWN_PRODUCT)
+            errors = _element_errors(sigma)
+            return cls(np.eye(3), errors[: 0 if torques_stated else None], sphere=True)
+        tensor = np.array(vehicle.inertia_kg_m2)
+        moments = np.diag(tensor)
+        fact = vehicle.facts.get("body.inertia_kg_m2")
+        if fact is not None and fact.sigma is not None:
+            sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
+        else:
+            sigma = INERTIA * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
+        return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean(), moments.mean())
+
+    def inertia_at(self, u: np.ndarray) -> np.ndarray:
+        """Return the inertia (K, 3, 3) for errors u (K, e) in sigmas; (3, 3) if it is known exactly."""
+        if not len(self.errors):
+            return self.inertia
+        return self.inertia + np.einsum("ke,eij->kij", u, self.errors)
+
+    def possible(self, u: np.ndarray) -> np.ndarray:
+        """Return errors (K, e) in sigmas, those drawn in whose tensor belongs to no body.
+
+        A principal moment is positive and at most the sum of the other two; equivalently the second moments of the masses are
+        positive. A little less is allowed, as a stated tensor has errors.
+        """
+        u = u.copy()
+        for _ in range(DRAWN_IN if u.size else 0):
+            inertia = self.inertia_at(u)
+            masses = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
+            wrong = (np.linalg.eigvalsh(masses)[:, 0] < -THINNEST) | (
+                np.linalg.eigvalsh(inertia)[:, 0] < THINNEST
+            )
+            if not wrong.any():
+                return u
+            u[wrong] *= BY
+        return u
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """The errors of the inertia."""
+        sizes = np.linalg.norm(self.errors, axis=(1, 2))
+        return tuple(
+            Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(size), i, INERTIA_SIGMAS)
+            for i, size in enumerate(sizes)
+        )
+
+
+def _element_errors(sigma: np.ndarray) -> np.ndarray:
+    """Return symmetric tensors (e, 3, 3) with the sigma (3, 3) of one element each; elements that are known exactly have none."""
+    errors = []
+    for i in range(3):
+        for j in range(i, 3):
+            if sigma[i, j] > 0:
+                error = np.zeros((3, 3))
+                error[i, j] = error[j, i] = sigma[i, j]
+                errors.append(error)
+    return np.array(errors).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What the equations of motion leave out: white angular acceleration of this strength, rad/s^1.5."""
+
+    acceleration: float
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What n samples show: times (n) in s, the momentum of the wheels (n, 3) in mean moments times rad/s, and terms."""
+
+    t_s: np.ndarray
+    momentum: np.ndarray
+    terms: tuple[Term, ...]
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.t_s)
+
+    def take(self, samples: Any) -> Observations:
+        """Return some of the samples, by index or slice."""
+        terms = tuple(term.take(samples) for term in self.terms)
+        return Observations(self.t_s[samples], self.momentum[samples], terms)
+
+    @cached_property
+    def sees_sun(self) -> np.ndarray:
+        """Whether a sample (n) shows something of the Sun's direction."""
+        seeing = [term.present() for term in self.terms if term.of_sun]
+        return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *seeing])
+
+    @cached_property
+    def cost_limit(self) -> float:
+        """The cost that a true motion does not exceed."""
+        others = sum(int(term.present().sum()) for term in self.terms if not term.of_sun)
+        return SAMPLE_COST * int(self.sees_sun.sum()) + READING_COST * others
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a fit believes.
+
+    `rate_sigma` (rad/s): sigma of each component of the rate before the data. `log_prior`: beside that of the model as stated;
+    `what` it changes, in words.
+    """
+
+    obs: Observations
+    body: Body
+    noise: Noise
+    rate_sigma: float
+    what: str = AS_STATED
+    log_prior: float = 0.0
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """All numbers that are estimated with a motion: those of the body, then those of each term."""
+        of_terms = (one for term in self.obs.terms for one in term.unknowns())
+        return (*self.body.unknowns, *of_terms)
+
+    @property
+    def of_body(self) -> slice:
+        """Where the errors of the inertia stand among the unknowns."""
+        return slice(0, len(self.body.errors))
+
+    @cached_property
+    def of_terms(self) -> tuple[slice, ...]:
+        """Where the unknowns of each term stand."""
+        counts = [len(self.body.errors), *(len(term.unknowns()) for term in self.obs.terms)]
+        ends = np.cumsum(counts)
+        return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+
+    def seeing(self, samples: Any) -> Model:
+        """Return the model of some of the samples."""
+        return replace(self, obs=self.obs.take(samples))
+
+    def under(self, noise: Noise) -> Model:
+        """Return the model with another strength of unknown torques."""
+        return replace(self, noise=noise)
+
+    def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
+        """Return the model with one more term, at these log odds to the model before the data."""
+        obs = replace(self.obs, terms=(*self.obs.terms, term))
+        return replace(self, obs=obs, what=what, log_prior=self.log_prior + log_odds)
+
+    def for_search(self, noise: Noise) -> list[Model]:
+        """Return the model without unknowns, each term trusted no further than its errors in common allow.
+
+        There are several if readings may mean several things.
+        """
+        body = replace(self.body, errors=self.body.errors[:0])
+        ways = product(*(term.for_search() for term in self.obs.terms))
+        return [
+            replace(self, obs=replace(self.obs, terms=terms), body=body, noise=noise)
+            for terms in ways
+        ]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """K motions at n samples: attitudes B_from_N (K, n, 3, 3) and rates (K, n, 3) in rad/s, body axes."""
+
+    attitude: np.ndarray
+    omega: np.ndarray
+
+    @property
+    def sun_B(self) -> np.ndarray:
+        """The directions to the Sun (K, n, 3)."""
+        return self.attitude @ SUN_N
+
+
+@dataclass(frozen=True)
+class Track(Seen):
+    """K motions with their unknowns u (K, m) in sigmas.
+
+    After a fit also their `cost` (K), minus the log of the posterior density, and the `covariance` (K, n, 6, 6) of turn (rad, B)
+    and rate at each sample.
+    """
+
+    u: np.ndarray
+    cost: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 6, 6)))
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return len(self.omega)
+
+    @classmethod
+    def free(cls, attitude: np.ndarray, omega: np.ndarray) -> Track:
+        """Return motions without unknowns that no fit has seen."""
+        return cls(attitude, omega, np.zeros((len(omega), 0)))
+
+    def take(self, which: Any) -> Track:
+        """Return some of the motions."""
+        fitted = (part[which] if len(part) else part for part in (self.cost, self.covariance))
+        return Track(self.attitude[which], self.omega[which], self.u[which], *fitted)
+
+    @staticmethod
+    def joined(tracks: Sequence[Track]) -> Track:
+        """Return the motions of several tracks at the same samples; costs and covariances only if all have them."""
+        fitted = all(len(track.cost) == len(track) for track in tracks)
+        parts = [(t.attitude, t.omega, t.u, t.cost, t.covariance) for t in tracks]
+        return Track(
+            *(np.concatenate(part) for part in list(zip(*parts, strict=True))[: 5 if fitted else 3])
+        )

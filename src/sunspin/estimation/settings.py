@@ -1,0 +1,214 @@
+"""All numbers that tune the estimation: with unit, meaning, and what set them.
+
+Rules of the verdict stand in :mod:`sunspin.estimation.verdict`: they are not tuned, they are the error rates. What concerns the
+accuracy of a computation alone stands where it is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PassSettings:
+    """How samples are parted into passes, and which of a pass the search keeps."""
+
+    gap_intervals: float = 6.0
+    """A gap parts two passes if it is longer than so many usual intervals."""
+
+    longest_s: float = 3000.0
+    """Longer passes are cut: over half an orbit the wandering of a rate is still small against a turn."""
+
+    kept: int = 40
+    """Samples of a pass that the search keeps, at most."""
+
+    growth: float = 1.4
+    """Ratio of neighbouring intervals of the kept samples. They begin with the intervals of the file and widen to even ones, so
+    that the rate known from some samples always predicts the next one."""
+
+    dense: int = 12
+    """Samples among which a search finds its first pairs: a pass that begins in the dark is searched where so many see the Sun."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How motions are found: where starts are placed, how the window grows, and which candidates are dropped."""
+
+    noise: float = 1e-4
+    """rad/s^1.5; unknown torques under which motions are searched, however quiet the body may be: stiffer motions creep."""
+
+    basin_rad: float = 0.35
+    """A start that is nearer to the truth than this, as a turn at the samples of its window, ends in it."""
+
+    step_rad: float = np.pi / 18
+    """Spacing of the turns tried between two directions of the Sun."""
+
+    most_starts: int = 200_000
+    """Starts of one pair of samples; a grid of rates becomes coarser to hold to it."""
+
+    most_turns: int = 100
+    """Whole turns between two samples, at most: where both hardly bound the Sun, more would make millions of starts."""
+
+    around: int = 2
+    """Samples on either side of the first pair on which its starts are tried."""
+
+    crowd: int = 3000
+    """With more starts than this, they are tried on the pair alone first, and on four samples."""
+
+    tried: tuple[int, int, int] = (20_000, 1500, 120)
+    """Starts that are kept by the pair alone, by four samples, and by the first window."""
+
+    growth: float = 1.33
+    """Factor by which the number of samples in the window grows. A rate from a window predicts the phase one window further."""
+
+    most: int = 32
+    """Candidates kept while the window grows."""
+
+    drop: float = 18.0
+    """Candidates are dropped that are less probable than the best by exp(-18)."""
+
+    copies_rad: float = 0.25
+    """Copies turn alike between neighbouring samples to this: half the least distance of two mirror images."""
+
+    copies_sigmas: float = 3.0
+    """Candidates within so many of their own sigmas of each other lie in one valley, and are copies too."""
+
+    valley_sigmas: float = 2.5
+    """How far along the weakly constrained direction of the rate further candidates are placed. One beyond costs 3 more."""
+
+    valley_each: int = 8
+    """Further candidates on either side of one, at most."""
+
+    valley_most: int = 16
+    """Further candidates for one window, at most: with 64 no more of 100 slow bodies were found."""
+
+    valley_leading: float = 6.0
+    """Candidates that cost more than the best by this get no further ones."""
+
+    places: int = 3
+    """Pairs of samples to start from, unless one tells all (:func:`sunspin.estimation.starts.places`)."""
+
+    more_places: int = 2
+    """Pairs to start from beside those, if the best candidate does not fit."""
+
+    good_enough: float = 0.8
+    """A candidate fits for the search if it costs less than this share of the limit."""
+
+    poor: float = 0.4
+    """Candidates that cost more than this share of the limit are fitted by shooting, if the window is short."""
+
+    stiff_rad: float = 0.1
+    """A window is short if unknown torques turn the body by less than this in half of it: there the chain creeps."""
+
+    watch: Callable[[Any, Any], None] = field(default=lambda window, motions: None)
+    """Called with each window and its candidates: to see which stage dropped a motion."""
+
+
+@dataclass(frozen=True)
+class LadderSettings:
+    """Strengths of unknown torques, a rung each, that are equally likely before the data."""
+
+    rungs: tuple[float, ...] = (5e-6, 2e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+    """rad/s^1.5; at 3e-4 a rate wanders by 0.3 deg/s in five minutes. Below the lowest the evidence is rounding."""
+
+    begin: float = 1e-4
+    """Rung on which motions are fitted first: the noise of the search."""
+
+    strong: float = 1e-3
+    """Rung under which an inertia that is wrong finds its place."""
+
+    cooling: float = 5.5
+    """Largest ratio of two neighbouring strengths: a motion that is stiffened more at once stays where it is."""
+
+    steps: int = 8
+    """Steps of a fit on a rung; twenty on the first and the last one."""
+
+    hopeless: float = 18.0
+    """Log evidence by which a motion, or a rung, is too improbable to go on with."""
+
+    common: float = 0.75
+    """Share of the prior of the rungs that the other passes of the file tell."""
+
+
+@dataclass(frozen=True)
+class AlternativeSettings:
+    """Other models of a pass."""
+
+    begin_with: int = 5
+    """Motions from which an alternative begins."""
+
+    torque_turns_rad: tuple[float, ...] = tuple(np.radians(np.geomspace(1.0, 300.0, 6)).tolist())
+    """Turns of the body over a pass by a constant torque: one sigma each, equally likely. Nobody knows it to a power of ten."""
+
+    beyond_fit: float = 3.0
+    """Shares of a sigma that are larger than the fitted size by this factor get nothing: there the answer is not linear."""
+
+    even_rad: float = 0.5
+    """Samples are even if whole turns between the closest two are whole turns between all others, to this."""
+
+    relatives_of: int = 3
+    """Motions, the likeliest, of which whole turns more and less are tried."""
+
+
+@dataclass(frozen=True)
+class SolutionSettings:
+    """Which motions under several models are one solution, and which are reported."""
+
+    counted: float = 0.01
+    """Motions of a model with less than this part of the largest probability are left out."""
+
+    bent_rad: float = 1.0
+    """Two models bend one motion apart by so much between two samples at most; others differ by more, mostly by whole turns."""
+
+    most: int = 6
+    """Solutions reported for each pass."""
+
+    least: float = 1e-3
+    """Solutions of less probability are not reported."""
+
+    slower: tuple[float, ...] = tuple(np.geomspace(1.0, 1 / 30, 6).tolist())
+    """Parts of the largest rate up to which a body may turn, equally likely, if a rate may be of any size."""
+
+    named: float = 0.05
+    """Another model is named if the one as stated has less probability."""
+
+
+@dataclass(frozen=True)
+class RatesSettings:
+    """Everything that tunes `rates`."""
+
+    passes: PassSettings = PassSettings()
+    search: SearchSettings = SearchSettings()
+    ladder: LadderSettings = LadderSettings()
+    alternatives: AlternativeSettings = AlternativeSettings()
+    solutions: SolutionSettings = SolutionSettings()
+
+
+RATES = RatesSettings()
+"""What `rates` uses unless it is told otherwise."""
+
+
+# What is believed before the data, about satellites.
+
+INERTIA = 0.01
+"""Relative sigma of each moment if the vehicle file states none, and that of each product in units of the mean moment: known
+exactly, they would make any answer too sure."""
+
+UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
+"""The same, of the mean moment, without an inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
+
+INERTIA_SIGMAS = 4.0
+"""No trial inertia or gain is farther from the vehicle file than this, in its sigmas."""
+
+LARGEST_RATE = 1.0
+"""rad/s; the search goes no farther unless asked: every sixth of a turn more is another start."""
+
+LARGEST_TURNS = 1.5
+"""Nor farther than so many turns in the shorter intervals."""
+
+GYRO_ZEROS = tuple(np.radians([3.0, 0.95, 0.3, 0.095, 0.03, 0.003]).tolist())
+"""rad/s by which the zero of a gyro may be off if the vehicle file states no sigma: equally likely; the last means not at all."""

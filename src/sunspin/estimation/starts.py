@@ -1,0 +1,275 @@
+"""Where a search starts: rates that take the Sun from one sample to the next.
+
+Two directions a known time apart leave a family of constant rates: one angle, the sign of the axis, and whole turns. Where moments
+or wheels turn the rate between the two, no constant rate is a start, and a grid of rates takes its place. What a gyro says is a
+start as well. Starts are coarse, and Student's law lets a start that misses most samples rest where it is: so they are tried, and
+first fitted, with errors as wide as they are apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.estimation.carry import nutation
+from sunspin.estimation.chain import carried, costs, shot
+from sunspin.estimation.copies import distinct
+from sunspin.estimation.model import SUN_N, Model, Track
+from sunspin.estimation.settings import SearchSettings
+from sunspin.estimation.terms.term import facing
+from sunspin.vehicle.response.planes import sphere
+
+GRID, CANDIDATES, ALLOWED = 500, 10, 3.0
+"""Directions (9 degrees apart) tried where powers alone bound the Sun; how many of such a region are kept; how much more than the
+best one they may cost."""
+
+PRECESSION_RAD = 0.5
+"""If a rate turns in the body by more than this between two samples, a constant rate is no start."""
+
+COARSE_RAD = 0.6
+"""A grid with wider steps than this, as turns between two samples, may miss a motion."""
+
+GYRO_RAD = 0.5
+"""A gyro that errs by less than this between two samples is a start good enough to be the only one."""
+
+DENSE_RAD = 2.2
+"""Samples between which the body turns by less than this leave no doubt about whole turns."""
+
+BLUR = 0.6
+"""Errors of starts as a share of their distance from each other."""
+
+UNSEEN, BOUNDED = 100.0, 2.0
+"""Intervals count so many times longer if a sample does not see the Sun, and if it only bounds its direction."""
+
+ANY_AXIS_RAD, ANY_AXES = 0.5, 80
+"""Two directions nearer to each other than this may be a whole turn apart, about any of so many axes."""
+
+
+def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]]:
+    """Yield windows with candidates: for each pair of neighbouring samples, the shortest interval first, the rates between them.
+
+    The candidates have been tried and settled on the samples around the pair. `model`: without unknowns, for the search.
+    """
+    trusted = gyro_decides(model, _pairs(model)[0])
+    for place, first in enumerate(_pairs(model)):
+        window = slice(max(0, first - s.around), min(len(model.obs), first + 2 + s.around))
+        around, sample = model.seeing(window), first - window.start
+        suns, rates, apart = starts(around, sample, s, trusted and not place)
+        if len(rates) > s.crowd:
+            suns, rates = _thinned(around, sample, suns, rates, apart, s)
+        if not len(rates):
+            continue
+        motions = _best(around, sample, suns, rates, apart, s.tried[2])
+        for share in (1.0, 0.3, 0.0):
+            motions = shot(_loosened(around, sample, share * apart), sample, motions, 4)
+            motions = _distinct(motions, around, s.tried[2], s)
+        yield window, motions
+
+
+def places(model: Model, s: SearchSettings) -> int:
+    """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out."""
+    first = _pairs(model)[0]
+    dense = np.diff(model.obs.t_s)[:3].max() * 2 * model.rate_sigma < DENSE_RAD
+    return 1 if dense or gyro_decides(model, first) or not _steady(model, first) else s.places
+
+
+def _pairs(model: Model) -> np.ndarray:
+    """Return the first samples (n - 1) of all pairs of neighbours, the most promising first: short, and sharp directions."""
+    obs = model.obs
+    sharp = [any(len(term.starts(i).directions) for term in obs.terms) for i in range(len(obs))]
+    quality = np.where(sharp, 1.0, BOUNDED) * np.where(
+        obs.sees_sun | (not obs.sees_sun.any()), 1.0, UNSEEN
+    )
+    return np.argsort(np.diff(obs.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+
+
+def gyro_decides(model: Model, first: int) -> bool:
+    """Return whether a gyro tells the turn from a sample to the next, so that no other rate need be tried."""
+    sigma = min((term.starts(first).rate_sigma for term in model.obs.terms), default=np.inf)
+    return bool(sigma * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < GYRO_RAD)
+
+
+def _steady(model: Model, first: int) -> bool:
+    """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
+    low, middle, high = np.linalg.eigvalsh(model.body.inertia)
+    wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
+    turning = wheels + 2 * model.rate_sigma * (high - low) / middle
+    return bool(turning * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < PRECESSION_RAD)
+
+
+def starts(
+    model: Model, first: int, s: SearchSettings, trust_gyro: bool
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return directions to the Sun (K, 3) and rates (K, 3) at a sample from which the next sample may be reached.
+
+    And how far (rad) the turn between the two samples may be from that of the nearest start. Rest is always among the starts.
+    """
+    dt = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
+    rate_max = 2 * model.rate_sigma
+    if not rate_max * dt < 2 * np.pi * s.most_turns:
+        raise InputError(
+            "too many whole turns fit between two samples to try them all",
+            got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+            do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
+        )
+    known = [term.starts(first) for term in model.obs.terms]
+    read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
+    read = read[np.linalg.norm(read, axis=1) <= rate_max]
+    suns = allowed_directions(model, first)
+    if trust_gyro and len(read) and gyro_decides(model, first):
+        sigma = min(one.rate_sigma for one in known)
+        each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
+    elif not _steady(model, first):
+        size = grid_step(len(suns), dt, rate_max, s)
+        each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
+    else:
+        ends = allowed_directions(model, first + 1)
+        each = [
+            np.concatenate(
+                [
+                    np.zeros((1, 3)),
+                    *(constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends),
+                    read,
+                ]
+            )
+            for sun in suns
+        ]
+        apart = s.step_rad
+    return np.repeat(suns, [len(rates) for rates in each], axis=0), np.concatenate(each), apart
+
+
+def allowed_directions(model: Model, sample: int) -> np.ndarray:
+    """Return directions to the Sun (c, 3) that a sample allows, best first; without a sensor of the Sun that of N."""
+    if not any(term.of_sun for term in model.obs.terms):
+        return SUN_N[None]
+    for term in model.obs.terms:
+        if len(sharp := term.starts(sample).directions):
+            return sharp
+    grid = sphere(GRID)
+    still = Track.free(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
+    cost = costs(model.obs.take(slice(sample, sample + 1)), still)[:, 0]
+    allowed = grid[cost < cost.min() + ALLOWED]
+    spanning = grid[[np.argmin(cost)]]
+    while len(spanning) < min(CANDIDATES, len(allowed)):
+        # the one farthest from those taken already: they span the region
+        farthest = np.argmin((allowed @ spanning.T).max(axis=1))
+        spanning = np.concatenate([spanning, allowed[[farthest]]])
+    return spanning
+
+
+def constant_rates(
+    first: np.ndarray, second: np.ndarray, dt: float, rate_max: float, step_rad: float
+) -> np.ndarray:
+    """Return constant rates (m, 3) that carry a direction (3) of the body to another (3) in dt s, `rate_max` at most.
+
+    The axes of such turns lie on the great circle that halves the angle between the two. A turn by the angle a has the axis at the
+    angle b from the directions with sin b = sin(apart / 2) / sin(a / 2); `step_rad` is the spacing of the turns that are tried.
+    """
+    apart = float(np.arccos(np.clip(first @ second, -1, 1)))
+    middle, side = first + second, np.cross(first, second)
+    if np.linalg.norm(side) < 1e-6:  # the same direction, or the opposite one: any axis across
+        side = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
+    if np.linalg.norm(middle) < 1e-6:
+        middle = np.cross(side, first)
+    middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
+    angle = np.linspace(apart, np.pi, round(np.pi / step_rad))
+    # larger angles are turns the other way about the opposite axis
+    tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
+    along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
+    along = np.clip(np.concatenate([along, -along]), -1, 1)
+    axis = along[:, None] * middle + np.sqrt(1 - along**2)[:, None] * side
+    turns = np.arange(int(rate_max * dt / (2 * np.pi)) + 1)
+    total = np.concatenate([angle, angle])[:, None] + 2 * np.pi * turns
+    # the turn of the body is opposite to that of the Sun; by the rest of a circle it goes the other way about the axis
+    families = [
+        -axis[:, None] * total[..., None],
+        axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None],
+    ]
+    if apart < ANY_AXIS_RAD and len(turns) > 1:
+        families.append(sphere(ANY_AXES)[:, None] * (2 * np.pi * turns[1:])[:, None])
+    rates = np.concatenate([family.reshape(-1, 3) for family in families]) / dt
+    return rates[np.linalg.norm(rates, axis=1) <= rate_max]
+
+
+def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:
+    """Return the step (rad/s) of a grid of rates: fine enough for the fit, unless that were too many."""
+    return max(s.basin_rad / dt, rate_max * (4 * np.pi / 3 * suns / s.most_starts) ** (1 / 3))
+
+
+def _ball(size: float, rate_max: float) -> np.ndarray:
+    """Return a grid of rates (m, 3) with this step, up to the largest, rest among them."""
+    axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[np.linalg.norm(grid, axis=1) <= rate_max]
+
+
+def fine_up_to(model: Model, s: SearchSettings) -> float:
+    """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
+    first = int(np.argmin(np.diff(model.obs.t_s)))
+    dt = float(np.diff(model.obs.t_s).min())
+    if _steady(model, first) or grid_step(1, dt, 2 * model.rate_sigma, s) * dt <= COARSE_RAD:
+        return np.inf
+    return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
+
+
+def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
+    """Return the model with terms trusted as far as starts at a sample go.
+
+    Starts are `apart_rad` apart at the next sample, and the farther a sample is the more unknown torques have changed.
+    """
+    obs, q = model.obs, model.noise.acceleration
+    away = np.abs(obs.t_s - obs.t_s[sample])
+    off_rad_s = BLUR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
+    drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
+    drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))
+    terms = tuple(term.loosened(drift, drift_rad_s) for term in obs.terms)
+    return replace(model, obs=replace(obs, terms=terms))
+
+
+def _best(
+    model: Model, sample: int, suns: np.ndarray, rates: np.ndarray, apart: float, most: int
+) -> Track:
+    """Return the starts that fit all samples best, carried by the equations of motion, and the slowest one."""
+    loose = _loosened(model, sample, apart)
+    tracks, every = [], []
+    for part in np.array_split(np.arange(len(rates)), 1 + len(rates) // 4000):
+        track = carried(model, sample, facing(suns[part]), rates[part])
+        prior = (rates[part] ** 2).sum(axis=1) / (2 * model.rate_sigma**2)
+        cost = costs(loose.obs, track).sum(axis=1) + prior
+        keep = np.argsort(cost, kind="stable")[:most]
+        tracks.append(track.take(keep))
+        every.append(cost[keep])
+    track, cost = Track.joined(tracks), np.concatenate(every)
+    order = np.argsort(cost, kind="stable")
+    slow = np.linalg.norm(track.omega[:, sample], axis=1)
+    slowest = order[np.argmin(slow[order])]
+    keep = order[:most] if slowest in order[:most] else np.append(order[: most - 1], slowest)
+    return track.take(keep)
+
+
+def _thinned(
+    model: Model,
+    sample: int,
+    suns: np.ndarray,
+    rates: np.ndarray,
+    apart: float,
+    s: SearchSettings,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the better ones of a crowd of starts: by the pair alone, then fitted to four samples."""
+    pair = model.seeing(slice(sample, sample + 2))
+    motions = _best(pair, 0, suns, rates, apart, s.tried[0])
+    window = slice(max(0, sample - 1), min(len(model.obs), sample + 3))
+    around, sample = model.seeing(window), sample - window.start
+    motions = _best(around, sample, motions.sun_B[:, 0], motions.omega[:, 0], apart, s.tried[1])
+    motions = shot(_loosened(around, sample, apart), sample, motions, 3)
+    motions = _distinct(motions, around, s.tried[1], replace(s, drop=np.inf))
+    return motions.sun_B[:, sample], motions.omega[:, sample]
+
+
+def _distinct(motions: Track, model: Model, most: int, s: SearchSettings) -> Track:
+    """Return motions without copies and improbable ones, best first."""
+    chosen = distinct(motions, model.obs.t_s, most, s.drop, s.copies_rad, s.copies_sigmas)
+    return motions.take(chosen)

@@ -1,0 +1,119 @@
+"""Sensors that feel how the body turns: the gyro."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.settings import GYRO_ZEROS
+from sunspin.estimation.terms.term import Residual, Starts, Term
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import VARIABLES
+
+
+@dataclass(frozen=True)
+class Gyro(Term):
+    """Rates (n, 3) in rad/s, NaN where not read, with one `sigma` (rad/s).
+
+    `zero_sigma` (3) in rad/s of the zero of each axis, zero for one that is known; `scale_sigma`, relative. `zero_stated`: the
+    vehicle file states the sigma of the zero; else the zero may be off by anything in :data:`GYRO_ZEROS`.
+    """
+
+    name: ClassVar[str] = "gyro"
+    label: ClassVar[str] = "gyro"
+    per_sample: ClassVar[tuple[str, ...]] = ("rate_B",)
+
+    rate_B: np.ndarray
+    sigma: float
+    zero_sigma: np.ndarray
+    scale_sigma: float
+    zero_stated: bool = True
+
+    @classmethod
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
+        """Return the gyro of telemetry; None if it has none."""
+        if VARIABLES["gyro"] not in telemetry:
+            return None
+        rate = np.asarray(telemetry[VARIABLES["gyro"]], dtype=np.float64)
+        part = vehicle.sensors.with_columns.get("gyro")
+        if part is None:
+            return cls(rate, 1.0, np.zeros(3), 0.0)
+        zero = abs(part.scale_rad_s) * np.asarray(part.zero_sigma)
+        stated = bool(np.any(zero))
+        zero = zero if stated else np.full(3, GYRO_ZEROS[0])
+        scale = part.scale_sigma / abs(part.scale_rad_s)
+        return cls(rate, part.noise_rad_s, zero, scale, stated)
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) have a rate."""
+        return np.all(np.isfinite(self.rate_B), axis=1)
+
+    @property
+    def _columns(self) -> np.ndarray:
+        """What one sigma of each unknown adds to the readings (n, 3, m) in rad/s."""
+        read = self.present()[:, None, None]
+        zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]
+        columns = [np.broadcast_to(zero, (len(read), *zero.shape))]
+        if self.scale_sigma:
+            columns.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
+        return read * np.concatenate(columns, axis=-1)
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the zero of each axis and the scale, if they are not known."""
+        if not self.present().any():
+            return ()
+        shares = tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
+        shares = (1.0,) if self.zero_stated else shares
+        zeros = [
+            Unknown(
+                f"gyro_zero_{axis}",
+                "gyro_zero",
+                "rad/s",
+                0.0,
+                float(sigma),
+                i,
+                shares=shares,
+                doubted=not self.zero_stated,
+            )
+            for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma, strict=True))
+            if sigma
+        ]
+        scale = Unknown("gyro_scale", "gyro_scale", "1", 0.0, self.scale_sigma)
+        return (*zeros, *([scale] if self.scale_sigma else []))
+
+    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the rate and the errors in common less the reading."""
+        read = self.present()[:, None]
+        if not read.any():
+            return
+        value = read * (seen.omega - np.nan_to_num(self.rate_B)) / self.sigma
+        by_rate = np.broadcast_to(read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
+        if not u.size:
+            yield Residual(value, by_rate=by_rate)
+            return
+        columns = self._columns / self.sigma
+        value = value + np.einsum("nim,km->kni", columns, u)
+        by_u = np.broadcast_to(columns, (*value.shape, columns.shape[-1]))
+        yield Residual(value, by_rate=by_rate, by_u=by_u)
+
+    def for_search(self) -> list[Self]:
+        """Return the gyro without errors in common, as uncertain as they make it; a zero that is not stated is believed."""
+        columns = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._columns
+        common = np.sqrt((columns**2).sum(axis=(1, 2)).mean() / 3) if columns.size else 0.0
+        sigma = float(np.hypot(self.sigma, common))
+        return [replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0)]
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the gyro with the drift of a start added to its errors."""
+        return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
+
+    def starts(self, sample: int) -> Starts:
+        """Return the rates that it reads at a sample and the next; their sigma is told only if both were read."""
+        rates = self.rate_B[sample : sample + 2]
+        rates = rates[np.isfinite(rates).all(axis=1)]
+        return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)

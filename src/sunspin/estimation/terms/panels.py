@@ -1,0 +1,179 @@
+"""Powers or currents of solar panels. By what law they see light only the vehicle's response knows.
+
+Distance to the Sun, temperature and battery change all readings of a sample by one factor. It is put at its best for each motion
+(variable projection, Kaufman 1975, BIT 15, 49): the prior of the factor is one more residual, so that a factor known, half known
+and free are one formula. Gains are unknowns of a pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.settings import INERTIA_SIGMAS
+from sunspin.estimation.terms.term import Residual, Term
+from sunspin.solve.rotations import components_after_rotation, cross_matrix
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.signals import signals
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.flat import PanelResponse
+
+AVERAGED = np.polynomial.legendre.leggauss(3)
+"""Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+
+
+class Instants(NamedTuple):
+    """When panels are read: `offset_s` (n_input) after the time of their row, as a mean over `averaged_s` about that instant."""
+
+    offset_s: np.ndarray
+    averaged_s: float = 0.0
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Instants:
+        """Return those of the vehicle file."""
+        form = vehicle.telemetry
+        offsets = np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names])
+        return cls(offsets, form.averaged_s)
+
+    def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
+        """Yield each instant, s after the time of the row, with the weights (n_input) that it has in the readings."""
+        whole = np.zeros(1), 2 * np.ones(1)
+        for offset in np.unique(self.offset_s):
+            for place, weight in zip(*(AVERAGED if self.averaged_s else whole), strict=True):
+                shift = float(offset + place * self.averaged_s / 2)
+                yield shift, weight / 2 * (self.offset_s == offset)
+
+
+@dataclass(frozen=True)
+class Panels(Term):
+    """Readings `power` (n, p) with `sigma` (n, p), infinite where nothing was read.
+
+    `gain` (p): factors on the gains of the `response`; `gain_errors` (e, p): one sigma of each independent error of them.
+    `scale` (n) and its relative sigma `scale_sigma` (n): the factor of all readings of a sample. `names` (p); `ever_shown` (p): whether a panel
+    counts in any sample of the file.
+    """
+
+    name: ClassVar[str] = "panels"
+    label: ClassVar[str] = "Sun"
+    of_sun: ClassVar[bool] = True
+    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma")
+
+    power: np.ndarray
+    sigma: np.ndarray
+    response: PanelResponse
+    gain: np.ndarray
+    gain_errors: np.ndarray
+    scale: np.ndarray
+    scale_sigma: np.ndarray
+    names: tuple[str, ...]
+    instants: Instants
+    ever_shown: np.ndarray
+
+    @classmethod
+    def read(cls, assessment: Assessment) -> tuple[Self, np.ndarray]:
+        """Return the panels of telemetry, and a sentence for each sample (n)."""
+        vehicle, quality = assessment.vehicle, assessment.quality
+        # the factor of Cholesky parts the errors of the gains into independent ones
+        errors = np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.input_gains
+        shown = quality["reading"].values & ~quality["dead"].values
+        panels = cls(
+            signals(assessment.telemetry),
+            quality["sigma"].values,
+            vehicle.response_in(),
+            quality["gain"].values / vehicle.input_gains,
+            errors,
+            quality["scale"].values,
+            quality["scale_sigma"].values,
+            vehicle.input_names,
+            Instants.of(vehicle),
+            shown.any(axis=0),
+        )
+        return panels, quality["why"].values.astype(object)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Panels that count in no sample: dead, or never in the Sun; none if all are so."""
+        silent = np.flatnonzero(~self.ever_shown)
+        return tuple(self.names[k] for k in silent) if len(silent) < len(self.names) else ()
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) have a reading that counts."""
+        return np.any(np.isfinite(self.sigma), axis=1)
+
+    def freedom(self) -> np.ndarray:
+        """Return how many panels of each sample (n) were read."""
+        return np.isfinite(self.sigma).sum(axis=1)
+
+    @property
+    def full(self) -> np.ndarray:
+        """What each panel (p) reads of a Sun that it looks at."""
+        return self.gain * self.response.power(self.response.facing_B).diagonal()
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the errors of the gains."""
+        sizes = np.linalg.norm(self.gain_errors, axis=1)
+        return tuple(
+            Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, INERTIA_SIGMAS)
+            for i, size in enumerate(sizes)
+        )
+
+    def for_search(self) -> list[Self]:
+        """Return the panels with known gains, whose readings are as uncertain as the gains make them."""
+        relative = np.linalg.norm(self.gain_errors, axis=0) / np.maximum(self.gain, 1e-300)
+        sigma = np.hypot(self.sigma, np.nan_to_num(self.power) * relative)
+        return [replace(self, sigma=sigma, gain_errors=self.gain_errors[:0])]
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the panels with what a drift of the start changes at most added to their errors."""
+        drift = drift_rad[:, None] * self.full * self.scale[:, None]
+        return replace(self, sigma=np.hypot(self.sigma, drift))
+
+    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+        """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""
+        gain = (self.gain + u @ self.gain_errors)[:, None]
+        light, by_turn = self._light(seen, gain)
+        by_u = (light / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
+        change = np.concatenate([by_turn, by_u], axis=-1)
+
+        # shape: what a factor of one would read, in sigmas; target: what was read
+        inverse = np.where(np.isfinite(self.sigma), 1 / self.sigma, 0.0)
+        size = inverse * self.scale[:, None]
+        prior = np.broadcast_to((1 / self.scale_sigma)[:, None], (*light.shape[:2], 1))
+        shape = np.concatenate([light * size, prior], axis=-1)
+        target = np.concatenate([np.nan_to_num(self.power) * inverse, prior[0]], axis=-1)
+        square = np.einsum("knp,knp->kn", shape, shape)[..., None]
+        factor = np.maximum(np.einsum("knp,np->kn", shape, target)[..., None] / square, 0.0)
+
+        # Kaufman's slope: the change of the shape without its part along the shape, which the factor takes up
+        still = np.zeros((*change.shape[:2], 1, change.shape[-1]))
+        change = np.concatenate([size[..., None] * change, still], axis=-2) * factor[..., None]
+        along = np.einsum("knp,knpi->kni", shape, change) / square
+        change = change - shape[..., None] * along[..., None, :]
+        yield Residual(
+            factor * shape - target,
+            by_turn=change[..., :3],
+            by_u=change[..., 3:] if u.size else None,
+        )
+
+    def _light(self, seen: Seen, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (K, n, p) in full brightness and their derivative (K, n, p, 3) by a turn, at their instants.
+
+        That the body turns until then by its rate changes the derivative little, and is left out of it.
+        """
+        light, by_turn = 0.0, 0.0
+        across = cross_matrix(seen.sun_B)  # a turn t of the body moves the Sun by sun x t
+        for shift, weight in self.instants.shifts():
+            sun, moves = seen.sun_B, across
+            if shift:
+                sun = components_after_rotation(sun, shift * seen.omega)
+                columns = np.swapaxes(across, -1, -2)
+                moves = components_after_rotation(columns, shift * seen.omega[..., None, :])
+                moves = np.swapaxes(moves, -1, -2)
+            power, by_sun, _ = self.response.slopes(sun, gain=gain)
+            light = light + weight * power
+            by_turn = by_turn + weight[:, None] * (by_sun @ moves)
+        return np.asarray(light), np.asarray(by_turn)

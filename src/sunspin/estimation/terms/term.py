@@ -1,0 +1,112 @@
+"""A term of a model: what one sensor read, and what it would read of a motion; or what a torque does.
+
+A fit asks each term for the differences of its predictions from its readings, in sigmas, with their derivatives. On what a term
+depends it says by the derivatives that it returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from sunspin.estimation.model import Seen, Unknown
+from sunspin.solve.rotations import cross
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's law of the readings at a sample: its tails let one bad sample in ten be outvoted."""
+
+Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Function from differences (..., r) in sigmas to their cost (...) and the weight (...) of their squares in a step of a fit."""
+
+
+def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return cost and weight (...) of the readings at a sample (..., r) under Student's law: one bad cause spoils all."""
+    square = np.einsum("...r,...r->...", value, value)
+    return (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM), (FREEDOM + 2) / (FREEDOM + square)
+
+
+class Residual(NamedTuple):
+    """Differences of predictions from readings in stated sigmas, with derivatives.
+
+    `value` (K, n, r), zero where nothing was read; `by_turn` (K, n, r, 3) by a turn of the body at the sample (rad, B), `by_rate`
+    (K, n, r, 3) by its rate, `by_u` (K, n, r, m) by one sigma of each of the term's unknowns; None: it does not depend on it.
+    """
+
+    value: np.ndarray
+    by_turn: np.ndarray | None = None
+    by_rate: np.ndarray | None = None
+    by_u: np.ndarray | None = None
+    law: Law = student
+
+
+class Starts(NamedTuple):
+    """What a term knows at a sample from which a search may start.
+
+    Directions to the Sun (c, 3) in B that it allows, best first; rates (r, 3) in rad/s, and their sigma (rad/s) if they leave no
+    doubt about whole turns to the next sample, else infinity.
+    """
+
+    directions: np.ndarray = np.zeros((0, 3))
+    rates: np.ndarray = np.zeros((0, 3))
+    rate_sigma: float = np.inf
+
+
+@dataclass(frozen=True)
+class Term:
+    """What every term can be asked; n are its samples. By default it says nothing, knows no errors in common, and is trusted."""
+
+    name: ClassVar[str]
+    """Its name in files."""
+    label: ClassVar[str]
+    """What a person calls it; terms that see the same thing share it."""
+    of_sun: ClassVar[bool] = False
+    """Whether it shows the direction to the Sun."""
+    per_sample: ClassVar[tuple[str, ...]] = ()
+    """Its arrays whose first axis are the samples."""
+
+    def take(self, samples: Any) -> Self:
+        """Return the term of some samples."""
+        return replace(self, **{name: getattr(self, name)[samples] for name in self.per_sample})
+
+    def present(self) -> np.ndarray:
+        """Return at which samples (n) it has a reading."""
+        return np.zeros(0, dtype=bool)
+
+    def freedom(self) -> np.ndarray:
+        """Return how many numbers each reading (n) has."""
+        return 3 * self.present()
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return what is estimated of it with the motion."""
+        return ()
+
+    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the differences for motions whose unknowns of this term are u (K, m)."""
+        yield from ()
+
+    def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+        """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds in intervals dt; None if it is no torque."""
+        return None
+
+    def for_search(self) -> list[Self]:
+        """Return the term without unknowns, trusted no further than they allow; several if its readings may mean several things."""
+        return [self]
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the term trusted no further than a start that is off by turns (n) and by this rate."""
+        return self
+
+    def starts(self, sample: int) -> Starts:
+        """Return what it knows at a sample and the next one."""
+        return Starts()
+
+
+def facing(sun_B: np.ndarray) -> np.ndarray:
+    """Return an attitude (..., 3, 3), B_from_N, that shows the Sun in the direction `sun_B` (..., 3)."""
+    aside = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = cross(aside, sun_B)
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, cross(sun_B, x), sun_B], axis=-1)
