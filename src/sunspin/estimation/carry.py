@@ -128,7 +128,7 @@ def _run(
     states = np.zeros((*shape, 7))
     states[..., :3] = omega @ inertia + start
     states[..., 6] = 1.0  # the quaternion of no turn
-    rows = (-1, shape[-1])
+    rows = (int(np.prod(shape[:-1])), shape[-1])
     moved = carry_bodies(
         states.reshape(*rows, 7),
         np.broadcast_to(dt, shape).reshape(rows),

@@ -226,16 +226,21 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
 
 
-def variance_of(model: Model, motions: Track, weights: np.ndarray) -> np.ndarray:
-    """Return the variances (K, r) of sums of turns and rates over the samples with weights (K, n, r, 6)."""
-    system = equations(model, motions)
-    still = None if system.border_slope is None else np.zeros_like(system.border_slope)
+def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
+    """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
+
+    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer.
+    """
+    system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
     variances = []
     for row in range(weights.shape[2]):
-        asked = system._replace(slope=-weights[..., row, :], border_slope=still)
-        (nodes, _), _ = solve_bordered(asked, np.zeros(len(motions)))
+        (nodes, _), _ = solve_bordered(
+            system._replace(slope=-weights[..., row, :]), np.zeros(len(one))
+        )
         variances.append(np.einsum("kni,kni->k", weights[..., row, :], nodes))
-    return np.maximum(np.stack(variances, axis=1), 0.0)
+    by_u = np.einsum("knri,knim->krm", weights, one.answer)
+    of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
+    return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
 
 def carried(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:

@@ -125,10 +125,16 @@ class LadderSettings:
     """Largest ratio of two neighbouring strengths: a motion that is stiffened more at once stays where it is."""
 
     steps: int = 8
-    """Steps of a fit on a rung; twenty on the first and the last one."""
+    """Steps of a fit on a rung that begins where the one before ended."""
+
+    first_steps: int = 20
+    """Steps of the fit on the first rung."""
 
     hopeless: float = 18.0
     """Log evidence by which a motion, or a rung, is too improbable to go on with."""
+
+    beyond_fit: float = 3.0
+    """Sizes of a torque that are larger than the fitted one by this factor get nothing: there the answer is not linear."""
 
     common: float = 0.75
     """Share of the prior of the rungs that the other passes of the file tell."""
@@ -143,9 +149,6 @@ class AlternativeSettings:
 
     torque_turns_rad: tuple[float, ...] = tuple(np.radians(np.geomspace(1.0, 300.0, 6)).tolist())
     """Turns of the body over a pass by a constant torque: one sigma each, equally likely. Nobody knows it to a power of ten."""
-
-    beyond_fit: float = 3.0
-    """Shares of a sigma that are larger than the fitted size by this factor get nothing: there the answer is not linear."""
 
     even_rad: float = 0.5
     """Samples are even if whole turns between the closest two are whole turns between all others, to this."""

@@ -53,8 +53,8 @@ class Panels(Term):
     """Readings `power` (n, p) with `sigma` (n, p), infinite where nothing was read.
 
     `gain` (p): factors on the gains of the `response`; `gain_errors` (e, p): one sigma of each independent error of them.
-    `scale` (n) and its relative sigma `scale_sigma` (n): the factor of all readings of a sample. `names` (p); `ever_shown` (p): whether a panel
-    counts in any sample of the file.
+    `scale` (n) with `scale_sigma` (n), relative: the factor of all readings of a sample. `names` (p); `ever_shown` (p): whether a
+    panel counts in any sample of the file.
     """
 
     name: ClassVar[str] = "panels"

@@ -1,0 +1,205 @@
+"""How probable motions are: under every strength of unknown torques, every size of an error, and every model.
+
+The probability of a model, and of a motion under it, is the integral of the posterior density around its minimum (Laplace's
+method). A strength that nobody knows is a list of equally likely values. All of them stay in the sum: evidence chooses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.special import log_softmax, logsumexp
+
+from sunspin.estimation.chain import Fit, fit
+from sunspin.estimation.copies import distinct
+from sunspin.estimation.model import AS_STATED, Model, Noise, Track
+from sunspin.estimation.settings import LadderSettings, SearchSettings
+from sunspin.solve.rotations import rotate_attitude
+
+
+@dataclass(frozen=True)
+class PassFits:
+    """All fits of one pass.
+
+    `fits`: one for each model and rung of the ladder; `rungs` (r) in rad/s^1.5 with the logs of their prior probabilities
+    `log_rung` (r). `used`, `cut`: how much was computed, and whether something was left out.
+    """
+
+    stated: Model
+    fits: tuple[Fit, ...]
+    rungs: tuple[float, ...]
+    log_rung: np.ndarray
+    used: float = 0.0
+    cut: bool = False
+
+    def rung(self, one: Fit) -> int:
+        """Return on which rung a fit stands."""
+        return self.rungs.index(one.model.noise.acceleration)
+
+    def log_evidence_of_rungs(self) -> np.ndarray:
+        """Return the log evidence (r) of each rung, motions and models summed, before its prior; minus infinity without a fit."""
+        total = np.full(len(self.rungs), -np.inf)
+        for one in self.fits:
+            rung = self.rung(one)
+            total[rung] = np.logaddexp(total[rung], logsumexp(one.log_evidence))
+        return total
+
+    def with_rung_prior(self, log_rung: np.ndarray) -> PassFits:
+        """Return the fits with another prior of the rungs."""
+        return replace(self, log_rung=log_rung)
+
+
+def ladder(
+    model: Model,
+    motions: Track,
+    s: LadderSettings,
+    copies: SearchSettings,
+    begin: float | None = None,
+) -> list[Fit]:
+    """Return fits of a model under every strength of unknown torques.
+
+    From the rung `begin` up, then from there down, each from where the one before ended: a stiff motion stays where it is put. As
+    far as a rung is not hopeless beside the best one.
+    """
+    begin = s.begin if begin is None else begin
+    if not len(motions):
+        return []
+    start = _kept(fit(model.under(Noise(begin)), motions, s.first_steps), s, copies)
+    fits = [start] if begin in s.rungs and len(start) else []
+    above = sorted(rung for rung in s.rungs if rung > begin)
+    below = sorted((rung for rung in s.rungs if rung < begin), reverse=True)
+    for path in (above, below):
+        now, last = start, begin
+        for rung in path:
+            count = int(np.ceil(abs(np.log(rung / last)) / np.log(s.cooling) - 1e-9))
+            for level in np.geomspace(last, rung, count + 1)[1:-1]:
+                if len(now):
+                    now = _kept(
+                        fit(model.under(Noise(float(level))), now.motions, s.steps), s, copies
+                    )
+            if not len(now):
+                break
+            now, last = _kept(fit(model.under(Noise(rung)), now.motions, s.steps), s, copies), rung
+            if not len(now):
+                break
+            fits.append(now)
+            best = max(float(one.log_evidence.max()) for one in fits)
+            if now.log_evidence.max() < best - s.hopeless:
+                break
+    return [over_shares(one, s.beyond_fit) for one in fits]
+
+
+def _kept(one: Fit, s: LadderSettings, copies: SearchSettings) -> Fit:
+    """Return a fit without copies and without hopeless motions, the most probable first."""
+    t_s = one.model.obs.t_s
+    apart = copies.copies_rad, copies.copies_sigmas
+    return one.take(
+        distinct(one.motions, t_s, copies.most, s.hopeless, *apart, order_by=-one.log_evidence)
+    )
+
+
+def over_shares(one: Fit, beyond_fit: float) -> Fit:
+    """Return a fit with evidence and moments summed over the shares of its unknowns' sigmas.
+
+    The fit is under the widest sigmas. If the readings answer linearly to the unknowns, a prior with the share c of a sigma adds
+    1/c^2 - 1 to the precision, and everything else is linear algebra. Constant torques turn the body far: the answer is linear only
+    near the fit, so that shares that allow `beyond_fit` times more than the fitted size get nothing.
+    """
+    groups: dict[str, list[int]] = {}
+    for i, unknown in enumerate(one.model.unknowns):
+        if len(unknown.shares) > 1:
+            groups.setdefault(unknown.kind, []).append(i)
+    if not groups or not len(one):
+        return one
+    u, m = one.motions.u, len(one.model.unknowns)
+    precision = np.linalg.pinv(one.u_covariance, hermitian=True)
+    slope = (precision @ u[..., None])[..., 0]
+    before = np.linalg.slogdet(precision)[1] - np.einsum("km,km->k", slope, u)
+
+    gains, means, covariances = [], [], []
+    for shares in product(*(one.model.unknowns[group[0]].shares for group in groups.values())):
+        added, log_size, allowed = np.zeros(m), 0.0, np.ones(len(one), dtype=bool)
+        for share, (kind, places) in zip(shares, groups.items(), strict=True):
+            added[places] = 1 / share**2 - 1
+            log_size += len(places) * np.log(share)
+            if kind == "steady_torque":
+                size = np.abs(u[:, places]).max(axis=1)
+                least = min(one.model.unknowns[places[0]].shares)
+                allowed &= share <= beyond_fit * np.maximum(size, least)
+        matrix = precision + np.diag(added)
+        covariance = np.linalg.inv(matrix)
+        mean = (covariance @ slope[..., None])[..., 0]
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("km,km->k", slope, mean)
+        gains.append(np.where(allowed, (before - after) / 2 - log_size, -np.inf))
+        means.append(mean)
+        covariances.append(covariance)
+    gain, mean, covariance = np.array(gains), np.array(means), np.array(covariances)
+
+    weight = np.exp(gain - logsumexp(gain, axis=0))
+    centre = np.einsum("ck,ckm->km", weight, mean)
+    off = mean - centre
+    spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
+    # states follow the unknowns by their answer
+    shift = np.einsum("knim,km->kni", one.answer, centre - u)
+    answer_T = np.swapaxes(one.answer, -1, -2)
+    states = one.motions.covariance + one.answer @ (spread - one.u_covariance)[:, None] @ answer_T
+    motions = Track(
+        rotate_attitude(one.motions.attitude, shift[..., :3]),
+        one.motions.omega + shift[..., 3:],
+        centre,
+        one.motions.cost,
+        states,
+    )
+    log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
+    return Fit(one.model, motions, log_evidence, spread, one.answer)
+
+
+def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
+    """Return the passes with a prior of each rung that is in part what the other passes of the file tell.
+
+    The same torques act in all passes of a file, mostly. Of the prior of a rung the share `common` is told by the others, the rest
+    is even.
+    """
+    log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
+    even = np.full(log.shape[1], -np.log(log.shape[1]))
+    alone = logsumexp(log + even, axis=1, keepdims=True)
+    told = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
+    others = told.sum(axis=0) - told
+    prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
+    return [one.with_rung_prior(row) for one, row in zip(passes, prior, strict=True)]
+
+
+def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
+    """Return the most probable motions of the model as stated, of whichever rung, without copies."""
+    stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
+    if not stated:
+        return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
+    motions = Track.joined([one.motions for one in stated])
+    log = np.concatenate([one.log_evidence for one in stated])
+    apart = copies.copies_rad, copies.copies_sigmas
+    t_s = stated[0].model.obs.t_s
+    return motions.take(distinct(motions, t_s, count, np.inf, *apart, order_by=-log))
+
+
+def likeliest_cost(fits: Sequence[Fit]) -> float:
+    """Return the cost of the most probable motion: under the strongest torques nearly everything costs little."""
+    pairs = [(one.log_evidence[k], one.motions.cost[k]) for one in fits for k in range(len(one))]
+    return float(max(pairs)[1]) if pairs else np.inf
+
+
+def united(fits: Sequence[Fit], s: LadderSettings, copies: SearchSettings) -> list[Fit]:
+    """Return one fit for each model and rung: a motion that was met twice there counts once."""
+    groups: dict[tuple[str, float], list[Fit]] = {}
+    for one in fits:
+        groups.setdefault((one.model.what, one.model.noise.acceleration), []).append(one)
+    return [_kept(_joined(group), s, copies) for group in groups.values()]
+
+
+def _joined(fits: list[Fit]) -> Fit:
+    """Return the motions of several fits of one model."""
+    parts = ((one.log_evidence, one.u_covariance, one.answer) for one in fits)
+    motions = Track.joined([one.motions for one in fits])
+    return Fit(fits[0].model, motions, *(np.concatenate(p) for p in zip(*parts, strict=True)))

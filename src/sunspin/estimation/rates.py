@@ -1,0 +1,336 @@
+"""Body rates and attitude from what the Sun lights and what a gyro reads, sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import repeat
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.base.provenance import with_units
+from sunspin.compute.pool import process_pool, worker_count
+from sunspin.estimation.alternatives import alternatives
+from sunspin.estimation.between import link_passes
+from sunspin.estimation.budget import USUAL, Budget
+from sunspin.estimation.chain import Chain, Fit
+from sunspin.estimation.evidence import (
+    PassFits,
+    ladder,
+    leading,
+    likeliest_cost,
+    share_noise,
+    united,
+)
+from sunspin.estimation.model import Body, Model, Noise
+from sunspin.estimation.observe import (
+    Pass,
+    Seen,
+    asked,
+    observe,
+    split,
+    wheel_models,
+    why_not_used,
+    with_momentum,
+)
+from sunspin.estimation.rates_dataset import NOT_LATE, believed, dataset
+from sunspin.estimation.search import search
+from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
+from sunspin.estimation.solutions import Solutions, solutions
+from sunspin.estimation.starts import fine_up_to, pair_starts, places
+from sunspin.estimation.verdict import more_effort, rates_words, slower
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.vehicle import Vehicle
+
+NOISE_RANGE = (1e-9, 1.0)
+"""rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+
+LONGEST_PASSES = 2
+"""Passes, those with the most samples, that say what the wheels do."""
+
+UNSEEN_RAD = 0.05
+"""Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+
+
+def rates(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset | Assessment,
+    *,
+    source: str | None = None,
+    max_rate_rad_s: float | None = None,
+    acceleration_noise: float | None = None,
+    gap_s: float | None = None,
+    pass_id: int | None = None,
+    effort: float = 1.0,
+    workers: int = 1,
+    progress: bool | Callable[[str], None] = False,
+    settings: RatesSettings = RATES,
+) -> xr.Dataset:
+    """Estimate body rates and attitude of every pass of a telemetry file: all solutions that the data cannot tell apart.
+
+    Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start; starts
+    grow over the pass and are fitted with the equations of motion, under torques of every strength.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry` or its Assessment, or Dataset of `sun_directions`
+        A gyro in it is used if the vehicle describes one.
+    source : {"panels", "sun_sensor", "directions"}, optional
+        Where the Sun comes from; default: what the telemetry has.
+    max_rate_rad_s : float, optional
+        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s.
+    acceleration_noise : float, optional
+        Strength of unknown torques, rad/s^1.5; default: the vehicle's, else every strength is tried.
+    gap_s : float, optional
+        A longer gap parts two passes; default: six usual intervals.
+    pass_id : int, optional
+        Only this pass, counted from zero as in the result; default: all.
+    effort : float
+        How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
+    workers : int
+        Processes that estimate passes side by side; the result does not depend on it.
+    progress : bool, or a function of a line
+        A function is called once, when the inputs are accepted and the search begins.
+    settings : RatesSettings
+        What tunes the estimate.
+
+    Returns
+    -------
+    xarray.Dataset
+        On `time` (all samples used) of each pass's best solution: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_of`. On
+        `curve_time` the same between the samples. On `pass_id` and `solution`: probabilities, mean rates, and what may be believed:
+        the variables of `passes.csv`. On `sample`: `why`, what became of each sample of the file. attrs: `verdict`, the settings.
+
+    Raises
+    ------
+    InputError
+        Too few samples, or no rate below the largest fits.
+    """
+    assessment = assess(vehicle, telemetry)
+    seen = observe(assessment, source)  # all samples, and why each is used or not
+    every = split(seen, gap_s, settings.passes)
+    chosen = asked(every, pass_id)
+    passes = [every[k] for k in chosen]
+    why = why_not_used(seen, every, chosen)
+    noise = stated_noise(vehicle, acceleration_noise)
+    if noise is not None:  # a stated strength is a ladder of one rung
+        settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
+    body = Body.of(vehicle, torques_stated=noise is not None)
+    rate_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
+    stated = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
+    budget = Budget.of(effort)
+    if callable(progress):
+        progress(_said_before(passes))
+
+    tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
+    with process_pool(min(worker_count(workers), tasks)) as pool:
+        run = map if pool is None else pool.map
+        # Wheels that nobody measured are held or coast: the longest passes say which.
+        seen, wheels = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
+        stated = replace(stated, obs=seen.obs)
+        models = [stated.seeing(one.kept) for one in passes]
+        fits = list(run(one_pass, models, repeat(settings), repeat(budget)))
+
+    # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
+    fits = share_noise(fits, settings.ladder)
+    solved = [
+        solutions(one, seen.obs.take(p.samples), p.places, settings.solutions, settings.search)
+        for one, p in zip(fits, passes, strict=True)
+    ]
+    middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
+    solved, walk = link_passes(solved, middles, stated.rate_sigma)
+    solved = [one.listed(settings.solutions) for one in solved]
+
+    stated = stated.under(Noise(common_noise(fits)))
+    result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
+    result = result.assign_coords(pass_id=chosen)
+    doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
+    epoch = assessment.telemetry.attrs.get("epoch_utc")
+    result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
+    result = result.assign_attrs(
+        NOT_LATE
+        | coarse
+        | {
+            "wheels": wheels,
+            "walk_between_passes": walk,
+            "effort": sum(one.used for one in fits) / (USUAL * len(fits)),
+            "samples_searched": sum(len(p.kept) for p in passes),
+            "symmetric_unlisted": 0,
+        }
+    )
+    return with_units(result.assign_attrs(verdict=rates_words(result)))
+
+
+def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits:
+    """Return every motion of one pass under every model that may explain it, with evidence.
+
+    `stated`: the model as stated, of the samples kept for the search.
+    """
+    s = settings
+    budget = replace(budget)  # passes work side by side, each with its own
+
+    def found(noise: float) -> list[Fit]:
+        """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
+        motions = []
+        for loose in stated.for_search(Noise(noise)):
+            chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
+            motions.append(search(chain, starts, s.search, budget, places(loose, s.search)))
+        fits = []
+        for one in motions:
+            fits += ladder(stated, one, s.ladder, s.search, begin=noise)
+        return united(fits, s.ladder, s.search)
+
+    fits = found(s.search.noise)
+    limit = stated.obs.cost_limit
+    # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
+    # motion, as under the strongest torques nearly everything fits.
+    if len(stated.body.errors) and likeliest_cost(fits) > limit:
+        fits = min(fits, found(s.ladder.strong), key=likeliest_cost)
+    if not any(len(one) for one in fits):
+        raise InputError(
+            "no motion has a well-defined probability",
+            got=f"{len(stated.obs)} samples in the pass from {stated.obs.t_s[0]:.0f} s",
+            do="add samples, or check their errors",
+        )
+
+    # What else may have moved the body.
+    for model in alternatives(stated, s.alternatives):
+        if budget.exhausted():
+            break
+        begin = leading(fits, s.alternatives.begin_with, s.search)
+        more = ladder(model, begin, s.ladder, s.search)
+        budget.spend(sum(len(one) for one in more) * len(stated.obs))
+        fits += more
+    even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
+    return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+
+
+def decide_wheels(
+    assessment: Assessment,
+    seen: Seen,
+    stated: Model,
+    passes: Sequence[Pass],
+    settings: RatesSettings,
+    budget: Budget,
+    run: Callable,
+) -> tuple[Seen, str]:
+    """Return what is seen with the momentum of the wheels, and what they do, in words.
+
+    If several things are possible, the one under which the longest passes have the largest evidence.
+    """
+    momenta = wheel_models(assessment.vehicle, assessment.telemetry)
+    names = list(momenta)
+    if len(names) == 1:
+        return with_momentum(seen, momenta[names[0]]), names[0]
+    longest = sorted(passes, key=lambda one: -len(one.samples))[:LONGEST_PASSES]
+    models = [
+        replace(stated, obs=with_momentum(seen, momenta[name]).obs).seeing(one.kept)
+        for name in names
+        for one in longest
+    ]
+    fits = list(run(one_pass, models, repeat(settings), repeat(budget)))
+    evidence = np.array(
+        [np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung) for one in fits]
+    )
+    total = evidence.reshape(len(names), len(longest)).sum(axis=1)
+    best = int(np.argmax(total))
+    above = total[best] - np.delete(total, best).max()
+    words = f"{names[best]} (evidence {above:.1f} above any other)"
+    return with_momentum(seen, momenta[names[best]]), words
+
+
+def stated_noise(vehicle: Vehicle, given: float | None) -> float | None:
+    """Return the strength of unknown torques (rad/s^1.5) that is given, else the vehicle's; None if nobody states it.
+
+    The torque of a magnetic dipole is not modelled without a measured field: then the vehicle file has another strength.
+    """
+    disturbance = vehicle.sensors.disturbance
+    stated = (
+        disturbance.acceleration_noise
+        if disturbance.dipole is None
+        else disturbance.noise_without_field
+    )
+    noise = stated if given is None else given
+    low, high = NOISE_RANGE
+    if noise is not None and not low <= noise <= high:
+        raise InputError(
+            f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=noise
+        )
+    return noise
+
+
+def largest_rate(
+    vehicle: Vehicle, given: float | None, t_s: np.ndarray, passes: Sequence[Pass]
+) -> float:
+    """Return the largest rate (rad/s) of the search: as given, else the vehicle's, else by the shorter intervals."""
+    given = vehicle.sensors.disturbance.max_rate_rad_s if given is None else given
+    if given is not None:
+        if not (np.isfinite(given) and given > 0):
+            raise InputError("max_rate_rad_s must be positive", got=given)
+        return float(given)
+    shorter = [
+        np.sort(np.diff(t_s[one.kept]))[: max(2, len(one.kept) // 8)].mean() for one in passes
+    ]
+    return min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE)
+
+
+def common_noise(fits: Sequence[PassFits]) -> float:
+    """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
+    total = np.sum([one.log_evidence_of_rungs() for one in fits], axis=0)
+    if not np.isfinite(total).any():  # no rung was hopeful in all passes
+        total = np.sum([np.maximum(one.log_evidence_of_rungs(), -1e6) for one in fits], axis=0)
+    return fits[0].rungs[int(np.argmax(total))]
+
+
+def doubts_of(
+    result: xr.Dataset,
+    models: Sequence[Model],
+    fits: Sequence[PassFits],
+    solved: Sequence[Solutions],
+    noise_free: bool,
+    effort: float,
+    settings: RatesSettings,
+) -> tuple[list[str], dict[str, float]]:
+    """Return what the search of each pass may have left out and what would help, in words; and attributes that count such passes.
+
+    It was cut short; its starts were too coarse for the largest rate; it took a body without an inertia for a sphere, but the data
+    want torques as strong as hardly any satellite has, or that turn the body far between two samples, as a nutation does; the
+    speed of a wheel is unknown.
+    """
+    fine = [fine_up_to(model, settings.search) for model in models]
+    no_sphere = []
+    for model, one in zip(models, solved, strict=True):
+        shortest = float(np.diff(model.obs.t_s).min())
+        far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
+        strong = one.noise[0] >= settings.ladder.strong
+        no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))
+    wheels = result.attrs["wheels_untold"]
+    cures = [
+        {
+            f"budget reached: {more_effort(effort)}": one.cut,
+            f"coarse: {slower(limit)}" if np.isfinite(limit) else "": np.isfinite(limit),
+            "torques too strong for a satellite, or the body is no sphere: give its inertia": odd,
+            f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column": wheels,
+        }
+        for one, limit, odd in zip(fits, fine, no_sphere, strict=True)
+    ]
+    words = ["; ".join(what for what, so in one.items() if so) for one in cures]
+    coarse = [limit for limit in fine if np.isfinite(limit)]
+    return words, {
+        "effort_given": effort,
+        "fine_up_to_rad_s": min(coarse, default=np.nan),
+        "coarse_passes": len(coarse),
+        "cut_passes": sum(one.cut for one in fits),
+        "no_sphere": sum(no_sphere),
+    }
+
+
+def _said_before(passes: Sequence[Pass]) -> str:
+    """Return what is searched, in words."""
+    used, kept = (sum(len(getattr(one, name)) for one in passes) for name in ("samples", "kept"))
+    thinned = f", thinned to {kept} for the search" if kept < used else ""
+    number = f"{len(passes)} pass{'es' if len(passes) > 1 else ''}"
+    return f"{used} samples used in {number}{thinned}"

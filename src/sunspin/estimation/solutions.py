@@ -1,0 +1,266 @@
+"""The solutions of one pass: motions summed over models and strengths of torques, carried to all samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from sunspin.estimation.chain import Fit, variance_of
+from sunspin.estimation.copies import Outline
+from sunspin.estimation.dense import filled, residuals_by_sensor
+from sunspin.estimation.evidence import PassFits
+from sunspin.estimation.model import AS_STATED, Model, Observations, Track
+from sunspin.estimation.settings import SearchSettings, SolutionSettings
+from sunspin.estimation.terms.panels import Panels
+from sunspin.solve.rotations import rotation_between
+
+MEAN_COUNTS = 0.05
+"""Members of a solution with less than this share do not count in the sigma of its mean rate."""
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """K solutions of one pass at all its samples (n), the most probable first; of the unknowns only the errors of the inertia.
+
+    `kept`: places of the samples that were fitted. `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged
+    over the pass. `residual`: by sensor (K, n), in sigmas. `model`: the most probable model and its probability. `noise` (K):
+    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `cost_limit`: beyond it no
+    motion fits.
+    """
+
+    obs: Observations
+    kept: np.ndarray
+    track: Track
+    probability: np.ndarray
+    mean: np.ndarray
+    mean_sigma: np.ndarray
+    residual: dict[str, np.ndarray]
+    model: tuple[str, float]
+    noise: np.ndarray
+    estimates: tuple[dict[str, tuple[str, float, float]], ...]
+    cost_limit: float
+
+    def take(self, which: np.ndarray) -> Solutions:
+        """Return some of the solutions."""
+        return replace(
+            self,
+            track=self.track.take(which),
+            probability=self.probability[which],
+            mean=self.mean[which],
+            mean_sigma=self.mean_sigma[which],
+            residual={name: part[which] for name, part in self.residual.items()},
+            noise=self.noise[which],
+            estimates=tuple(self.estimates[k] for k in which),
+        )
+
+    def listed(self, s: SolutionSettings) -> Solutions:
+        """Return the solutions that are reported, the most probable first."""
+        order = np.argsort(-self.probability, kind="stable")[: s.most]
+        keep = order[: max(1, int(np.count_nonzero(self.probability[order] > s.least)))]
+        return self.take(keep)
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A motion of a fit with its part of the probability of the pass."""
+
+    fit: Fit
+    place: int
+    weight: float
+
+    @property
+    def motion(self) -> Track:
+        """The motion alone (K = 1)."""
+        return self.fit.motions.take(slice(self.place, self.place + 1))
+
+
+def solutions(
+    fits: PassFits,
+    whole: Observations,
+    kept: np.ndarray,
+    s: SolutionSettings,
+    copies: SearchSettings,
+) -> Solutions:
+    """Return the solutions of a pass.
+
+    A solution is a motion as its most probable model has it; that other models and rungs bend it counts in its covariance.
+
+    Parameters
+    ----------
+    fits : PassFits
+        At the kept samples.
+    whole : Observations
+        Of all samples of the pass.
+    kept : (n)
+        Places of the kept samples among them.
+    """
+    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, copies)
+    every = [_solution(group, whole, kept) for group in groups]
+    shares: dict[str, float] = {AS_STATED: 0.0}
+    for member in (member for group in groups for member in group):
+        what = member.fit.model.what
+        shares[what] = shares.get(what, 0.0) + member.weight
+    named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
+    parts = {name: [one[name] for one in every] for name in every[0]}
+    return Solutions(
+        whole,
+        kept,
+        Track(*(np.concatenate(part) for part in zip(*parts["track"], strict=True))),
+        np.array([sum(member.weight for member in group) for group in groups]),
+        np.concatenate(parts["mean"]),
+        np.concatenate(parts["mean_sigma"]),
+        {
+            name: np.concatenate([one[name] for one in parts["residual"]])
+            for name in parts["residual"][0]
+        },
+        (named, shares[named]),
+        np.array(parts["noise"]),
+        tuple(parts["estimates"]),
+        fits.stated.obs.cost_limit,
+    )
+
+
+def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
+    """Return the motions of all fits with weights that add to one, the heaviest first, without those that hardly count.
+
+    The weight of each is the larger of two: with every rate up to the largest as likely, most of which are near the largest, and
+    with every size of it. Whole turns more may fit alike, and which motion is likelier must not hang on what was taken for likely
+    before the data.
+    """
+    log = [one.log_evidence + fits.log_rung[fits.rung(one)] for one in fits.fits]
+    sized = [part + _any_size(one, s) for part, one in zip(log, fits.fits, strict=True)]
+    weights = np.max(
+        [np.exp(one - logsumexp(one)) for one in (np.concatenate(log), np.concatenate(sized))],
+        axis=0,
+    )
+    weights = weights / weights.sum()
+    places = [(one, k) for one in fits.fits for k in range(len(one))]
+    order = np.argsort(-weights, kind="stable")
+    order = order[weights[order] > s.counted * weights.max()]
+    total = weights[order].sum()
+    return [_Member(*places[i], float(weights[i] / total)) for i in order]
+
+
+def _any_size(one: Fit, s: SolutionSettings) -> np.ndarray:
+    """Return what motions (K) gain in log evidence if nobody knows to a power of ten how fast the body turns.
+
+    Evidence under priors of the rate at the first sample that are narrower by the factors `slower`, in their mean. A fit that ended
+    on a slope has a covariance that is none, and gains nothing.
+    """
+    sigma = one.model.rate_sigma
+    covariance = np.nan_to_num(one.motions.covariance[:, 0, 3:, 3:]) / sigma**2
+    sound = np.linalg.eigvalsh(covariance)[:, 0] > 0
+    covariance = np.where(sound[:, None, None], covariance, np.eye(3))
+    rate = one.motions.omega[:, 0] / sigma
+    precision = np.linalg.inv(covariance)
+    slope = (precision @ rate[..., None])[..., 0]
+    before = np.linalg.slogdet(precision)[1] - np.einsum("ki,ki->k", slope, rate)
+    gains = []
+    for share in s.slower:
+        matrix = precision + (1 / share**2 - 1) * np.eye(3)
+        mean = np.linalg.solve(matrix, slope[..., None])[..., 0]
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("ki,ki->k", slope, mean)
+        gains.append(sound * ((before - after) / 2 - 3 * np.log(share)))
+    return logsumexp(gains, axis=0) - np.log(len(gains))
+
+
+def _grouped(
+    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, copies: SearchSettings
+) -> list[list[_Member]]:
+    """Return the members of each solution, the heaviest first; solutions by their weight."""
+    groups: list[tuple[Outline, list[_Member]]] = []
+    for member in members:
+        outline = Outline.of(member.motion, t_s)
+        for head, group in groups:
+            # two motions that one fit has told apart are two, unless their sigmas join them
+            met = any(member.fit is other.fit for other in group)
+            apart = copies.copies_rad if met else s.bent_rad
+            if outline.same(0, head, apart, s.bent_rad, copies.copies_sigmas)[0]:
+                group.append(member)
+                break
+        else:
+            groups.append((outline, [member]))
+    lists = [group for _, group in groups]
+    return sorted(lists, key=lambda group: -sum(member.weight for member in group))
+
+
+def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> dict[str, Any]:
+    """Return one solution at all samples of a pass."""
+    head, model = group[0], group[0].fit.model
+    shares = np.array([member.weight for member in group])
+    shares = shares / shares.sum()
+    motion = head.motion
+
+    # the covariance about the motion of the head, at the kept samples: what the others are off counts
+    covariance, square = np.zeros_like(motion.covariance), 0.0
+    for member, share in zip(group, shares, strict=True):
+        other = member.motion
+        turn = rotation_between(motion.attitude, other.attitude)
+        off = np.concatenate([turn, other.omega - motion.omega], axis=-1)
+        covariance += share * (other.covariance + off[..., :, None] * off[..., None, :])
+        square += share * member.fit.model.noise.acceleration**2
+    motion = replace(motion, covariance=covariance)
+    fill = filled(model, motion, whole.t_s, whole.momentum, float(np.sqrt(square)))
+    mean = fill.track.omega.mean(axis=1)
+
+    variance, counted = np.zeros((1, 3)), 0.0
+    for member, share in zip(group, shares, strict=True):
+        if share < MEAN_COUNTS and counted:
+            continue
+        one = member.fit.take(slice(member.place, member.place + 1))
+        off = np.einsum("knij,knj->ki", fill.mean_map, _off(head.motion, member.motion))
+        variance += share * (variance_of(one, fill.mean_map) + off**2)
+        counted += share
+    return {
+        "track": (
+            fill.track.attitude,
+            fill.track.omega,
+            motion.u[:, model.of_body],
+            fill.track.cost,
+            fill.track.covariance,
+        ),
+        "mean": mean,
+        "mean_sigma": np.sqrt(variance / counted),
+        "residual": residuals_by_sensor(whole, model, fill.track, kept),
+        "noise": float(np.sqrt(square)),
+        "estimates": estimates(head.fit, head.place),
+    }
+
+
+def _off(motion: Track, other: Track) -> np.ndarray:
+    """Return turn and rate (K, n, 6) by which another motion differs."""
+    turn = rotation_between(motion.attitude, other.attitude)
+    return np.concatenate([turn, other.omega - motion.omega], axis=-1)
+
+
+def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
+    """Return what was estimated with a motion: name -> unit, value, one sigma.
+
+    Gains are factors on those of the vehicle file, moments of inertia in units of the mean one.
+    """
+    model: Model = one.model
+    u, covariance = one.motions.u[place], one.u_covariance[place]
+    rows: dict[str, tuple[str, float, np.ndarray]] = {}  # unit, centre, change by each unknown
+    every = np.eye(len(u))
+    body = model.body
+    for i, j in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] if len(body.errors) else ():
+        change = body.errors[:, i, j] @ every[model.of_body]
+        rows[f"inertia_{'xyz'[i]}{'xyz'[j]}"] = "1", body.inertia[i, j], change
+    for k, unknown in enumerate(model.unknowns):
+        if unknown.kind in ("steady_torque", "gyro_zero", "gyro_scale"):
+            rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
+    for term, where in zip(model.obs.terms, model.of_terms, strict=True):
+        if isinstance(term, Panels) and len(term.gain_errors):
+            for k, name in enumerate(term.names):
+                rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ every[where]
+    return {
+        name: (
+            unit,
+            float(centre + change @ u),
+            float(np.sqrt(max(change @ covariance @ change, 0))),
+        )
+        for name, (unit, centre, change) in rows.items()
+    }
