@@ -17,11 +17,11 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import SunspinError
-from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.rates.result import DECIDED
 from sunspin.estimate.verdict import NARROWER
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
+from validation.subject import rates
 from validation.truths import is_listed, is_wrong
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
