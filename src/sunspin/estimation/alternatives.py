@@ -1,20 +1,30 @@
-"""What else may have moved the body: models with one entry changed, fitted from the motions of the model as stated."""
+"""What else may have moved the body: models with one entry changed, fitted from the motions of the model as stated.
+
+Each is as likely before the data as the model as stated. Sigmas are never enlarged by hand: an alternative that explains the
+readings adds its own motion and errors to the sum.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimation.model import Model
+from sunspin.estimation.chain import RATE, Fit, Whitening, defects, fit
+from sunspin.estimation.evidence import likeliest
+from sunspin.estimation.model import AS_STATED, Model, Track
 from sunspin.estimation.settings import AlternativeSettings
 from sunspin.estimation.terms.torques import WORDS, ConstantTorque
 
+LEAST_STEP = 1e-3
+"""Least size of a step, in sigmas of the rate before the data."""
 
-def alternatives(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
-    """Yield the models that are tried beside the one as stated, each as likely before the data.
 
-    A constant torque in the body, and one in space.
+def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
+    """Yield the models that are tried beside the one as stated.
+
+    A constant torque in the body, and one in space; steps of the rate. `fits`: all so far, which grow as the models are fitted.
     """
     obs = stated.obs
     duration = float(np.ptp(obs.t_s))
@@ -23,3 +33,65 @@ def alternatives(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
             frame, s.torque_turns_rad, duration, stated.body.inertia, obs.momentum
         )
         yield stated.plus(torque, f"a steady torque in {words}")
+    yield from steps_of_the_rate(stated, fits, s)
+
+
+def steps_of_the_rate(
+    stated: Model, fits: Sequence[Fit], s: AlternativeSettings
+) -> Iterator[Model]:
+    """Yield models in which the rate changes at once in one interval, then in a second one too, as long as the evidence grows.
+
+    A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
+    step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
+    with a thrust was decided and wrong by 6 sigma. A step may be anywhere, which costs evidence, and near a sample the data hardly
+    tell before from after: the last steps are also tried one interval earlier and later.
+    """
+    best = likeliest([one for one in fits if one.model.what == AS_STATED])
+    top, steps = float(best.log_evidence.max()), ()
+    model = stated
+    intervals = len(stated.obs) - 1
+    price = np.log(intervals) + s.step_sizes
+    for _ in range(min(s.most_steps, intervals - 1)):
+        motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+        value, *_ = defects(best.model, motion)
+        square = (value[0] ** 2).sum(axis=1)
+        square[[interval for interval, _ in steps]] = 0.0
+        worst = int(np.argmax(square))
+        if square[worst] / 2 < price - s.hopeless:  # no step can gain what it costs
+            return
+        sigma = _size_of_step(best.model, motion, worst)
+        steps = (*steps, (worst, sigma))
+        model = _with_steps(stated, steps, price)
+        yield model
+        best = likeliest([one for one in fits if one.model.what == model.what] or [best])
+        if best.log_evidence.max() <= top or best.model.what != model.what:
+            return
+        top = float(best.log_evidence.max())
+        for interval in (worst - 1, worst + 1):
+            if 0 <= interval < intervals and all(interval != other for other, _ in steps):
+                yield _with_steps(stated, (*steps[:-1], (interval, sigma)), price)
+
+
+def _size_of_step(model: Model, motion: Track, interval: int) -> float:
+    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size."""
+    widest = model.rate_sigma
+    noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
+    wide = replace(model, noise=noise)
+    free = fit(wide, motion, 6).motions
+    value, *_ = defects(wide, free)
+    white = Whitening.of(noise, np.diff(model.obs.t_s)).matrix[interval]
+    change = np.linalg.solve(white, value[0, interval])[RATE]
+    return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
+
+
+def _with_steps(stated: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:
+    """Return the model with steps, each of which costs evidence."""
+    t_s = stated.obs.t_s
+    times = sorted((t_s[interval] + t_s[interval + 1]) / 2 for interval, _ in steps)
+    at = ", ".join(f"{time:.0f}" for time in times)
+    return replace(
+        stated,
+        noise=replace(stated.noise, steps=steps),
+        what=f"{'steps' if len(steps) > 1 else 'a step'} of the rate at {at} s",
+        log_prior=stated.log_prior - len(steps) * price,
+    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 
-USUAL = 2e5
+USUAL = 2e4
 """Motions times samples fitted that an effort of one allows in a pass: ten times what a usual pass takes."""
 
 

@@ -79,8 +79,9 @@ class Whitening(NamedTuple):
     @classmethod
     def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
         """Return those of unknown torques."""
-        turn = noise.acceleration * dt**1.5 / np.sqrt(3)
-        mixed, rate = 1.5 * turn / dt, noise.acceleration * np.sqrt(dt) / 2
+        q = noise.in_intervals(dt)
+        turn, rate = q * dt**1.5 / np.sqrt(3), q * np.sqrt(dt) / 2
+        mixed = 1.5 * turn / dt
         matrix = np.zeros((len(dt), 6, 6))
         for axis in range(3):
             matrix[:, axis, axis] = 1 / turn

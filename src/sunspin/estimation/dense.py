@@ -40,7 +40,7 @@ class Filled:
 
 
 def filled(
-    model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: float
+    model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: np.ndarray
 ) -> Filled:
     """Carry motions to all samples.
 
@@ -54,8 +54,8 @@ def filled(
         All times, those of the kept samples among them, the first and the last being kept.
     momentum : (N, 3)
         Momentum of the wheels, in mean moments times rad/s.
-    noise : float, rad/s^1.5
-        Strength of the unknown torques between kept samples.
+    noise : (n - 1), rad/s^1.5
+        Strength of the unknown torques in the intervals between kept samples.
     """
     kept = model.obs
     there = np.searchsorted(t_s, kept.t_s)
@@ -76,7 +76,7 @@ def filled(
 
     inertia = model.body.inertia_at(motions.u[:, model.of_body])
     ways: list[Step] = []
-    spread = _bridge(share, span, noise)
+    spread = _bridge(share, span, noise[before])
     for start, weight in ((before, 1 - blend), (before + 1, blend)):
         dt = t_s[new] - kept.t_s[start]
         momenta = kept.momentum[start], momentum[new]
@@ -98,13 +98,13 @@ def filled(
     return Filled(track, mean_map / every)
 
 
-def _bridge(share: np.ndarray, span: np.ndarray, noise: float) -> np.ndarray:
-    """Return the covariance (m, 6, 6) of turn and rate at a share (m) of intervals (m) in s whose ends are held.
+def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the covariance (m, 6, 6) of turn and rate at a share (m) of intervals (m) in s whose ends are held, under noise (m).
 
     That of a bridge of the integral and the twofold integral of white angular acceleration.
     """
     s = (share * (1 - share))[:, None, None]
-    square = noise**2 * span[:, None, None] * np.eye(3)
+    square = (noise**2 * span)[:, None, None] * np.eye(3)
     covariance = np.zeros((len(share), 6, 6))
     covariance[:, :3, :3] = square * span[:, None, None] ** 2 * s**3 / 3
     covariance[:, 3:, 3:] = square * s * (1 - 3 * s)
@@ -131,7 +131,7 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
     met = np.abs(instants[place] - t_s) <= near
     every = np.union1d(np.delete(instants, place[met]), t_s)
     wheels = np.stack([np.interp(every, t_s, part) for part in momentum.T], axis=1)
-    track = filled(model, motion, every, wheels, noise).track
+    track = filled(model, motion, every, wheels, np.full(len(spans), noise)).track
     at = np.searchsorted(every, instants - near)
     return instants, Track(
         track.attitude[:, at], track.omega[:, at], track.u, covariance=track.covariance[:, at]

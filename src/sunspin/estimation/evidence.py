@@ -15,7 +15,7 @@ from scipy.special import log_softmax, logsumexp
 
 from sunspin.estimation.chain import Fit, fit
 from sunspin.estimation.copies import distinct
-from sunspin.estimation.model import AS_STATED, Model, Noise, Track
+from sunspin.estimation.model import AS_STATED, Model, Track
 from sunspin.estimation.settings import LadderSettings, SearchSettings
 from sunspin.solve.rotations import rotate_attitude
 
@@ -57,17 +57,17 @@ def ladder(
     motions: Track,
     s: LadderSettings,
     copies: SearchSettings,
-    begin: float | None = None,
+    begin: float,
+    beside: float = -np.inf,
 ) -> list[Fit]:
     """Return fits of a model under every strength of unknown torques.
 
     From the rung `begin` up, then from there down, each from where the one before ended: a stiff motion stays where it is put. As
-    far as a rung is not hopeless beside the best one.
+    far as a rung is not hopeless beside the best one, or beside another model with the log evidence `beside`.
     """
-    begin = s.begin if begin is None else begin
     if not len(motions):
         return []
-    start = _kept(fit(model.under(Noise(begin)), motions, s.first_steps), s, copies)
+    start = _kept(fit(model.under(begin), motions, s.first_steps), s, copies)
     fits = [start] if begin in s.rungs and len(start) else []
     above = sorted(rung for rung in s.rungs if rung > begin)
     below = sorted((rung for rung in s.rungs if rung < begin), reverse=True)
@@ -77,16 +77,14 @@ def ladder(
             count = int(np.ceil(abs(np.log(rung / last)) / np.log(s.cooling) - 1e-9))
             for level in np.geomspace(last, rung, count + 1)[1:-1]:
                 if len(now):
-                    now = _kept(
-                        fit(model.under(Noise(float(level))), now.motions, s.steps), s, copies
-                    )
+                    now = _kept(fit(model.under(float(level)), now.motions, s.steps), s, copies)
             if not len(now):
                 break
-            now, last = _kept(fit(model.under(Noise(rung)), now.motions, s.steps), s, copies), rung
+            now, last = _kept(fit(model.under(rung), now.motions, s.steps), s, copies), rung
             if not len(now):
                 break
             fits.append(now)
-            best = max(float(one.log_evidence.max()) for one in fits)
+            best = max(beside, *(float(one.log_evidence.max()) for one in fits))
             if now.log_evidence.max() < best - s.hopeless:
                 break
     return [over_shares(one, s.beyond_fit) for one in fits]
@@ -182,6 +180,11 @@ def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
     apart = copies.copies_rad, copies.copies_sigmas
     t_s = stated[0].model.obs.t_s
     return motions.take(distinct(motions, t_s, count, np.inf, *apart, order_by=-log))
+
+
+def likeliest(fits: Sequence[Fit]) -> Fit:
+    """Return the fit with the most probable motion."""
+    return max((one for one in fits if len(one)), key=lambda one: float(one.log_evidence.max()))
 
 
 def likeliest_cost(fits: Sequence[Fit]) -> float:

@@ -134,9 +134,20 @@ def _element_errors(sigma: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Noise:
-    """What the equations of motion leave out: white angular acceleration of this strength, rad/s^1.5."""
+    """What the equations of motion leave out: white angular acceleration of this strength, rad/s^1.5.
+
+    `steps`: intervals between samples in which the rate changes at once, each with one sigma of the change (rad/s).
+    """
 
     acceleration: float
+    steps: tuple[tuple[int, float], ...] = ()
+
+    def in_intervals(self, dt: np.ndarray) -> np.ndarray:
+        """Return the strength (n - 1) in each interval dt (n - 1): a step counts as strong torques in its interval."""
+        square = np.full(len(dt), self.acceleration**2)
+        for interval, sigma in self.steps:
+            square[interval] += sigma**2 / dt[interval]
+        return np.sqrt(square)
 
 
 @dataclass(frozen=True)
@@ -206,9 +217,9 @@ class Model:
         """Return the model of some of the samples."""
         return replace(self, obs=self.obs.take(samples))
 
-    def under(self, noise: Noise) -> Model:
-        """Return the model with another strength of unknown torques."""
-        return replace(self, noise=noise)
+    def under(self, acceleration: float) -> Model:
+        """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
+        return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
     def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
         """Return the model with one more term, at these log odds to the model before the data."""

@@ -227,15 +227,13 @@ def wheels_untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
     """Return the names of wheels of whose speed neither the vehicle file nor the telemetry says anything: taken for standing."""
     if vehicle.inertia_kg_m2 is None:
         return []
-    read = (
-        np.isfinite(telemetry["wheel_speed_rad_s"].values).any(axis=0)
-        if "wheel_speed_rad_s" in telemetry
-        else np.zeros(len(vehicle.wheels), dtype=bool)
-    )
+    read = np.full((1, len(vehicle.wheels)), np.nan)
+    if "wheel_speed_rad_s" in telemetry:
+        read = telemetry["wheel_speed_rad_s"].values
     return [
-        w.name
-        for w, known in zip(vehicle.wheels, read, strict=True)
-        if not known and not w.speed_rad_s
+        wheel.name
+        for k, wheel in enumerate(vehicle.wheels)
+        if wheel.speed_rad_s == 0 and not np.isfinite(read[:, k]).any()
     ]
 
 

@@ -20,11 +20,12 @@ from sunspin.estimation.evidence import (
     PassFits,
     ladder,
     leading,
+    likeliest,
     likeliest_cost,
     share_noise,
     united,
 )
-from sunspin.estimation.model import Body, Model, Noise
+from sunspin.estimation.model import AS_STATED, Body, Model, Noise
 from sunspin.estimation.observe import (
     Pass,
     Seen,
@@ -129,10 +130,13 @@ def rates(
     with process_pool(min(worker_count(workers), tasks)) as pool:
         run = map if pool is None else pool.map
         # Wheels that nobody measured are held or coast: the longest passes say which.
-        seen, wheels = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
+        seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
         models = [stated.seeing(one.kept) for one in passes]
-        fits = list(run(one_pass, models, repeat(settings), repeat(budget)))
+        open_still = [k for k in range(len(passes)) if k not in done]
+        fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
+        done |= dict(zip(open_still, fitted, strict=True))
+        fits = [done[k] for k in range(len(passes))]
 
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
@@ -144,7 +148,7 @@ def rates(
     solved, walk = link_passes(solved, middles, stated.rate_sigma)
     solved = [one.listed(settings.solutions) for one in solved]
 
-    stated = stated.under(Noise(common_noise(fits)))
+    stated = stated.under(common_noise(fits))
     result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
     result = result.assign_coords(pass_id=chosen)
     doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
@@ -156,7 +160,7 @@ def rates(
         | {
             "wheels": wheels,
             "walk_between_passes": walk,
-            "effort": sum(one.used for one in fits) / (USUAL * len(fits)),
+            "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
             "samples_searched": sum(len(p.kept) for p in passes),
             "symmetric_unlisted": 0,
         }
@@ -197,13 +201,18 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         )
 
     # What else may have moved the body.
-    for model in alternatives(stated, s.alternatives):
+    shorter = replace(s.ladder, hopeless=s.alternatives.hopeless)
+    # The generator sees `fits` grow: a second step of the rate is tried beside the first.
+    for model in alternatives(stated, fits, s.alternatives):
         if budget.exhausted():
             break
+        best = likeliest(fits)
         begin = leading(fits, s.alternatives.begin_with, s.search)
-        more = ladder(model, begin, s.ladder, s.search)
+        rung = likeliest([one for one in fits if one.model.what == AS_STATED]).model.noise
+        beside = float(best.log_evidence.max())
+        more = ladder(model, begin, shorter, s.search, rung.acceleration, beside)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
-        fits += more
+        fits += [one for one in more if one.log_evidence.max() > beside - shorter.hopeless]
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
@@ -216,20 +225,20 @@ def decide_wheels(
     settings: RatesSettings,
     budget: Budget,
     run: Callable,
-) -> tuple[Seen, str]:
-    """Return what is seen with the momentum of the wheels, and what they do, in words.
+) -> tuple[Seen, str, dict[int, PassFits]]:
+    """Return what is seen with the momentum of the wheels, what they do, in words, and the passes that are fitted with that.
 
     If several things are possible, the one under which the longest passes have the largest evidence.
     """
     momenta = wheel_models(assessment.vehicle, assessment.telemetry)
     names = list(momenta)
     if len(names) == 1:
-        return with_momentum(seen, momenta[names[0]]), names[0]
-    longest = sorted(passes, key=lambda one: -len(one.samples))[:LONGEST_PASSES]
+        return with_momentum(seen, momenta[names[0]]), names[0], {}
+    longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
     models = [
-        replace(stated, obs=with_momentum(seen, momenta[name]).obs).seeing(one.kept)
+        replace(stated, obs=with_momentum(seen, momenta[name]).obs).seeing(passes[k].kept)
         for name in names
-        for one in longest
+        for k in longest
     ]
     fits = list(run(one_pass, models, repeat(settings), repeat(budget)))
     evidence = np.array(
@@ -239,7 +248,8 @@ def decide_wheels(
     best = int(np.argmax(total))
     above = total[best] - np.delete(total, best).max()
     words = f"{names[best]} (evidence {above:.1f} above any other)"
-    return with_momentum(seen, momenta[names[best]]), words
+    done = dict(zip(longest, fits[best * len(longest) :], strict=False))
+    return with_momentum(seen, momenta[names[best]]), words, done
 
 
 def stated_noise(vehicle: Vehicle, given: float | None) -> float | None:

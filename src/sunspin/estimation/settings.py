@@ -44,8 +44,8 @@ class SearchSettings:
     basin_rad: float = 0.35
     """A start that is nearer to the truth than this, as a turn at the samples of its window, ends in it."""
 
-    step_rad: float = np.pi / 18
-    """Spacing of the turns tried between two directions of the Sun."""
+    step_rad: float = 0.35
+    """Spacing of the turns, as vectors, that are tried between two directions of the Sun. No turn is farther than half a basin."""
 
     most_starts: int = 200_000
     """Starts of one pair of samples; a grid of rates becomes coarser to hold to it."""
@@ -115,9 +115,6 @@ class LadderSettings:
     rungs: tuple[float, ...] = (5e-6, 2e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
     """rad/s^1.5; at 3e-4 a rate wanders by 0.3 deg/s in five minutes. Below the lowest the evidence is rounding."""
 
-    begin: float = 1e-4
-    """Rung on which motions are fitted first: the noise of the search."""
-
     strong: float = 1e-3
     """Rung under which an inertia that is wrong finds its place."""
 
@@ -146,6 +143,15 @@ class AlternativeSettings:
 
     begin_with: int = 5
     """Motions from which an alternative begins."""
+
+    hopeless: float = 6.0
+    """Log evidence by which an alternative may be worse than the best model and is followed: beyond it counts for 0.2 %."""
+
+    most_steps: int = 4
+    """Steps of the rate in a pass, at most."""
+
+    step_sizes: float = float(np.log(np.log(100.0)))
+    """What it costs in log evidence that the size of a step is known to a factor of a hundred only, and put where it comes out."""
 
     torque_turns_rad: tuple[float, ...] = tuple(np.radians(np.geomspace(1.0, 300.0, 6)).tolist())
     """Turns of the body over a pass by a constant torque: one sigma each, equally likely. Nobody knows it to a power of ten."""

@@ -195,15 +195,15 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> di
     motion = head.motion
 
     # the covariance about the motion of the head, at the kept samples: what the others are off counts
-    covariance, square = np.zeros_like(motion.covariance), 0.0
+    covariance, square = np.zeros_like(motion.covariance), np.zeros(len(model.obs) - 1)
     for member, share in zip(group, shares, strict=True):
         other = member.motion
         turn = rotation_between(motion.attitude, other.attitude)
         off = np.concatenate([turn, other.omega - motion.omega], axis=-1)
         covariance += share * (other.covariance + off[..., :, None] * off[..., None, :])
-        square += share * member.fit.model.noise.acceleration**2
+        square += share * member.fit.model.noise.in_intervals(np.diff(model.obs.t_s)) ** 2
     motion = replace(motion, covariance=covariance)
-    fill = filled(model, motion, whole.t_s, whole.momentum, float(np.sqrt(square)))
+    fill = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
     mean = fill.track.omega.mean(axis=1)
 
     variance, counted = np.zeros((1, 3)), 0.0
@@ -225,7 +225,7 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> di
         "mean": mean,
         "mean_sigma": np.sqrt(variance / counted),
         "residual": residuals_by_sensor(whole, model, fill.track, kept),
-        "noise": float(np.sqrt(square)),
+        "noise": float(np.sqrt(np.median(square))),
         "estimates": estimates(head.fit, head.place),
     }
 

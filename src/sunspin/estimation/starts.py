@@ -47,6 +47,9 @@ UNSEEN, BOUNDED = 100.0, 2.0
 ANY_AXIS_RAD, ANY_AXES = 0.5, 80
 """Two directions nearer to each other than this may be a whole turn apart, about any of so many axes."""
 
+FINE = 200
+"""Turns by which the family of rates between two directions is drawn before its points are spaced evenly."""
+
 
 def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]]:
     """Yield windows with candidates: for each pair of neighbouring samples, the shortest interval first, the rates between them.
@@ -175,23 +178,30 @@ def constant_rates(
     if np.linalg.norm(middle) < 1e-6:
         middle = np.cross(side, first)
     middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
-    angle = np.linspace(apart, np.pi, round(np.pi / step_rad))
-    # larger angles are turns the other way about the opposite axis
+    # most angles near the smallest, where the axis turns fastest; beyond pi they are turns the other way about the opposite axis
+    angle = apart + (np.pi - apart) * np.linspace(0.0, 1.0, FINE) ** 2
     tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
     along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
-    along = np.clip(np.concatenate([along, -along]), -1, 1)
-    axis = along[:, None] * middle + np.sqrt(1 - along**2)[:, None] * side
-    turns = np.arange(int(rate_max * dt / (2 * np.pi)) + 1)
-    total = np.concatenate([angle, angle])[:, None] + 2 * np.pi * turns
-    # the turn of the body is opposite to that of the Sun; by the rest of a circle it goes the other way about the axis
-    families = [
-        -axis[:, None] * total[..., None],
-        axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None],
-    ]
-    if apart < ANY_AXIS_RAD and len(turns) > 1:
-        families.append(sphere(ANY_AXES)[:, None] * (2 * np.pi * turns[1:])[:, None])
-    rates = np.concatenate([family.reshape(-1, 3) for family in families]) / dt
+    families = []
+    for side_of_middle in (1.0, -1.0):
+        cosine = np.clip(side_of_middle * along, -1, 1)[:, None]
+        axis = cosine * middle + np.sqrt(1 - cosine**2) * side
+        for turns in range(int(rate_max * dt / (2 * np.pi)) + 1):
+            # the turn of the body is opposite to that of the Sun; by the rest of a circle it goes the other way about the axis
+            families.append(-axis * (angle + 2 * np.pi * turns)[:, None])
+            families.append(axis * (2 * np.pi * (turns + 1) - angle)[:, None])
+            if apart < ANY_AXIS_RAD and turns and side_of_middle > 0:
+                families.append(sphere(ANY_AXES) * 2 * np.pi * turns)
+    rates = np.concatenate([_spaced(family, step_rad) for family in families]) / dt
     return rates[np.linalg.norm(rates, axis=1) <= rate_max]
+
+
+def _spaced(path: np.ndarray, step: float) -> np.ndarray:
+    """Return some points of a path (n, 3), its ends among them, each at most about a step farther on than the one before."""
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    place = np.concatenate([[0.0], np.cumsum(length)])
+    marks = np.linspace(0.0, place[-1], int(np.ceil(place[-1] / step)) + 1)
+    return path[np.unique(np.minimum(np.searchsorted(place, marks - 1e-12), len(path) - 1))]
 
 
 def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:

@@ -12,7 +12,9 @@ from sunspin.estimation.model import Seen, Unknown
 from sunspin.estimation.terms.term import Term
 from sunspin.solve.rotations import cross_matrix
 
-WORDS = {"B": "body axes", "N": "axes fixed in space"}
+Frame = Literal["B", "N"]
+
+WORDS: dict[Frame, str] = {"B": "body axes", "N": "axes fixed in space"}
 """In which axes a torque is constant, in words."""
 
 SERIES = 12
@@ -32,7 +34,7 @@ class ConstantTorque(Term):
     label: ClassVar[str] = "constant torque"
     per_sample: ClassVar[tuple[str, ...]] = ("momentum",)
 
-    frame: Literal["B", "N"]
+    frame: Frame
     sigma: float
     shares: tuple[float, ...]
     inertia: np.ndarray
@@ -41,7 +43,7 @@ class ConstantTorque(Term):
     @classmethod
     def turning(
         cls,
-        frame: Literal["B", "N"],
+        frame: Frame,
         turns_rad: Sequence[float],
         duration_s: float,
         inertia: np.ndarray,
