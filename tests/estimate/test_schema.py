@@ -1,4 +1,4 @@
-"""The result of `rates` on the template: its variables, dimensions, kinds of numbers, units and attributes are those of a stored list.
+"""The result of `rates` on the template: variables, dimensions, kinds of numbers, units and attributes are those of a stored list.
 
 Output, landing and the paper's study read a result by this list. It is asked of both estimation packages.
 """

@@ -1,6 +1,6 @@
-"""What else may have moved the body: models with one entry changed, fitted from the motions of the model as stated.
+"""What else may have moved the body: models with one entry changed, fitted from the motions of the nominal model.
 
-Each is as likely before the data as the model as stated. Sigmas are never enlarged by hand: an alternative that explains the
+Each has the prior probability of the nominal model. Sigmas are never enlarged by hand: an alternative that explains the
 readings adds its own motion and errors to the sum.
 """
 
@@ -22,7 +22,7 @@ LEAST_STEP = 1e-3
 
 
 def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield the models that are tried beside the one as stated.
+    """Yield the models that are tried in addition to the nominal one.
 
     A constant torque in the body, and one in space; steps of the rate. `fits`: all so far, which grow as the models are fitted.
     """

@@ -31,9 +31,9 @@ LOST_RAD_S = 1e6
 class Step(NamedTuple):
     """Motions after their intervals.
 
-    `turned` (K, n, 3, 3): the attitude at the end relative to that at the start; `omega` (K, n, 3). If asked: `by_start` (K, n, 6,
-    6), what turn and rate at the end answer to turn and rate at the start, and `by_inertia` (K, n, 6, e), to one sigma of each
-    error of the inertia.
+    `turned` (K, n, 3, 3): the attitude at the end relative to that at the start; `omega` (K, n, 3). If asked, derivatives of turn
+    and rate at the end: `by_start` (K, n, 6, 6) by those at the start; `by_inertia` (K, n, 6, e) by one sigma of each error of the
+    inertia.
     """
 
     turned: np.ndarray
@@ -45,7 +45,7 @@ class Step(NamedTuple):
 def nutation(inertia: np.ndarray, momentum: np.ndarray) -> np.ndarray:
     """Return the angular frequency (..., n) in rad/s at which wheels with momenta (n, 3) turn the rate of bodies (..., 3, 3) round.
 
-    Beside the wheels, dw/dt = I^-1 (w x h); the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
+    The wheels add I^-1 (w x h) to dw/dt; the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
     """
     square = np.einsum("...ni,...ij,...nj->...n", momentum, inertia, momentum)
     return np.sqrt(square / np.linalg.det(inertia)[..., None])

@@ -2,8 +2,8 @@
 
 Readings at a sample and the equations of motion between neighbours are residuals, equation (smoother) of docs/model.md. The normal
 equations are a chain of 6 x 6 blocks with a border for the other unknowns; a step of Gauss and Newton costs a time linear in the
-number of samples. As each interval starts anew, a start may be poor without the end of a pass being wild. Only the Sun is known in
-N, as its z axis: the turn about it is held by a weak prior.
+number of samples. As each interval has a start of its own, a start may be poor without the end of a pass being wild. Only the Sun
+is known in N, as its z axis: the turn about it is held by a weak prior.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ def damping_scale(read: np.ndarray, t_s: np.ndarray) -> np.ndarray:
 
 
 def _free_turn(obs: Observations, sun_B: np.ndarray) -> np.ndarray:
-    """Return the weak prior (K, 3, 3) of the turn about the Sun (K, 3), which no reading tells; without a Sun, of any turn."""
+    """Return the weak prior (K, 3, 3) of the turn about the Sun (K, 3), which no reading determines; without a Sun, of any turn."""
     if not any(term.of_sun for term in obs.terms):
         return np.tile(np.eye(3) / TURN_PRIOR**2, (len(sun_B), 1, 1))
     return sun_B[:, :, None] * sun_B[:, None, :] / TURN_PRIOR**2
@@ -358,7 +358,7 @@ class Chain:
         return Track.joined([good, moved]) if len(good) else moved
 
     def kept(self, motions: Track, window: slice) -> Track:
-        """Return motions without copies and without those that are hopeless beside the best, best first."""
+        """Return motions without copies and without improbable ones, best first."""
         s = self.s
         return motions.take(
             distinct(motions, self.t_s[window], s.most, s.drop, s.copies_rad, s.copies_sigmas)

@@ -143,8 +143,8 @@ def residuals_by_sensor(
 ) -> dict[str, np.ndarray]:
     """Return for each sensor how far its readings are from motions at all samples (K, n), in sigmas; NaN where it read nothing.
 
-    Where the attitude was carried its own covariance counts beside the noise of the reading. Errors that the vehicle file does not
-    state are not granted: a sensor fits if it does so as stated. `kept`: the places of the samples that were fitted.
+    Where the attitude was carried its own covariance is added to the noise of the reading. Errors that the vehicle file does not
+    state are not granted: a sensor fits if its readings agree with what the file states. `kept`: places of the fitted samples.
     """
     carried = ~np.isin(np.arange(len(obs)), kept)
     spread = np.where(carried[:, None, None], track.covariance, 0.0)

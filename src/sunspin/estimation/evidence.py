@@ -1,7 +1,7 @@
 """How probable motions are: under every strength of unknown torques, every size of an error, and every model.
 
 The probability of a model, and of a motion under it, is the integral of the posterior density around its minimum (Laplace's
-method). A strength that nobody knows is a list of equally likely values. All of them stay in the sum: evidence chooses.
+method). A strength that is not known is a list of equally likely values. All of them stay in the sum: evidence chooses.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ def ladder(
     s: LadderSettings,
     copies: SearchSettings,
     begin: float,
-    beside: float = -np.inf,
+    rival: float = -np.inf,
 ) -> list[Fit]:
     """Return fits of a model under every strength of unknown torques.
 
-    From the rung `begin` up, then from there down, each from where the one before ended: a stiff motion stays where it is put. As
-    far as a rung is not hopeless beside the best one, or beside another model with the log evidence `beside`.
+    From the rung `begin` up, then from there down, each from where the one before ended: a stiff motion stays where it is put. A
+    path ends with a rung that is hopeless compared with the best one, or with another model of log evidence `rival`.
     """
     if not len(motions):
         return []
@@ -84,7 +84,7 @@ def ladder(
             if not len(now):
                 break
             fits.append(now)
-            best = max(beside, *(float(one.log_evidence.max()) for one in fits))
+            best = max(rival, *(float(one.log_evidence.max()) for one in fits))
             if now.log_evidence.max() < best - s.hopeless:
                 break
     return [over_shares(one, s.beyond_fit) for one in fits]
@@ -156,22 +156,22 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
 
 
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
-    """Return the passes with a prior of each rung that is in part what the other passes of the file tell.
+    """Return the passes with a prior of each rung that comes in part from the other passes of the file.
 
-    The same torques act in all passes of a file, mostly. Of the prior of a rung the share `common` is told by the others, the rest
+    The same torques act in all passes of a file, mostly. The share `common` of the prior of a rung comes from the others, the rest
     is even.
     """
     log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
     even = np.full(log.shape[1], -np.log(log.shape[1]))
     alone = logsumexp(log + even, axis=1, keepdims=True)
-    told = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
-    others = told.sum(axis=0) - told
+    combined = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
+    others = combined.sum(axis=0) - combined
     prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
     return [one.with_rung_prior(row) for one, row in zip(passes, prior, strict=True)]
 
 
 def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
-    """Return the most probable motions of the model as stated, of whichever rung, without copies."""
+    """Return the most probable motions of the nominal model, of any rung, without copies."""
     stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
     if not stated:
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))

@@ -23,7 +23,7 @@ SUN_N = np.array([0.0, 0.0, 1.0])
 """The direction to the Sun in N, whose z axis follows it."""
 
 AS_STATED = "as stated"
-"""Name of the model that believes the vehicle file."""
+"""Name of the nominal model, which is exactly as the vehicle file gives it."""
 
 THINNEST = 0.1
 """No principal moment is less than this part of the mean one, and no second moment of the masses less than minus this."""
@@ -112,7 +112,7 @@ class Body:
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """The errors of the inertia."""
+        """Return the errors of the inertia."""
         sizes = np.linalg.norm(self.errors, axis=(1, 2))
         return tuple(
             Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(size), i, INERTIA_SIGMAS)
@@ -169,13 +169,13 @@ class Observations:
 
     @cached_property
     def sees_sun(self) -> np.ndarray:
-        """Whether a sample (n) shows something of the Sun's direction."""
+        """Return whether each sample (n) shows something of the Sun's direction."""
         seeing = [term.present() for term in self.terms if term.of_sun]
         return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *seeing])
 
     @cached_property
     def cost_limit(self) -> float:
-        """The cost that a true motion does not exceed."""
+        """Return the cost that a true motion does not exceed."""
         others = sum(int(term.present().sum()) for term in self.terms if not term.of_sun)
         return SAMPLE_COST * int(self.sees_sun.sum()) + READING_COST * others
 
@@ -184,7 +184,7 @@ class Observations:
 class Model:
     """What a fit believes.
 
-    `rate_sigma` (rad/s): sigma of each component of the rate before the data. `log_prior`: beside that of the model as stated;
+    `rate_sigma` (rad/s): sigma of each component of the rate before the data. `log_prior`: relative to that of the nominal model;
     `what` it changes, in words.
     """
 
@@ -197,18 +197,18 @@ class Model:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """All numbers that are estimated with a motion: those of the body, then those of each term."""
+        """Return all numbers that are estimated with a motion: those of the body, then those of each term."""
         of_terms = (one for term in self.obs.terms for one in term.unknowns())
         return (*self.body.unknowns, *of_terms)
 
     @property
     def of_body(self) -> slice:
-        """Where the errors of the inertia stand among the unknowns."""
+        """Return where the errors of the inertia stand among the unknowns."""
         return slice(0, len(self.body.errors))
 
     @cached_property
     def of_terms(self) -> tuple[slice, ...]:
-        """Where the unknowns of each term stand."""
+        """Return where the unknowns of each term stand."""
         counts = [len(self.body.errors), *(len(term.unknowns()) for term in self.obs.terms)]
         ends = np.cumsum(counts)
         return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
@@ -248,7 +248,7 @@ class Seen:
 
     @property
     def sun_B(self) -> np.ndarray:
-        """The directions to the Sun (K, n, 3)."""
+        """Return the directions to the Sun (K, n, 3)."""
         return self.attitude @ SUN_N
 
 

@@ -129,7 +129,7 @@ def rates(
     tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     with process_pool(min(worker_count(workers), tasks)) as pool:
         run = map if pool is None else pool.map
-        # Wheels that nobody measured are held or coast: the longest passes say which.
+        # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
         models = [stated.seeing(one.kept) for one in passes]
@@ -171,7 +171,7 @@ def rates(
 def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits:
     """Return every motion of one pass under every model that may explain it, with evidence.
 
-    `stated`: the model as stated, of the samples kept for the search.
+    `stated`: the nominal model of the samples kept for the search.
     """
     s = settings
     budget = replace(budget)  # passes work side by side, each with its own
@@ -202,17 +202,17 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
 
     # What else may have moved the body.
     shorter = replace(s.ladder, hopeless=s.alternatives.hopeless)
-    # The generator sees `fits` grow: a second step of the rate is tried beside the first.
+    # The generator sees `fits` grow: a second step of the rate is added to the first.
     for model in alternatives(stated, fits, s.alternatives):
         if budget.exhausted():
             break
         best = likeliest(fits)
         begin = leading(fits, s.alternatives.begin_with, s.search)
         rung = likeliest([one for one in fits if one.model.what == AS_STATED]).model.noise
-        beside = float(best.log_evidence.max())
-        more = ladder(model, begin, shorter, s.search, rung.acceleration, beside)
+        top = float(best.log_evidence.max())
+        more = ladder(model, begin, shorter, s.search, rung.acceleration, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
-        fits += [one for one in more if one.log_evidence.max() > beside - shorter.hopeless]
+        fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
@@ -253,7 +253,7 @@ def decide_wheels(
 
 
 def stated_noise(vehicle: Vehicle, given: float | None) -> float | None:
-    """Return the strength of unknown torques (rad/s^1.5) that is given, else the vehicle's; None if nobody states it.
+    """Return the strength of unknown torques (rad/s^1.5) that is given, else the vehicle's; None if neither states it.
 
     The torque of a magnetic dipole is not modelled without a measured field: then the vehicle file has another strength.
     """
@@ -306,9 +306,9 @@ def doubts_of(
 ) -> tuple[list[str], dict[str, float]]:
     """Return what the search of each pass may have left out and what would help, in words; and attributes that count such passes.
 
-    It was cut short; its starts were too coarse for the largest rate; it took a body without an inertia for a sphere, but the data
-    want torques as strong as hardly any satellite has, or that turn the body far between two samples, as a nutation does; the
-    speed of a wheel is unknown.
+    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown. Or it took a body
+    without an inertia for a sphere, but the data want torques that hardly any satellite has. Torques that turn the body far between
+    two samples are doubted too, as a nutation does that.
     """
     fine = [fine_up_to(model, settings.search) for model in models]
     no_sphere = []

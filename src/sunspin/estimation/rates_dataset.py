@@ -40,14 +40,14 @@ OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun 
 """Where the error of panel readings comes from without a stated noise."""
 
 OTHER_SENSORS = ("gyro", "field", "attitude")
-"""Sensors beside the Sun's; the attributes say which were used."""
+"""Sensors other than the Sun's; the attributes say which were used."""
 
 NOT_LATE = {
     "sensors_late_s": np.nan,
     "sensors_late_sigma_s": np.nan,
     "sensors_late_from": "taken as read together",
 }
-"""What is said of the clock of sensors beside the Sun's."""
+"""What is said of the clock of sensors other than the Sun's."""
 
 
 def dataset(
@@ -61,7 +61,7 @@ def dataset(
 ) -> xr.Dataset:
     """Return the numbers of all passes.
 
-    `why` (n): what became of each sample of the file; `stated`: the model as stated, under the strength of torques that the file
+    `why` (n): what became of each sample of the file; `stated`: the nominal model, under the strength of torques that the file
     as a whole has.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry

@@ -30,7 +30,7 @@ class Carrier(Protocol):
         """Return motions without copies and improbable ones, best first."""
 
     def widened(self, motions: Any, window: slice, wider: slice) -> Any:
-        """Return motions of a window at the samples of a wider one, with what the window leaves open beside them."""
+        """Return motions of a window at the samples of a wider one, with further ones that the window leaves open."""
 
     def joined(self, motions: list[Any]) -> Any:
         """Return the motions of several searches."""

@@ -90,10 +90,10 @@ class SearchSettings:
     """Candidates that cost more than the best by this get no further ones."""
 
     places: int = 3
-    """Pairs of samples to start from, unless one tells all (:func:`sunspin.estimation.starts.places`)."""
+    """Pairs of samples to start from, unless one is enough (:func:`sunspin.estimation.starts.places`)."""
 
     more_places: int = 2
-    """Pairs to start from beside those, if the best candidate does not fit."""
+    """Further pairs to start from if the best candidate does not fit."""
 
     good_enough: float = 0.8
     """A candidate fits for the search if it costs less than this share of the limit."""
@@ -134,7 +134,7 @@ class LadderSettings:
     """Sizes of a torque that are larger than the fitted one by this factor get nothing: there the answer is not linear."""
 
     common: float = 0.75
-    """Share of the prior of the rungs that the other passes of the file tell."""
+    """Share of the prior of the rungs that comes from the other passes of the file."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class AlternativeSettings:
     """What it costs in log evidence that the size of a step is known to a factor of a hundred only, and put where it comes out."""
 
     torque_turns_rad: tuple[float, ...] = tuple(np.radians(np.geomspace(1.0, 300.0, 6)).tolist())
-    """Turns of the body over a pass by a constant torque: one sigma each, equally likely. Nobody knows it to a power of ten."""
+    """Turns of the body over a pass by a constant torque: one sigma each, equally likely. It is not known to a power of ten."""
 
     even_rad: float = 0.5
     """Samples are even if whole turns between the closest two are whole turns between all others, to this."""
@@ -183,7 +183,7 @@ class SolutionSettings:
     """Parts of the largest rate up to which a body may turn, equally likely, if a rate may be of any size."""
 
     named: float = 0.05
-    """Another model is named if the one as stated has less probability."""
+    """Another model is named if the nominal one has less probability."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class RatesSettings:
 
 
 RATES = RatesSettings()
-"""What `rates` uses unless it is told otherwise."""
+"""What `rates` uses by default."""
 
 
 # What is believed before the data, about satellites.

@@ -73,7 +73,7 @@ class _Member:
 
     @property
     def motion(self) -> Track:
-        """The motion alone (K = 1)."""
+        """Return the motion alone (K = 1)."""
         return self.fit.motions.take(slice(self.place, self.place + 1))
 
 
@@ -145,7 +145,7 @@ def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
 
 
 def _any_size(one: Fit, s: SolutionSettings) -> np.ndarray:
-    """Return what motions (K) gain in log evidence if nobody knows to a power of ten how fast the body turns.
+    """Return what motions (K) gain in log evidence if it is not known to a power of ten how fast the body turns.
 
     Evidence under priors of the rate at the first sample that are narrower by the factors `slower`, in their mean. A fit that ended
     on a slope has a covariance that is none, and gains nothing.
@@ -175,7 +175,7 @@ def _grouped(
     for member in members:
         outline = Outline.of(member.motion, t_s)
         for head, group in groups:
-            # two motions that one fit has told apart are two, unless their sigmas join them
+            # two motions that one fit has separated are two, unless their sigmas join them
             met = any(member.fit is other.fit for other in group)
             apart = copies.copies_rad if met else s.bent_rad
             if outline.same(0, head, apart, s.bent_rad, copies.copies_sigmas)[0]:

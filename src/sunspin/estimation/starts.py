@@ -90,7 +90,7 @@ def _pairs(model: Model) -> np.ndarray:
 
 
 def gyro_decides(model: Model, first: int) -> bool:
-    """Return whether a gyro tells the turn from a sample to the next, so that no other rate need be tried."""
+    """Return whether a gyro determines the turn from a sample to the next, so that no other rate need be tried."""
     sigma = min((term.starts(first).rate_sigma for term in model.obs.terms), default=np.inf)
     return bool(sigma * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < GYRO_RAD)
 

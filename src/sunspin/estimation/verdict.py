@@ -58,7 +58,7 @@ class Misfit(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether the sensor agrees with the motion."""
+        """Return whether the sensor agrees with the motion."""
         beyond = self.share * self.count
         in_runs = self.share > FEW_BEYOND and beyond > LEAST_BEYOND - 0.5 and self.chance < IN_RUNS
         return not (in_runs or (self.share > MOST_BEYOND and beyond > ONE_SPIKE))
@@ -99,12 +99,12 @@ class Speed(NamedTuple):
 
     @property
     def constrained(self) -> bool:
-        """Whether the data give a speed; else they give an upper limit only, `below`."""
+        """Return whether the data give a speed; else they give an upper limit only, `below`."""
         return bool(self.sigma <= self.value)
 
     @property
     def limit(self) -> str:
-        """The upper limit in words, in deg/s with two digits."""
+        """Return the upper limit in words, in deg/s with two digits."""
         return f"speed below {upper_text(np.degrees(self.below))} deg/s (95 %)"
 
 
@@ -160,13 +160,13 @@ class Answers(NamedTuple):
 
     @property
     def decided(self) -> bool:
-        """Whether an operator may act on the motion."""
+        """Return whether an operator may act on the motion."""
         constrained = all(self.constrained) and self.speed.constrained
         return self.unique and self.fits and constrained and self.search_complete
 
     @property
     def why_not(self) -> str:
-        """What keeps the motion from being decided, in words; empty if it is."""
+        """Return what keeps the motion from being decided, in words; empty if it is."""
         known = [axis for axis, is_known in zip("xyz", self.constrained, strict=True) if is_known]
         reasons = []
         if not self.fits:

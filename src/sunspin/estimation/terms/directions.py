@@ -96,7 +96,7 @@ class SunDirections(Term):
 
     @cached_property
     def _whitened(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Both meanings: directions (n, 3) and roots (n, 3, 3) of inverse covariances, zero where there is none."""
+        """Return both meanings: directions (n, 3) and roots (n, 3, 3) of inverse covariances, zero where there is none."""
         pairs = []
         for direction, covariance in (
             (self.direction_B, self.covariance),

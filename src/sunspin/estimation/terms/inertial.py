@@ -55,7 +55,7 @@ class Gyro(Term):
 
     @property
     def _columns(self) -> np.ndarray:
-        """What one sigma of each unknown adds to the readings (n, 3, m) in rad/s."""
+        """Return what one sigma of each unknown adds to the readings (n, 3, m) in rad/s."""
         read = self.present()[:, None, None]
         zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]
         columns = [np.broadcast_to(zero, (len(read), *zero.shape))]
@@ -113,7 +113,7 @@ class Gyro(Term):
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
     def starts(self, sample: int) -> Starts:
-        """Return the rates that it reads at a sample and the next; their sigma is told only if both were read."""
+        """Return the rates that it reads at a sample and the next; their sigma is known only if both were read."""
         rates = self.rate_B[sample : sample + 2]
         rates = rates[np.isfinite(rates).all(axis=1)]
         return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)

@@ -110,7 +110,7 @@ class Panels(Term):
 
     @property
     def full(self) -> np.ndarray:
-        """What each panel (p) reads of a Sun that it looks at."""
+        """Return what each panel (p) reads of a Sun that it looks at."""
         return self.gain * self.response.power(self.response.facing_B).diagonal()
 
     def unknowns(self) -> tuple[Unknown, ...]:

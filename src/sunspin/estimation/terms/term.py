@@ -31,8 +31,8 @@ def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class Residual(NamedTuple):
     """Differences of predictions from readings in stated sigmas, with derivatives.
 
-    `value` (K, n, r), zero where nothing was read; `by_turn` (K, n, r, 3) by a turn of the body at the sample (rad, B), `by_rate`
-    (K, n, r, 3) by its rate, `by_u` (K, n, r, m) by one sigma of each of the term's unknowns; None: it does not depend on it.
+    `value` (K, n, r), zero where nothing was read; `by_turn` (K, n, r, 3) by a turn of the body at the sample (rad, B); `by_rate`
+    (K, n, r, 3) by its rate; `by_u` (K, n, r, m) by one sigma of each of the term's unknowns. None: it does not depend on that.
     """
 
     value: np.ndarray
