@@ -59,7 +59,8 @@ def search(
         while len(motions):
             motions = carrier.kept(carrier.fit(motions, window), window)
             budget.spend(len(motions) * (window.stop - window.start))
-            s.watch(window, motions)
+            if s.watch is not None:
+                s.watch(window, motions)
             if window == everything:
                 if len(motions):
                     ends.append(motions)

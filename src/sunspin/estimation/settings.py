@@ -7,7 +7,7 @@ accuracy of a computation alone stands where it is computed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -104,7 +104,7 @@ class SearchSettings:
     stiff_rad: float = 0.1
     """A window is short if unknown torques turn the body by less than this in half of it: there the chain creeps."""
 
-    watch: Callable[[Any, Any], None] = field(default=lambda window, motions: None)
+    watch: Callable[[Any, Any], None] | None = None
     """Called with each window and its candidates: to see which stage dropped a motion."""
 
 
