@@ -208,9 +208,12 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             break
         best = likeliest(fits)
         begin = leading(fits, s.alternatives.begin_with, s.search)
-        rung = likeliest([one for one in fits if one.model.what == AS_STATED]).model.noise
+        nominal = likeliest([one for one in fits if one.model.what == AS_STATED])
+        # under the torques that the nominal model wants an alternative can grow; a stated strength may be too stiff for that
+        rung = nominal.model.noise.acceleration
+        rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
         top = float(best.log_evidence.max())
-        more = ladder(model, begin, shorter, s.search, rung.acceleration, top)
+        more = ladder(model, begin, shorter, s.search, rung, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
@@ -240,16 +243,32 @@ def decide_wheels(
         for name in names
         for k in longest
     ]
-    fits = list(run(one_pass, models, repeat(settings), repeat(budget)))
+    fits = list(run(_pass_if_any, models, repeat(settings), repeat(budget)))
     evidence = np.array(
-        [np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung) for one in fits]
+        [
+            -np.inf
+            if one is None
+            else np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung)
+            for one in fits
+        ]
     )
+    if not np.isfinite(evidence).any():
+        one_pass(models[0], settings, budget)  # says why there is no motion
     total = evidence.reshape(len(names), len(longest)).sum(axis=1)
     best = int(np.argmax(total))
     above = total[best] - np.delete(total, best).max()
     words = f"{names[best]} (evidence {above:.1f} above any other)"
-    done = dict(zip(longest, fits[best * len(longest) :], strict=False))
+    of_best = zip(longest, fits[best * len(longest) :], strict=False)
+    done = {k: one for k, one in of_best if one is not None}
     return with_momentum(seen, momenta[names[best]]), words, done
+
+
+def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits | None:
+    """Return the fits of a pass; None if the model allows no motion at all."""
+    try:
+        return one_pass(stated, settings, budget)
+    except InputError:
+        return None
 
 
 def stated_noise(vehicle: Vehicle, given: float | None) -> float | None:
