@@ -11,8 +11,8 @@ from sunspin.estimation.chain import Chain, carried, fit
 from sunspin.estimation.copies import Outline, distinct
 from sunspin.estimation.model import Body, Model, Noise, Observations, Track
 from sunspin.estimation.search import grown, search
-from sunspin.estimation.settings import SearchSettings
-from sunspin.estimation.starts import constant_rates, pair_starts, places
+from sunspin.estimation.settings import AlternativeSettings, SearchSettings
+from sunspin.estimation.starts import constant_rates, pair_starts, places, relatives
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.solve.rotations import rotate_attitude
 
@@ -160,3 +160,23 @@ def test_a_fit_of_a_candidate_does_not_hang_on_the_others():
     )
     together, alone = fit(model, begin, 6), fit(model, begin.take(slice(3, 4)), 6)
     assert np.allclose(together.motions.omega[3], alone.motions.omega[0], rtol=0, atol=1e-12)
+
+
+def test_relatives_of_a_motion_see_the_same_and_turn_whole_turns_more():
+    model, truth = watched(4.0, max_deg_s=40.0)
+    others = relatives(truth, model, AlternativeSettings())
+    turns = np.linalg.norm(others.omega - truth.omega, axis=-1) * 20.0 / (2 * np.pi)
+    assert len(others) and np.allclose(turns, np.round(turns), atol=1e-6)
+    assert set(np.round(turns[:, 0]).astype(int)) == {1, 2}
+    uneven = replace(model.obs, t_s=model.obs.t_s * (1 + 0.01 * np.arange(20)))
+    assert not len(relatives(truth, replace(model, obs=uneven), AlternativeSettings()))
+
+
+def test_a_body_without_an_inertia_is_tried_in_six_shapes():
+    model, truth = watched(4.0, max_deg_s=8.0)
+    errors = np.array([0.3 * np.diag(row) for row in np.eye(3)])
+    model = replace(model, body=Body(np.eye(3), errors, sphere=True))
+    motion = Track(truth.attitude, truth.omega, np.zeros((1, 3)))
+    others = relatives(motion, model, AlternativeSettings())
+    shapes = others.u[-6:].round(6)
+    assert len({tuple(row) for row in shapes}) == 6 and np.allclose(shapes.sum(axis=1), 0)

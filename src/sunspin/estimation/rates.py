@@ -40,7 +40,7 @@ from sunspin.estimation.rates_dataset import NOT_LATE, believed, dataset
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimation.solutions import Solutions, solutions
-from sunspin.estimation.starts import fine_up_to, pair_starts, places
+from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
 from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
@@ -199,6 +199,13 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             got=f"{len(stated.obs)} samples in the pass from {stated.obs.t_s[0]:.0f} s",
             do="add samples, or check their errors",
         )
+
+    # Motions that a search with the inertia held fast may lose: whole turns more or less, and bodies of another shape.
+    begin = leading(fits, s.alternatives.relatives_of, s.search)
+    others = relatives(begin, stated, s.alternatives)
+    budget.spend(len(others) * len(stated.obs))
+    fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
+    fits = united(fits, s.ladder, s.search)
 
     # What else may have moved the body.
     shorter = replace(s.ladder, hopeless=s.alternatives.hopeless)

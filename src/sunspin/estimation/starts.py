@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from sunspin.estimation.carry import nutation
 from sunspin.estimation.chain import carried, costs, shot
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.model import SUN_N, Model, Track
-from sunspin.estimation.settings import SearchSettings
+from sunspin.estimation.settings import AlternativeSettings, SearchSettings
 from sunspin.estimation.terms.term import facing
 from sunspin.vehicle.response.planes import sphere
 
@@ -46,6 +47,9 @@ UNSEEN, BOUNDED = 100.0, 2.0
 
 ANY_AXIS_RAD, ANY_AXES = 0.5, 80
 """Two directions nearer to each other than this may be a whole turn apart, about any of so many axes."""
+
+OTHER_BODIES = np.array(list(permutations((1.0, 0.0, -1.0))))
+"""Sigmas by which the three moments differ from those of a sphere."""
 
 FINE = 200
 """Turns by which the family of rates between two directions is drawn before its points are spaced evenly."""
@@ -202,6 +206,35 @@ def _spaced(path: np.ndarray, step: float) -> np.ndarray:
     place = np.concatenate([[0.0], np.cumsum(length)])
     marks = np.linspace(0.0, place[-1], int(np.ceil(place[-1] / step)) + 1)
     return path[np.unique(np.minimum(np.searchsorted(place, marks - 1e-12), len(path) - 1))]
+
+
+def relatives(motions: Track, model: Model, s: AlternativeSettings) -> Track:
+    """Return motions that a search with the inertia held fast may have lost, made from the most probable ones (K).
+
+    If the samples are even and no gyro tells them apart: whole turns more and fewer between the samples, no faster than the
+    largest rate. Without an inertia also bodies with each axis the longest, the middle and the shortest: a body that turns about
+    a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may stay there.
+    """
+    tracks = [motions.take(slice(0))]
+    dt = np.diff(model.obs.t_s)
+    first = int(np.argmin(dt))
+    uneven = dt / dt[first] - np.round(dt / dt[first])
+    turn, rate_max = 2 * np.pi / dt[first], 2 * model.rate_sigma
+    if 2 * np.pi * np.abs(uneven).max() < s.even_rad and not gyro_decides(model, first):
+        most = int(2 * rate_max / turn)
+        more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
+        begin = motions.take(slice(s.relatives_of))
+        speed = np.linalg.norm(begin.omega, axis=2, keepdims=True)
+        faster = begin.omega * (1 + more / np.maximum(speed, 1e-12))  # (turns, K, n, 3)
+        turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
+        tracks.append(Track(begin.attitude[which], faster[turns, which], begin.u[which]))
+    if model.body.sphere and len(model.body.errors) and len(motions):
+        best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
+        sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
+        u = best.u.copy()
+        u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+        tracks.append(Track(best.attitude, best.omega, u))
+    return Track.joined([Track(one.attitude, one.omega, one.u) for one in tracks])
 
 
 def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:
