@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -43,6 +43,21 @@ class Solutions:
     estimates: tuple[dict[str, tuple[str, float, float]], ...]
     cost_limit: float
 
+    @staticmethod
+    def joined(every: Sequence[Solutions]) -> Solutions:
+        """Return the solutions of several, of one pass."""
+        parts = {
+            name: np.concatenate([getattr(one, name) for one in every])
+            for name in ("probability", "mean", "mean_sigma", "noise")
+        }
+        residual = {
+            name: np.concatenate([one.residual[name] for one in every])
+            for name in every[0].residual
+        }
+        estimates = tuple(each for one in every for each in one.estimates)
+        track = Track.joined([one.track for one in every])
+        return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
+
     def take(self, which: np.ndarray) -> Solutions:
         """Return some of the solutions."""
         return replace(
@@ -72,9 +87,14 @@ class _Member:
     weight: float
 
     @property
+    def alone(self) -> Fit:
+        """Return the fit of this motion alone (K = 1)."""
+        return self.fit.take(slice(self.place, self.place + 1))
+
+    @property
     def motion(self) -> Track:
-        """Return the motion alone (K = 1)."""
-        return self.fit.motions.take(slice(self.place, self.place + 1))
+        """Return the motion (K = 1)."""
+        return self.alone.motions
 
 
 def solutions(
@@ -98,29 +118,13 @@ def solutions(
         Places of the kept samples among them.
     """
     groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, copies)
-    every = [_solution(group, whole, kept) for group in groups]
     shares: dict[str, float] = {AS_STATED: 0.0}
     for member in (member for group in groups for member in group):
         what = member.fit.model.what
         shares[what] = shares.get(what, 0.0) + member.weight
     named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
-    parts = {name: [one[name] for one in every] for name in every[0]}
-    return Solutions(
-        whole,
-        kept,
-        Track(*(np.concatenate(part) for part in zip(*parts["track"], strict=True))),
-        np.array([sum(member.weight for member in group) for group in groups]),
-        np.concatenate(parts["mean"]),
-        np.concatenate(parts["mean_sigma"]),
-        {
-            name: np.concatenate([one[name] for one in parts["residual"]])
-            for name in parts["residual"][0]
-        },
-        (named, shares[named]),
-        np.array(parts["noise"]),
-        tuple(parts["estimates"]),
-        fits.stated.obs.cost_limit,
-    )
+    every = Solutions.joined([_solution(group, whole, kept) for group in groups])
+    return replace(every, model=(named, shares[named]), cost_limit=fits.stated.obs.cost_limit)
 
 
 def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
@@ -187,47 +191,49 @@ def _grouped(
     return sorted(lists, key=lambda group: -sum(member.weight for member in group))
 
 
-def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> dict[str, Any]:
-    """Return one solution at all samples of a pass."""
+def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> Solutions:
+    """Return one solution (K = 1) at all samples of a pass; its model is that of its most probable member."""
     head, model = group[0], group[0].fit.model
-    shares = np.array([member.weight for member in group])
-    shares = shares / shares.sum()
-    motion = head.motion
+    weight = np.array([member.weight for member in group])
+    shares = weight / weight.sum()
 
     # the covariance about the motion of the head, at the kept samples: what the others are off counts
-    covariance, square = np.zeros_like(motion.covariance), np.zeros(len(model.obs) - 1)
-    for member, share in zip(group, shares, strict=True):
-        other = member.motion
-        turn = rotation_between(motion.attitude, other.attitude)
-        off = np.concatenate([turn, other.omega - motion.omega], axis=-1)
-        covariance += share * (other.covariance + off[..., :, None] * off[..., None, :])
-        square += share * member.fit.model.noise.in_intervals(np.diff(model.obs.t_s)) ** 2
-    motion = replace(motion, covariance=covariance)
+    offs = [_off(head.motion, member.motion) for member in group]
+    covariance = sum(
+        share * (member.motion.covariance + off[..., :, None] * off[..., None, :])
+        for member, share, off in zip(group, shares, offs, strict=True)
+    )
+    dt = np.diff(model.obs.t_s)
+    square = sum(
+        share * member.fit.model.noise.in_intervals(dt) ** 2
+        for member, share in zip(group, shares, strict=True)
+    )
+    motion = replace(head.motion, covariance=covariance)
     fill = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
-    mean = fill.track.omega.mean(axis=1)
 
-    variance, counted = np.zeros((1, 3)), 0.0
-    for member, share in zip(group, shares, strict=True):
-        if share < MEAN_COUNTS and counted:
-            continue
-        one = member.fit.take(slice(member.place, member.place + 1))
-        off = np.einsum("knij,knj->ki", fill.mean_map, _off(head.motion, member.motion))
-        variance += share * (variance_of(one, fill.mean_map) + off**2)
-        counted += share
-    return {
-        "track": (
-            fill.track.attitude,
-            fill.track.omega,
-            motion.u[:, model.of_body],
-            fill.track.cost,
-            fill.track.covariance,
-        ),
-        "mean": mean,
-        "mean_sigma": np.sqrt(variance / counted),
-        "residual": residuals_by_sensor(whole, model, fill.track, kept),
-        "noise": float(np.sqrt(np.median(square))),
-        "estimates": estimates(head.fit, head.place),
-    }
+    # the mean rate over the pass, in the same way
+    counted = [k for k in range(len(group)) if k == 0 or shares[k] >= MEAN_COUNTS]
+    variance = sum(
+        shares[k]
+        * (
+            variance_of(group[k].alone, fill.mean_map)
+            + np.einsum("knij,knj->ki", fill.mean_map, offs[k]) ** 2
+        )
+        for k in counted
+    )
+    return Solutions(
+        obs=whole,
+        kept=kept,
+        track=replace(fill.track, u=motion.u[:, model.of_body]),
+        probability=weight.sum(keepdims=True),
+        mean=fill.track.omega.mean(axis=1),
+        mean_sigma=np.sqrt(variance / shares[counted].sum()),
+        residual=residuals_by_sensor(whole, model, fill.track, kept),
+        model=(model.what, 1.0),
+        noise=np.sqrt(np.median(square, keepdims=True)),
+        estimates=(estimates(head.fit, head.place),),
+        cost_limit=np.inf,
+    )
 
 
 def _off(motion: Track, other: Track) -> np.ndarray:
