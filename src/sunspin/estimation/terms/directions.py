@@ -87,6 +87,15 @@ class SunDirections(Term):
             self, covariance=self.covariance + drift, other_covariance=self.other_covariance + drift
         )
 
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the directions without one, and its log density on a sphere: Student's law fills 2 pi times both its sigmas."""
+        arrays = {name: getattr(self, name).copy() for name in self.per_sample}
+        for array in arrays.values():
+            array[sample] = np.nan
+        covariance, direction = self.covariance[sample], self.direction_B[sample]
+        area = np.sqrt(np.linalg.det(covariance) / (direction @ covariance @ direction))
+        return replace(self, **arrays), float(min(np.log(area / 2), 0.0))
+
     def starts(self, sample: int) -> Starts:
         """Return the direction or directions that a sample means, if it is sharp."""
         if not (self.present()[sample] and np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2):

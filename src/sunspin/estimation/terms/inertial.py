@@ -8,10 +8,11 @@ from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
+from scipy.special import gamma
 
 from sunspin.estimation.model import Seen, Unknown
 from sunspin.estimation.settings import GYRO_ZEROS
-from sunspin.estimation.terms.term import Residual, Starts, Term
+from sunspin.estimation.terms.term import FREEDOM, Residual, Starts, Term
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES
 
@@ -111,6 +112,19 @@ class Gyro(Term):
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the gyro with the drift of a start added to its errors."""
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
+
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the gyro without a reading, and its log density among rates of the size of those that it reads."""
+        read = self.rate_B[self.present()]
+        square = max(float((read**2).mean()), self.sigma**2)
+        # the integral of Student's law over three numbers with this sigma
+        filled = (FREEDOM * np.pi * self.sigma**2) ** 1.5 * gamma((FREEDOM - 1) / 2)
+        filled /= gamma((FREEDOM + 2) / 2)
+        size = (self.rate_B[sample] ** 2).sum() / (2 * square)
+        rates = self.rate_B.copy()
+        rates[sample] = np.nan
+        log_density = np.log(filled) - 1.5 * np.log(2 * np.pi * square) - size
+        return replace(self, rate_B=rates), float(min(log_density, 0.0))
 
     def starts(self, sample: int) -> Starts:
         """Return the rates that it reads at a sample and the next; their sigma is known only if both were read."""

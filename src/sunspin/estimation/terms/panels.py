@@ -15,15 +15,19 @@ import numpy as np
 
 from sunspin.estimation.model import Seen, Unknown
 from sunspin.estimation.settings import INERTIA_SIGMAS
-from sunspin.estimation.terms.term import Residual, Term
+from sunspin.estimation.terms.term import Residual, Term, facing
 from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
+from sunspin.vehicle.response.planes import sphere
 
 AVERAGED = np.polynomial.legendre.leggauss(3)
 """Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+
+EVERYWHERE = 2000
+"""Directions, 5 degrees apart, over which the likelihood of readings is averaged."""
 
 
 class Instants(NamedTuple):
@@ -131,6 +135,17 @@ class Panels(Term):
         """Return the panels with what a drift of the start changes at most added to their errors."""
         drift = drift_rad[:, None] * self.full * self.scale[:, None]
         return replace(self, sigma=np.hypot(self.sigma, drift))
+
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
+        around = facing(sphere(EVERYWHERE))[:, None]
+        seen = Seen(around, np.zeros((EVERYWHERE, 1, 3)))
+        alone = replace(self.take(slice(sample, sample + 1)), gain_errors=self.gain_errors[:0])
+        (residual,) = alone.residuals(seen, np.zeros((EVERYWHERE, 0)))
+        cost = residual.law(residual.value)[0][:, 0]
+        sigma = self.sigma.copy()
+        sigma[sample] = np.inf
+        return replace(self, sigma=sigma), float(np.log(np.exp(-cost).mean()))
 
     def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""

@@ -99,6 +99,13 @@ class Term:
         """Return the term trusted no further than a start that is off by turns (n) and by this rate."""
         return self
 
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the term without its reading at a sample, and the log density of that reading had it seen anything.
+
+        The density is in the measure of the term's cost: the log of the mean of exp(-cost) over all that it might have seen.
+        """
+        raise NotImplementedError("a term with readings says what it is without one of them")
+
     def starts(self, sample: int) -> Starts:
         """Return what it knows at a sample and the next one."""
         return Starts()
