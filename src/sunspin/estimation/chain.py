@@ -69,8 +69,8 @@ class Fit:
 class Whitening(NamedTuple):
     """Inverse Cholesky factors of the covariance that white angular acceleration makes in intervals (n), alike for each axis.
 
-    The covariance of turn and rate is q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt). `matrix` (n, 6, 6); `log_determinant`: half the log
-    of the determinants of all covariances.
+    The covariance of turn and rate is q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt), and a swing adds r^2 dt to that of the turn. `matrix`
+    (n, 6, 6); `log_determinant`: half the log of the determinants of all covariances.
     """
 
     matrix: np.ndarray
@@ -79,9 +79,11 @@ class Whitening(NamedTuple):
     @classmethod
     def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
         """Return those of unknown torques."""
-        q = noise.in_intervals(dt)
-        turn, rate = q * dt**1.5 / np.sqrt(3), q * np.sqrt(dt) / 2
-        mixed = 1.5 * turn / dt
+        square = noise.in_intervals(dt) ** 2
+        # the Cholesky factor (turn, 0; mixed, rate) of the covariance of one axis
+        turn = np.sqrt(square * dt**3 / 3 + noise.rate**2 * dt)
+        mixed = square * dt**2 / 2 / turn
+        rate = np.sqrt(square * dt * (square * dt**3 / 12 + noise.rate**2 * dt)) / turn
         matrix = np.zeros((len(dt), 6, 6))
         for axis in range(3):
             matrix[:, axis, axis] = 1 / turn

@@ -31,6 +31,9 @@ THINNEST = 0.1
 DRAWN_IN, BY = 10, 0.8
 """A trial inertia that no body has is drawn towards that of the vehicle file by the factor, so many times at most."""
 
+SWINGS_PER_INTERVAL = 30.0, 2.0
+"""How often a swing that the samples do not resolve forgets itself in an interval, at most and at least."""
+
 SAMPLE_COST, READING_COST = 3.7, 1.5
 """Cost that a sample with a Sun, and another reading of three numbers, do not exceed in the mean of a true motion."""
 
@@ -136,10 +139,12 @@ def _element_errors(sigma: np.ndarray) -> np.ndarray:
 class Noise:
     """What the equations of motion leave out: white angular acceleration of this strength, rad/s^1.5.
 
+    `rate` (rad/s^0.5): white noise of the rate, a swing too quick for the samples: the attitude wanders, the mean rate does not.
     `steps`: intervals between samples in which the rate changes at once, each with one sigma of the change (rad/s).
     """
 
     acceleration: float
+    rate: float = 0.0
     steps: tuple[tuple[int, float], ...] = ()
 
     def in_intervals(self, dt: np.ndarray) -> np.ndarray:
@@ -148,6 +153,16 @@ class Noise:
         for interval, sigma in self.steps:
             square[interval] += sigma**2 / dt[interval]
         return np.sqrt(square)
+
+    def hidden_variance(self, dt: np.ndarray) -> float:
+        """Return the variance (rad2/s2) of a component of the rate at an instant about the mean rate between samples.
+
+        It is noise^2 over twice the time in which a swing forgets itself: so many times per interval dt as
+        :data:`SWINGS_PER_INTERVAL` says, log-uniform.
+        """
+        quickest, slowest = SWINGS_PER_INTERVAL
+        mean = (quickest - slowest) / np.log(quickest / slowest)
+        return float(self.rate**2 / (2 * np.median(dt)) * mean)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from sunspin.estimation.evidence import (
     share_noise,
     united,
 )
-from sunspin.estimation.model import AS_STATED, Body, Model, Noise
+from sunspin.estimation.model import AS_STATED, Body, Model, Noise, Observations
 from sunspin.estimation.observe import (
     Pass,
     Seen,
@@ -41,6 +41,7 @@ from sunspin.estimation.search import search
 from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimation.solutions import Solutions, solutions
 from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
+from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
@@ -223,8 +224,16 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         more = ladder(model, begin, shorter, s.search, rung, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
+    if sees_sun_alone(stated.obs) and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
+        # a stated strength of torques says that the body does not swing
+        fits += swings_by_all_ways(stated, fits, s.alternatives)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+
+
+def sees_sun_alone(obs: Observations) -> bool:
+    """Return whether no sensor but the Sun's reads anything."""
+    return not any(term.present().any() for term in obs.terms if not term.of_sun)
 
 
 def decide_wheels(

@@ -165,6 +165,9 @@ class AlternativeSettings:
     bad_odds: float = float(np.log(0.1 / 0.9))
     """Log odds that a reading is bad."""
 
+    swings_rad: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2)
+    """Turns of a swinging body about each axis between two samples, one sigma each; each is another model."""
+
     even_rad: float = 0.5
     """Samples are even if whole turns between the closest two are whole turns between all others, to this."""
 

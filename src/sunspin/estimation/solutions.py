@@ -210,6 +210,13 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
     )
     motion = replace(head.motion, covariance=covariance)
     fill = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
+    # a swing is not seen in the mean rate between samples, but in the rate at an instant
+    hidden = sum(
+        share * member.fit.model.noise.hidden_variance(dt)
+        for member, share in zip(group, shares, strict=True)
+    )
+    residual = residuals_by_sensor(whole, model, fill.track, kept)
+    fill.track.covariance[..., 3:, 3:] += hidden * np.eye(3)
 
     # the mean rate over the pass, in the same way
     counted = [k for k in range(len(group)) if k == 0 or shares[k] >= MEAN_COUNTS]
@@ -227,8 +234,8 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
         track=replace(fill.track, u=motion.u[:, model.of_body]),
         probability=weight.sum(keepdims=True),
         mean=fill.track.omega.mean(axis=1),
-        mean_sigma=np.sqrt(variance / shares[counted].sum()),
-        residual=residuals_by_sensor(whole, model, fill.track, kept),
+        mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
+        residual=residual,
         model=(model.what, 1.0),
         noise=np.sqrt(np.median(square, keepdims=True)),
         estimates=(estimates(head.fit, head.place),),

@@ -1,0 +1,129 @@
+"""A body that swings at random about rest between the samples: all its ways are counted, not only the most probable ones.
+
+A fit counts the ways of the body that it has found. If readings are coarse and the body swings, there are so many ways that each
+has hardly any probability, and some body that turns evenly fits better than each of them by chance. Over the sphere all are summed:
+the density of the Sun's direction in the body spreads as heat does, by spherical harmonics, and each reading weighs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.special import sph_harm_y
+
+from sunspin.estimation.chain import TURN_PRIOR, Fit, costs, equations, fit
+from sunspin.estimation.evidence import likeliest
+from sunspin.estimation.model import AS_STATED, Model, Noise, Observations, Track
+from sunspin.estimation.settings import AlternativeSettings
+from sunspin.estimation.terms.term import facing
+from sunspin.solve.rotations import rotate_by_smallest
+from sunspin.vehicle.response.planes import sphere
+
+EVERYWHERE = 2000
+"""Directions on the sphere, 5 degrees apart."""
+
+DEGREE = 24
+"""Of the harmonics: a way of 0.15 rad from one reading to the next is distinguished from none."""
+
+ROUGHLY = 0.5
+"""Log evidence per sample by which the quick bound may be too low."""
+
+SWINGS = "an oscillation quicker than the samples"
+"""Name of the model."""
+
+
+def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> list[Fit]:
+    """Return fits of a body that swings about rest, by each of the angles of the settings between two samples.
+
+    `fits`: those of the other models; a size of swing that cannot be as probable as the best of them is left out. Only the Sun is
+    seen.
+    """
+    best = likeliest([one for one in fits if one.model.what == AS_STATED])
+    obs = stated.obs
+    loose = stated.for_search(stated.noise)[0].obs
+    wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
+    motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+    # The sum takes the place of the attitudes' Gaussian: in the measure of a fit the mean over the sphere counts twice, and the
+    # turn about the Sun has the width of its prior. The Gaussian of the rate stays.
+    measure = np.log(2 * TURN_PRIOR)
+    wanted = max(float(one.log_evidence.max()) for one in fits) - s.hopeless
+    wanted -= measure + 3 * np.log(stated.rate_sigma)
+    if _bound(best.model, motion, wanders).max() + ROUGHLY * len(obs) < wanted:
+        return []
+    still = _still(motion)
+    swinging = []
+    for wander, log in zip(wanders, log_mean_likelihood(loose, wanders), strict=True):
+        if log < wanted:
+            continue
+        noise = Noise(best.model.noise.acceleration, rate=float(wander))
+        model = replace(stated, noise=noise, what=SWINGS)
+        one = fit(model, still, 8)
+        rate = np.linalg.slogdet(one.motions.covariance[:, 0, 3:, 3:])[1] / 2
+        swinging.append(replace(one, log_evidence=stated.log_prior + log + rate + measure))
+    return swinging
+
+
+@cache
+def harmonics() -> tuple[np.ndarray, np.ndarray]:
+    """Return real harmonics (`EVERYWHERE`, m) at directions all over the sphere, and l (l + 1) of each (m)."""
+    x, y, z = sphere(EVERYWHERE).T
+    degree, order = (
+        part[np.tril_indices(DEGREE + 1)] for part in np.indices((DEGREE + 1, DEGREE + 1))
+    )
+    values = sph_harm_y(degree, order, np.arccos(z)[:, None], np.arctan2(y, x)[:, None])
+    values = values * np.where(order > 0, np.sqrt(2.0), 1.0)
+    values = np.concatenate([values.real, values.imag[:, order > 0]], axis=1)
+    degree = np.concatenate([degree, degree[order > 0]])
+    return values, (degree * (degree + 1)).astype(np.float64)
+
+
+def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
+    """Return the log (s) of the mean likelihood of the Sun's readings over all ways of a body that wanders about each axis.
+
+    By `wander` (s) in rad s^-0.5; its first attitude may be any. Likelihoods are in the measure of the terms' costs.
+    """
+    everywhere = np.repeat(facing(sphere(EVERYWHERE))[:, None], len(obs), axis=1)
+    cost = costs(obs, Track.free(everywhere, np.zeros((EVERYWHERE, len(obs), 3))))
+    least = cost.min(axis=0)
+    values, order = harmonics()
+    density, total = np.ones((EVERYWHERE, len(wander))), np.full(len(wander), -least.sum())
+    for k in range(len(obs)):
+        if k:  # the density after the time to this sample, by the heat kernel
+            decay = np.exp(-order[:, None] * wander**2 * (obs.t_s[k] - obs.t_s[k - 1]) / 2)
+            density = values @ (decay * (values.T @ density)) * (4 * np.pi / EVERYWHERE)
+            density = np.maximum(density, 0.0)
+        density = density * np.exp(least[k] - cost[:, k])[:, None]
+        mean = np.maximum(density.mean(axis=0), 1e-300)
+        density, total = density / mean, total + np.log(mean)
+    return total
+
+
+def _bound(model: Model, motion: Track, wander: np.ndarray) -> np.ndarray:
+    """Return what the log (s) of the mean likelihood would be at most if each reading were met as well as can be.
+
+    By the part of the directions within reach that a reading allows, as sharp as at one motion. It is quick, and far below any fit
+    if readings are sharp.
+    """
+    alone = replace(
+        model, noise=Noise(1.0)
+    )  # torques that hold nothing: what is left are the readings
+    matrix = equations(alone, motion).diagonal[0, :, :3, :3]
+    across = np.linalg.eigvalsh(matrix)[:, 1:]  # the turn about the Sun is not seen
+    allowed = 1 / np.sqrt(np.maximum(across.prod(axis=1), 1e-300))
+    # all directions are 4 pi, twice the measure of a Gaussian
+    reach = np.minimum(wander[:, None] ** 2 * np.diff(model.obs.t_s, prepend=-np.inf), 2.0)
+    return np.minimum(np.log(allowed / reach), 0.0).sum(axis=1)
+
+
+def _still(motion: Track) -> Track:
+    """Return a motion that sees the Sun as this one (K = 1) does, turns least between the samples, and has no rate."""
+    attitude, sun = motion.attitude.copy(), motion.sun_B
+    for i in range(attitude.shape[1] - 1):
+        x, y = (
+            rotate_by_smallest(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1)
+        )
+        attitude[:, i + 1] = np.stack([x, y, np.cross(x, y)], axis=-1)
+    return Track(attitude, np.zeros_like(motion.omega), motion.u)
