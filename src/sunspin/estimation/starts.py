@@ -211,7 +211,7 @@ def _spaced(path: np.ndarray, step: float) -> np.ndarray:
 def relatives(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     """Return motions that a search with the inertia held fast may have lost, made from the most probable ones (K).
 
-    If the samples are even and no gyro tells them apart: whole turns more and fewer between the samples, no faster than the
+    If the samples are even and no gyro excludes them: whole turns more and fewer between the samples, no faster than the
     largest rate. Without an inertia also bodies with each axis the longest, the middle and the shortest: a body that turns about
     a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may stay there.
     """
