@@ -1,8 +1,8 @@
 """A body that swings at random about rest between the samples: all its ways are counted, not only the most probable ones.
 
 A fit counts the ways of the body that it has found. If readings are coarse and the body swings, there are so many ways that each
-has hardly any probability. Then some body that turns evenly fits better than each of them by chance. Over the sphere all are summed:
-the density of the Sun's direction in the body spreads as heat does, by spherical harmonics, and each reading weighs it.
+has hardly any probability. Then some body that turns evenly fits better than each of them by chance. Over the sphere all are
+summed: the density of the Sun's direction in the body spreads as heat does, by spherical harmonics, and each reading weighs it.
 """
 
 from __future__ import annotations
