@@ -74,13 +74,9 @@ def ladder(
     for path in (above, below):
         now, last = start, begin
         for rung in path:
-            count = int(np.ceil(abs(np.log(rung / last)) / np.log(s.cooling) - 1e-9))
-            for level in np.geomspace(last, rung, count + 1)[1:-1]:
-                if len(now):
-                    now = _kept(fit(model.under(float(level)), now.motions, s.steps), s, copies)
-            if not len(now):
-                break
-            now, last = _kept(fit(model.under(rung), now.motions, s.steps), s, copies), rung
+            for level in _levels(last, rung, s.cooling):
+                now = _kept(fit(model.under(level), now.motions, s.steps), s, copies)
+            last = rung
             if not len(now):
                 break
             fits.append(now)
@@ -88,6 +84,12 @@ def ladder(
             if now.log_evidence.max() < best - s.hopeless:
                 break
     return [over_shares(one, s.beyond_fit) for one in fits]
+
+
+def _levels(last: float, rung: float, cooling: float) -> list[float]:
+    """Return strengths from one rung to the next, in steps of a factor `cooling` at most: stiffened more, a motion would stay."""
+    count = max(1, int(np.ceil(abs(np.log(rung / last)) / np.log(cooling) - 1e-9)))
+    return [*np.geomspace(last, rung, count + 1)[1:-1].tolist(), rung]
 
 
 def _kept(one: Fit, s: LadderSettings, copies: SearchSettings) -> Fit:

@@ -69,7 +69,7 @@ def search(
             motions, window = carrier.widened(motions, window, wider), wider
         best = min((float(motions.cost[0]) for motions in ends), default=np.inf)
         fits = best < s.good_enough * carrier.cost_limit(everything)
-        if (place + 1 >= places and fits) or place + 1 >= places + s.more_places:
+        if len(ends) >= places and fits or place + 1 == places + s.more_places:
             break
         if ends and budget.exhausted():
             break

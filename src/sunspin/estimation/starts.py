@@ -45,8 +45,11 @@ BLUR = 0.6
 UNSEEN, BOUNDED = 100.0, 2.0
 """Intervals count so many times longer if a sample does not see the Sun, and if it only bounds its direction."""
 
-ANY_AXIS_RAD, ANY_AXES = 0.5, 80
-"""Two directions nearer to each other than this may be a whole turn apart, about any of so many axes."""
+ANY_AXIS_RAD = 0.5
+"""Two directions nearer to each other than this may be whole turns apart, about any axis."""
+
+MOST_AXES = 4000
+"""Axes of whole turns that are tried, at most: enough for two turns."""
 
 OTHER_BODIES = np.array(list(permutations((1.0, 0.0, -1.0))))
 """Sigmas by which the three moments differ from those of a sphere."""
@@ -133,17 +136,13 @@ def starts(
         size = grid_step(len(suns), dt, rate_max, s)
         each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
     else:
-        ends = allowed_directions(model, first + 1)
-        each = [
-            np.concatenate(
-                [
-                    np.zeros((1, 3)),
-                    *(constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends),
-                    read,
-                ]
-            )
-            for sun in suns
-        ]
+        ends, rest = allowed_directions(model, first + 1), np.zeros((1, 3))
+        each = []
+        for sun in suns:
+            rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
+            if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
+                rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
+            each.append(np.concatenate([rest, *rates, read]))
         apart = s.step_rad
     return np.repeat(suns, [len(rates) for rates in each], axis=0), np.concatenate(each), apart
 
@@ -194,10 +193,18 @@ def constant_rates(
             # the turn of the body is opposite to that of the Sun; by the rest of a circle it goes the other way about the axis
             families.append(-axis * (angle + 2 * np.pi * turns)[:, None])
             families.append(axis * (2 * np.pi * (turns + 1) - angle)[:, None])
-            if apart < ANY_AXIS_RAD and turns and side_of_middle > 0:
-                families.append(sphere(ANY_AXES) * 2 * np.pi * turns)
     rates = np.concatenate([_spaced(family, step_rad) for family in families]) / dt
     return rates[np.linalg.norm(rates, axis=1) <= rate_max]
+
+
+def whole_turns(dt: float, rate_max: float, spacing_rad: float) -> np.ndarray:
+    """Return rates (m, 3) of whole turns about axes all over the sphere in dt s, `rate_max` at most, so far apart as turns."""
+    rates = [np.zeros((0, 3))]
+    for turns in range(1, int(rate_max * dt / (2 * np.pi)) + 1):
+        angle = 2 * np.pi * turns
+        axes = min(int(4 * np.pi * (angle / spacing_rad) ** 2), MOST_AXES)
+        rates.append(sphere(axes) * angle / dt)
+    return np.concatenate(rates)
 
 
 def _spaced(path: np.ndarray, step: float) -> np.ndarray:
