@@ -90,7 +90,10 @@ def steps_of_the_rate(
         square = (value[0] ** 2).sum(axis=1)
         square[[interval for interval, _ in steps]] = 0.0
         worst = int(np.argmax(square))
-        if square[worst] / 2 < price - s.hopeless:  # no step can gain what it costs
+        # A motion that wants hardly any torque gains what it leaves the equations by in one interval. One that wants more gains
+        # weaker torques everywhere, which only the fit can show.
+        calm = best.model.noise.acceleration == min(one.model.noise.acceleration for one in fits)
+        if calm and square[worst] / 2 < price:
             return
         sigma = _size_of_step(best.model, motion, worst)
         steps = (*steps, (worst, sigma))

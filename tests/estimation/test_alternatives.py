@@ -1,0 +1,107 @@
+"""Other models of a pass: each explains what it is made for, and is not tried where nothing asks for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sunspin.estimation.alternatives import alternatives, without_readings
+from sunspin.estimation.budget import Budget
+from sunspin.estimation.chain import Whitening, costs
+from sunspin.estimation.evidence import ladder
+from sunspin.estimation.model import AS_STATED, Noise, Observations, Track
+from sunspin.estimation.rates import one_pass
+from sunspin.estimation.settings import RATES
+from sunspin.estimation.swings import log_mean_likelihood
+from sunspin.estimation.terms.directions import SunDirections
+from sunspin.estimation.terms.term import facing
+from tests.estimation.test_chain import problem
+from tests.estimation.test_search import watched
+
+ALTERNATIVES = RATES.alternatives
+
+
+def names(fits):
+    """Return the models of some fits, the most probable first."""
+    order = sorted(fits, key=lambda one: -float(one.log_evidence.max()))
+    return [one.model.what for one in order]
+
+
+def test_a_quiet_pass_is_asked_for_torques_only():
+    model, motions = problem(torque=False)
+    model = model.seeing(slice(0, 5))
+    fits = ladder(model, motions, RATES.ladder, RATES.search, 1e-4)
+    tried = [one.what for one in alternatives(model, fits, replace(ALTERNATIVES, few=0))]
+    assert tried == ["a steady torque in body axes", "a steady torque in axes fixed in space"]
+
+
+def test_a_bad_direction_of_five_is_left_out():
+    model, _ = watched(2.0, count=5, sigma=0.03, max_deg_s=4.0)
+    (term,) = model.obs.terms
+    direction = term.direction_B.copy()
+    direction[2] = Rotation.from_rotvec([0.0, 0.9, 0.0]).apply(direction[2])
+    bad = replace(model, obs=replace(model.obs, terms=(replace(term, direction_B=direction),)))
+    fits = one_pass(bad, RATES, Budget(np.inf)).fits
+    assert "without the reading of the Sun at 40 s" in names(fits)[0]
+    assert names(one_pass(model, RATES, Budget(np.inf)).fits)[0] == AS_STATED
+
+
+def test_readings_of_a_long_pass_are_not_left_out():
+    model, _ = watched(2.0, count=12)
+    assert not list(without_readings(model, [], ALTERNATIVES))
+
+
+@pytest.mark.parametrize("sample", [1, 3])
+def test_what_leaving_a_direction_out_costs_is_its_mean_likelihood(sample):
+    model, _ = watched(2.0, count=5, sigma=0.05)
+    (term,) = model.obs.terms
+    left, log_density = term.without(sample)
+    assert left.present().sum() == 4 and not left.present()[sample]
+    around = np.random.default_rng(2).normal(size=(200_000, 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    seen = Track.free(facing(around)[:, None], np.zeros((len(around), 1, 3)))
+    cost = costs(model.obs.take(slice(sample, sample + 1)), seen)
+    assert np.isclose(np.log(np.exp(-cost).mean()), log_density, atol=0.1)
+
+
+def readings(suns, sigma, apart_s):
+    """Return directions of the Sun at even times."""
+    suns = np.array(suns, dtype=float)
+    term = SunDirections.of(suns, np.tile(sigma**2 * np.eye(3), (len(suns), 1, 1)))
+    return Observations(apart_s * np.arange(len(suns)), np.zeros((len(suns), 3)), (term,))
+
+
+def test_ways_of_a_swinging_body_are_those_of_drawn_ones():
+    """Three readings of a body that wanders by 0.4 rad between two: the mean likelihood is that over 100,000 drawn ways."""
+    rng, wander, apart_s = np.random.default_rng(4), 0.1, 16.0
+    obs = readings([[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8]], 0.2, apart_s)
+    log = log_mean_likelihood(obs, np.array([wander]))[0]
+    count = 100_000
+    attitude = Rotation.random(count, rng=rng)
+    ways = [attitude]
+    for _ in range(2):
+        turn = Rotation.from_rotvec(wander * np.sqrt(apart_s) * rng.normal(size=(count, 3)))
+        ways.append(turn * ways[-1])
+    sun = np.stack([one.as_matrix()[..., 2] for one in ways], axis=1)
+    cost = costs(obs, Track.free(facing(sun), np.zeros((count, 3, 3)))).sum(axis=1)
+    assert np.isclose(np.log(np.exp(-cost).mean()), log, atol=0.15)
+
+
+def test_a_body_that_wanders_far_has_readings_that_do_not_know_each_other():
+    obs = readings([[0, 0, 1], [1, 0, 0]], 0.2, 10.0)
+    far = log_mean_likelihood(obs, np.array([10.0]))[0]
+    alone = [log_mean_likelihood(obs.take(slice(k, k + 1)), np.array([1.0]))[0] for k in (0, 1)]
+    assert np.isclose(far, sum(alone), atol=0.01)
+
+
+def test_a_step_is_strong_torque_in_its_interval_alone():
+    dt = np.array([5.0, 10.0, 20.0])
+    noise = Noise(1e-4, steps=((1, 0.01),))
+    strength = noise.in_intervals(dt)
+    assert strength[0] == strength[2] == 1e-4
+    assert np.isclose(strength[1] ** 2, 1e-8 + 1e-4 / 10)
+    swing = Whitening.of(Noise(1e-4, rate=1e-2), dt)
+    covariance = np.linalg.inv(swing.matrix[1].T @ swing.matrix[1])
+    assert np.isclose(covariance[0, 0], 1e-8 * 1000 / 3 + 1e-4 * 10)
+    assert np.isclose(covariance[0, 3], 1e-8 * 50) and np.isclose(covariance[3, 3], 1e-8 * 10)
