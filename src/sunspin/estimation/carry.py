@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from sunspin.base.errors import InputError
 from sunspin.dynamics.step import carry_bodies
 from sunspin.solve.linear import symmetric_inverse, symmetric_product
 from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
@@ -17,6 +18,9 @@ from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 STEP_RAD, LEAST_STEPS, MOST_STEPS = 0.4, 2, 400
 """Turn of the body in one Runge-Kutta step at most: the error over a whole turn is 1e-4 rad, below that of any panel. Steps of one
 interval: 400 of 0.4 rad are 25 turns, more than sparse directions can tell."""
+
+MOST_NUTATION_RAD = 800.0
+"""Turn of the rate by wheels between two samples that is still followed: at 2 rad a step the integration holds."""
 
 DIFFERENCE = 1e-5
 """Turn (rad) over an interval by which the rate is changed for the answer of a motion to its start."""
@@ -49,6 +53,16 @@ def nutation(inertia: np.ndarray, momentum: np.ndarray) -> np.ndarray:
     """
     square = np.einsum("...ni,...ij,...nj->...n", momentum, inertia, momentum)
     return np.sqrt(square / np.linalg.det(inertia)[..., None])
+
+
+def require_followed(inertia: np.ndarray, momentum: np.ndarray, longest_s: float) -> None:
+    """Refuse wheels whose momenta (n, 3) turn the rate of the body round too often in the longest interval (s) to be followed."""
+    turned = float(np.max(nutation(inertia, np.nan_to_num(momentum)), initial=0.0)) * longest_s
+    if not turned <= MOST_NUTATION_RAD:
+        raise InputError(
+            f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
+            do="check the wheels' speeds and inertia and their units, or use samples closer together",
+        )
 
 
 def angle_turned(

@@ -15,6 +15,7 @@ from sunspin.compute.pool import process_pool, worker_count
 from sunspin.estimation.alternatives import alternatives
 from sunspin.estimation.between import link_passes
 from sunspin.estimation.budget import USUAL, Budget
+from sunspin.estimation.carry import require_followed
 from sunspin.estimation.chain import Chain, Fit
 from sunspin.estimation.evidence import (
     PassFits,
@@ -36,7 +37,7 @@ from sunspin.estimation.observe import (
     why_not_used,
     with_momentum,
 )
-from sunspin.estimation.rates_dataset import NOT_LATE, believed, dataset
+from sunspin.estimation.rates_dataset import NOT_LATE, believed, dataset, repeats_doubted
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimation.solutions import Solutions, solutions
@@ -155,6 +156,7 @@ def rates(
     doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
+    result = repeats_doubted(result, assessment)
     result = result.assign_attrs(
         NOT_LATE
         | coarse
@@ -251,6 +253,10 @@ def decide_wheels(
     """
     momenta = wheel_models(assessment.vehicle, assessment.telemetry)
     names = list(momenta)
+    for one in passes:
+        longest_s = float(np.diff(seen.obs.t_s[one.kept]).max())
+        for momentum in momenta.values():
+            require_followed(stated.body.inertia, momentum[one.kept], longest_s)
     if len(names) == 1:
         return with_momentum(seen, momenta[names[0]]), names[0], {}
     longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]

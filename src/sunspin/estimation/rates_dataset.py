@@ -223,6 +223,20 @@ def believed(
     )
 
 
+def repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
+    """Return the result with no pass decided whose samples may be held values: too few different ones are left to tell."""
+    repeats = assessment.repeats
+    times = assessment.telemetry["time"].values[repeats.unsure]
+    of_pass = result["pass_of"].values[np.isin(result["time"].values, times)]
+    unsure = np.isin(np.arange(result.sizes["pass_id"]), of_pass)
+    why = [
+        "; ".join(filter(None, (str(reason), repeats.doubt if doubted else "")))
+        for reason, doubted in zip(result["why_not_decided"].values, unsure, strict=True)
+    ]
+    decided = result["decided"].values & ~unsure
+    return result.assign(decided=("pass_id", decided), why_not_decided=("pass_id", why))
+
+
 def _estimates(best: Sequence[dict[str, tuple[str, float, float]]]) -> dict[str, Any]:
     """Return variables with what was estimated with the best solution of each pass; NaN if a pass has no such number."""
     units = {name: row[0] for one in best for name, row in one.items()}
