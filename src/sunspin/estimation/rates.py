@@ -26,6 +26,7 @@ from sunspin.estimation.evidence import (
     share_noise,
     united,
 )
+from sunspin.estimation.images import images_of, with_images
 from sunspin.estimation.model import AS_STATED, Body, Model, Noise, Observations
 from sunspin.estimation.observe import (
     Pass,
@@ -148,7 +149,10 @@ def rates(
     ]
     middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
     solved, walk = link_passes(solved, middles, stated.rate_sigma)
-    solved = [one.listed(settings.solutions) for one in solved]
+    solved = [
+        one.listed(settings.solutions, len(images_of(model)))
+        for one, model in zip(solved, models, strict=True)
+    ]
 
     stated = stated.under(common_noise(fits))
     result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
@@ -187,7 +191,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             motions.append(search(chain, starts, s.search, budget, places(loose, s.search)))
         fits = []
         for one in motions:
-            fits += ladder(stated, one, s.ladder, s.search, begin=noise)
+            fits += ladder(stated, with_images(one, stated, s.search), s.ladder, s.search, noise)
         return united(fits, s.ladder, s.search)
 
     fits = found(s.search.noise)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.provenance import provenance
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimation.dense import curve
+from sunspin.estimation.images import either_side
 from sunspin.estimation.model import Model
 from sunspin.estimation.observe import Pass, Seen, wheels_untold
 from sunspin.estimation.solutions import Solutions
@@ -203,7 +204,14 @@ def believed(
         omega, covariance = one.track.omega[:, at], one.track.covariance[:, at, 3:, 3:]
         explained = bool(one.track.cost[0] <= one.cost_limit)
         said, speed = answers(
-            one.probability, omega, covariance, rate_sigma, by_sensor, explained, cure
+            one.probability,
+            omega,
+            covariance,
+            rate_sigma,
+            by_sensor,
+            explained,
+            cure,
+            either_side(one.track),
         )
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         checked = COLUMNS_UNCHECKED if list(by_sensor) == ["Sun"] else COLUMNS_STATED

@@ -92,6 +92,9 @@ class SearchSettings:
     places: int = 3
     """Pairs of samples to start from, unless one is enough (:func:`sunspin.estimation.starts.places`)."""
 
+    places_if_flat: int = 4
+    """The same if panels lie in one plane or share inputs, and bound the Sun so little."""
+
     more_places: int = 2
     """Further pairs to start from if the best candidate does not fit."""
 

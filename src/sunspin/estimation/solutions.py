@@ -71,9 +71,9 @@ class Solutions:
             estimates=tuple(self.estimates[k] for k in which),
         )
 
-    def listed(self, s: SolutionSettings) -> Solutions:
-        """Return the solutions that are reported, the most probable first."""
-        order = np.argsort(-self.probability, kind="stable")[: s.most]
+    def listed(self, s: SolutionSettings, images: int = 1) -> Solutions:
+        """Return the solutions that are reported, the most probable first; two motions with all their images at least."""
+        order = np.argsort(-self.probability, kind="stable")[: max(s.most, 2 * images)]
         keep = order[: max(1, int(np.count_nonzero(self.probability[order] > s.least)))]
         return self.take(keep)
 

@@ -18,6 +18,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimation.carry import nutation
 from sunspin.estimation.chain import carried, costs, shot
 from sunspin.estimation.copies import distinct
+from sunspin.estimation.images import images_of
 from sunspin.estimation.model import SUN_N, Model, Track
 from sunspin.estimation.settings import AlternativeSettings, SearchSettings
 from sunspin.estimation.terms.term import facing
@@ -81,6 +82,10 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
 
 def places(model: Model, s: SearchSettings) -> int:
     """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out."""
+    if (
+        len(images_of(model)) > 1
+    ):  # panels bound the Sun so little that one pair may start from nothing
+        return s.places_if_flat
     first = _pairs(model)[0]
     dense = np.diff(model.obs.t_s)[:3].max() * 2 * model.rate_sigma < DENSE_RAD
     return 1 if dense or gyro_decides(model, first) or not _steady(model, first) else s.places

@@ -195,6 +195,7 @@ def answers(
     misfits: Mapping[str, Misfit],
     explained: bool,
     cure: str,
+    one_rate: np.ndarray,
 ) -> tuple[Answers, np.ndarray]:
     """Return the answers for the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
 
@@ -210,6 +211,8 @@ def answers(
         Whether all readings together cost as little as those of a motion of this kind.
     cure
         What the search may have left out, in words; empty if nothing.
+    one_rate : (K)
+        Which solutions are the first one, or differ from it in the sign of the Sun's direction alone.
     """
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
     share = (probability / probability.sum())[:, None]
@@ -218,7 +221,7 @@ def answers(
     x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     said = Answers(
-        bool(probability[0] >= DECIDED),
+        bool(probability[one_rate].sum() >= DECIDED),
         (x, y, z),
         bool(explained and not wrong),
         not cure,
@@ -330,6 +333,11 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if count := sum(model != AS_STATED for model in result["model"].values):
         notes.append(f"{count_of_passes(count)}: an alternative model fits better, as named below")
+    either = fits & unique & (result["probability"].values[:, 0] < DECIDED)
+    if count := int(either.sum()):
+        notes.append(
+            f"{count_of_passes(count)}: the sign of the Sun direction is ambiguous; rates are unaffected, attitude is unknown"
+        )
     if count := int((fits & ~unique).sum()):
         notes.append(
             f"{count_of_passes(count)} with several solutions, which mostly differ by whole revolutions between samples: see "

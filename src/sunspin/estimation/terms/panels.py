@@ -26,6 +26,14 @@ from sunspin.vehicle.response.planes import sphere
 AVERAGED = np.polynomial.legendre.leggauss(3)
 """Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
 
+FLAT, LOOKS = 1e-6, 500
+"""Normals out of one plane by less than the first may see no difference between a Sun on either side of it; directions in which
+that is tried."""
+
+BRIGHTEST, OTHER_SCALE = 0.95, 0.1
+"""Quantile of brightness that is full Sun if the Sun comes near the plane of the panels; how far from it another full scale is
+tried."""
+
 EVERYWHERE = 2000
 """Directions, 5 degrees apart, over which the likelihood of readings is averaged."""
 
@@ -126,15 +134,50 @@ class Panels(Term):
         )
 
     def for_search(self) -> list[Self]:
-        """Return the panels with known gains, whose readings are as uncertain as the gains make them."""
+        """Return the panels with known gains, whose readings are as uncertain as the gains make them; in one plane also others."""
         relative = np.linalg.norm(self.gain_errors, axis=0) / np.maximum(self.gain, 1e-300)
         sigma = np.hypot(self.sigma, np.nan_to_num(self.power) * relative)
-        return [replace(self, sigma=sigma, gain_errors=self.gain_errors[:0])]
+        loose = replace(self, sigma=sigma, gain_errors=self.gain_errors[:0])
+        if self.blind_axis() is None:
+            return [loose]
+        # In one plane, panels whose brightest samples do not look like full Sun were never faced by it, or have a wrong full scale.
+        full = float(np.quantile(np.linalg.norm(self.relative(), axis=1), BRIGHTEST))
+        return (
+            [loose]
+            if abs(full - 1) < OTHER_SCALE
+            else [loose, replace(loose, gain=self.gain * full)]
+        )
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the panels with what a drift of the start changes at most added to their errors."""
         drift = drift_rad[:, None] * self.full * self.scale[:, None]
         return replace(self, sigma=np.hypot(self.sigma, drift))
+
+    def blind_axis(self) -> np.ndarray | None:
+        """Return the direction (3) along which no panel looks, so that a mirror across its plane changes no reading; else None."""
+        seeing = np.isfinite(self.sigma).any(axis=0)
+        size, axes = np.linalg.svd(self.response.facing_B[seeing])[1:]
+        if np.count_nonzero(size > FLAT) != 2:
+            return None
+        around = sphere(LOOKS)
+        mirrored = around - 2 * (around @ axes[2])[:, None] * axes[2]
+        change = self.response.power(mirrored) - self.response.power(around)
+        alike = np.abs(change[:, seeing]).max() < FLAT * self.response.largest_power
+        return axes[2] if alike else None
+
+    def images(self) -> np.ndarray:
+        """Return mirrors and rotations (m, 3, 3) of the body that change no reading, or little, the identity first."""
+        images, axis = self.response.symmetries, self.blind_axis()
+        if axis is None:
+            return images
+        mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
+        new = [one for one in mirrored if np.abs(images - one).max(axis=(1, 2)).min() > FLAT]
+        return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
+
+    def relative(self) -> np.ndarray:
+        """Return readings (n, p) as shares of full Sun, zero where nothing was read."""
+        share = np.nan_to_num(self.power) / self.full / self.scale[:, None]
+        return np.where(np.isfinite(self.sigma), share, 0.0)
 
     def without(self, sample: int) -> tuple[Self, float]:
         """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
