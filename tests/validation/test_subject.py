@@ -1,0 +1,27 @@
+"""Campaigns judge the estimation package that they are told to judge."""
+
+import pytest
+
+from sunspin.estimate.rates import estimate
+from sunspin.estimation import rates as estimation
+from validation import subject
+
+
+@pytest.fixture(autouse=True)
+def unchanged():
+    """Leave the package of this process as it was."""
+    before = subject.room()
+    yield
+    subject.judge_room(before)
+
+
+@pytest.mark.parametrize(("room", "module"), [("estimate", estimate), ("estimation", estimation)])
+def test_rates_are_those_of_the_package_that_is_judged(room, module, monkeypatch):
+    subject.judge_room(room)
+    monkeypatch.setattr(module, "rates", lambda vehicle, **options: (vehicle, options))
+    assert subject.rates("craft", workers=2) == ("craft", {"workers": 2})
+
+
+def test_a_package_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match="no such package"):
+        subject.judge_room("nowhere")
