@@ -43,9 +43,11 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
     """
     best = likeliest([one for one in fits if one.model.what == AS_STATED])
     obs = stated.obs
-    loose = stated.for_search(stated.noise)[0].obs
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
     motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+    # gains as the best motion has them: errors enlarged by what is unknown of them would count as likelihood
+    terms = zip(stated.obs.terms, stated.of_terms, strict=True)
+    known = replace(obs, terms=tuple(term.held(motion.u[0, place]) for term, place in terms))
     # The sum takes the place of the attitudes' Gaussian: in the measure of a fit the mean over the sphere counts twice, and the
     # turn about the Sun has the width of its prior. The Gaussian of the rate stays.
     measure = np.log(2 * TURN_PRIOR)
@@ -55,7 +57,7 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
         return []
     still = _still(motion)
     swinging = []
-    for wander, log in zip(wanders, log_mean_likelihood(loose, wanders), strict=True):
+    for wander, log in zip(wanders, log_mean_likelihood(known, wanders), strict=True):
         if log < wanted:
             continue
         noise = Noise(best.model.noise.acceleration, rate=float(wander))

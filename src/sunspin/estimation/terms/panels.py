@@ -148,6 +148,12 @@ class Panels(Term):
             else [loose, replace(loose, gain=self.gain * full)]
         )
 
+    def held(self, u: np.ndarray) -> Self:
+        """Return the panels with gains that are known to be off by u (e) sigmas."""
+        return replace(
+            self, gain=self.gain + u @ self.gain_errors, gain_errors=self.gain_errors[:0]
+        )
+
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the panels with what a drift of the start changes at most added to their errors."""
         drift = drift_rad[:, None] * self.full * self.scale[:, None]

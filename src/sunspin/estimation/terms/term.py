@@ -95,6 +95,10 @@ class Term:
         """Return the term without unknowns, trusted no further than they allow; several if its readings may mean several things."""
         return [self]
 
+    def held(self, u: np.ndarray) -> Self:
+        """Return the term with its unknowns held at u (m)."""
+        return self
+
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the term trusted no further than a start that is off by turns (n) and by this rate."""
         return self
