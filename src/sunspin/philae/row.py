@@ -84,6 +84,11 @@ def settle(row: Row, put_in: bool = False) -> Row:
     return replace(row, kind=kind, agrees=None, holds=holds)
 
 
+def withhold_verdict(row: Row) -> Row:
+    """Return the row without a verdict: a test becomes "not_comparable"."""
+    return replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None)
+
+
 def label_synthetic(row: Row) -> Row:
     """Return the row with "synthetic telemetry" in front of its note."""
     return replace(row, note="; ".join(filter(None, ["synthetic telemetry", row.note])))

@@ -19,7 +19,6 @@ from sunspin.estimate.posterior.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, titled
 from sunspin.philae.candidates import (
-    CandidateSets,
     draws_of_posterior,
     sample_posterior,
     states_dataset,
@@ -87,12 +86,10 @@ class Timing:
         return self.verdict.startswith("unique")
 
 
-def compute(
-    rebound: Rebound, candidate_sets: CandidateSets | None, runs: int, options: Options
-) -> Timing:
+def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options: Options) -> Timing:
     """Sample the posterior of the rebound's readings, and simulate `runs` collisions of its draws.
 
-    If the candidates of the study are draws of the posterior already, these are used.
+    With a `posterior`, of which the candidates of the study are draws already, that one is used.
 
     Raises
     ------
@@ -100,7 +97,6 @@ def compute(
         No motion explains the readings.
     """
     case = rebound.case
-    posterior = None if candidate_sets is None else candidate_sets.posterior
     if posterior is None:
         posterior = sample_posterior(rebound, options)
     motions = states_dataset(*draws_of_posterior(posterior), source="posterior")
