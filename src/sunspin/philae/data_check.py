@@ -169,7 +169,15 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
 
 def rows(check: DataCheck) -> list[Row]:
     """Return the data check as rows. None is a test of the method, so none agrees or differs."""
-    row_of, paper = partial(make_row, check.case, check=check), check.case.published
+    paper = check.case.published
+    notes = {
+        "carries_patterns": f"{check.impossible} of {check.early}, {check.unexplained} of them beyond the stated misalignment of "
+        f"the panels; limit {MOST_IMPOSSIBLE:.0%}",
+        "carries_delta": f"{check.directions} directions; limit {paper['delta_max'].value}, the paper's largest of a single sample",
+        "carries_rebound_order": f"{np.degrees(check.neighbour_angle_rad):.0f} degrees on average between successive directions, "
+        "which need not be near; EMD does not use their order",
+    }
+    row_of = partial(make_row, check.case, notes=notes)
     result = [
         row_of(
             "carries_patterns",
@@ -189,12 +197,10 @@ def rows(check: DataCheck) -> list[Row]:
         descent_row = row_of(
             "carries_descent_order",
             check.descent_E / least,
-            orders=check.shuffled_E.size,
-            least=least,
-            most=check.shuffled_E.max(),
+            note=f"E {check.descent_E:.5f}; {check.shuffled_E.size} random orders {least:.4f} to {check.shuffled_E.max():.4f}; "
+            f"criterion: below {ORDERED:g}",
             tolerance=ORDERED,
             holds=check.descent_has_spin,
         )
         result.append(descent_row)
-    angle_deg = np.degrees(check.neighbour_angle_rad)
-    return [*result, row_of("carries_rebound_order", check.order_p_value, neighbours=angle_deg)]
+    return [*result, row_of("carries_rebound_order", check.order_p_value)]

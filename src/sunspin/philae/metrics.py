@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -159,11 +160,8 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
     paper = {key: figure.value for key, figure in case.published.items()}
     box, omega = np.mean(paper["E_study_box"], axis=1), np.array(paper["E_study_omega"])
 
-    def map_row(name: str, error: xr.DataArray, start: np.ndarray, **texts: Any) -> Row:
-        """Return the row of a map: its range, its valleys, and the distance of its start from the nearest published line."""
-        ours = [float(error.min()), float(error.max()), *count_valleys(error.values)]
-        distance = float(distances_from_lines(case, start).min())
-        return make_row(case, name, ours, apart=distance, **texts)
+    # distances of the starts of the two maps from the nearest published line
+    box_apart, omega_apart = (distances_from_lines(case, start).min() for start in (box, omega))
 
     # the paper quotes another first direction here than for the scan
     first, quoted = first_sun(case), np.array(paper["first_sun_E_study"])
@@ -186,40 +184,39 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
     agrees = bool(difference < tolerance)
     # direction errors at the end of the window (rad): of a change of 1 %, and of one of a rate per angular speed
     last = motions["error_rad"].isel(time=-1)
-    last_errors = {
-        "at_end": last.max("input") * error_growth.ONE_PERCENT,
-        "per_rate": (last / motions["angular_speed"]).sel(input=rates),
-    }
-    ranges: dict[str, Any] = {
-        name: (float(error.min()), float(error.max())) for name, error in last_errors.items()
-    }
+    at_end = float(last.max()) * error_growth.ONE_PERCENT
+    per_rate = (last / motions["angular_speed"]).sel(input=rates)
 
     windows = ", ".join(f"{seconds / 60:g}" for seconds in sensitivity.valley["window"].values)
     width = error_growth.valley_width(sensitivity.valley).tolist()
+    notes = {
+        "E_map_rates": f"{sensitivity.n_directions} directions, {sensitivity.rates.size} motions; the box is {box_apart:.2f} rad/s "
+        "from the nearest line",
+        "E_map_parameters": f"the range of mu_0 leaves out the lander's {nominal(case.vehicle, 'mu_0'):.3g} N m, that of theta_xx "
+        f"begins at theta_yy; nearest line {omega_apart:.2f} rad/s away",
+        "E_study_bound": f"its length is {sensitivity.start_length:.4f}; as a unit vector it is {apart_deg:.1f} deg from the first "
+        "direction of the scan",
+        "one_percent_E": f"criterion: more than 0.1; of unrelated directions E is 0.5; largest E and EMD of each motion: {of_each}",
+        "phase_growth": f"criterion: 1 and 2 within {tolerance:g}; after 45 min the direction errs by up to {at_end:.0f} rad (to "
+        f"first order) if an input is off by 1 %, and by {per_rate.min():.0f} to {per_rate.max():.0f} rad per rad/s of a rate",
+        "valley_width": f"rates of Fig. 8 B, own directions every 2 min; the scan's step is {paper['scan_step']} rad/s",
+    }
+    row_of = partial(make_row, case, notes=notes)
+    rows = [
+        row_of(name, [float(E.min()), float(E.max()), *count_valleys(E.values)])
+        for name, E in (
+            ("E_map_rates", sensitivity.rates),
+            ("E_map_parameters", sensitivity.parameters),
+        )
+    ]
+    what = f"full width of the valley of E in omega_x in windows of {windows} min"
     return [
-        map_row(
-            "E_map_rates",
-            sensitivity.rates,
-            box,
-            directions=sensitivity.n_directions,
-            motions=sensitivity.rates.size,
-        ),
-        map_row(
-            "E_map_parameters", sensitivity.parameters, omega, outside=nominal(case.vehicle, "mu_0")
-        ),
-        make_row(
-            case,
-            "E_study_bound",
-            (1 - sensitivity.start_length) / 2,
-            length=sensitivity.start_length,
-            apart=apart_deg,
-        ),
-        make_row(case, "one_percent_E", least_E, agrees=least_E > 0.1, of_each=of_each),
-        make_row(
-            case, "one_percent_emd", largest_emd, tolerance=emd_min, agrees=largest_emd < emd_min
-        ),
-        make_row(case, "phase_growth", growth, tolerance=tolerance, agrees=agrees, **ranges),
-        make_row(case, "valley_width", width, windows=windows),
+        *rows,
+        row_of("E_study_bound", (1 - sensitivity.start_length) / 2),
+        row_of("one_percent_E", least_E, agrees=least_E > 0.1),
+        row_of("one_percent_emd", largest_emd, tolerance=emd_min, agrees=largest_emd < emd_min),
+        row_of("phase_growth", growth, tolerance=tolerance, agrees=agrees),
+        row_of("valley_width", width, what=what),
     ]
 
 
@@ -425,20 +422,18 @@ def scan_rows(result: TelemetryScan) -> list[Row]:
     line_text = "too few points in the set for four lines"
     if distances:
         line_text = f"mean distances of the fitted lines (rad/s): {distances}"
-    texts: dict[str, Any] = {
-        "near": set_text,
-        "each": line_text,
-        "within": NEAR_RAD_S,
-        "omega_z": list(LINE_RANGE),
-        "directions": rebound.z.size,
+    notes = {
+        "emd_min": f"{rebound.z.size} directions; {set_text}",
+        "lines_found": f"criterion: mean distance of a fitted line below {NEAR_RAD_S:g} rad/s over omega_z in {list(LINE_RANGE)}; "
+        f"{line_text}; {set_text}",
     }
-    lines = published_lines(case)
+    row_of, lines = partial(make_row, case, notes=notes), published_lines(case)
     # the number of runs is compared only on the paper's own grid, not on a coarser one
     is_paper_grid = near.emd.size == case.published["scan_runs"].value
     return [
-        make_row(case, "emd_min", result.smallest, **texts),
-        make_row(case, "scan_runs", int(near.emd.size), agrees=is_paper_grid or None),
-        make_row(case, "lines_found", result.lines_recovered, published=len(lines), **texts),
+        row_of("emd_min", result.smallest),
+        row_of("scan_runs", int(near.emd.size), agrees=is_paper_grid or None),
+        row_of("lines_found", result.lines_recovered, published=len(lines)),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Steps of the study: each runs in a thread, waits for the results that it takes, and ends with a result or the reason for none."""
+"""Steps of the study: each runs in a thread, takes results of steps before it, and ends with a result or the reason for none."""
 
 from __future__ import annotations
 
@@ -17,21 +17,18 @@ T = TypeVar("T")
 REPORTED = (TelemetryError, InputError, MotionError)
 """Errors of a step that are listed as the reason why it has no result. Any other error ends the study."""
 
-WAITING = 32
-"""Number of threads: as many steps can wait for others or compute."""
-
 
 @dataclass(frozen=True)
 class Outcome(Generic[T]):
     """A step that has ended, with its result and rows, or with the error because of which it has none.
 
     `key`: name of the step in `missing` of `summary.json`. `section`: a key of `study.SECTIONS`. If `inherited`, `error` was raised
-    by another step, on which this one rests. A step that was not begun has neither result nor error.
+    by another step, on which this one rests. A step that was stopped has neither result nor error.
     """
 
     key: str
     title: str
-    section: str = "telemetry"
+    section: str
     result: T | None = None
     rows: tuple[Row, ...] = ()
     error: SunspinError | None = None
@@ -74,20 +71,15 @@ def run_step(
 
 @dataclass(frozen=True)
 class Step(Generic[T]):
-    """A step that runs in a thread. Other steps take its result by `get` or `get_if_computed`, which wait until it has ended.
-
-    `computing` and `stopped` are those of :class:`Steps`.
-    """
+    """A step that was submitted: its outcome when it has ended, and whether the study has been `stopped`."""
 
     future: Future[Outcome[T]]
-    computing: threading.Semaphore
     stopped: threading.Event
 
     @property
     def outcome(self) -> Outcome[T] | None:
-        """Outcome of the step; None if it has not ended, or ended the study."""
-        ended = self.future.done() and self.future.exception() is None
-        return self.future.result() if ended else None
+        """Outcome of the step; None if it has not ended."""
+        return self.future.result() if self.future.done() else None
 
     @property
     def result(self) -> T | None:
@@ -95,43 +87,36 @@ class Step(Generic[T]):
         return None if self.outcome is None else self.outcome.result
 
     def get(self) -> T:
-        """Return the result to another step. Raises `MissingResult` if it is missing."""
-        outcome = self._wait()
-        if outcome.result is None:
-            raise MissingResult(outcome.error)
-        return outcome.result
+        """Return the result to a later step, which waits for it. Raises `MissingResult` if it is missing."""
+        if (result := self.get_if_computed()) is None:
+            raise MissingResult(self.future.result().error)
+        return result
 
     def get_if_computed(self) -> T | None:
-        """Return the result to another step; None if it is missing."""
-        return self._wait().result
-
-    def _wait(self) -> Outcome[T]:
-        """Return the outcome when the step has ended; while this thread waits, another step may compute in its place."""
-        if not self.future.done():
-            self.computing.release()
-            wait([self.future])
-            self.computing.acquire()
+        """Return the result to a later step, which waits for it; None if it is missing."""
+        wait([self.future])
         if self.stopped.is_set():
             raise MissingResult(None)
-        return self.future.result()
+        return self.future.result().result
 
 
 class Steps:
-    """Run steps in threads, two at a time. When the context is left, no further step begins."""
+    """Run steps in two threads, in the order in which they are submitted; a step takes results of steps before it only.
+
+    When the context is left, no further step begins.
+    """
 
     def __init__(self, workers: int | None = None) -> None:
-        self._steps: list[Step[Any]] = []
-        self._pool = ThreadPoolExecutor(WAITING, thread_name_prefix="step")
         # the kernels of a step use all cores: more than two steps at a time would take memory and gain nothing
-        self._computing = threading.Semaphore(min(worker_count(workers), 2))
-        self._stopped = threading.Event()
+        self._pool = ThreadPoolExecutor(min(worker_count(workers), 2), thread_name_prefix="step")
+        self._futures, self._stopped = list[Future[Any]](), threading.Event()
 
     def __enter__(self) -> Steps:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stopped.set()
-        self._pool.shutdown(wait=False)
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
     def run(
         self,
@@ -142,28 +127,12 @@ class Steps:
         **about: Any,
     ) -> Step[T]:
         """Return at once a step whose outcome is that of `run_step` with these arguments."""
-
-        def run_in_turn() -> Outcome[T]:
-            """Run the step when at most one other computes, unless the study has ended."""
-            with self._computing:
-                if self._stopped.is_set():
-                    return Outcome(key, title)
-                try:
-                    return run_step(key, title, compute, rows, **about)
-                except BaseException:
-                    self._stopped.set()
-                    raise
-
-        step = Step(self._pool.submit(run_in_turn), self._computing, self._stopped)
-        self._steps.append(step)
-        return step
+        future = self._pool.submit(lambda: run_step(key, title, compute, rows, **about))
+        self._futures.append(future)
+        return Step(future, self._stopped)
 
     def as_they_end(self) -> Iterator[None]:
         """Yield each time a step has ended. Raises the error of a step that ends the study."""
-        for future in as_completed([step.future for step in self._steps]):
+        for future in as_completed(self._futures):
             future.result()
             yield
-
-    def outcomes(self) -> list[Outcome[Any]]:
-        """Return the outcomes of the steps that have ended so far, in the order in which they were submitted."""
-        return [step.outcome for step in self._steps if step.outcome is not None]

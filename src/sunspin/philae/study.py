@@ -1,6 +1,6 @@
 """The paper, computed step by step from the telemetry: every result as data, and a row for each published figure.
 
-A step calls a function of the module of its section; `submit_steps` lists them in the paper's order. Rows are counted in three
+A step calls a function of the module of its section; `submit_steps` lists them. Rows are counted in three
 sections: results from the telemetry, results from the equations and the published lines alone, and the paper's own figures. A step
 that the telemetry does not allow is listed as missing, with the reason.
 """
@@ -49,7 +49,7 @@ from sunspin.philae.row import (
     settle,
     withhold_verdict,
 )
-from sunspin.philae.steps import REPORTED, Outcome, Steps, run_step
+from sunspin.philae.steps import REPORTED, Outcome, Step, Steps, run_step
 from sunspin.philae.strategies import Strategies
 from sunspin.philae.sun_directions import Phases, ReadingNoise
 from sunspin.philae.timing import Timing
@@ -176,7 +176,7 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
 
 
 def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
-    """Submit all steps in the paper's order, and return a function that returns the study with the results so far.
+    """Submit all steps, and return a function that returns the study with the results so far, in the paper's order.
 
     `study` has the case, the options and the Sun directions, but no result. A step takes the result of another one by `get` (if it
     is missing, its own is too) or by `get_if_computed`.
@@ -184,7 +184,7 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
     case, sun, options, runs = study.case, study.sun, study.options, study.runs
     seed, workers, run = options.seed, options.workers, steps.run
 
-    # ---- From this telemetry ----
+    # ---- Of the telemetry ----
     phases = run(
         "phases",
         "Sections 2.1 and 4: Sun directions, lit panels",
@@ -208,13 +208,56 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
         lambda: metrics.scan_telemetry(case, sun, options),
         metrics.scan_rows,
     )
+
+    # ---- The equations and the paper's own figures. They run next, as all others wait for the scan ----
+    equations: dict[str, Any] = {"section": "no_telemetry"}
+    sensitivity = run(
+        "sensitivity",
+        "Section 2.3: why a direct fit fails",
+        lambda: metrics.compute_sensitivity(case, sun, options),
+        metrics.sensitivity_rows,
+        **equations,
+    )
+    examples = run(
+        "mechanics",
+        "Section 2.2: wheel and example motions",
+        lambda: mechanics.compute(case),
+        mechanics.rows,
+        fatal=REPORTED,
+        **equations,
+    )
+    precession = run(
+        "precession",
+        "Section 3.2: precession on the published lines",
+        lambda: mechanics.compute_precession(case),
+        mechanics.precession_rows,
+        **equations,
+    )
+    own_figures = run(
+        "inputs",
+        "Taken over from the paper",
+        lambda: case,
+        inputs.rows,
+        section="paper",
+        fatal=REPORTED,
+    )
+    on_lines = run(
+        "published_lines",
+        "The published lines through our equations",
+        lambda: published_lines.compute(case, scan.get_if_computed(), runs, options),
+        published_lines.rows,
+        fatal=REPORTED,
+        **equations,
+    )
+
+    # ---- The motions that fit the telemetry ----
     candidate_sets = run(
         "candidates",
         "Section 2.3: the motions that follow",
         lambda: candidates.compute(scan.get(), check.get(), options),
         fatal=(InputError,),  # the file that `options.source` names is not valid
     )
-    run(
+    at_touchdown = run(
         "touchdown",
         "Section 3.2: after the first touchdown",
         candidate_sets.get,
@@ -236,61 +279,30 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
         "How fast it turned",
         lambda: motions.compute_speeds(after_collision.get(), spin.get_if_computed(), seed),
     )
+    few = max(runs // 5, 1)
     by_strategy = run(
         "strategies",
         "Section 4: wheel strategies",
-        lambda: strategies.compute(
-            case, candidate_sets.get(), max(runs // 5, 1), seed, workers=workers
-        ),
+        lambda: strategies.compute(case, candidate_sets.get(), few, seed, workers=workers),
         strategies.rows,
     )
-
-    # ---- The equations and the printed lines: no telemetry ----
-    sensitivity = run(
-        "sensitivity",
-        "Section 2.3: why a direct fit fails",
-        lambda: metrics.compute_sensitivity(case, sun, options),
-        metrics.sensitivity_rows,
-        section="no_telemetry",
+    of_telemetry = (
+        phases,
+        spin,
+        check,
+        scan,
+        candidate_sets,
+        at_touchdown,
+        displayed,
+        after_collision,
     )
-    examples = run(
-        "mechanics",
-        "Section 2.2: wheel and example motions",
-        lambda: mechanics.compute(case),
-        mechanics.rows,
-        section="no_telemetry",
-        fatal=REPORTED,
-    )
-    on_lines = run(
-        "published_lines",
-        "The published lines through our equations",
-        lambda: published_lines.compute(case, scan.get_if_computed(), runs, options),
-        published_lines.rows,
-        section="no_telemetry",
-        fatal=REPORTED,
-    )
-    run(
-        "precession",
-        "Section 3.2: precession on the published lines",
-        lambda: mechanics.compute_precession(case),
-        mechanics.precession_rows,
-        section="no_telemetry",
-    )
-
-    # ---- The paper's own figures ----
-    run(
-        "inputs",
-        "Taken over from the paper",
-        lambda: case,
-        inputs.rows,
-        section="paper",
-        fatal=REPORTED,
-    )
+    of_equations = sensitivity, examples, on_lines, precession, own_figures
+    in_order: list[Step[Any]] = [*of_telemetry, speeds, by_strategy, *of_equations]
 
     def so_far() -> Study:
         """Return the study with the results of the steps that have ended."""
         no_candidates = candidate_sets.outcome and candidate_sets.outcome.error
-        outcomes = [settle_rows(study, outcome) for outcome in steps.outcomes()]
+        outcomes = [settle_rows(study, step.outcome) for step in in_order if step.outcome]
         if no_candidates is not None:
             # no motion of the scan was accepted, so its rows judge nothing
             outcomes = [

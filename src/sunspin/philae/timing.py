@@ -158,9 +158,14 @@ def rows(timing: Timing) -> list[Row]:
     ):
         low, middle, high = np.quantile(speeds, QUANTILES).tolist()
         known = "not known" if true is None else f"{true:.4f} rad/s"
-        texts: dict[str, Any] = {"truth": known, "verdict": timing.verdict}
-        row = make_row(timing.rebound.case, name, middle, low=low, high=high, **texts)
-        result.append(row)
+        notes = {
+            "timed_rate_at_touchdown": f"median; {low:.4f} to {high:.4f} is 90 % probable; truth: {known}. The posterior: "
+            f"{timing.verdict}",
+            "timed_rate_at_collision": f"median; {low:.4f} to {high:.4f} is 90 % probable; truth: {known}",
+            "timed_rate_after_collision": f"median over simulated collisions as in section 3.3, wheel off; {low:.3f} to {high:.3f} "
+            f"is 90 % probable, as leg and direction of the impact are not known; truth: {known}",
+        }
+        result.append(make_row(timing.rebound.case, name, middle, notes, low=low, high=high))
     return result
 
 
