@@ -52,7 +52,7 @@ def quick():
 @pytest.mark.long
 def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(quick):
     found = quick(rb.with_telemetry(CASE, without("descent", "deployment")), coarser=20)
-    assert list(found.missing) == ["descent"] and found.descent is None
+    assert list(found.missing) == ["descent"] and found.descent.result is None
     assert "no sample before the first touchdown" in found.missing["descent"]
     with_rows = "phases carries level_set touchdown mechanics published_lines inputs".split()
     assert list(rows_by_step(found)) == with_rows
@@ -139,13 +139,13 @@ def test_telemetry_of_no_landing_gives_no_conclusion(quick):
     found = quick(
         rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20
     )
-    assert found.candidate_sets is None and "touchdown" in found.missing
+    assert found.candidate_sets.result is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
     assert "cannot be concluded" in told[1] and "lit pattern" in told[1]
     assert "No conclusions" in told[2]
-    assert found.no_candidates is not None and "lit pattern" in found.no_candidates.problem
-    of_scan = rows_by_step(found)["level_set"]
+    assert "lit pattern" in found.candidate_sets.error.problem
+    of_scan = found.scan.rows
     assert of_scan and all(row.kind != "test" and row.agrees is None for row in of_scan)
     drawn = {drawing.name for drawing in pictures.list_drawings(found)}
     assert "fig12_lines" in drawn and "fig12_touchdown" not in drawn
@@ -198,26 +198,26 @@ def test_steps_of_the_study_can_end_in_any_order():
         return "slow"
 
     with Steps(workers=2) as steps:
+        of = steps.of
         first = submit(steps, "slow", slow, lambda result: [f"row of {result}"])
         fast = submit(steps, "fast", lambda: "fast", lambda result: [f"row of {result}"])
-        failed = submit(steps, "failing", lambda: failing(fast.get_if_computed()))
-        lost = submit(steps, "lost", lambda: ["lost", failed.get()])
-        behind = submit(steps, "behind", lambda: ["behind", lost.get()])
-        both = submit(steps, "both", lambda: (first.get(), failed.get_if_computed()))
+        failed = submit(steps, "failing", lambda: failing(of(fast)))
+        lost = submit(steps, "lost", lambda: ["lost", of(failed).get()])
+        behind = submit(steps, "behind", lambda: ["behind", of(lost).get()])
+        both = submit(steps, "both", lambda: (of(first).get(), of(failed).result))
         for _ in steps.as_they_end():
-            seen.append([step.result for step in (first, fast, both) if step.result is not None])
-            if fast.result is not None:
+            seen.append([step.result().result for step in (first, fast, both) if step.done()])
+            if fast.done():
                 fast_is_seen.set()
-    assert (first.result, fast.result, both.result) == ("slow", "fast", ("slow", None))
-    assert first.outcome.rows == ("row of slow",) and fast.outcome.rows == ("row of fast",)
     assert seen[-1] == ["slow", "fast", ("slow", None)] and ["fast"] in seen
-    assert [step.outcome.reason for step in (failed, lost, behind)] == [
+    assert first.result().rows == ("row of slow",) and fast.result().rows == ("row of fast",)
+    assert [step.result().reason for step in (failed, lost, behind)] == [
         "Step failing: not reproduced, as no motion",
         "Step lost: not computed, as it rests on what is missing",
         "Step behind: not computed, as it rests on what is missing",
     ]
     for step in (lost, behind):  # the error is that of the step that failed
-        assert step.result is None and step.outcome.error is failed.outcome.error
+        assert step.result().result is None and step.result().error is failed.result().error
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -225,20 +225,22 @@ def test_steps_that_wait_do_not_block_those_that_they_wait_for(workers):
     with Steps(workers) as steps:
         chain = [submit(steps, "first", lambda: 1)]
         for number in range(20):
-            chain.append(submit(steps, f"{number}", lambda before=chain[-1]: before.get() + 1))
+            chain.append(
+                submit(steps, f"{number}", lambda before=chain[-1]: steps.of(before).get() + 1)
+            )
         for _ in steps.as_they_end():
             pass
-    assert chain[-1].result == 21
+    assert chain[-1].result().result == 21
 
 
 def test_a_failed_step_that_is_needed_ends_the_study():
     ended = []
     with pytest.raises(MotionError, match="no motion"), Steps(workers=1) as steps:
         failed = submit(steps, "failing", failing, fatal=REPORTED)
-        submit(steps, "after", lambda: ended.append(failed.get_if_computed()))
+        submit(steps, "after", lambda: ended.append(steps.of(failed)))
         for _ in steps.as_they_end():
             pass
-    assert not ended and failed.future.exception() is not None
+    assert not ended and failed.exception() is not None
 
 
 def test_no_step_begins_after_an_interrupt():
@@ -250,13 +252,13 @@ def test_no_step_begins_after_an_interrupt():
 
     with pytest.raises(KeyboardInterrupt), Steps(workers=2) as steps:
         first = submit(steps, "first", wait_for_the_interrupt)
-        second = submit(steps, "second", lambda: begun.append(first.get()))
+        second = submit(steps, "second", lambda: begun.append(steps.of(first).get()))
         third = submit(steps, "third", lambda: begun.append(1))
         assert running.wait(20)
         raise KeyboardInterrupt
     go_on.set()
-    assert first.future.result(20).result and second.future.result(20).result is None
-    assert third.future.cancelled() and not begun
+    assert first.result(20).result and second.result(20).result is None
+    assert third.cancelled() and not begun
 
 
 def test_a_study_cannot_be_changed_by_those_who_read_it():

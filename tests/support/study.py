@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from sunspin.philae.steps import Step, Steps
+from sunspin.philae.steps import Steps
 
 
 def leave_out(patch: pytest.MonkeyPatch, *keys: str) -> None:
@@ -16,7 +16,7 @@ def leave_out(patch: pytest.MonkeyPatch, *keys: str) -> None:
 
     def run_others(
         self: Steps, key: str, title: str, compute: Callable[[], Any], *rows: Any, **about: Any
-    ) -> Step[Any]:
+    ) -> Any:
         if key in keys:
             return run(self, key, title, lambda: None)
         return run(self, key, title, compute, *rows, **about)

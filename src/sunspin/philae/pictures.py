@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import xarray as xr
 from matplotlib.figure import Figure
 
 from sunspin.output import figures
@@ -26,10 +25,7 @@ from sunspin.philae import (
     timing,
     touchdown,
 )
-from sunspin.philae.mechanics import Mechanics
-from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.motions import speed_figure
-from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.rebound import event_seconds
 from sunspin.philae.study import Study
 
@@ -54,30 +50,30 @@ def write_pictures(study: Study, drawn: Drawn, folder: Path) -> list[Drawing]:
 
 def list_drawings(study: Study) -> Iterator[Drawing]:
     """Yield the pictures of the results that have been computed, in the order of the page."""
-    yield from _drawings_of_acts(study)
-    yield from _drawings_of_motions(study)
-    yield from _drawings_of_directions(study)
-    yield from _drawings_of_equations(study)
-    yield from _drawings_of_telemetry(study)
+    synthetic = synthetic_words(study.synthetic)
+    yield from _drawings_of_acts(study, synthetic)
+    yield from _drawings_of_figures_3_to_8(study, synthetic)
+    yield from _drawings_of_telemetry(study, synthetic)
     yield from _drawings_of_published_lines(study)
-    if (phases := study.phases) is not None:
+    if (phases := study.phases.result) is not None:
         yield Drawing(
             "health",
             lambda: sun_directions.lit_panels_figure(phases),
             "Lit panels sample by sample",
-            "Which panels are lit, and which patterns the Sun alone cannot make (paper, section 4)."
-            f"{synthetic_words(study.synthetic)}",
+            f"Which panels are lit, and which patterns the Sun alone cannot make (paper, section 4).{synthetic}",
         )
 
 
-def _drawings_of_acts(study: Study) -> Iterator[Drawing]:
-    """Yield the pictures of the study's three acts (Figs. 9 and 12 of the paper, and the posterior)."""
-    scan, candidate_sets, timed = study.scan, study.candidate_sets, study.timing
-    synthetic = synthetic_words(study.synthetic)
-    if scan is not None and study.published_lines is not None:
+def _drawings_of_acts(study: Study, synthetic: str) -> Iterator[Drawing]:
+    """Yield the pictures of the study's three acts (Figs. 9 and 12 of the paper, and the posterior), and of single motions."""
+    scan, candidate_sets, timed = study.scan.result, study.touchdown.result, study.timing.result
+    if scan is not None and study.published_lines.result is not None:
+        target = f"target: this telemetry{' (synthetic)' * study.synthetic}"
+        title = f"EMD < {scan.near.factor:g} EMD_min, {target}"
+        truth = scan.truth.get("omega_B")
         yield Drawing(
             "fig09_telemetry",
-            lambda: _scan_figure(study, scan),
+            lambda: metrics.near_minimum_figure(study.case, scan.near, title, truth),
             "Near-minimum points in rate space for the telemetry",
             f"The paper's recipe on this telemetry (paper, Fig. 9): {len(scan.near.points)} points, smallest EMD "
             f"{scan.smallest:.4f}; {scan.lines_recovered} of the four printed lines (dashed) come out of them.{synthetic}",
@@ -107,19 +103,7 @@ def _drawings_of_acts(study: Study) -> Iterator[Drawing]:
             "Past the paper: what the posterior predicts. After the collision the leg that hits and the direction of the impact "
             f"are not known; simulated as in section 3.3 of the paper, wheel off.{synthetic}",
         )
-
-
-def _scan_figure(study: Study, scan: TelemetryScan) -> Figure:
-    """Draw the near-minimum set of the scan of the telemetry."""
-    target = f"target: this telemetry{' (synthetic)' * study.synthetic}"
-    title = f"EMD < {scan.near.factor:g} EMD_min, {target}"
-    return metrics.near_minimum_figure(study.case, scan.near, title, scan.truth.get("omega_B"))
-
-
-def _drawings_of_motions(study: Study) -> Iterator[Drawing]:
-    """Yield the pictures of the angular speed and of the panels' powers in single motions."""
-    speeds, motions, synthetic = study.speeds, study.motions, synthetic_words(study.synthetic)
-    if speeds is not None:
+    if (speeds := study.speeds.result) is not None:
         meaning = {
             "scan": "; every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only",
             "published": "; this telemetry does not enter",
@@ -131,43 +115,17 @@ def _drawings_of_motions(study: Study) -> Iterator[Drawing]:
             f"How fast Philae turned. Band: {speeds.attrs['about']}, slowest to fastest{meaning}. After the collision: 95 % of "
             f"simulated collisions of the same motions. Diamonds: the magnetometer, which was not used.{synthetic}",
         )
-    if motions is not None:
+    if (motions := study.motions.result) is not None:
+        titles = ("Truth", "Best fit", "Descent")
+        shown = [(title, motion) for title, motion in motions.items() if title in titles]
         yield Drawing(
             "signals",
-            lambda: _signals_figure(study, motions),
+            lambda: panel_signals_figure(study.case.telemetry, shown, study.case.vehicle),
             "Power of each panel against time in two motions: samples as dots, the motion's prediction as a line",
             "Panel powers: dots are samples, lines the prediction of a motion in the first 15 minutes after the touchdown, with "
             "one common factor. Motions that fit share how often the Sun stands at each height, not when: only one can meet the "
             f"dots one by one.{synthetic}",
         )
-
-
-def _signals_figure(study: Study, motions: dict[str, xr.Dataset]) -> Figure:
-    """Draw the powers of the panels in the true, the best and the descent's motion."""
-    titles = ("Truth", "Best fit", "Descent")
-    shown = [(title, motion) for title, motion in motions.items() if title in titles]
-    return panel_signals_figure(study.case.telemetry, shown, study.case.vehicle)
-
-
-def _drawings_of_directions(study: Study) -> Iterator[Drawing]:
-    """Yield the pictures of the Sun directions (paper, Figs. 3 and 4)."""
-    if (phases := study.phases) is None:
-        return
-    synthetic = synthetic_words(study.synthetic)
-    yield Drawing(
-        "fig03_measured",
-        lambda: _measured_figure(study),
-        "Panel powers, components of the Sun direction and Delta against time",
-        "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
-        f"direction, by reason.{synthetic}",
-    )
-    yield Drawing(
-        "fig04_phases",
-        lambda: sun_directions.directions_figure(phases),
-        "Sun directions on the unit sphere in four phases",
-        "Directions in each phase (paper, Fig. 4). Orange: best fits to sets of lit panels that the Sun alone cannot light."
-        f"{synthetic}",
-    )
 
 
 def _measured_figure(study: Study) -> Figure:
@@ -184,13 +142,32 @@ def _measured_figure(study: Study) -> Figure:
     return telemetry.sun_directions_figure(study.sun, study.case.telemetry, events)
 
 
-def _drawings_of_equations(study: Study) -> Iterator[Drawing]:
-    """Yield the pictures of the wheel, the example motions and the maps of E (paper, Figs. 5 to 8)."""
-    examples, sensitivity = study.mechanics, study.sensitivity
-    if examples is not None:
+def _drawings_of_figures_3_to_8(study: Study, synthetic: str) -> Iterator[Drawing]:
+    """Yield the pictures of the Sun directions, the wheel, the example motions and the maps of E."""
+    if (phases := study.phases.result) is not None:
+        yield Drawing(
+            "fig03_measured",
+            lambda: _measured_figure(study),
+            "Panel powers, components of the Sun direction and Delta against time",
+            "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
+            f"direction, by reason.{synthetic}",
+        )
+        yield Drawing(
+            "fig04_phases",
+            lambda: sun_directions.directions_figure(phases),
+            "Sun directions on the unit sphere in four phases",
+            "Directions in each phase (paper, Fig. 4). Orange: best fits to sets of lit panels that the Sun alone cannot light."
+            f"{synthetic}",
+        )
+    if (examples := study.mechanics.result) is not None:
+        spin_down = examples.spin_down
+        curves = {
+            "published fit, which gives the default friction": spin_down["record"],
+            "rounded friction as printed": spin_down["printed"],
+        }
         yield Drawing(
             "fig05_spin_down",
-            lambda: _spin_down_figure(examples),
+            lambda: motion.spin_down_figure(spin_down["t_s"], curves),
             "Wheel speed falling to zero",
             "Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients.",
         )
@@ -206,13 +183,13 @@ def _drawings_of_equations(study: Study) -> Iterator[Drawing]:
             "Three histograms of the Sun's z component",
             "Distribution of the z component in those simulations (paper, Fig. 7).",
         )
-    if sensitivity is not None:
+    if (sensitivity := study.sensitivity.result) is not None:
         yield Drawing(
             "fig08_maps",
             lambda: metrics.maps_figure(sensitivity),
             "Two maps of E with many slanted valleys",
             "E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it."
-            f"{synthetic_words(study.synthetic)}",
+            f"{synthetic}",
         )
         yield Drawing(
             "growth",
@@ -223,28 +200,17 @@ def _drawings_of_equations(study: Study) -> Iterator[Drawing]:
         )
 
 
-def _spin_down_figure(examples: Mechanics) -> Figure:
-    """Draw the spin-down of the wheel with fitted and rounded friction."""
-    curves = {
-        "published fit, which gives the default friction": examples.spin_down["record"],
-        "rounded friction as printed": examples.spin_down["printed"],
-    }
-    return motion.spin_down_figure(examples.spin_down["t_s"], curves)
-
-
-def _drawings_of_telemetry(study: Study) -> Iterator[Drawing]:
+def _drawings_of_telemetry(study: Study, synthetic: str) -> Iterator[Drawing]:
     """Yield the other pictures of what follows from the telemetry (paper, Figs. 10, 11 and 13, and section 4)."""
-    scan, lines, spin, collisions = (
-        study.scan,
-        study.published_lines,
-        study.descent,
-        study.collision,
-    )
-    synthetic = synthetic_words(study.synthetic)
+    scan, lines, spin = study.scan.result, study.published_lines.result, study.descent.result
     if scan is not None and lines is not None:
+        rz_by_name = {f"L{k} as published": z for k, z in enumerate(lines.pooled, 1)}
+        if scan.truth:
+            rz_by_name["truth of the synthetic telemetry"] = scan.truth["z"]
+        label = "telemetry" + " (synthetic)" * study.synthetic
         yield Drawing(
             "distributions",
-            lambda: _distributions_figure(study, scan, lines),
+            lambda: metrics.distributions_figure(scan.rebound.z, label, rz_by_name),
             "Cumulative distributions of the z component",
             "z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one "
             f"distribution (EMD to their mean at most {lines.spread:.4f}), which is why a line cannot be narrowed to a point."
@@ -258,7 +224,7 @@ def _drawings_of_telemetry(study: Study) -> Iterator[Drawing]:
             "The descent: directions of the telemetry and fitted ones (paper, Fig. 10), E against the rate (Fig. 11), here over "
             f"all aliases of the sampling too.{synthetic}",
         )
-    if collisions is not None:
+    if (collisions := study.collision.result) is not None:
         runs, about = collisions.runs["chosen"], collisions.candidate_sets.chosen.about
         yield Drawing(
             "fig13_after_collision",
@@ -273,7 +239,7 @@ def _drawings_of_telemetry(study: Study) -> Iterator[Drawing]:
             "Simulated collisions against the trajectory kernel's speeds",
             f"The simulated collisions against what the trajectory kernel and the magnetometer say of them.{synthetic}",
         )
-    if (by_strategy := study.strategies) is not None:
+    if (by_strategy := study.strategies.result) is not None:
         yield Drawing(
             "strategies",
             lambda: strategies.strategies_figure(by_strategy.table),
@@ -283,18 +249,9 @@ def _drawings_of_telemetry(study: Study) -> Iterator[Drawing]:
         )
 
 
-def _distributions_figure(study: Study, scan: TelemetryScan, lines: PublishedLines) -> Figure:
-    """Draw the distributions of r_z of the telemetry, of the published lines and of the truth."""
-    rz_by_name = {f"L{k} as published": z for k, z in enumerate(lines.pooled, 1)}
-    if scan.truth:
-        rz_by_name["truth of the synthetic telemetry"] = scan.truth["z"]
-    label = "telemetry" + " (synthetic)" * study.synthetic
-    return metrics.distributions_figure(scan.rebound.z, label, rz_by_name)
-
-
 def _drawings_of_published_lines(study: Study) -> Iterator[Drawing]:
     """Yield the pictures that follow from the published lines without telemetry (paper, Figs. 9, 12 and 13)."""
-    if (lines := study.published_lines) is None:
+    if (lines := study.published_lines.result) is None:
         return
     near, least = lines.clean, float(lines.clean.emd.min())
     title = f"EMD < {near.factor:g} EMD_min, target: common distribution of the printed lines"

@@ -152,7 +152,7 @@ def reproduce(
         return Written(folder, write_report(folder), summary)
 
     written = write(study)
-    if not posterior or study.candidate_sets is None:
+    if not posterior or study.candidate_sets.result is None:
         return written
     if on_page is not None:
         on_page(written)
@@ -197,11 +197,12 @@ def _hash_inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]
 def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[str, Any]:
     """Return the content of `summary.json`."""
     counts = study.counts()
-    calibration = study.candidate_sets and study.candidate_sets.calibration
+    sets, no_candidates = study.candidate_sets.result, study.candidate_sets.error
+    calibration = sets and sets.calibration
     # the reason why the report has no conclusions on the motion; empty if it has
     stop = ""
-    if study.no_candidates:
-        why = str(study.no_candidates).rstrip(".")
+    if no_candidates:
+        why = str(no_candidates).rstrip(".")
         stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
     sections = [(outcome.title, outcome.section, outcome.rows) for outcome in study.outcomes]
     sections.append(("The figures of the paper", "paper", tuple(make_figure_rows(drawings))))
@@ -218,7 +219,7 @@ def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[
         "synthetic_telemetry": study.synthetic,
         "seconds": round(seconds, 1),
         "chain": study.options.source,
-        "carries": study.require_check().first_line,
+        "carries": study.check.get().first_line,
         "noise": study.noise.about,
         "calibration": str(calibration) if calibration else None,
         "missing": study.missing,
@@ -285,7 +286,7 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
 
     Files of steps that were not computed are left out.
     """
-    scan, lines, rate = study.scan, study.published_lines, {"units": "rad s-1"}
+    scan, lines, rate = study.scan.result, study.published_lines.result, {"units": "rad s-1"}
     scans = []
     if scan is not None:
         scans.append(("scan_telemetry", scan.near, "the directions of this telemetry"))
@@ -311,8 +312,8 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
             "published_B": (("published", "axis"), lines.on_lines_touchdown, rate),
         }
         files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
-    if study.candidate_sets is not None:
-        chosen = study.candidate_sets.chosen
+    if study.candidate_sets.result is not None:
+        chosen = study.candidate_sets.result.chosen
         # at most 20,000 of the candidates, evenly chosen; the division rounds up
         table, every = chosen.dataset(), -(-len(chosen) // 20_000)
         for name, unit, about in (
@@ -322,22 +323,22 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         ):
             table[name] = "candidate", getattr(chosen, name), {"units": unit, "long_name": about}
         files["candidates"] = table.isel(candidate=slice(None, None, every))
-    if study.sensitivity is not None:
-        files["map_rates"] = study.sensitivity.rates.to_dataset()
-        files["map_parameters"] = data = study.sensitivity.parameters.to_dataset()
+    if (maps := study.sensitivity.result) is not None:
+        files["map_rates"] = maps.rates.to_dataset()
+        files["map_parameters"] = data = maps.parameters.to_dataset()
         data["mu_0"].attrs["units"] = "N m"
         data["theta_xx"].attrs["units"] = "kg m2"
-    if study.collision is not None:
-        runs = study.collision.runs["chosen"]
+    if study.collision.result is not None:
+        runs = study.collision.result.runs["chosen"]
         files |= {f"outcomes-{name}": data for name, data in runs.items()}
-    if study.strategies is not None:
-        files["strategies"] = study.strategies.table
-    for name, motion in (study.motions or {}).items():
+    if study.strategies.result is not None:
+        files["strategies"] = study.strategies.result.table
+    for name, motion in (study.motions.result or {}).items():
         files[f"motion-{name.lower().replace(' ', '-')}"] = motion.assign_attrs(title=name)
-    if study.speeds is not None:
-        files["speed"] = study.speeds
-    if study.timing is not None:
-        files |= timing.datasets(study.timing)
+    if study.speeds.result is not None:
+        files["speed"] = study.speeds.result
+    if study.timing.result is not None:
+        files |= timing.datasets(study.timing.result)
     attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
     attrs["sunspin_version"] = version()
     return {name: data.assign_attrs(attrs) for name, data in files.items()}

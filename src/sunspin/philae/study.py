@@ -8,12 +8,13 @@ that the telemetry does not allow is listed as missing, with the reason.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any
 
 import xarray as xr
 
-from sunspin.base.errors import InputError, SunspinError
+from sunspin.base.errors import InputError
 from sunspin.cases import Case
 from sunspin.dynamics.ensemble import prepare
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
@@ -37,7 +38,7 @@ from sunspin.philae.candidates import CandidateSets
 from sunspin.philae.collision import AfterCollision
 from sunspin.philae.data_check import DataCheck
 from sunspin.philae.descent import Descent
-from sunspin.philae.mechanics import Mechanics
+from sunspin.philae.mechanics import Mechanics, Precession
 from sunspin.philae.metrics import Sensitivity, TelemetryScan
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.rebound import Options, direction_mask, read_truth, select_rebound
@@ -49,7 +50,7 @@ from sunspin.philae.row import (
     settle,
     withhold_verdict,
 )
-from sunspin.philae.steps import REPORTED, Outcome, Step, Steps, run_step
+from sunspin.philae.steps import REPORTED, Outcome, Steps, T, run_step
 from sunspin.philae.strategies import Strategies
 from sunspin.philae.sun_directions import Phases, ReadingNoise
 from sunspin.philae.timing import Timing
@@ -75,37 +76,33 @@ SECTIONS = {
 
 @dataclass(frozen=True)
 class Study:
-    """All results of the Philae study. A result is None if its step has not ended, or is missing.
+    """All results of the Philae study.
 
-    Attributes
-    ----------
-    noise : noise estimated from the telemetry
-    sun : Sun directions of the whole landing
-    phases ... timing : results of the steps. In a study that has ended, `phases`, `check`, `mechanics` and `published_lines` are
-        never None. `motions` are those for display by title.
-    outcomes : the steps that have ended, in the paper's order, with their rows or the reason why there are none
-    no_candidates : why there are no candidate motions, so that nothing can be concluded from them; None if there are some
+    `noise`: noise estimated from the telemetry. `sun`: Sun directions of the whole landing. The other fields are the outcomes of
+    the steps in the paper's order, `timing` last. In a study that has ended, `phases`, `check`, `mechanics`, `published_lines` and
+    `inputs` have a result. `motions` are those for display by title.
     """
 
     case: Case
     options: Options
     noise: ReadingNoise
     sun: xr.Dataset
-    phases: Phases | None = None
-    descent: Descent | None = None
-    check: DataCheck | None = None
-    scan: TelemetryScan | None = None
-    candidate_sets: CandidateSets | None = None
-    motions: dict[str, xr.Dataset] | None = None
-    collision: AfterCollision | None = None
-    speeds: xr.Dataset | None = None
-    strategies: Strategies | None = None
-    sensitivity: Sensitivity | None = None
-    mechanics: Mechanics | None = None
-    published_lines: PublishedLines | None = None
-    timing: Timing | None = None
-    outcomes: tuple[Outcome[Any], ...] = ()
-    no_candidates: SunspinError | None = None
+    phases: Outcome[Phases] = Outcome()
+    descent: Outcome[Descent] = Outcome()
+    check: Outcome[DataCheck] = Outcome()
+    scan: Outcome[TelemetryScan] = Outcome()
+    candidate_sets: Outcome[CandidateSets] = Outcome()
+    touchdown: Outcome[CandidateSets] = Outcome()
+    motions: Outcome[dict[str, xr.Dataset]] = Outcome()
+    collision: Outcome[AfterCollision] = Outcome()
+    speeds: Outcome[xr.Dataset] = Outcome()
+    strategies: Outcome[Strategies] = Outcome()
+    sensitivity: Outcome[Sensitivity] = Outcome()
+    mechanics: Outcome[Mechanics] = Outcome()
+    published_lines: Outcome[PublishedLines] = Outcome()
+    precession: Outcome[Precession] = Outcome()
+    inputs: Outcome[Case] = Outcome()
+    timing: Outcome[Timing] = Outcome()
 
     @property
     def synthetic(self) -> bool:
@@ -113,9 +110,9 @@ class Study:
         return bool(self.sun.attrs.get("synthetic"))
 
     @property
-    def runs(self) -> int:
-        """Number of simulated collisions."""
-        return max(LANDING_RUNS // self.options.coarser, LEAST_RUNS)
+    def outcomes(self) -> list[Outcome[Any]]:
+        """Outcomes of all steps in the paper's order."""
+        return [value for value in vars(self).values() if isinstance(value, Outcome)]
 
     @property
     def rows(self) -> list[Row]:
@@ -127,22 +124,11 @@ class Study:
         """Why steps have no result, in words, by their keys."""
         return {outcome.key: outcome.reason for outcome in self.outcomes if outcome.error}
 
-    def require_check(self) -> DataCheck:
-        """Return the data check, which every study that has ended has."""
-        if self.check is None:
-            raise RuntimeError("the data check has not ended")
-        return self.check
-
     def counts(self) -> dict[str, dict[str, int]]:
         """Return for each section of `SECTIONS` how many rows agree, differ, are uninformative, and are of another kind."""
         return {
             section: count_verdicts(
-                [
-                    row
-                    for outcome in self.outcomes
-                    if outcome.section == section
-                    for row in outcome.rows
-                ]
+                [row for step in self.outcomes if step.section == section for row in step.rows]
             )
             for section in SECTIONS
         }
@@ -176,15 +162,18 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
 
 
 def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
-    """Submit all steps, and return a function that returns the study with the results so far, in the paper's order.
+    """Submit all steps but the last, and return a function that returns the study with the outcomes so far.
 
-    `study` has the case, the options and the Sun directions, but no result. A step takes the result of another one by `get` (if it
-    is missing, its own is too) or by `get_if_computed`.
+    `study` has no outcome yet. A step waits for those whose outcome it takes by `of`.
     """
-    case, sun, options, runs = study.case, study.sun, study.options, study.runs
-    seed, workers, run = options.seed, options.workers, steps.run
+    case, sun, options, run, of = study.case, study.sun, study.options, steps.run, steps.of
+    seed, workers, runs = (
+        options.seed,
+        options.workers,
+        max(LANDING_RUNS // options.coarser, LEAST_RUNS),
+    )
 
-    # ---- Of the telemetry ----
+    # ---- The telemetry ----
     phases = run(
         "phases",
         "Sections 2.1 and 4: Sun directions, lit panels",
@@ -198,7 +187,7 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
     check = run(
         "carries",
         "Data check",
-        lambda: data_check.compute(case, sun, spin.get_if_computed(), seed),
+        lambda: data_check.compute(case, sun, of(spin).result, seed),
         data_check.rows,
         fatal=REPORTED,
     )
@@ -209,14 +198,14 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
         metrics.scan_rows,
     )
 
-    # ---- The equations and the paper's own figures. They run next, as all others wait for the scan ----
-    equations: dict[str, Any] = {"section": "no_telemetry"}
+    # ---- The equations, the printed lines and the paper's own figures: these run while others would wait for the scan ----
+    no_telemetry: Any = {"section": "no_telemetry"}
     sensitivity = run(
         "sensitivity",
         "Section 2.3: why a direct fit fails",
         lambda: metrics.compute_sensitivity(case, sun, options),
         metrics.sensitivity_rows,
-        **equations,
+        **no_telemetry,
     )
     examples = run(
         "mechanics",
@@ -224,109 +213,90 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
         lambda: mechanics.compute(case),
         mechanics.rows,
         fatal=REPORTED,
-        **equations,
+        **no_telemetry,
     )
     precession = run(
         "precession",
         "Section 3.2: precession on the published lines",
         lambda: mechanics.compute_precession(case),
         mechanics.precession_rows,
-        **equations,
+        **no_telemetry,
     )
-    own_figures = run(
-        "inputs",
-        "Taken over from the paper",
-        lambda: case,
-        inputs.rows,
-        section="paper",
-        fatal=REPORTED,
-    )
+    own = {"section": "paper", "fatal": REPORTED}
+    own_figures = run("inputs", "Taken over from the paper", lambda: case, inputs.rows, **own)
     on_lines = run(
         "published_lines",
         "The published lines through our equations",
-        lambda: published_lines.compute(case, scan.get_if_computed(), runs, options),
+        lambda: published_lines.compute(case, of(scan).result, runs, options),
         published_lines.rows,
         fatal=REPORTED,
-        **equations,
+        **no_telemetry,
     )
 
     # ---- The motions that fit the telemetry ----
     candidate_sets = run(
         "candidates",
         "Section 2.3: the motions that follow",
-        lambda: candidates.compute(scan.get(), check.get(), options),
+        lambda: candidates.compute(of(scan).get(), of(check).get(), options),
         fatal=(InputError,),  # the file that `options.source` names is not valid
     )
+
+    def sets() -> CandidateSets:
+        """Return the candidates to a step that needs them."""
+        return of(candidate_sets).get()
+
     at_touchdown = run(
-        "touchdown",
-        "Section 3.2: after the first touchdown",
-        candidate_sets.get,
-        touchdown.touchdown_rows,
+        "touchdown", "Section 3.2: after the first touchdown", sets, touchdown.touchdown_rows
     )
     displayed = run(
         "motions",
         "The motion to look at",
-        lambda: motions.compute(scan.get(), candidate_sets.get(), spin.get_if_computed(), seed),
+        lambda: motions.compute(of(scan).get(), sets(), of(spin).result, seed),
     )
     after_collision = run(
         "collision",
         "Section 3.3: after the collision",
-        lambda: collision.compute(case, candidate_sets.get(), runs, seed, workers=workers),
+        lambda: collision.compute(case, sets(), runs, seed, workers=workers),
         collision.rows,
     )
     speeds = run(
         "speeds",
         "How fast it turned",
-        lambda: motions.compute_speeds(after_collision.get(), spin.get_if_computed(), seed),
+        lambda: motions.compute_speeds(of(after_collision).get(), of(spin).result, seed),
     )
-    few = max(runs // 5, 1)
     by_strategy = run(
         "strategies",
         "Section 4: wheel strategies",
-        lambda: strategies.compute(case, candidate_sets.get(), few, seed, workers=workers),
+        lambda: strategies.compute(case, sets(), max(runs // 5, 1), seed, workers=workers),
         strategies.rows,
     )
-    of_telemetry = (
-        phases,
-        spin,
-        check,
-        scan,
-        candidate_sets,
-        at_touchdown,
-        displayed,
-        after_collision,
-    )
-    of_equations = sensitivity, examples, on_lines, precession, own_figures
-    in_order: list[Step[Any]] = [*of_telemetry, speeds, by_strategy, *of_equations]
+
+    def settled(step: Future[Outcome[T]]) -> Outcome[T]:
+        """Return the outcome of a step with its rows as they are counted; an empty one if it has not ended."""
+        return settle_rows(study, step.result()) if step.done() else Outcome()
 
     def so_far() -> Study:
-        """Return the study with the results of the steps that have ended."""
-        no_candidates = candidate_sets.outcome and candidate_sets.outcome.error
-        outcomes = [settle_rows(study, step.outcome) for step in in_order if step.outcome]
-        if no_candidates is not None:
-            # no motion of the scan was accepted, so its rows judge nothing
-            outcomes = [
-                replace(outcome, rows=tuple(map(withhold_verdict, outcome.rows)))
-                if outcome.result is scan.result
-                else outcome
-                for outcome in outcomes
-            ]
+        """Return the study with the outcomes of the steps that have ended."""
+        of_scan, of_candidates = settled(scan), settled(candidate_sets)
+        if of_candidates.error:  # no motion of the scan was accepted, so its rows judge nothing
+            of_scan = replace(of_scan, rows=tuple(map(withhold_verdict, of_scan.rows)))
         return replace(
             study,
-            phases=phases.result,
-            descent=spin.result,
-            check=check.result,
-            scan=scan.result,
-            candidate_sets=candidate_sets.result,
-            motions=displayed.result,
-            collision=after_collision.result,
-            speeds=speeds.result,
-            strategies=by_strategy.result,
-            sensitivity=sensitivity.result,
-            mechanics=examples.result,
-            published_lines=on_lines.result,
-            outcomes=tuple(outcomes),
-            no_candidates=no_candidates,
+            phases=settled(phases),
+            descent=settled(spin),
+            check=settled(check),
+            scan=of_scan,
+            candidate_sets=of_candidates,
+            touchdown=settled(at_touchdown),
+            motions=settled(displayed),
+            collision=settled(after_collision),
+            speeds=settled(speeds),
+            strategies=settled(by_strategy),
+            sensitivity=settled(sensitivity),
+            mechanics=settled(examples),
+            published_lines=settled(on_lines),
+            precession=settled(precession),
+            inputs=settled(own_figures),
         )
 
     return so_far
@@ -335,23 +305,19 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
 def add_timing(study: Study) -> Study:
     """Return the study with its last step: the posterior of the rebound's readings, and what it predicts.
 
-    It takes as long as all others, and runs when their page is there. It needs the candidates: without them the study is returned.
+    It takes as long as all others, and runs when their page is there.
     """
-    if (candidate_sets := study.candidate_sets) is None:
-        return study
+    sets = study.candidate_sets.get
     outcome = run_step(
         "timing",
         "Past the paper: what the times of the samples add",
-        lambda: timing.compute(
-            candidate_sets.rebound, candidate_sets.posterior, TIMING_RUNS, study.options
-        ),
+        lambda: timing.compute(sets().rebound, sets().posterior, TIMING_RUNS, study.options),
         timing.rows,
     )
-    outcomes = *study.outcomes, settle_rows(study, outcome)
-    return replace(study, timing=outcome.result, outcomes=outcomes)
+    return replace(study, timing=settle_rows(study, outcome))
 
 
-def settle_rows(study: Study, outcome: Outcome[Any]) -> Outcome[Any]:
+def settle_rows(study: Study, outcome: Outcome[T]) -> Outcome[T]:
     """Return the outcome of a step with its rows as they are counted: with their source, kind and verdict."""
     case = study.case
     # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure or selected
