@@ -241,17 +241,31 @@ class Rebound(NamedTuple):
     power: np.ndarray
 
 
-def simulate_rebound(scan: Scan, seed: int, number: int) -> Rebound:
-    """Draw a true rate and simulate the readings of its rebound: they follow from seed and number alone."""
+def simulate_rebounds(scan: Scan, seed: int, numbers: range) -> list[Rebound]:
+    """Draw true rates and simulate the readings of their rebounds: each follows from seed and number, within `DIRECTION_ERROR`."""
     vehicle = scan.case.vehicle
-    rng = generator(seed, number)
-    omega_B, t = scan.proposal.draw(rng), draw_rebound_times(scan.case, rng)
-    tilt, first = draw_misaligned_panels(vehicle, first_sun(scan.case), rng)
-    # the compiled kernels take a tenth of the time of `propagate`
-    state = start_states(scan.case, omega_B, first)
-    later = run_rows(vehicle, state, t[1:] - t[0], direction_error=DIRECTION_ERROR).sun_B[0]
-    samples = PhaseSamples("first_rebound", t, np.concatenate([first[None], later]))
-    return Rebound(omega_B, first, add_rebound_noise(vehicle, samples, tilt, None, rng))
+    drawn = []
+    for number in numbers:
+        rng = generator(seed, number)
+        omega_B, t = scan.proposal.draw(rng), draw_rebound_times(scan.case, rng)
+        tilt, first = draw_misaligned_panels(vehicle, first_sun(scan.case), rng)
+        drawn.append((rng, omega_B, t, tilt, first))
+    # One run of the compiled kernel for all motions, with output at the times of all of them: a run for each takes longer.
+    all_times = np.unique(np.concatenate([t[1:] - t[0] for _, _, t, _, _ in drawn]))
+    n, speed = len(drawn), nominal_wheel_speeds(vehicle)
+    states = Rows(
+        np.array([omega_B for _, omega_B, *_ in drawn]),
+        np.array([first for *_, first in drawn]),
+        np.tile(np.array(speed), (n, 1)),
+    )
+    motions = run_rows(vehicle, states, all_times, direction_error=DIRECTION_ERROR).sun_B
+    rebounds = []
+    for (rng, omega_B, t, tilt, first), sun_B in zip(drawn, motions, strict=True):
+        later = sun_B[np.searchsorted(all_times, t[1:] - t[0])]
+        samples = PhaseSamples("first_rebound", t, np.concatenate([first[None], later]))
+        power = add_rebound_noise(vehicle, samples, tilt, None, rng)
+        rebounds.append(Rebound(omega_B, first, power))
+    return rebounds
 
 
 def repeat_scan(scan: Scan, z: np.ndarray, without_screens: bool) -> dict[str, Any]:
@@ -276,7 +290,7 @@ def repeat_scan(scan: Scan, z: np.ndarray, without_screens: bool) -> dict[str, A
 def simulate_block(scan: Scan, seed: int, block: int) -> dict[str, Any]:
     """Simulate the draws of one file and repeat the scan for each."""
     numbers = range(block * BLOCK, (block + 1) * BLOCK)
-    rebounds = [simulate_rebound(scan, seed, number) for number in numbers]
+    rebounds = simulate_rebounds(scan, seed, numbers)
     # the estimator takes all samples of all rebounds at once
     sun = sun_directions(scan.case.vehicle, np.concatenate([r.power for r in rebounds]))
     seen, z = is_reconstructed(sun["status"]), sun["sun_B"].values[:, 2]

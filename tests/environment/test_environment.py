@@ -39,6 +39,7 @@ def test_the_nadir_of_a_circular_orbit_rotates_evenly_about_the_orbit_normal():
         ((0.0, [0, 0, 1]), "the rate of an orbit must be positive, in rad/s .found 0.0"),
         ((1e-3, [1, 0, 0]), "the nadir lies along the orbit's normal; give a nadir across it"),
         ((1e-3, [0, 0, 0]), "the nadir lies along"),
+        ((1e-3, [0, 0, 1], [0, 0, 0]), "the nadir lies along"),
         ((1e-3, [0, 1]), "normal and nadir of an orbit must be three finite numbers each"),
     ],
 )

@@ -140,6 +140,15 @@ def test_passes_that_overlap_are_compared_in_sigmas_of_both(tmp_path, command):
     assert data.sel(row="pass 2 probability")["words"] == "decided, now not decided"
 
 
+@pytest.mark.parametrize("command", ["rates", "posterior"])
+def test_two_passes_within_one_of_the_other_result_keep_apart(tmp_path, command):
+    whole = a_pass(0, 1, 1.0)
+    parts = [a_pass(0, 1, 1.3), a_pass(1, 1, 9.0)]
+    data = ss.compare(*pair(tmp_path, command, "passes", [whole], parts)).set_index(row="row")
+    assert data.sel(row="pass 0 speed")["b"] == "1.30 ± 0.10"
+    assert not any(name.startswith("pass 1") for name in data["row"].values)
+
+
 @pytest.mark.parametrize("decided", [True, False])
 def test_a_new_likeliest_solution_does_not_change_an_undecided_pass(tmp_path, decided):
     """Two solutions 8 deg/s apart, each known to 0.1, whose probabilities of 0.5 and 0.4 change places."""

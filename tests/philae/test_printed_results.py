@@ -55,9 +55,11 @@ def test_a_draw_is_the_same_in_any_block(scan, monkeypatch):
     monkeypatch.setattr(study, "BLOCK", 8)
     draws = study.simulate_block(scan, 5, 0)["draws"]
     monkeypatch.setattr(study, "BLOCK", 4)
-    blocks = [study.simulate_block(scan, 5, k)["draws"] for k in (1, 0)]
-    assert draws == blocks[1] + blocks[0]
-    assert draws[:4] != study.simulate_block(scan, 6, 0)["draws"]
+    later, earlier = (study.simulate_block(scan, 5, k)["draws"] for k in (1, 0))
+    for draw, again in zip(draws, earlier + later, strict=True):
+        # steps of the motions depend on the times of the whole block, which moves directions within their error
+        assert draw == again | {"emd_min": pytest.approx(again["emd_min"], abs=1e-6)}
+    assert draws[0]["omega_B"] != study.simulate_block(scan, 6, 0)["draws"][0]["omega_B"]
     # draw 0 is scanned without screens, if it gives directions enough
     blocks = [study.simulate_block(scan, seed, 0)["draws"] for seed in range(4)]
     assert any(block[0]["emd_min"] is not None for block in blocks)
@@ -72,7 +74,7 @@ def test_simulated_directions_agree_with_the_reference_trajectory(scan, monkeypa
         return samples.exact_power(vehicle, tilt)
 
     monkeypatch.setattr(study, "add_rebound_noise", exact)
-    rebound = study.simulate_rebound(scan, 1, 0)
+    (rebound,) = study.simulate_rebounds(scan, 1, range(1))
     t = used["t"] - used["t"][0]
     run = propagate(CASE.vehicle, rebound.omega_B, rebound.sun_B, 865.0, t)
     np.testing.assert_allclose(used["sun_B"], run["sun_B"].values, atol=3 * study.DIRECTION_ERROR)

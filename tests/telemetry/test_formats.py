@@ -97,6 +97,10 @@ HOSTILE = {
         f"[\n{ROW},\n{ROW.replace('2026-01-01T00:00:00Z', 'noon')}\n]",
         "row 2, column 't': an ISO-8601",
     ),
+    "no date in the second of two pages": (
+        f'{{"results": [{ROW}, {ROW}]}}\n{{"results": [{ROW.replace("2026-01-01T00:00:00Z", "noon")}]}}',
+        "row 3, column 't': an ISO-8601",
+    ),
     "no such column": ('{"t": "2026-01-01T00:00:00Z", "p": 1}', "column 'pa'"),
     "raw frames": ('[{"timestamp": "2026-01-01T00:00:00Z", "frame": "00FF"}]', "raw frames"),
     "raw frames, exported": ("2026-01-01 00:00:00|00FF\n", "raw frames"),

@@ -227,7 +227,7 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
         objects, first_number = [item], line_number
         page = item.get("results") if isinstance(item, dict) else item
         if isinstance(page, list):
-            objects, first_number, counted = page, 1, "row"
+            objects, first_number, counted = page, len(rows) + 1, "row"
         for number, row in enumerate(objects, first_number):
             place = f"{where}, {counted} {number}"
             if not isinstance(row, dict):

@@ -20,27 +20,45 @@ if TYPE_CHECKING:
     from sunspin.vehicle.assumptions import Assumptions
     from sunspin.vehicle.changes import Change
 
-SHORT = {
-    "friction": (
+
+class ShortOption(NamedTuple):
+    """A short option: the key that it sets, and its help."""
+
+    key: str
+    help: str
+
+
+SHORT_OPTIONS = {
+    "friction": ShortOption(
         "wheel.friction",
         "Wheel-friction law, by name in the vehicle file, e.g. `printed`.",
     ),
-    "wheel_speed": ("wheel.speed_rad_s", "Wheel speed at the first sample after touchdown, rad/s."),
-    "lead": ("study.lead_s", "Time from the first touchdown to the next sample, s."),
-    "target_weights": (
+    "wheel_speed": ShortOption(
+        "wheel.speed_rad_s", "Wheel speed at the first sample after touchdown, rad/s."
+    ),
+    "lead": ShortOption("study.lead_s", "Time from the first touchdown to the next sample, s."),
+    "target_weights": ShortOption(
         "study.target_weights",
         "Weights of the measured Sun directions: equal, or interval (by the time between samples).",
     ),
-    "mask": (
+    "mask": ShortOption(
         "study.mask",
         "Simulated Sun directions that count: reconstructible (from the panels) or everywhere (all).",
     ),
-    "factor": ("study.near_minimum_factor", "The paper's set: EMD below this times the smallest."),
-    "confidence": ("study.confidence", "Confidence level of --candidates scan, e.g. 0.9."),
-    "restitution": ("collision.restitution", "Coefficient of restitution (0 = sticking)."),
-    "damper": ("collision.damper", "Fraction of the body-z impulse that the landing gear absorbs."),
+    "factor": ShortOption(
+        "study.near_minimum_factor", "The paper's set: EMD below this times the smallest."
+    ),
+    "confidence": ShortOption(
+        "study.confidence", "Confidence level of --candidates scan, e.g. 0.9."
+    ),
+    "restitution": ShortOption(
+        "collision.restitution", "Coefficient of restitution (0 = sticking)."
+    ),
+    "damper": ShortOption(
+        "collision.damper", "Fraction of the body-z impulse that the landing gear absorbs."
+    ),
 }
-"""Short option -> key that it sets, help."""
+"""Name of each short option -> the key that it sets, and its help."""
 
 LANDING_KEYS = ("body.mass_kg", "leg", "hull", "antenna")
 """Keys and tables of a vehicle file that only collisions and landings use."""
@@ -133,7 +151,7 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
     Parameters
     ----------
     uses : keys or tables of the assumptions that the command uses
-    short : short options of the command, names in `SHORT`
+    short : short options of the command, names in `SHORT_OPTIONS`
     idle : keys or tables of the vehicle file that the command does not use
     """
     help_text = (
@@ -144,31 +162,37 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
     def decorate(function: Any) -> Callable:
         @wraps(function)
         def command(sets: tuple[str, ...], **given: Any) -> None:
-            from sunspin.vehicle.assumptions import TABLES, read_assumptions
+            from sunspin.vehicle.assumptions import TABLES as ASSUMPTION_TABLES
+            from sunspin.vehicle.assumptions import read_assumptions
             from sunspin.vehicle.changes import parse_changes
 
             source = click.get_current_context().get_parameter_source
             typed = [name for name in given if source(name) is ParameterSource.COMMANDLINE]
-            option_of_key = {SHORT[name][0]: name for name in typed if name in SHORT}
+            option_of_key = {
+                SHORT_OPTIONS[name].key: name for name in typed if name in SHORT_OPTIONS
+            }
             changes = parse_changes(sets)
             for change in changes:
                 key_without_indices = re.sub(r"\[[^\]]*\]", "", change.key)
                 if name := option_of_key.get(key_without_indices):
                     what = f"--{name.replace('_', '-')} and --set {change.key} say the same thing"
                     raise InputError(what, do="give one of them")
-                if _is_listed(change.key, TABLES) and not _is_listed(change.key, uses):
+                # an assumption of the study that is not used; keys of the vehicle file are checked by `load_inputs`
+                if _is_listed(change.key, ASSUMPTION_TABLES) and not _is_listed(change.key, uses):
                     # raises an error with the nearest name if the key is misspelt
                     read_assumptions([change])
                     what, do = "this command does not use that assumption", "`--set list` shows all"
                     raise InputError(what, got=change.key, do=do)
             # the short options become changes of their keys
-            values = [(SHORT[name][0], given.pop(name)) for name in short]
+            values = [(SHORT_OPTIONS[name].key, given.pop(name)) for name in short]
             option_changes = [f"{key}={value}" for key, value in values if value is not None]
             function(changes=parse_changes(option_changes) + changes, **given)
 
         decorated: Any = command
         for name in reversed(short):
-            decorated = click.option(f"--{name.replace('_', '-')}", help=SHORT[name][1])(decorated)
+            decorated = click.option(f"--{name.replace('_', '-')}", help=SHORT_OPTIONS[name].help)(
+                decorated
+            )
         # `Command` and `warn_unused` read these attributes of the callback
         vars(decorated).update(uses=uses, idle=idle)
         option = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help=help_text)

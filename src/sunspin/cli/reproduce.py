@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import SHORT, Command, set_options
+from sunspin.cli.changes import SHORT_OPTIONS, Command, set_options
 from sunspin.cli.common import PATH, shared
 
 
@@ -32,7 +32,7 @@ from sunspin.cli.common import PATH, shared
     type=click.Choice(["posterior"]),
     help="Leave out the posterior of the samples, which is computed last and takes about as long as all else.",
 )
-@set_options("study", "collision", short=tuple(SHORT))
+@set_options("study", "collision", short=tuple(SHORT_OPTIONS))
 @shared("--seed", "--workers", out="results")
 def reproduce(telemetry, output, without, **options) -> None:
     """Reproduce the Philae study: every figure and table of the paper next to the results of this run.

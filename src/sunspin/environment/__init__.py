@@ -73,7 +73,7 @@ def circular(
     # component of the nadir across the normal, times the square of the normal's length
     across = np.cross(np.cross(normal, nadir), normal)
     shortest = 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)  # 1e-6 rad off the normal
-    if np.linalg.norm(across) < shortest or not normal.any():
+    if np.linalg.norm(across) <= shortest:  # also if the normal or the nadir is zero
         raise InputError("the nadir lies along the orbit's normal", do="give a nadir across it")
     unit_normal, unit_nadir = (
         tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -105,21 +105,25 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     return xr.Dataset(columns, attrs=provenance("comparison", command=command, **attrs))
 
 
-def _match_passes(passes_a: Iterable[dict[str, Any]], passes_b: Iterable[dict[str, Any]]) -> None:
+def _match_passes(passes_a: Sequence[dict[str, Any]], passes_b: Sequence[dict[str, Any]]) -> None:
     """Renumber the passes of B, in place, so that each has the number of the pass of A that overlaps it in time.
 
     The two runs may number passes differently. If several passes of A overlap a pass of B and one has its number, the pass of B
-    keeps it. A pass of B without one in A is named "N of B".
+    keeps it. No two passes of B get the same number. A pass of B without one in A is named "N of B".
     """
+    taken = set()
     for row in passes_b:
         start, end = row["utc_start"], row["utc_end"]
         overlapping = [
             row_a["pass_id"]
             for row_a in passes_a
-            if row_a["utc_start"] <= end and start <= row_a["utc_end"]
+            if row_a["utc_start"] <= end
+            and start <= row_a["utc_end"]
+            and row_a["pass_id"] not in taken
         ]
         if row["pass_id"] not in overlapping:
             row["pass_id"] = overlapping[0] if overlapping else f"{row['pass_id']} of B"
+        taken.add(row["pass_id"])
 
 
 def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:

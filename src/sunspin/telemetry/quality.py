@@ -7,7 +7,7 @@ cause has a larger sigma, and every sample has a sentence.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -16,6 +16,7 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import (
     READING_SIGMA,
     WIDE_SIGMA,
+    Gains,
     estimate_gains,
     prior_sigmas,
 )
@@ -123,6 +124,69 @@ USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
 """Values of `use`."""
 
 
+class _Readings(NamedTuple):
+    """Readings of panels that may come from the Sun.
+
+    `value` (n, n_panel): NaN if negative, not finite or held. `negative`, `held` (n, n_panel): masks of what was removed. `dropped`
+    (n): no reading of the sample can be used, with `reason` (n) as a sentence.
+    """
+
+    value: np.ndarray
+    negative: np.ndarray
+    held: np.ndarray
+    dropped: np.ndarray
+    reason: np.ndarray
+
+    @property
+    def kept(self) -> np.ndarray:
+        """Mask (n) of the samples that are not dropped."""
+        return ~self.dropped
+
+
+class _Light(NamedTuple):
+    """What the readings say of panels and samples, before Earth's light and gains are estimated.
+
+    `full`: reading of full Sun as a multiple of the gain, and `full_from`, its origin in words. On panel: `noise`, one sigma of a
+    reading with its quantisation; `dead`; `missed`, dead although the others show that the Sun was on it. `spike` (n, n_panel): a
+    reading beyond full Sun. `value` (n, n_panel): readings, zero where none can be used.
+
+    On time: `bright`, brightness as a multiple of the gains; `level` (n, 1), that of full Sun; `dark`, no panel is lit; `idle`,
+    `limited`, `oblique` as in `_find_dim_samples`.
+    """
+
+    full: float
+    full_from: str
+    noise: np.ndarray
+    dead: np.ndarray
+    missed: np.ndarray
+    spike: np.ndarray
+    value: np.ndarray
+    bright: np.ndarray
+    level: np.ndarray
+    dark: np.ndarray
+    idle: np.ndarray
+    limited: np.ndarray
+    oblique: np.ndarray
+
+
+class _Errors(NamedTuple):
+    """Earth's light, gains and the errors of readings.
+
+    `albedo`: light on unlit panels as a share of full Sun, from `albedo_samples` readings. `earth`: Earth's light on a panel that
+    looks at it. `fitted`: gains and weak panels. `gains` (n_panel) with the covariance `gain_cov`, relative to the vehicle file's.
+    `sigma`, `sigma_modelled` (n, n_panel): of each reading without and with a model of the Earth's light; infinite if not used.
+    """
+
+    albedo: float
+    albedo_samples: int
+    earth: float
+    fitted: Gains
+    gains: np.ndarray
+    gain_cov: np.ndarray
+    sigma: np.ndarray
+    sigma_modelled: np.ndarray
+
+
 def judge_readings(
     vehicle: Vehicle,
     telemetry: xr.Dataset,
@@ -157,105 +221,39 @@ def judge_readings(
         of readings that determine it; `earth_light` on a panel that looks at the Earth; `spread`, relative scatter of full Sun, NaN
         if not determined; `noise`, median over panels; `full_sun_from` and `gains_from`, origin in words.
     """
-    # samples that cannot be used at all
-    value, negative = remove_negative_readings(vehicle, signals(telemetry))
-    usable = ~find_late_frames(telemetry) & np.isfinite(value).any(axis=1)
-    sound_value = remove_spikes(vehicle, value)
-    repeats = find_repeats(telemetry, sound_value, usable) if repeats is None else repeats
-    dropped, drop_reason = _unusable(telemetry, sound_value, value, negative, repeats)
-    held = np.zeros(value.shape, dtype=bool) if repeats.columns is None else repeats.columns
-    value = np.where(held, np.nan, value)
-    good = ~dropped
-
-    # full Sun, spikes, noise and dead panels; `relative`: readings as multiples of the vehicle file's gains
-    stated_gains, stated_noise = vehicle.input_gains, vehicle.input_noise
-    relative = value / stated_gains
-    full, full_from = _full_sun(vehicle, relative[good])
-    spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
-    # the error of a rounded reading is uniform over one step
-    quantisation = _quantisation_step(value[good]) / np.sqrt(12)
-    noise = np.hypot(
-        np.zeros(len(stated_gains)) if stated_noise is None else stated_noise, quantisation
-    )
-    sound = good & ~spike.any(axis=1)
-    missed = find_lost_panels(
-        vehicle, telemetry["time"].values[sound], relative[sound] / full, noise / full
-    )
-    dead = _find_dead_panels(relative[good], full) | missed
-    use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
-
-    # samples by their brightness, and the brightness of full Sun in each
-    bright = brightness(vehicle, use_value)
-    dark = bright < DEAD_FRACTION * full
-    unlit_light, _ = _estimate_albedo(vehicle, relative[sound & ~dark] / full)
-    dark |= ~_beyond_noise(vehicle, value, use_value, noise, full, unlit_light)
-    level = np.full((len(value), 1), full)
-    if vehicle.throttled:  # the battery may limit any sample, by one factor for all its readings
-        level = np.maximum(bright, 1e-12)[:, None]
-    idle, limited, oblique = _find_dim_samples(vehicle, use_value, good & ~dark, bright, full, dead)
-    clean = good & ~limited & ~idle & ~dark
-
-    # Earth's light and gains
-    albedo, albedo_samples = _estimate_albedo(vehicle, (relative / level)[clean])
-    relative_noise = float(np.median(noise) / (full * np.median(stated_gains)))
-    earth = _earth_light(albedo, albedo_samples, relative_noise)
-    fitted = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
-    gains = stated_gains * fitted.factor
-    lit_share, gain_cov = fitted.spread, fitted.covariance
-    if lit_share is None:
-        # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
-        lit_share = np.hypot(albedo, fitted.sigma * use_value / (level * gains))
-        gain_cov = np.diag(prior_sigmas(vehicle, WIDE_SIGMA) ** 2)
-    # what the Earth adds to a lit panel on average appears as a larger gain
-    gain_cov = gain_cov + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
-
-    # sigma of each reading: a share of full Sun, which is the albedo for unlit panels, and the noise
-    share = np.where(use_value > SURELY_LIT * albedo * level * gains, lit_share, albedo)
-    # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
-    # state, which is as large as the scatter of full Sun, or up to all of that light.
-    unstated = 0.0
-    if stated_noise is None:
-        unstated = albedo if fitted.spread is None else min(fitted.spread, albedo)
-    unmodelled = max(EARTH_LEFT * albedo, unstated)
-    modelled_share = np.minimum(
-        share, np.hypot(unmodelled, np.where(share == albedo, 0.0, READING_SIGMA))
-    )
-    # in a power-limited sample a share of its largest reading in addition
-    largest = use_value.max(axis=1, initial=0.0)[:, None]
-    by_battery = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
-    by_battery = by_battery * largest * limited[:, None]
-    unused = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
-    sigma, sigma_modelled = (
-        np.where(unused, np.inf, np.hypot(by_battery, np.hypot(each * level * gains, noise)))
-        for each in (share, modelled_share)
-    )
+    readings = _select_readings(vehicle, telemetry, repeats)
+    light = _measure_light(vehicle, telemetry["time"].values, readings)
+    errors = _estimate_errors(vehicle, readings, light)
+    kept, dark, idle, limited = readings.kept, light.dark, light.idle, light.limited
 
     # use and reason of each sample; np.select takes the first that applies
-    wrong = wrong_unit() if dark[good].any() else None
+    wrong = wrong_unit() if dark[kept].any() else None
     no_panel_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
-    has_spike, has_negative, has_held = spike.any(axis=1), negative.any(axis=1), held.any(axis=1)
+    has_spike, has_negative, has_held = (
+        mask.any(axis=1) for mask in (light.spike, readings.negative, readings.held)
+    )
     reasons = [
-        (dropped, drop_reason),
+        (readings.dropped, readings.reason),
         (dark, no_panel_lit),
         (idle, IDLE),
         (limited, BELOW_FULL),
         (has_spike, BEYOND_FULL),
         (has_negative, BELOW_NOISE),
         (has_held, PARTLY_HELD),
-        (oblique, OBLIQUE),
+        (light.oblique, OBLIQUE),
     ]
     why = np.select([applies for applies, _ in reasons], [text for _, text in reasons], "used")
     downweighted = limited | has_spike | has_negative | has_held
-    use = np.select([dropped | dark | idle, downweighted], [DROPPED, DOWNWEIGHTED], USED)
-    # with throttled inputs no sample shows whether the Sun was on a dead panel: it may have been
-    missed |= dead & vehicle.throttled
+    use = np.select([readings.dropped | dark | idle, downweighted], [DROPPED, DOWNWEIGHTED], USED)
+    # if one factor may lower a whole sample, no sample shows that the Sun was not on a dead panel
+    missed = light.missed | (light.dead & vehicle.throttled)
 
     # readings that exist, and those that depend on the Sun direction alone. If most samples are beyond full Sun, or nearly all
     # below, units or gains are wrong; that is reported elsewhere, and the readings stay readings.
-    lit = good & ~dark
-    most_beyond = has_spike[good].sum() > MISREAD_SHARE * good.sum()
-    few_full = (bright[lit] >= LIMITED_FRACTION * full).sum() < FULL_SHARE * lit.sum()
-    was_read = np.isfinite(value) & (most_beyond | ~spike) & ~missed & good[:, None]
+    lit = kept & ~dark
+    most_beyond = np.count_nonzero(has_spike & kept) > MISREAD_SHARE * kept.sum()
+    few_full = (light.bright[lit] >= LIMITED_FRACTION * light.full).sum() < FULL_SHARE * lit.sum()
+    was_read = np.isfinite(readings.value) & (most_beyond | ~light.spike) & ~missed & kept[:, None]
     # if panels cover all directions, a dark sample is in the shadow; else the Sun may be where no panel looks
     shadow = dark & (wrong is None and sees_everywhere(vehicle))
     # Full Sun must be stated: if it comes from the file's brighter samples, a shadowed panel looks like a full battery.
@@ -263,13 +261,14 @@ def judge_readings(
     dim = (idle | limited) & (not few_full)
     measured = was_read & ~((dim | shadow) & (stated_full and not most_beyond))[:, None]
 
-    scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
+    fitted, stated_gains = errors.fitted, vehicle.input_gains
+    scale = np.where(limited, np.maximum(light.bright, 1e-12), light.level[:, 0])
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     uses = {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}
     modelled_name = "the same where the Earth's light is modelled"
     variables: dict[str, Any] = {
-        "sigma": (sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
-        "sigma_beside_earth": (sigma_modelled, {"long_name": modelled_name}),
+        "sigma": (errors.sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
+        "sigma_beside_earth": (errors.sigma_modelled, {"long_name": modelled_name}),
         "reading": (was_read, {"long_name": "the panel was read"}),
         "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
         "scale": (scale, {"units": "1"}),
@@ -277,12 +276,13 @@ def judge_readings(
         "use": (use.astype(np.int8), uses),
         "why": (why.astype(np.str_), {}),
     }
+    gain_name = "gain of each panel, unit of the vehicle's gains"
     panel_variables = {
-        "gain": (gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
-        "gain_sigma": (np.sqrt(np.diag(gain_cov)) * stated_gains, {}),
-        "gain_cov": (gain_cov * np.outer(stated_gains, stated_gains), {}),
-        "noise": (noise, {}),
-        "dead": (dead, {}),
+        "gain": (errors.gains, {"long_name": gain_name}),
+        "gain_sigma": (np.sqrt(np.diag(errors.gain_cov)) * stated_gains, {}),
+        "gain_cov": (errors.gain_cov * np.outer(stated_gains, stated_gains), {}),
+        "noise": (light.noise, {}),
+        "dead": (light.dead, {}),
         "weak": (fitted.weak, {}),
         "missed": (missed, {}),
     }
@@ -295,16 +295,113 @@ def judge_readings(
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
         attrs=provenance("panel_quality", telemetry, **vehicle.result_attributes)
         | {
-            "full_sun": float(full),
-            "albedo": float(albedo),
-            "albedo_samples": albedo_samples,
-            "full_sun_from": full_from,
+            "full_sun": float(light.full),
+            "albedo": float(errors.albedo),
+            "albedo_samples": errors.albedo_samples,
+            "full_sun_from": light.full_from,
             "gains_from": fitted.source,
-            "earth_light": earth,
-            "noise": float(np.median(noise)),
+            "earth_light": errors.earth,
+            "noise": float(np.median(light.noise)),
             "spread": np.nan if fitted.spread is None else fitted.spread,
         },
     )
+
+
+def _select_readings(vehicle: Vehicle, telemetry: xr.Dataset, repeats: Repeats | None) -> _Readings:
+    """Remove readings and samples that cannot come from the Sun at their time: late, repeated, negative or held ones."""
+    value, negative = remove_negative_readings(vehicle, signals(telemetry))
+    usable = ~find_late_frames(telemetry) & np.isfinite(value).any(axis=1)
+    without_spikes = remove_spikes(vehicle, value)
+    if repeats is None:
+        repeats = find_repeats(telemetry, without_spikes, usable)
+    dropped, reason = _unusable(telemetry, without_spikes, value, negative, repeats)
+    held = np.zeros(value.shape, dtype=bool) if repeats.columns is None else repeats.columns
+    return _Readings(np.where(held, np.nan, value), negative, held, dropped, reason)
+
+
+def _measure_light(vehicle: Vehicle, t_s: np.ndarray, readings: _Readings) -> _Light:
+    """Find full Sun, noise, dead panels and spikes, then the brightness of each sample, taken at the times `t_s` (n)."""
+    value, kept = readings.value, readings.kept
+    stated_gains, stated_noise = vehicle.input_gains, vehicle.input_noise
+    relative = value / stated_gains
+    full, full_from = _full_sun(vehicle, relative[kept])
+    spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
+    # the error of a rounded reading is uniform over one step
+    quantisation = _quantisation_step(value[kept]) / np.sqrt(12)
+    noise = np.hypot(
+        np.zeros(len(stated_gains)) if stated_noise is None else stated_noise, quantisation
+    )
+    sound = kept & ~spike.any(axis=1)
+    missed = find_lost_panels(vehicle, t_s[sound], relative[sound] / full, noise / full)
+    dead = _find_dead_panels(relative[kept], full) | missed
+    usable = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
+
+    bright = brightness(vehicle, usable)
+    dark = bright < DEAD_FRACTION * full
+    unlit_light, _ = _estimate_albedo(vehicle, relative[sound & ~dark] / full)
+    dark |= ~_beyond_noise(vehicle, value, usable, noise, full, unlit_light)
+    level = np.full((len(value), 1), full)
+    if vehicle.throttled:  # the battery may limit any sample, by one factor for all its readings
+        level = np.maximum(bright, 1e-12)[:, None]
+    idle, limited, oblique = _find_dim_samples(vehicle, usable, kept & ~dark, bright, full, dead)
+    return _Light(
+        full=full,
+        full_from=full_from,
+        noise=noise,
+        dead=dead,
+        missed=missed,
+        spike=spike,
+        value=usable,
+        bright=bright,
+        level=level,
+        dark=dark,
+        idle=idle,
+        limited=limited,
+        oblique=oblique,
+    )
+
+
+def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _Errors:
+    """Estimate Earth's light and the gains from samples in full Sun, then sigma of each reading."""
+    value, level, noise = light.value, light.level, light.noise
+    stated_gains, full = vehicle.input_gains, light.full
+    clean = readings.kept & ~light.limited & ~light.idle & ~light.dark
+    relative = readings.value / stated_gains
+    albedo, albedo_samples = _estimate_albedo(vehicle, (relative / level)[clean])
+    relative_noise = float(np.median(noise) / (full * np.median(stated_gains)))
+    earth = _earth_light(albedo, albedo_samples, relative_noise)
+    fitted = estimate_gains(vehicle, value[clean], full, light.dead, light.missed, earth)
+    gains = stated_gains * fitted.factor
+    lit_share, gain_cov = fitted.spread, fitted.covariance
+    if lit_share is None:
+        # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
+        lit_share = np.hypot(albedo, fitted.sigma * value / (level * gains))
+        gain_cov = np.diag(prior_sigmas(vehicle, WIDE_SIGMA) ** 2)
+    # what the Earth adds to a lit panel on average appears as a larger gain
+    gain_cov = gain_cov + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
+
+    # sigma of each reading: a share of full Sun, which is the albedo for unlit panels, and the noise
+    share = np.where(value > SURELY_LIT * albedo * level * gains, lit_share, albedo)
+    # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
+    # state, which is as large as the scatter of full Sun, or up to all of that light.
+    unstated = 0.0
+    if vehicle.input_noise is None:
+        unstated = albedo if fitted.spread is None else min(fitted.spread, albedo)
+    unmodelled = max(EARTH_LEFT * albedo, unstated)
+    modelled_share = np.minimum(
+        share, np.hypot(unmodelled, np.where(share == albedo, 0.0, READING_SIGMA))
+    )
+    # in a power-limited sample a share of its largest reading in addition
+    largest = value.max(axis=1, initial=0.0)[:, None]
+    by_battery = np.where(value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
+    by_battery = by_battery * largest * light.limited[:, None]
+    unused_samples = readings.dropped | light.dark | light.idle
+    unused = ~np.isfinite(readings.value) | light.spike | light.dead[None] | unused_samples[:, None]
+    sigma, sigma_modelled = (
+        np.where(unused, np.inf, np.hypot(by_battery, np.hypot(each * level * gains, noise)))
+        for each in (share, modelled_share)
+    )
+    return _Errors(albedo, albedo_samples, earth, fitted, gains, gain_cov, sigma, sigma_modelled)
 
 
 def find_late_frames(telemetry: xr.Dataset) -> np.ndarray:

@@ -308,25 +308,26 @@ class Chance:
     """Probability that two samples are equal by chance, as a function of their interval.
 
     `stretches`: for each, times (m) and readings (m, n_column), in steps of their resolution, of distinct samples; `least`: lower
-    limit of the probability at any interval; `degrees`: degrees of freedom of the readings.
+    limit of the probability at any interval; `degrees_of_freedom` of the readings.
     """
 
     stretches: tuple[tuple[np.ndarray, np.ndarray], ...]
     least: float
-    degrees: float = 2.0
+    degrees_of_freedom: float = 2.0
 
     def at(self, interval: np.ndarray) -> np.ndarray:
         """Return the probability for each interval (m), s, rounded down to a power of `STEP`."""
         # intervals of the same power have one probability, which is computed once
         exponent = np.floor(np.log(np.maximum(interval, 1e-9)) / np.log(STEP))
         exponents, inverse = np.unique(exponent, return_inverse=True)
-        each = np.array([self._mean(STEP**power) for power in exponents.tolist()])
+        each = np.array([self._at_interval(STEP**power) for power in exponents.tolist()])
         return np.maximum(each, self.least)[inverse.ravel()] if len(each) else np.zeros(0)
 
-    def _mean(self, interval: float) -> float:
-        """Return the mean of 1 / e^degrees over pairs of distinct samples about an interval (s) apart; 1 if there are none.
+    def _at_interval(self, interval: float) -> float:
+        """Return the probability for an interval (s): the mean over pairs of distinct samples about as far apart; 1 without pairs.
 
-        e is the largest difference in steps, at least 1.
+        The probability of a pair is d to the power -degrees_of_freedom. Here d is the largest difference of a column in steps,
+        reduced in proportion to the interval for pairs farther apart than it, and at least 1.
         """
         shares = [np.zeros(0)]
         for t, rows in self.stretches:
@@ -339,7 +340,7 @@ class Chance:
             known = np.isfinite(differ).any(axis=1) & (apart > 0)
             largest = np.max(np.nan_to_num(differ[known]), axis=1, initial=0.0)
             scaled = largest * np.minimum(1.0, interval / apart[known])
-            shares.append(np.maximum(scaled, 1.0) ** -self.degrees)
+            shares.append(np.maximum(scaled, 1.0) ** -self.degrees_of_freedom)
         every = np.concatenate(shares)
         return float(every.mean()) if len(every) else 1.0
 
@@ -486,7 +487,7 @@ def _find_held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -
         if n_pairs < LEAST_PAIRS or n_held < max(LEAST_HELD, HELD_SHARE * adjacent.sum()):
             continue
         # one column has one degree of freedom: a rotation brings its values back more often than a direction
-        chance = Chance(distinct, least=0.0, degrees=1.0)
+        chance = Chance(distinct, least=0.0, degrees_of_freedom=1.0)
         neighbours = np.flatnonzero(adjacent)
         expected = chance.at(t[neighbours] - t[neighbours - 1]).sum()
         if _exceeds_chance(expected, n_held):

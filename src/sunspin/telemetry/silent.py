@@ -29,7 +29,7 @@ QUIET_SIGMAS = 4.0
 DARK = 0.05
 """Share of full Sun below which a panel counts as dark."""
 
-CLEARLY = 10.0
+CLEAR_CHI2 = 10.0
 """Decrease of chi-square, in at least one sample, from which a panel is taken as lost. In 70 files with misaligned panels, none of
 them lost, the largest decrease was below 3."""
 
@@ -37,12 +37,12 @@ UNEXPLAINED, UNEXPLAINED_SHARE = 1e-3, 0.1
 """A sample whose chi-square is less probable than the first number is not explained by the loss either. If there are more of these
 than the second number times the samples that miss the panel, the cause is the battery or something else."""
 
-SMOOTHER, ROUGHER = 0.8, 2.0
+SMOOTHER_RATIO, ROUGHER_RATIO = 0.8, 2.0
 """Limits on the bending of the Sun's path if the panel is lost, relative to its bending if the battery dims the samples. Above the
 second limit the panel is not lost, below the first it is. In between, the panel is lost if the path can be followed from sample to
 sample, or if dimmed samples would hardly look so by chance."""
 
-FOLLOWED, BY_CHANCE = 0.5, 0.1
+FOLLOWED_CHORD, CHANCE_LIMIT = 0.5, 0.1
 """Mean bend from sample to sample (a chord of the unit sphere) below which a path can be followed, and the limit on that chance."""
 
 MOST, CHUNK = 3000, 500
@@ -84,7 +84,7 @@ def find_lost_panels(
         fits = {k: _fit_without(k, readings, light, sigma, lost) for k in candidates}
         clearest = max(candidates, key=lambda k: fits[k].evidence)
         fit = fits[clearest]
-        if fit.evidence < CLEARLY:
+        if fit.evidence < CLEAR_CHI2:
             break
         if _explained_by_battery(clearest, fit, t_s, readings, light, sigma, lost):
             break
@@ -137,7 +137,7 @@ def _fit_without(
         sun[part], best[part] = square.argmin(axis=1), square.min(axis=1)
         decrease[part] = (square + penalty).min(axis=1) - best[part]
     unexplained = chdtrc(used.sum(), best) < UNEXPLAINED
-    return Fit(sun, best, unexplained, ~unexplained & (decrease > CLEARLY), decrease)
+    return Fit(sun, best, unexplained, ~unexplained & (decrease > CLEAR_CHI2), decrease)
 
 
 def _explained_by_battery(
@@ -162,22 +162,25 @@ def _explained_by_battery(
         As in `_fit_without`.
     """
     dimmed = _fit_dimmed((readings / sigma)[:, ~lost], (light / sigma)[:, ~lost])
-    if (dimmed.square - fit.square)[fit.missing].sum() > CLEARLY:
+    if (dimmed.square - fit.square)[fit.missing].sum() > CLEAR_CHI2:
         return False
     bend_if_lost = _bend(t_s, fit.sun, fit.missing)
     bend_if_dimmed = _bend(t_s, dimmed.sun, fit.missing)
     bend_ratio = bend_if_lost / max(bend_if_dimmed, 1e-9)
-    if bend_ratio > ROUGHER:
+    if bend_ratio > ROUGHER_RATIO:
         return True
     every_sample = np.ones(len(readings))
-    can_be_followed = _bend(t_s, dimmed.sun, every_sample) < FOLLOWED * len(readings)
-    if bend_ratio < SMOOTHER or can_be_followed:
+    dimmed_path_can_be_followed = _bend(t_s, dimmed.sun, every_sample) < FOLLOWED_CHORD * len(
+        readings
+    )
+    # samples so close that the path can be followed would bend clearly more under a wrong loss: here they do not
+    if bend_ratio < SMOOTHER_RATIO or dimmed_path_can_be_followed:
         return False
     # the path cannot be followed: how often would the remaining samples miss the panel, too, if they were dimmed as much?
     level = np.median(dimmed.brightness[fit.missing])
     control = level * readings[~fit.missing & ~fit.unexplained]
     share = _fit_without(k, control, light, sigma, lost).missing.mean() if len(control) else 1.0
-    return share ** fit.missing.sum() > BY_CHANCE
+    return share ** fit.missing.sum() > CHANCE_LIMIT
 
 
 class DimmedFit(NamedTuple):

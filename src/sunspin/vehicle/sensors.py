@@ -73,11 +73,12 @@ def _column_rules(n: int, prefix: str = "") -> tuple[Any, ...]:
     """Return the validators for a list of n different columns, each of which may have the given prefix."""
 
     def check(columns: tuple[str, ...]) -> tuple[str, ...]:
+        """Raise `VehicleError` for a prefix without a name and for a repeated name; `Part` fills in `{path}` of a message."""
         names = [column.removeprefix(prefix) for column in columns]
         if not all(names):
             what = "{path} has a minus and no column after it"
             raise VehicleError(what, got=", ".join(columns), do='"-wx" reads column wx reversed')
-        if len(set(names)) < n:
+        if len(set(names)) < len(names):
             raise VehicleError(
                 "{path} names a column twice", got=", ".join(columns), do="give each axis its own"
             )

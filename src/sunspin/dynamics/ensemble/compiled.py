@@ -25,11 +25,11 @@ from sunspin.base.atomic_write import ensure_writable, write_atomically
 from sunspin.compute.identity import code_identity
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import series_lanes
-from sunspin.dynamics.ensemble.compiler import compiler
 from sunspin.dynamics.ensemble.deposit import deposit_body, signed_body
 from sunspin.dynamics.ensemble.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series_lanes import ORDER, SeriesLanes
 from sunspin.dynamics.ensemble.split_lanes import TIMES, SplitLanes
+from sunspin.dynamics.processor import compiler
 
 _lock = threading.Lock()
 

@@ -8,7 +8,7 @@
 import math
 
 import numpy as np
-from sunspin.dynamics.ensemble.compiler import njit
+from sunspin.dynamics.processor import njit
 
 FLOAT = "FLOAT"
 LANES = "LANES"

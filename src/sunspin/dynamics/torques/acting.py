@@ -151,6 +151,34 @@ class Acting:
         bounds = [torque.largest(part) for torque, part in zip(self.torques, parts, strict=False)]
         return np.sum(bounds, axis=0) if bounds else np.zeros(values.shape[:-1])
 
+    def torque_B(self, bodies: Bodies) -> np.ndarray:
+        """Return the torque (..., 3) in N m that is constant in the axes of bodies (...)."""
+        parts = [
+            torque.values(bodies, None)
+            for torque in self.torques
+            if torque.parameters == ("x", "y", "z")
+        ]
+        return np.sum(parts, axis=0) if parts else np.zeros((*bodies.shape, 3))
+
+    def gradient_strength(self) -> float:
+        """Return 3 n^2 (1/s2) of the gravity gradient, n being the rate at which the nadir turns; 0 if it does not act."""
+        turn = getattr(self.here(), "nadir_turn_N", None)
+        if "nadir" not in needed(self.torques) or turn is None:
+            return 0.0
+        return float(3 * (turn[0] ** 2).sum())
+
+    def nadir_B(self, B_from_N: np.ndarray, t_s: npt.ArrayLike) -> np.ndarray:
+        """Return the nadir and the rate at which it turns in space (n, 6), body axes, of attitudes (n, 3, 3) at times (n)."""
+        here = self.here(t_s)
+        nadir, turn = getattr(here, "nadir_N", None), getattr(here, "nadir_turn_N", None)
+        if nadir is None or turn is None:
+            raise MotionError("the environment does not know the nadir and its rate")
+        parts = [
+            np.einsum("nij,nj->ni", B_from_N, np.broadcast_to(x, (len(B_from_N), 3)))
+            for x in (nadir, turn)
+        ]
+        return np.concatenate(parts, axis=1)
+
     def attitude(self, B_from_N: npt.ArrayLike | None, sun_B: np.ndarray) -> np.ndarray:
         """The attitude (4) at the start, that of N unless given; `MotionError` if it does not show the Sun at `sun_B` (3)."""
         here = self.here()

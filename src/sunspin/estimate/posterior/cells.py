@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics.ensemble.compiler import njit
+from sunspin.dynamics.processor import njit
 from sunspin.estimate.posterior import light
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.light import between, light_of, nearest_node, nodes, seen

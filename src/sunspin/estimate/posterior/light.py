@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.dynamics.ensemble.compiler import njit
+from sunspin.dynamics.processor import njit
 from sunspin.vehicle import Vehicle
 
 BEYOND = 0.1

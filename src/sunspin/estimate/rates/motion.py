@@ -16,11 +16,10 @@ import numpy.typing as npt
 from sunspin.base.errors import InputError
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
-from sunspin.dynamics.ensemble.attitude import carry
+from sunspin.dynamics.step import BodyNumbers, Loads, carry
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
-from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.linear import symmetric_inverse
 from sunspin.solve.rotations import cross, matrix_from_quaternion, rotate_attitude, rotation_between
 from sunspin.vehicle import Vehicle
@@ -87,17 +86,12 @@ class Body:
         return float(np.sqrt(self.acting.largest(self.acting.values(bodies)) / max(least, 1e-300)))
 
     def seen(self, ends: Ends, attitude: np.ndarray, t_s: npt.ArrayLike) -> Ends:
-        """`ends` with the directions that torques need, of steps that begin at attitudes (..., 3, 3), B_from_N, and times (...)."""
-        if not self.acting.torques:
+        """`ends` with the nadir, if a torque depends on it, of steps that begin at B_from_N (..., 3, 3) and times (...)."""
+        if not self.acting.gradient_strength():
             return ends
         t = np.broadcast_to(t_s, attitude.shape[:-2])
-        here = self.acting.here(t.ravel())
-        flat = attitude.reshape(-1, 3, 3)
-        sun = np.tile(SUN_N, (t.size, 1)) if here is None else here.sun_N
-        every = np.concatenate(
-            [np.einsum("nij,nj->ni", flat, sun), self.acting.carried(flat, t.ravel())], axis=1
-        )
-        return ends._replace(directions=every.reshape(*t.shape, -1), t_s=t)
+        nadir = self.acting.nadir_B(attitude.reshape(-1, 3, 3), t.ravel())
+        return ends._replace(nadir=nadir.reshape(*t.shape, 6))
 
 
 def mean_moment(vehicle: Vehicle) -> float:
@@ -108,15 +102,14 @@ def mean_moment(vehicle: Vehicle) -> float:
 class Ends(NamedTuple):
     """What acts on the body at the start and at the end of a step, (..., 3) each or None, in the body's axes of its moment:
     the magnetic field and the momentum of the wheels (mean moment of inertia times rad/s). Linear in between in the body,
-    which for the field holds to a few percent up to 40 degrees of turn. Of torques: the directions at the start, the Sun's first,
-    with what is carried of the others (..., 3 + n_carried), and the time there (...) in s; see :meth:`Body.seen`."""
+    which for the field holds to a few percent up to 40 degrees of turn. For the gravity gradient: the nadir at the start and the
+    rate at which it turns in space (..., 6); see :meth:`Body.seen`."""
 
     field: np.ndarray | None = None
     field_end: np.ndarray | None = None
     momentum: np.ndarray | None = None
     momentum_end: np.ndarray | None = None
-    directions: np.ndarray | None = None
-    t_s: np.ndarray | None = None
+    nadir: np.ndarray | None = None
 
     def spread(self) -> Ends:
         """With one more axis in front."""
@@ -125,12 +118,12 @@ class Ends(NamedTuple):
     def turned(self, angles_B: np.ndarray) -> Ends:
         """For the body turned at the start by each of the rotation vectors (m, 3), with one more axis (m) in front."""
         spread = self.spread()
-        if self.directions is None:
+        if self.nadir is None:
             return spread
         matrices = rotate_attitude(np.eye(3), angles_B)
-        parts = self.directions.reshape(*self.directions.shape[:-1], -1, 3)
-        made = np.einsum("mij,...aj->m...ai", matrices, parts)
-        return spread._replace(directions=made.reshape(len(matrices), *self.directions.shape))
+        parts = self.nadir.reshape(*self.nadir.shape[:-1], 2, 3)
+        turned = np.einsum("mij,...aj->m...ai", matrices, parts)
+        return spread._replace(nadir=turned.reshape(len(matrices), *self.nadir.shape))
 
 
 FREE = Ends()
@@ -206,45 +199,33 @@ def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np
 def _runge_kutta(
     body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, counts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    shape, torques, nothing = omega.shape[:-1], body.acting.torques, np.zeros(3)
+    shape = omega.shape[:-1]
     n = int(np.prod(shape))
 
     def flat(values: npt.ArrayLike | None, *size: int) -> np.ndarray:
-        return np.broadcast_to(nothing if values is None else values, (*shape, *size)).reshape(
-            n, *size
-        )
+        return np.broadcast_to(0.0 if values is None else values, (*shape, *size)).reshape(n, *size)
 
     held, held_end = flat(ends.momentum, 3), flat(ends.momentum_end, 3)
+    no_field = (np.zeros((0, 3)),) * 2
     field = (
-        ()
+        no_field
         if ends.field is None or ends.field_end is None
         else (flat(ends.field, 3), flat(ends.field_end, 3))
     )
-    seen = np.zeros(0) if ends.directions is None else ends.directions
-    start = (
-        flat(omega @ body.inertia, 3) + held,
-        flat(seen, seen.shape[-1]),
-        flat((0.0, 0.0, 0.0, 1.0), 4),
-    )
-    numbers = (
+    start = [flat(omega @ body.inertia, 3) + held, flat((0.0, 0.0, 0.0, 1.0), 4)]
+    if ends.nadir is not None:
+        start.append(flat(ends.nadir, 6))
+    rigid = Bodies.rigid(body.unit * body.inertia)
+    numbers = BodyNumbers(
         body.inertia,
         body.dipole,
-        np.array(body.unit),
-        body.acting.values(Bodies.rigid(body.unit * body.inertia)),
+        body.acting.torque_B(rigid) / body.unit,
+        body.acting.gradient_strength(),
     )
-    clock = flat(0.0 if ends.t_s is None else ends.t_s)
     # no step is fine enough for some trials: they must cost much, not fail
-    y = carry(
-        np.concatenate(start, axis=1),
-        flat(dt),
-        flat(counts),
-        (held, held_end),
-        field,
-        clock,
-        numbers,
-        torques,
-    )
-    q = y[:, -4:]
+    states = np.concatenate(start, axis=1)
+    y = carry(states, flat(dt), flat(counts), Loads(held, held_end, *field), numbers)
+    q = y[:, 3:7]
     lost = ~np.isfinite(y).all(axis=1) | ~np.any(q, axis=1)
     y[lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
     p = g.Parameters(tuple(symmetric_inverse(body.inertia)), tuple(held_end.T), ())
@@ -295,7 +276,7 @@ def step_with_answer(
         rotation_between(matrix[0], matrix[1:]) * size / DIFFERENCE, 0, -1
     )
     answer[..., 3:, 3:] = np.moveaxis((rate[1:] - rate[0]) * size / DIFFERENCE, 0, -1)
-    if ends.directions is not None:
+    if ends.nadir is not None:
         _add_turns(answer, body, omega, dt, ends, counts, matrix[0], rate[0])
     return matrix[0], rate[0], answer
 

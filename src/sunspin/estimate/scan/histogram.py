@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.dynamics.ensemble.compiler import njit
+from sunspin.dynamics.processor import njit
 
 LANES = 32
 """Rows at a time: each adds up in its own order, and the processor's vectors hold several."""

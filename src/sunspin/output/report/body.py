@@ -28,10 +28,10 @@ when `MOST_FRAMES` are used."""
 UNCLEAR_ROTATION_RAD = 2.0
 """Rotation between instants of the data from which the path in between is ambiguous; such a motion is not shown."""
 
-PLATE_M = 0.5
+PLATE_DISTANCE_M = 0.5
 """Distance (m) of a panel's plate from the centre, for a vehicle file without hull."""
 
-HALF_PLATE_M = 0.45
+PLATE_HALF_EDGE_M = 0.45
 """Half the edge (m) of such a plate; plates of a cube leave gaps between them."""
 
 
@@ -249,7 +249,7 @@ def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]] | None:
 
 
 def _plates(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]]:
-    """Return a square plate of two triangles for each panel as in `Shape`, without size."""
+    """Return vertices, faces and owner as in `Shape`: a square plate of two triangles for each panel."""
     vertices, faces, owner = [], [], []
     for k, normal in enumerate(vehicle.panel_normals_B):
         # unit vectors along the edges; the first is across the axis that is farthest from the normal
@@ -257,7 +257,9 @@ def _plates(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]]:
         u /= np.linalg.norm(u)
         v = np.cross(normal, u)
         corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        vertices += [PLATE_M * normal + HALF_PLATE_M * (a * u + b * v) for a, b in corners]
+        vertices += [
+            PLATE_DISTANCE_M * normal + PLATE_HALF_EDGE_M * (a * u + b * v) for a, b in corners
+        ]
         first = 4 * k  # index of the plate's first vertex
         faces += [[first, first + 1, first + 2], [first, first + 2, first + 3]]
         owner += [k, k]

@@ -282,16 +282,19 @@ class PanelResponse:
 
     @cached_property
     def _candidates(self) -> Candidates:
-        """Candidates for the direction with the smallest Delta."""
+        """Candidates for the direction with the smallest Delta: of each cell, arc and vertex; dark cells and arcs have none."""
         cells, rows = self._cells, self._rows
-        within = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
-        between = [
+        cell_maps = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
+        arc_maps_and_normals = [
             (rows * lit[:, None], self.normals_B[k])
             for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
             if lit.any()
         ]
         return Candidates.from_cells(
-            within, between, np.concatenate([cells.vertex_B, cells.cell_B])
+            # inside a cell with fewer than three lit panels many directions fit equally well: its `cell_B` is one of them
+            cell_maps,
+            arc_maps_and_normals,
+            np.concatenate([cells.vertex_B, cells.cell_B]),
         )
 
     def best_direction(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,55 @@
+"""The cache of compiled code: kept, announced once, and never outdated."""
+
+import subprocess
+import sys
+
+HELPER = """
+from sunspin.dynamics.processor import compiled
+
+@compiled
+def double(x):
+    return 2 * x
+"""
+
+ENTRY = """
+import helper
+from sunspin.dynamics.processor import cached, digest
+
+def _entry(sources):
+    @cached("compiling, once")
+    def run(x):
+        _ = sources
+        return helper.double(x)
+    return run
+
+run = _entry(digest(__file__, helper.__file__))
+print(run(3), sum(run.stats.cache_hits.values()))
+"""
+
+
+def run_in(folder) -> tuple[list[str], str]:
+    """Run the entry point in a process of its own: result and hits of the cache, and what was said."""
+    done = subprocess.run(
+        [sys.executable, "entry.py"], cwd=folder, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split(), done.stderr.strip()
+
+
+def test_compiled_code_is_kept_until_a_source_in_any_file_changes(tmp_path):
+    (tmp_path / "helper.py").write_text(HELPER)
+    (tmp_path / "entry.py").write_text(ENTRY)
+    assert run_in(tmp_path) == (["6", "0"], "compiling, once")
+    assert run_in(tmp_path) == (["6", "1"], "")
+    (tmp_path / "helper.py").write_text(HELPER.replace("2 * x", "5 * x"))
+    assert run_in(tmp_path) == (["15", "0"], "compiling, once")
+
+
+def test_a_folder_without_room_for_a_cache_costs_time_only(tmp_path):
+    (tmp_path / "helper.py").write_text(HELPER)
+    text = "import numba.core.caching as c\nc.CacheImpl._locator_classes = []\n"
+    (tmp_path / "entry.py").write_text(text + ENTRY)
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", "import entry"], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert (done.stdout.split(), done.stderr.strip()) == (["6", "0"], "compiling, once")
