@@ -1,6 +1,7 @@
 """The steps of the study together: order, ids, figures, and telemetry with missing parts."""
 
 import threading
+from concurrent.futures import as_completed
 from dataclasses import FrozenInstanceError
 
 import numpy as np
@@ -205,7 +206,7 @@ def test_steps_of_the_study_can_end_in_any_order():
         lost = submit(steps, "lost", lambda: ["lost", of(failed).get()])
         behind = submit(steps, "behind", lambda: ["behind", of(lost).get()])
         both = submit(steps, "both", lambda: (of(first).get(), of(failed).result))
-        for _ in steps.as_they_end():
+        for _ in as_completed(steps.submitted):
             seen.append([step.result().result for step in (first, fast, both) if step.done()])
             if fast.done():
                 fast_is_seen.set()
@@ -228,8 +229,8 @@ def test_steps_that_wait_do_not_block_those_that_they_wait_for(workers):
             chain.append(
                 submit(steps, f"{number}", lambda before=chain[-1]: steps.of(before).get() + 1)
             )
-        for _ in steps.as_they_end():
-            pass
+        for step in steps.submitted:
+            step.result(20)
     assert chain[-1].result().result == 21
 
 
@@ -238,8 +239,8 @@ def test_a_failed_step_that_is_needed_ends_the_study():
     with pytest.raises(MotionError, match="no motion"), Steps(workers=1) as steps:
         failed = submit(steps, "failing", failing, fatal=REPORTED)
         submit(steps, "after", lambda: ended.append(steps.of(failed)))
-        for _ in steps.as_they_end():
-            pass
+        for step in steps.submitted:
+            step.result(20)
     assert not ended and failed.exception() is not None
 
 

@@ -131,17 +131,15 @@ def rows(collision: AfterCollision) -> list[Row]:
     n = runs["chosen"]["off"].sizes["run"]
     low, high, highest_minimum = rz_off["near_minimum"]
     densities = [density(data)["density"] for data in runs["chosen"].values()]
-    areas = [
-        float(values.sum() * 2 / values.size) for values in densities
-    ]  # bins are 2 / size wide
+    # bins are 2 / size wide
+    areas = [float(values.sum() * 2 / values.size) for values in densities]
 
     by_weighting = {entry["name"]: entry for entry in read_weightings(weighted)}
     facts = read_facts(weighted)
     drawn, kernel = by_weighting["as drawn"], by_weighting[f"kernel, sigma {SIGMA_M_S:g} m/s"]
     # the tip of the longest leg sticks, so the body cannot rotate more slowly than with this rate
-    slowest_rad_s = facts["speed_after"] / max(
-        np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs
-    )
+    longest_m = max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
+    slowest_rad_s = facts["speed_after"] / longest_m
     notes = {
         "rz_range_wheel_off": f"every run reaches {highest_minimum:.2f} or lower; the candidates are below -0.5 for "
         f"{off['rz_time_below_-0.5']} of the time",

@@ -8,7 +8,7 @@ depend on the order of the samples, so it cannot be checked; only the posterior 
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -178,6 +178,7 @@ def rows(check: DataCheck) -> list[Row]:
         "which need not be near; EMD does not use their order",
     }
     row_of = partial(make_row, check.case, notes=notes)
+    good_delta = bool(check.delta <= paper["delta_max"].value)
     result = [
         row_of(
             "carries_patterns",
@@ -185,22 +186,13 @@ def rows(check: DataCheck) -> list[Row]:
             tolerance=MOST_IMPOSSIBLE,
             holds=check.unexplained <= MOST_IMPOSSIBLE * check.early,
         ),
-        row_of(
-            "carries_delta",
-            check.delta,
-            published=paper["delta_mean"].value,
-            holds=bool(check.delta <= paper["delta_max"].value),
-        ),
+        row_of("carries_delta", check.delta, published=paper["delta_mean"].value, holds=good_delta),
     ]
     if check.descent_E is not None:
         least = float(check.shuffled_E.min())
-        descent_row = row_of(
-            "carries_descent_order",
-            check.descent_E / least,
-            note=f"E {check.descent_E:.5f}; {check.shuffled_E.size} random orders {least:.4f} to {check.shuffled_E.max():.4f}; "
-            f"criterion: below {ORDERED:g}",
-            tolerance=ORDERED,
-            holds=check.descent_has_spin,
-        )
-        result.append(descent_row)
+        most = check.shuffled_E.max()
+        orders = f"{check.shuffled_E.size} random orders {least:.4f} to {most:.4f}"
+        given: dict[str, Any] = {"tolerance": ORDERED, "holds": check.descent_has_spin}
+        given["note"] = f"E {check.descent_E:.5f}; {orders}; criterion: below {ORDERED:g}"
+        result.append(row_of("carries_descent_order", check.descent_E / least, **given))
     return [*result, row_of("carries_rebound_order", check.order_p_value)]

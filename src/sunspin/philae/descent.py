@@ -132,10 +132,8 @@ def rows(descent: Descent) -> list[Row]:
     cubic = np.array(paper["descent_rate_cubic"])
     difference = fit.coefficients - cubic
     distance = float(difference @ np.linalg.solve(fit.covariance, difference))
-    cubic_verdict: dict[str, Any] = {
-        "tolerance": (np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(),
-        "agrees": bool(distance <= CUBIC_CHI2),
-    }
+    within: dict[str, Any] = {"tolerance": (np.sqrt(CUBIC_CHI2) * fit.sigma).tolist()}
+    within["agrees"] = bool(distance <= CUBIC_CHI2)
     sigmas = ", ".join(f"{sigma:.1e}" for sigma in fit.sigma)
     printed_E = error_of_rate(cubic, t[seen], n[seen])
     printed_low, printed_high = descent.rate_range(cubic)
@@ -163,7 +161,7 @@ def rows(descent: Descent) -> list[Row]:
     row_of = partial(make_row, case, notes=notes)
     result = [
         row_of("descent_E", fit.E, holds=holds if synthetic else None),
-        row_of("descent_rate_cubic", fit.coefficients.tolist(), **cubic_verdict),
+        row_of("descent_rate_cubic", fit.coefficients.tolist(), **within),
         row_of("descent_unique", fit.unique, agrees=fit.unique),
         row_of("descent_rate_range", [low, high]),
         row_of("descent_rate_romap", mean_rate),

@@ -198,20 +198,18 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
         "direction of the scan",
         "one_percent_E": f"criterion: more than 0.1; of unrelated directions E is 0.5; largest E and EMD of each motion: {of_each}",
         "phase_growth": f"criterion: 1 and 2 within {tolerance:g}; after 45 min the direction errs by up to {at_end:.0f} rad (to "
-        f"first order) if an input is off by 1 %, and by {per_rate.min():.0f} to {per_rate.max():.0f} rad per rad/s of a rate",
+        f"first order) if an input is off by 1 %; by {per_rate.min():.0f} to {per_rate.max():.0f} rad per rad/s of a rate",
         "valley_width": f"rates of Fig. 8 B, own directions every 2 min; the scan's step is {paper['scan_step']} rad/s",
     }
     row_of = partial(make_row, case, notes=notes)
-    rows = [
-        row_of(name, [float(E.min()), float(E.max()), *count_valleys(E.values)])
-        for name, E in (
-            ("E_map_rates", sensitivity.rates),
-            ("E_map_parameters", sensitivity.parameters),
-        )
-    ]
+    of_rates, of_parameters = (
+        [float(E.min()), float(E.max()), *count_valleys(E.values)]
+        for E in (sensitivity.rates, sensitivity.parameters)
+    )
     what = f"full width of the valley of E in omega_x in windows of {windows} min"
     return [
-        *rows,
+        row_of("E_map_rates", of_rates),
+        row_of("E_map_parameters", of_parameters),
         row_of("E_study_bound", (1 - sensitivity.start_length) / 2),
         row_of("one_percent_E", least_E, agrees=least_E > 0.1),
         row_of("one_percent_emd", largest_emd, tolerance=emd_min, agrees=largest_emd < emd_min),

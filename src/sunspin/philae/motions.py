@@ -81,13 +81,8 @@ def propagate_landing(
     start_s = impact_s - rebound.window_s
     state = State(start_s, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
     if truth:
-        after = State(
-            impact_s,
-            *(
-                np.array(truth[f"collision_{name}"])
-                for name in ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")
-            ),
-        )
+        names = "omega_after_B", "sun_B", "wheel_speed_after_rad_s"
+        after = State(impact_s, *(np.array(truth[f"collision_{name}"]) for name in names))
         impact = f"the collision that the telemetry contains (leg {truth['collision_leg']} hits)"
     else:
         collision = simulate_collision(case, state, generator(seed, 3))
@@ -239,10 +234,7 @@ def compute_speeds(collision: AfterCollision, descent: Descent | None, seed: int
             "speed": (("level", "time"), band_before, rate_attrs),
             "speed_after_collision": ("level", band_after, rate_attrs),
         },
-        coords={
-            "level": ["low", "middle", "high"],
-            "time": ("time", t + start_s, {"units": "s"}),
-        },
+        coords={"level": ["low", "middle", "high"], "time": ("time", t + start_s, {"units": "s"})},
         attrs={
             "epoch_utc": timeline.epoch_utc,
             "motions": len(states),

@@ -178,8 +178,8 @@ def rows(lines: PublishedLines) -> list[Row]:
     # section 2.3: one distribution, and the lines that a scan against it gives
     # "one distribution": they differ by at most a fifth of the smallest EMD of the paper's scan
     fifth = paper["emd_min"] / 5
-    agrees = bool(lines.spread <= fifth)
-    result = [row_of("lines_common", lines.spread, tolerance=fifth, agrees=agrees)]
+    common: dict[str, Any] = {"tolerance": fifth, "agrees": bool(lines.spread <= fifth)}
+    result = [row_of("lines_common", lines.spread, **common)]
     for k, deviation in enumerate(clean.deviation, 1):
         ours = [vector.round(4).tolist() for vector in deviation["line"]]
         note = (
@@ -187,14 +187,10 @@ def rows(lines: PublishedLines) -> list[Row]:
             f"{np.degrees(deviation['angle_rad']):.1f} deg, largest distance {deviation['max']:.4f} rad/s over omega_z in "
             f"{list(LINE_RANGE)}"
         )
-        texts: dict[str, Any] = {
-            "what": f"mean distance of our line from the printed L{k}",
-            "published": f"the line L{k}",
-        }
-        result += [
-            row_of("line", ours, id=f"line_L{k}", note=note),
-            row_of("line_distance", deviation["mean"], id=f"line_L{k}_distance", **texts),
-        ]
+        texts: dict[str, Any] = {"id": f"line_L{k}_distance", "published": f"the line L{k}"}
+        texts["what"] = f"mean distance of our line from the printed L{k}"
+        result.append(row_of("line", ours, id=f"line_L{k}", note=note))
+        result.append(row_of("line_distance", deviation["mean"], **texts))
     factor, published = paper["near_minimum_factor"], paper["rate_at_touchdown_min"]
     result.append(row_of("lines_by_threshold", lines.thresholds, published=factor))
 
@@ -235,10 +231,8 @@ def lines_touchdown_figure(lines: PublishedLines) -> Figure:
     """Draw body rates at the first touchdown of the near-minimum set and of the lines (paper, Fig. 12)."""
     figure = Figure(figsize=(6.5, 5.4), layout="constrained")
     axes = rate_axes(figure)
-    target = (
-        f"EMD < {lines.clean.factor:g} EMD_min against the printed lines' distribution, run back"
-    )
-    label = f"{target} ({len(lines.near_touchdown)} motions)"
+    target = "against the printed lines' distribution, run back"
+    label = f"EMD < {lines.clean.factor:g} EMD_min {target} ({len(lines.near_touchdown)} motions)"
     dots: dict[str, Any] = {"depthshade": False, "color": COLOURS[0]}
     axes.scatter(*lines.near_touchdown.T, s=6, alpha=0.35, lw=0, label=label, **dots)
     dots["color"] = COLOURS[1]

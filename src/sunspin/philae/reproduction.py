@@ -133,9 +133,8 @@ def reproduce(
     command += [] if coarser == 1 else ["--coarser", str(coarser)]
     command += [] if posterior else ["--without", "posterior"]
 
-    vehicle_text = attach_changes(
-        case.name if vehicle is None else vehicle, split_changes(requested)[0]
-    )
+    named_vehicle = case.name if vehicle is None else vehicle
+    vehicle_text = attach_changes(named_vehicle, split_changes(requested)[0])
     # the stored contradictions of the paper were computed from the unchanged case
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []

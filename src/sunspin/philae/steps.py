@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -81,7 +81,7 @@ class Steps:
     def __init__(self, workers: int | None = None) -> None:
         # the kernels of a step use all cores: more than two steps at a time would take memory and gain nothing
         self._pool = ThreadPoolExecutor(min(worker_count(workers), 2), thread_name_prefix="step")
-        self._stopped, self._submitted = threading.Event(), list[Future[Any]]()
+        self._stopped, self.submitted = threading.Event(), list[Future[Outcome[Any]]]()
 
     def __enter__(self) -> Steps:
         return self
@@ -100,7 +100,7 @@ class Steps:
     ) -> Future[Outcome[T]]:
         """Submit the step whose outcome is that of `run_step` with these arguments."""
         step = self._pool.submit(lambda: run_step(key, title, compute, rows, **about))
-        self._submitted.append(step)
+        self.submitted.append(step)
         return step
 
     def of(self, step: Future[Outcome[T]]) -> Outcome[T]:
@@ -109,9 +109,3 @@ class Steps:
         if self._stopped.is_set():
             raise MissingResult(None)
         return step.result()
-
-    def as_they_end(self) -> Iterator[None]:
-        """Yield each time a step has ended. Raises the error of a step that ends the study."""
-        for step in as_completed(self._submitted):
-            step.result()
-            yield

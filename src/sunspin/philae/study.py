@@ -8,7 +8,7 @@ that the telemetry does not allow is listed as missing, with the reason.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -155,7 +155,8 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
     prepare(case.vehicle, [(direction_mask(case), SCAN_BINS), (None, OUTCOME_BINS)])
     with Steps(study.options.workers) as steps:
         so_far = submit_steps(steps, study)
-        for _ in steps.as_they_end():
+        for step in as_completed(steps.submitted):
+            step.result()  # raises the error of a step that ends the study
             if on_step is not None:
                 on_step(so_far())
     return so_far()

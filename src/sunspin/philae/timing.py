@@ -25,12 +25,7 @@ from sunspin.philae.candidates import (
     touchdown_speeds,
 )
 from sunspin.philae.metrics import NearMinimum, draw_published_lines, rate_space_views
-from sunspin.philae.rebound import (
-    Options,
-    Rebound,
-    read_truth,
-    start_states,
-)
+from sunspin.philae.rebound import Options, Rebound, read_truth, start_states
 from sunspin.philae.row import Row, make_row
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -104,9 +99,8 @@ def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options:
     # the touchdown first, then from the candidates' instant to the collision
     instant = float(rebound.samples["utc_s"].values[rebound.first])
     times = instant + np.concatenate([[-rebound.lead_s], t])
-    rate = predict(case.vehicle, posterior, times, options.workers)["rate"].values[
-        0
-    ]  # (draw, time)
+    rates = predict(case.vehicle, posterior, times, options.workers)["rate"]
+    rate = rates.values[0]  # (draw, time)
     rate = rate[np.all(np.isfinite(rate), axis=1)]
     touchdown, collision, speed = rate[:, 0], rate[:, -1], np.quantile(rate[:, 1:], QUANTILES, 0)
     as_in_the_paper, _ = rebound.scenarios()
@@ -158,10 +152,10 @@ def rows(timing: Timing) -> list[Row]:
     ):
         low, middle, high = np.quantile(speeds, QUANTILES).tolist()
         known = "not known" if true is None else f"{true:.4f} rad/s"
+        before = f"median; {low:.4f} to {high:.4f} is 90 % probable; truth: {known}"
         notes = {
-            "timed_rate_at_touchdown": f"median; {low:.4f} to {high:.4f} is 90 % probable; truth: {known}. The posterior: "
-            f"{timing.verdict}",
-            "timed_rate_at_collision": f"median; {low:.4f} to {high:.4f} is 90 % probable; truth: {known}",
+            "timed_rate_at_touchdown": f"{before}. The posterior: {timing.verdict}",
+            "timed_rate_at_collision": before,
             "timed_rate_after_collision": f"median over simulated collisions as in section 3.3, wheel off; {low:.3f} to {high:.3f} "
             f"is 90 % probable, as leg and direction of the impact are not known; truth: {known}",
         }
@@ -220,20 +214,14 @@ def speeds_figure(timing: Timing, near_minimum: np.ndarray, synthetic: bool) -> 
     truth = timing.truth
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     first, middle, last = figure.subplots(1, 3)
-    panels: tuple[tuple[Any, np.ndarray, np.ndarray | None, Any, str], ...] = (
-        (
-            first,
-            timing.touchdown,
-            near_minimum,
-            truth and truth.touchdown,
-            "just after the first touchdown",
-        ),
-        (last, timing.after, None, truth and truth.after, "after the collision"),
-    )
-    for axes, speeds, of_lines, true, when in panels:
-        both = speeds if of_lines is None else np.concatenate([speeds, of_lines])
+    touchdown, after = "just after the first touchdown", "after the collision"
+    for axes, speeds, of_lines, true, when in (
+        (first, timing.touchdown, near_minimum, truth and truth.touchdown, touchdown),
+        (last, timing.after, near_minimum[:0], truth and truth.after, after),
+    ):
+        both = np.concatenate([speeds, of_lines])
         edges = np.linspace(0.0, 1.05 * float(np.quantile(both, 0.999)), 60)
-        if of_lines is not None:
+        if of_lines.size:
             label = "EMD near its minimum"
             axes.hist(of_lines, edges, density=True, color="#bbbbbb", label=label)
         axes.hist(speeds, edges, density=True, color=COLOURS[0], alpha=0.8, label="posterior")

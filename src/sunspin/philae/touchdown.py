@@ -52,25 +52,17 @@ def _speed_rows(candidate_sets: CandidateSets) -> list[Row]:
     smallest = make_row(case, "rate_at_touchdown_min", float(by_recipe.min()), note=note)
 
     level = "95 % probable" if chosen.from_posterior else f"{case.assumptions.study.confidence:.0%}"
-    bounded = has_lower_bound(candidate_sets)
-    note = f"over {chosen.about}; the scanned box begins at {possible_speeds[0]:.4f} rad/s"
-    bound_row = make_row(
-        case,
-        "rate_at_touchdown_bound",
-        speeds[0],
-        note=note if bounded else f"{note}: no lower bound follows from this telemetry",
-        what=f"angular speed just after the first touchdown lies above this, {level}",
-        published=case.published["rate_at_touchdown_min"].value,
-    )
-    of_box = "the largest of the scanned box: the heights of the Sun do not depend on the size of the momentum"
-    probable = "from the order and the times of the samples, which the posterior uses"
-    largest = make_row(
-        case,
-        "rate_at_touchdown_max",
-        speeds[1],
-        note=probable if chosen.from_posterior else of_box,
-        what=f"angular speed just after the first touchdown lies below this, {level}",
-    )
+    speed, bounded = "angular speed just after the first touchdown", has_lower_bound(candidate_sets)
+    texts: dict[str, Any] = {"what": f"{speed} lies above this, {level}"}
+    texts["note"] = f"over {chosen.about}; the scanned box begins at {possible_speeds[0]:.4f} rad/s"
+    texts["note"] += "" if bounded else ": no lower bound follows from this telemetry"
+    published = case.published["rate_at_touchdown_min"].value
+    bound_row = make_row(case, "rate_at_touchdown_bound", speeds[0], published=published, **texts)
+    note = "the largest of the scanned box: the distribution of r_z does not depend on the size of the momentum"
+    if chosen.from_posterior:
+        note = "from the order and the times of the samples, which the posterior uses"
+    what = f"{speed} lies below this, {level}"
+    largest = make_row(case, "rate_at_touchdown_max", speeds[1], what=what, note=note)
 
     smallest, bound_row, largest = (
         judge_range(row, source, speeds, possible_speeds) for row in (smallest, bound_row, largest)
@@ -113,12 +105,9 @@ def _sun_elevation_row(candidate_sets: CandidateSets) -> Row:
     published_deg = candidate_sets.case.published["sun_height_range"].value
     difference_deg = np.subtract([elevation.value for elevation in chosen], published_deg)
     agrees = bool(np.all(np.abs(difference_deg) <= tolerance_deg))
-    row = make_row(
-        candidate_sets.case,
-        "sun_height_range",
-        [elevation.value for elevation in by_recipe],
-        note=f"means over motions of the smallest and of the largest height; criterion: within {tolerance_deg:g} deg",
-    )
+    note = f"means over motions of the smallest and of the largest height; criterion: within {tolerance_deg:g} deg"
+    ours = [elevation.value for elevation in by_recipe]
+    row = make_row(candidate_sets.case, "sun_height_range", ours, note=note)
     smallest, largest = (
         judge_share(row, candidate_sets.source, of_chosen, of_possible, agrees)
         for of_chosen, of_possible in zip(chosen, possible, strict=True)
