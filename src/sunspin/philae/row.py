@@ -11,7 +11,8 @@ Only a test agrees or differs. A figure that depends on candidate motions has tw
 other over everything that was possible before the data. If the first is not clearly narrower, the row is uninformative and judges
 nothing.
 
-The texts of a row are in the case's `published.toml`. A step of the study computes the numbers and calls `make_row`.
+The words for a figure are in the case's `published.toml`. A step of the study computes the numbers and calls `make_row`, with the
+notes that depend on them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The paper, computed step by step from the telemetry: every result as data, and a row for each published figure.
 
-A step calls a function of the module of its section; `submit_steps` lists them. Rows are counted in three
-sections: results from the telemetry, results from the equations and the published lines alone, and the paper's own figures. A step
-that the telemetry does not allow is listed as missing, with the reason.
+A step calls a function of the module of its section; `submit_steps` lists them. Rows are counted in three sections:
+results from the telemetry, results from the equations and the published lines alone, and the paper's own figures. A step that the
+telemetry does not allow is listed as missing, with the reason.
 """
 
 from __future__ import annotations
@@ -168,11 +168,8 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
     `study` has no outcome yet. A step waits for those whose outcome it takes by `of`.
     """
     case, sun, options, run, of = study.case, study.sun, study.options, steps.run, steps.of
-    seed, workers, runs = (
-        options.seed,
-        options.workers,
-        max(LANDING_RUNS // options.coarser, LEAST_RUNS),
-    )
+    seed, workers = options.seed, options.workers
+    runs = max(LANDING_RUNS // options.coarser, LEAST_RUNS)
 
     # ---- The telemetry ----
     phases = run(
