@@ -40,6 +40,11 @@ COLDEST_C, HOTTEST_C = -200.0, 250.0
 NEAR = 0.75
 """Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
 
+
+class MissingColumn(TelemetryError):
+    """A telemetry file lacks a column that the vehicle file names."""
+
+
 LEAST_FACTOR = 0.2
 """A temperature correction below this is not applied, because the linear law does not hold."""
 
@@ -356,13 +361,13 @@ def require_column(
 
     Raises
     ------
-    TelemetryError
+    MissingColumn
         There is no such column. The message suggests a similar name, if there is one.
     """
     if name not in table.header:
         near = _find_similar_name(name, table.header if candidates is None else candidates)
         do = f"add it, or name the right column under [{section}] in the vehicle file"
-        raise TelemetryError(
+        raise MissingColumn(
             f"column {name!r} ({what}) is missing",
             got="columns " + ", ".join(table.header),
             do=do if near is None else f"did you mean {near!r}? {do[0].upper()}{do[1:]}",
