@@ -7,7 +7,7 @@ computed in one call.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -106,6 +106,10 @@ class Motion:
     n_events: np.ndarray
     steps: np.ndarray
     n_wheels: int
+
+    def at_end(self) -> Motion:
+        """Return the states in which the motions ended, as one output (n, 1, size)."""
+        return replace(self, states=self.last[:, None])
 
     @property
     def momentum_B(self) -> np.ndarray:
