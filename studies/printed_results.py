@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import Outcome, Rows, run_rows
+from sunspin.dynamics.batch import Outcome, Rows, run
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.rows import distances_to, target_segments
 from sunspin.estimate.scan.table import Table
@@ -249,7 +249,7 @@ def simulate_rebound(scan: Scan, seed: int, number: int) -> Rebound:
     tilt, first = draw_misaligned_panels(vehicle, first_sun(scan.case), rng)
     # the compiled kernels take a tenth of the time of `propagate`
     state = start_states(scan.case, omega_B, first)
-    later = run_rows(vehicle, state, t[1:] - t[0], direction_error=DIRECTION_ERROR).sun_B[0]
+    later = run(vehicle, state, t[1:] - t[0], error=DIRECTION_ERROR).sun_B[0]
     samples = PhaseSamples("first_rebound", t, np.concatenate([first[None], later]))
     return Rebound(omega_B, first, add_rebound_noise(vehicle, samples, tilt, None, rng))
 

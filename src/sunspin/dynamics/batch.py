@@ -1,4 +1,4 @@
-"""Many motions of a vehicle at once: states at given times, forward or backward, and all events of wheels.
+"""Many motions of a vehicle at once: states at given times, forward or backward, or how long the Sun stands at each height.
 
 A motion depends on its own initial state and on what is asked for, never on its neighbours, on threads, or on how many are
 computed in one call.
@@ -16,16 +16,36 @@ import numpy.typing as npt
 
 from sunspin.base.errors import InputError, MotionError
 from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics import principal
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
-from sunspin.dynamics.kernels import motions, rows
+from sunspin.dynamics.kernels import histogram, motions, rows, split
 from sunspin.dynamics.kernels.histogram import new_nodes
 from sunspin.dynamics.torques import NOTHING, Acting
-from sunspin.solve.linear import extreme_eigenvalues, symmetric_inverse
+from sunspin.solve.linear import extreme_eigenvalues, symmetric_inverse, symmetric_product
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.planes import DirectionSet
 
 DIRECTION_ERROR = 1e-5
 """Default error of the Sun's direction at the end of a run, rad."""
+
+EMD_ERROR = 1e-3
+"""Default error of the EMD of a histogram."""
+
+SMALLEST_EMD_ERROR = 2e-4
+"""Below it the bins, and the three points that stand for a way between nodes, set a limit."""
+
+NODE_ANGLE = 0.9
+"""rad rotated between nodes of a histogram where an EMD may err by EMD_ERROR; the error goes with its third power."""
+
+PHASE_ERROR = 1e-2
+"""Error of the direction at the end (rad) where an EMD may err by EMD_ERROR: the same path, run through early or late."""
+
+SPLIT_PHASE_ERROR = 0.1
+"""The same (rad) for the split kernel, whose motions near an unstable spin are computed again."""
+
+SPLIT_ADVANTAGE = 5.0
+"""How many steps of the split kernel cost as much as one of the Taylor kernel."""
 
 SMALLEST_DIRECTION_ERROR = 1e-11
 """What double precision can promise over some thousand radians."""
@@ -143,6 +163,17 @@ class Motion:
         return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
+@dataclass(frozen=True)
+class Heights:
+    """How long the Sun stood at each height over n bodies: `seconds` (n, bins) by r_z over [-1, 1], as far as it counts.
+
+    `outcome` (n).
+    """
+
+    seconds: np.ndarray
+    outcome: np.ndarray
+
+
 def one_command(vehicle: Vehicle, command: str | Sequence[str]) -> tuple[str, ...]:
     """Return one constant command for each wheel; `InputError` for a schedule, `MotionError` for what is no command."""
     plan = m.schedules(vehicle, command)
@@ -196,12 +227,7 @@ def run(
         raise InputError(
             "output times must all increase or all decrease from the start of the run", got=ends
         )
-    if not SMALLEST_DIRECTION_ERROR <= error < np.inf:
-        raise InputError(
-            f"direction_error must be at least {SMALLEST_DIRECTION_ERROR:g}",
-            got=error,
-            do="ask for less",
-        )
+    check_errors(error, None)
     problem = Problem(vehicle, initial, one_command(vehicle, command), acting)
     if not leave_long:
         require_followable(problem, float(ends[-1]))
@@ -210,6 +236,122 @@ def run(
         # friction that holds a wheel forgets how it came to rest
         motion.outcome[problem.at_rest] = Outcome.PAST_UNKNOWN
     return motion
+
+
+def sun_heights(
+    vehicle: Vehicle,
+    initial: Rows,
+    duration_s: float,
+    *,
+    command: str | Sequence[str] = "coast",
+    counted: DirectionSet | None = None,
+    bins: int = 256,
+    error: float | None = None,
+    emd_error: float | None = None,
+    acting: Acting = NOTHING,
+) -> Heights:
+    """Return how long the Sun stands at each height r_z over the bodies, in motions that begin in these states.
+
+    Parameters
+    ----------
+    initial, command, acting
+        As in :func:`run`.
+    duration_s : s
+        Length of the motions, negative for runs backward in time.
+    counted : DirectionSet, optional
+        Directions that count; all unless given.
+    bins : int
+        Of r_z over [-1, 1].
+    emd_error, error : float, optional
+        Either the error of the EMD of the histogram, 1e-3 unless given, or that of the Sun's direction at the end (rad).
+
+    Raises
+    ------
+    InputError, MotionError
+        As :func:`run`.
+    """
+    check_errors(error, emd_error)
+    problem = Problem(vehicle, initial, one_command(vehicle, command), acting)
+    require_followable(problem, duration_s)
+    share = 1.0 if emd_error is None else emd_error / EMD_ERROR
+    wanted = PHASE_ERROR * share if error is None else error
+    tolerance = NODE_ANGLE * min(1.0, share) ** (1 / 3)
+    nodes = new_nodes(*half_spaces(counted), tolerance, bins)
+    n = len(initial)
+    seconds, outcome = np.zeros((n, bins), np.float32), np.zeros(n, dtype=np.int64)
+    again = np.arange(n)
+    if error is None and share >= 1.0:
+        again = _split(problem, duration_s, nodes, seconds)
+    if again.size:
+        some = replace(problem, initial=initial.take(again))
+        motion, seconds[again] = _advance(some, np.array([duration_s]), SAFETY * wanted, nodes)
+        outcome[again] = motion.outcome
+    if duration_s < 0:
+        outcome[problem.at_rest] = Outcome.PAST_UNKNOWN
+    return Heights(seconds, outcome)
+
+
+def _split(
+    problem: Problem, duration_s: float, nodes: histogram.Nodes, seconds: np.ndarray
+) -> np.ndarray:
+    """Write into `seconds` (n, bins) the histograms of motions for which the split kernel is good and fast; return the others.
+
+    It is good for motions with one body, without torques, forward in time. It needs many steps where moments of inertia differ much
+    or wheels turn fast; then the Taylor kernel takes less time.
+    """
+    every = np.arange(len(problem.initial))
+    if problem.acting.torques or problem.initial.bodies is not None or not duration_s > 0:
+        return every
+    arrays, bodies = problem.in_arrays(), problem.bodies
+    omega, speeds = arrays.omega_B, arrays.speeds
+    with np.errstate(over="ignore", invalid="ignore"):
+        momentum = g.total_momentum(bodies, omega, speeds)
+        size = np.linalg.norm(momentum, axis=1)
+        axial = g.axial_momenta(bodies, omega, speeds)
+        later = symmetric_product(problem.modes[:, 0, 1:], momentum)  # all wheels at rest
+        rate = 0.5 * (np.linalg.norm(omega, axis=1) + np.linalg.norm(later, axis=1))
+        frame = principal.frames(problem.vehicle, bodies)
+        ways = np.maximum(rate * duration_s / nodes.tolerance, histogram.MIN_WAYS)
+        steps = principal.split_steps(bodies, frame, (size, axial), duration_s, SPLIT_PHASE_ERROR)
+        steps = np.ceil(np.maximum(steps, ways / split.WAYS))
+        by_series = np.maximum(rate * duration_s / RADIANS_A_STEP, histogram.MIN_WAYS / 3)
+        chosen = np.flatnonzero(steps < SPLIT_ADVANTAGE * by_series)  # not of numbers that are none
+    some = arrays._replace(omega_B=omega[chosen], sun_B=arrays.sun_B[chosen], speeds=speeds[chosen])
+    answer = split.run(some, steps[chosen], duration_s, plain(frame), nodes)
+    seconds[chosen] = answer.hist
+    return np.setdiff1d(every, chosen[~answer.again])
+
+
+def half_spaces(counted: DirectionSet | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the conditions of a set of directions as the kernels read them: normals (n, 3), and where each clause ends.
+
+    Each clause has an even number of them, the last twice if need be. A clause without conditions holds everywhere; without a set
+    all directions count.
+    """
+    nothing = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    if counted is None or any(not clause for clause in counted.clauses):
+        return nothing
+    normals: list[np.ndarray] = []
+    ends = []
+    for clause in counted.clauses:
+        sides = [counted.normals_B[k] * (1.0 if side else -1.0) for k, side in clause]
+        normals += sides + sides[-1:] * (len(sides) % 2)
+        ends.append(len(normals))
+    return np.array(normals), np.array(ends, dtype=np.int64)
+
+
+def check_errors(error: float | None, emd_error: float | None) -> None:
+    """Refuse errors that cannot be met, and both at once."""
+    if error is not None and emd_error is not None:
+        raise InputError(
+            "ask for an error of the direction or of the EMD", got="both", do="give one of them"
+        )
+    for name, value, smallest in (
+        ("direction_error", error, SMALLEST_DIRECTION_ERROR),
+        ("emd_error", emd_error, SMALLEST_EMD_ERROR),
+    ):
+        if value is not None and not smallest <= value < np.inf:
+            raise InputError(f"{name} must be at least {smallest:g}", got=value, do="ask for less")
 
 
 @dataclass(frozen=True)
@@ -256,8 +398,7 @@ class Problem:
 
         The share, 1/(kg m2), is half way between the extreme 1 / moments: what is left is then slowest.
         """
-        n_wheels = len(self.vehicle.wheels)
-        sets = np.arange(2**n_wheels)[:, None] >> np.arange(n_wheels) & 1 > 0
+        sets = principal.free_sets(len(self.vehicle.wheels))
         free = np.stack([g.free_inertia(self.bodies, free) for free in sets], axis=1)
         smallest, largest = extreme_eigenvalues(free)
         share = 0.5 / smallest + 0.5 / largest
@@ -266,7 +407,7 @@ class Problem:
     @property
     def torques(self) -> int:
         """Which torques act: the code of :mod:`kernels.rows`."""
-        if self.acting.gradient_strength():
+        if self.acting.needs_attitude:
             return rows.GRADIENT
         return rows.STEADY if self.acting.torques else rows.NO_TORQUE
 
@@ -292,13 +433,6 @@ class Problem:
                 f"a vehicle may have {rows.WHEELS} wheels at most", got=f"{n_wheels} wheels"
             )
         wheels = np.stack([bodies.wheel_inertia_kg_m2, self.dry, bodies.viscous_N_m_s], axis=-1)
-        steady = np.stack(
-            [
-                self.acting.torque_B(bodies),
-                np.broadcast_to(self.acting.own(bodies), (*bodies.shape, 3)),
-            ],
-            axis=-2,
-        )
         return rows.Motions(
             *map(plain, (self.initial.omega_B, self.initial.sun_B, self.speeds)),
             plain(bodies.inertia_kg_m2),
@@ -306,7 +440,7 @@ class Problem:
             plain(bodies.axes_B),
             self.held,
             plain(self.modes),
-            plain(np.broadcast_to(steady, (*bodies.shape, 2, 3))),
+            plain(self.acting.steady(bodies)),
             plain(self.nadir()),
             self.acting.gradient_strength(),
         )
@@ -329,6 +463,19 @@ def advance(
 
     The first `room` events of each motion are kept. Nothing is checked; `run` does.
     """
+    return _advance(problem, ends, error, None, attitude, most_events, room)[0]
+
+
+def _advance(
+    problem: Problem,
+    ends: np.ndarray,
+    error: float,
+    nodes: histogram.Nodes | None,
+    attitude: bool = False,
+    most_events: int = MOST_EVENTS,
+    room: int = 0,
+) -> tuple[Motion, np.ndarray]:
+    """Return what :func:`advance` does, and histograms (n, bins) in seconds if `nodes` has the room for them."""
     n, n_wheels = len(problem.initial), len(problem.vehicle.wheels)
     size = 9 + 2 * n_wheels + (6 if attitude else 0)
     arrays = problem.in_arrays()
@@ -349,11 +496,11 @@ def advance(
         np.zeros((n, room, 3)),
         np.zeros(n, dtype=np.int64),
         np.zeros(n, dtype=np.int64),
-        np.zeros((n, 0), dtype=np.float32),
+        np.zeros((n, 0 if nodes is None else len(nodes.hist) // rows.L), dtype=np.float32),
     )
-    nothing = new_nodes(np.zeros((0, 3)), np.zeros(0), 1.0)
-    motions.run(longest_first(arrays.omega_B), arrays, task, answer, nothing)
-    return Motion(*answer[:-1], n_wheels)
+    work = new_nodes(*half_spaces(None), 1.0, 0) if nodes is None else nodes
+    motions.run(longest_first(arrays.omega_B), arrays, task, answer, work)
+    return Motion(*answer[:-1], n_wheels), answer.hist
 
 
 def order_for(error: float) -> int:
@@ -370,14 +517,27 @@ def longest_first(omega_B: np.ndarray) -> np.ndarray:
     return np.append(np.argsort(-speed, kind="stable"), 0)
 
 
+def steps_needed(problem: Problem, duration_s: float) -> tuple[float, float]:
+    """Return about how many steps the longest of the motions takes, and the rate (rad/s) at which it turns.
+
+    The rate is that of the body, now or once the wheels' momentum is the body's, and of what the wheels turn round.
+    """
+    bodies, omega = problem.bodies, problem.initial.omega_B
+    with np.errstate(over="ignore", invalid="ignore"):
+        momentum = g.total_momentum(bodies, omega, problem.speeds)
+        rate = problem.modes[:, 0, 0] * np.linalg.norm(momentum, axis=-1)
+        rate = np.maximum(np.linalg.norm(omega, axis=1), rate)
+        for i, axis in enumerate(bodies.axes_B):
+            response = symmetric_product(problem.modes[:, -1, 1:], axis)
+            spin = bodies.wheel_inertia_kg_m2[:, i] * np.abs(problem.speeds[:, i])
+            rate = rate + np.linalg.norm(response, axis=-1) * spin
+    fastest = float(np.nan_to_num(rate).max(initial=0.0))
+    return fastest * abs(duration_s) / RADIANS_A_STEP, fastest
+
+
 def require_followable(problem: Problem, duration_s: float) -> None:
     """Refuse motions that turn so far that they would take more than `MAX_STEPS` steps."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        momentum = g.total_momentum(problem.bodies, problem.initial.omega_B, problem.speeds)
-        later = problem.modes[:, 0, 0] * np.linalg.norm(momentum, axis=-1)
-        rate = np.maximum(np.linalg.norm(problem.initial.omega_B, axis=1), later)
-    rate = float(np.nan_to_num(rate).max(initial=0.0))
-    steps = rate * abs(duration_s) / RADIANS_A_STEP
+    steps, rate = steps_needed(problem, duration_s)
     if steps > MAX_STEPS:
         raise MotionError(
             f"a run of {duration_s:g} s at {rate:.3g} rad/s ({np.degrees(rate):.3g} deg/s) needs "

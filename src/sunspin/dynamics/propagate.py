@@ -228,8 +228,8 @@ class _Run:
         self.t, self.omega, self.speeds = float(self.times[0]), omega, speeds.copy()
         self.attitude, self.matrix = attitude, Rotation.from_quat(attitude).as_matrix()
         self.sun_N = self.matrix.T @ sun_B
-        self.torque_B = self.acting.torque_B(bodies)
-        self.torque_N = self.matrix.T @ self.acting.own(bodies)
+        self.torque_B, space_B = self.acting.steady(bodies)
+        self.torque_N = self.matrix.T @ space_B
         self.outputs = {
             "omega_B": np.empty((n, 3)),
             "sun_B": np.empty((n, 3)),
@@ -405,7 +405,7 @@ def _dataset(run: _Run) -> xr.Dataset:
             {"units": "1", "long_name": "attitude, scalar last; N is " + _named_frame(environment)},
         ),
     }
-    if run.acting.gradient_strength():
+    if run.acting.needs_attitude:
         variables["nadir_B"] = (
             body,
             run.acting.nadir_B(out["matrix"], run.times)[:, :3],

@@ -18,9 +18,6 @@ import xarray as xr
 from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import prepare
-from sunspin.estimate.scan.rows import BINS as SCAN_BINS
-from sunspin.landing.outcomes import BINS as OUTCOME_BINS
 from sunspin.philae import (
     candidates,
     collision,
@@ -36,7 +33,7 @@ from sunspin.philae import (
     timing,
     touchdown,
 )
-from sunspin.philae.rebound import Options, direction_mask, read_truth, select_rebound
+from sunspin.philae.rebound import Options, read_truth, select_rebound
 from sunspin.philae.row import Row, count_verdicts, label_synthetic, read_tables, settle
 from sunspin.telemetry import sun as telemetry_sun
 from sunspin.vehicle import Vehicle
@@ -274,7 +271,6 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
     select_rebound(case, sun)  # raises an error before any work if the file has no samples there
     study = Study(case, Options(**options), noise, sun)
-    prepare(case.vehicle, [(direction_mask(case), SCAN_BINS), (None, OUTCOME_BINS)])
     # Each step has a thread that waits for the steps it needs. Only two compute at a time: the kernels of a step use all cores, so
     # that more would take memory and gain nothing.
     running = threading.Semaphore(min(worker_count(study.options.workers), 2))

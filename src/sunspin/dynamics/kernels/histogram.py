@@ -20,9 +20,6 @@ from sunspin.dynamics.processor import compiled
 
 F = np.float32
 
-BINS = 256
-"""Of r_z over [-1, 1]."""
-
 PIECES = 4
 """Of the way between two nodes, in each of which the edge of the mask is looked for."""
 
@@ -48,10 +45,10 @@ WAY_ROWS = 3 * PIECES + PIECES + 1 + PIECES + 5
 class Nodes(NamedTuple):
     """Working arrays of the histograms of L motions, and what counts.
 
-    `at` (1 + 7 MOST_NODES rows), `way` (WAY_ROWS rows), `bin` and `weight` (PIECES rows), `hist` (L BINS): seconds. `state` and
-    `angle`: scratch of the integrators. `normals` (n, 3), `ends` (n_clause): a direction counts if in one of the clauses its
-    products with all normals are positive; clause i ends before `ends[i]` and has an even number of normals; without clauses all
-    directions count. `tolerance`: rad between nodes.
+    `at` (1 + 7 MOST_NODES rows), `way` (WAY_ROWS rows), `bin` and `weight` (PIECES rows), `hist` (L bins): seconds by r_z over
+    [-1, 1]. `state` and `angle`: scratch of the integrators. `normals` (n, 3), `ends` (n_clause): a direction counts if in one of
+    the clauses its products with all normals are positive; clause i ends before `ends[i]` and has an even number of normals;
+    without clauses all directions count. `tolerance`: rad between nodes.
     """
 
     at: np.ndarray
@@ -131,9 +128,9 @@ def counted(a, b, bend, k):
 
 
 @compiled
-def write_points(at, way, bins, weight):
+def write_points(at, way, bins, weight, n_bins):
     """Write the bins of the three points that stand for what counts of the way, and their weights (outer, middle) in seconds."""
-    part = F(1 / PIECES)
+    part, half, last = F(1 / PIECES), F(n_bins / 2), np.int32(n_bins - 1)
     for l in range(L):
         a, b, c = way[SIGNED + l], way[SIGNED + L + l], way[SIGNED + 2 * L + l]
         d, e = way[SIGNED + 3 * L + l], way[SIGNED + 4 * L + l]
@@ -154,8 +151,8 @@ def write_points(at, way, bins, weight):
             t = mean - spread if k == 0 else (mean + spread if k == 1 else mean)
             z = way[CURVE + 3 * L + l] + t * way[CURVE + 4 * L + l]
             z = way[CURVE + l] + t * (way[CURVE + L + l] + t * (way[CURVE + 2 * L + l] + t * z))
-            place = np.int32((z + F(1)) * F(BINS / 2))
-            bins[k * L + l] = max(min(place, np.int32(BINS - 1)), np.int32(0))  # whatever z is
+            place = np.int32((z + F(1)) * half)
+            bins[k * L + l] = max(min(place, last), np.int32(0))  # whatever z is
         weight[l], weight[L + l] = F(5 / 18) * seconds, F(4 / 9) * seconds
 
 
@@ -164,10 +161,11 @@ def add_way(nodes, k):
     """Add what counts of the way from node k to node k + 1 to the histograms of all lanes."""
     write_way(nodes.at, nodes.way, k)
     write_signed(nodes.way, 0, PIECES * L, nodes.normals, nodes.ends)
-    write_points(nodes.at, nodes.way, nodes.bin, nodes.weight)
+    n_bins = len(nodes.hist) // L
+    write_points(nodes.at, nodes.way, nodes.bin, nodes.weight, n_bins)
     for j in range(3):
         for l in range(L):
-            place = np.uint64(l * BINS) + np.uint32(nodes.bin[j * L + l])
+            place = np.uint64(l * n_bins) + np.uint32(nodes.bin[j * L + l])
             nodes.hist[place] += nodes.weight[(j // 2) * L + l]
 
 
@@ -186,20 +184,22 @@ def begin_way(nodes):
 
 @compiled
 def take_out(nodes, l, hist):
-    """Write the histogram of lane l into `hist` (BINS) and empty it for the next motion."""
-    for b in range(BINS):
-        hist[b] = nodes.hist[l * BINS + b]
-        nodes.hist[l * BINS + b] = F(0)
+    """Write the histogram of lane l into `hist` (bins) and empty it for the next motion."""
+    n_bins = len(hist)
+    own = nodes.hist[l * n_bins : (l + 1) * n_bins]
+    for b in range(n_bins):
+        hist[b] = own[b]
+        own[b] = F(0)
 
 
-def new_nodes(normals: np.ndarray, ends: np.ndarray, tolerance: float) -> Nodes:
-    """Return empty working arrays for a mask (:class:`Nodes`) and nodes at most `tolerance` rad apart."""
+def new_nodes(normals: np.ndarray, ends: np.ndarray, tolerance: float, bins: int) -> Nodes:
+    """Return empty working arrays for a mask (:class:`Nodes`), nodes at most `tolerance` rad apart, and so many bins."""
     return Nodes(
         np.zeros(L + PER_NODE * MOST_NODES, F),
         np.zeros(WAY_ROWS * L, F),
         np.zeros(PIECES * L, np.int32),
         np.zeros(PIECES * L, F),
-        np.zeros(L * BINS, F),
+        np.zeros(L * bins, F),
         np.zeros(10 * L),
         np.zeros(2 * L),
         np.ascontiguousarray(normals, F).reshape(-1, 3),
