@@ -384,7 +384,7 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
 @pytest.mark.parametrize("home", ["", pytest.param("/proc", marks=pytest.mark.long)])
 def test_without_a_cache_folder_no_library_writes_to_the_output(home, tmp_path):
     """The integrator's library warned of its own cache on standard output, where --json is read."""
-    places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}
+    places = {"HOME": home, "XDG_CACHE_HOME": home}
     command = [
         sys.executable,
         "-m",

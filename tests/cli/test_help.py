@@ -13,7 +13,6 @@ from sunspin.cli.common import COMMANDS
 ELSEWHERE = {
     "rates": "minutes, or other people's data; the documents run it",
     "decode": "other people's data",
-    "compile": "minutes where nothing was compiled before; it has tests of its own",
     "compare": "other people's kernels",
     "reproduce": "minutes; it has tests of its own",
     "posterior": "minutes; it has tests of its own",

@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.philae import candidates, data_check, touchdown
 from sunspin.philae import rebound as rb
 from validation import controls

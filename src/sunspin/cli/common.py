@@ -49,7 +49,6 @@ COMMANDS = {
     "simulate": (MOTIONS, "Propagate one motion."),
     "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),
     "outcomes": (MOTIONS, "Simulate collision and landing outcomes (Monte Carlo)."),
-    "compile": (MOTIONS, "Compile the kernels of scans in advance."),
     "reproduce": (PHILAE, "Reproduce the Philae study (figures, tables, report)."),
     "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
 }

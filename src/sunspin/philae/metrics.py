@@ -20,7 +20,7 @@ from scipy.signal import find_peaks
 from sunspin.base.errors import InputError
 from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan import error_growth
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.cases import Case
 from sunspin.dynamics import gyrostat
-from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.dynamics.batch import Rows, run
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.output.figures import COLOURS, titled
@@ -222,7 +222,7 @@ def compute_speeds(collision: AfterCollision, descent: Descent | None, seed: int
     states = states.take(np.unique([*extremes, *drawn]))
     # every half minute, and the collision
     t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
-    later_omega_B = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
+    later_omega_B = run(vehicle, states, t[1:], error=1e-4).omega_B
     omega_B = np.concatenate([states.omega_B[:, None], later_omega_B], axis=1)  # (n, n_time, 3)
     band_before = np.quantile(np.linalg.norm(omega_B, axis=2), [0.0, 0.5, 1.0], axis=0)
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)

@@ -16,9 +16,6 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.cases import Case
-from sunspin.dynamics.ensemble import prepare
-from sunspin.estimate.scan.rows import BINS as SCAN_BINS
-from sunspin.landing.outcomes import BINS as OUTCOME_BINS
 from sunspin.philae import (
     candidates,
     collision,
@@ -41,7 +38,7 @@ from sunspin.philae.descent import Descent
 from sunspin.philae.mechanics import Mechanics, Precession
 from sunspin.philae.metrics import Sensitivity, TelemetryScan
 from sunspin.philae.published_lines import PublishedLines
-from sunspin.philae.rebound import Options, direction_mask, read_truth, select_rebound
+from sunspin.philae.rebound import Options, read_truth, select_rebound
 from sunspin.philae.row import (
     Row,
     count_verdicts,
@@ -152,7 +149,6 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
     select_rebound(case, sun)  # raises an error before any work if the file has no samples there
     study = Study(case, Options(**options), noise, sun)
-    prepare(case.vehicle, [(direction_mask(case), SCAN_BINS), (None, OUTCOME_BINS)])
     with Steps(study.options.workers) as steps:
         so_far = submit_steps(steps, study)
         for step in as_completed(steps.submitted):

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.dynamics.batch import Rows, run
 from sunspin.estimate.posterior.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, titled
@@ -121,7 +121,7 @@ def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options:
 
 def _speeds(rebound: Rebound, states: Rows, t_s: np.ndarray) -> np.ndarray:
     """Return the angular speeds (n, n_time) in rad/s of motions from `states` (n); the first of t_s is zero."""
-    later = run_rows(rebound.case.vehicle, states, t_s[1:], direction_error=1e-4).omega_B
+    later = run(rebound.case.vehicle, states, t_s[1:], error=1e-4).omega_B
     omega_B = np.concatenate([states.omega_B[:, None], later], axis=1)
     return np.linalg.norm(omega_B, axis=2)
 
