@@ -137,7 +137,7 @@ def rows(descent: Descent) -> list[Row]:
     sigmas = ", ".join(f"{sigma:.1e}" for sigma in fit.sigma)
     printed_E = error_of_rate(cubic, t[seen], n[seen])
     printed_low, printed_high = descent.rate_range(cubic)
-    # mean rate and E of the second best minimum
+    # `aliases` (n, 2): mean rate and E of each minimum of E, the best first
     second_rate, second_E = fit.aliases[1] if len(fit.aliases) > 1 else (np.nan, np.nan)
     low, high = descent.rate_range(fit.coefficients)
     mean_rate = float(fit.rate(np.linspace(0, t[-1], 2001)).mean())

@@ -91,9 +91,11 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     paper = {key: figure.value for key, figure in case.published.items()}
     vehicle, samples, workers = case.vehicle, select_rebound(case, sun), options.workers
     speed, window = nominal_wheel_speeds(vehicle), published_window_s(case)
-    # the start direction as the paper quotes it is no unit vector, and the ranges (3, 2) of the rates
-    quoted, box = np.array(paper["first_sun_E_study"]), paper["E_study_box"]
+    # start direction as the paper quotes it: its length is not 1
+    quoted = np.array(paper["first_sun_E_study"])
     length = float(np.linalg.norm(quoted))
+    # (3, 2): ranges of omega_x, omega_y, omega_z
+    box = paper["E_study_box"]
 
     # After 45 min neighbours in rates differ by a third of a radian in phase, neighbours in parameters by 1.4 rad. The second map
     # is coarser because each of its points is another vehicle, which takes 4 ms, 30 times a point of the first map.
@@ -106,6 +108,7 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     rates = scan(
         vehicle, samples, quoted / length, omega_x, omega_y, box[2][:1], speed, workers=workers
     ).isel(omega_z=0)
+    # `Motion.of` makes the direction a unit vector
     motion_8B = error_growth.Motion.of(vehicle, paper["E_study_omega"], quoted, speed, window)
     parameters = error_growth.parameter_map(
         motion_8B, samples, {"mu_0": mu_0, "theta_xx": theta_xx}, workers
@@ -390,7 +393,7 @@ def scan_telemetry(case: Case, sun: xr.Dataset, options: Options) -> TelemetrySc
     """Scan the grid against the directions `sun` (of `sun_directions`, whole landing); `options.seed` is that of the line fit.
 
     For the case's own synthetic telemetry `truth` holds the true rate and Sun at the first sample after the touchdown. Its EMD is
-    that of the true rate from the direction that the panels show.
+    that of the true rate from the published first direction, over the paper's window.
     """
     rebound = make_rebound(case, sun)
     table = propagate_grid(case, rebound.sun_B, rebound.window_s, options)
@@ -400,7 +403,7 @@ def scan_telemetry(case: Case, sun: xr.Dataset, options: Options) -> TelemetrySc
         z = simulate_rz(case, np.array(true_values["omega_B"]))
         truth = {name: np.array(true_values[name]) for name in ("omega_B", "sun_B")}
         truth |= {"emd": emd(z, rebound.z, weights_b=rebound.weights), "z": z}
-    # EMD of each motion; infinite if its propagation failed, so that it is in no set
+    # EMD of each motion for other steps; infinite if its propagation failed, so that it is in no set
     distance = np.where(table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
     factor = case.assumptions.study.near_minimum_factor
     near = make_near_minimum_set(case, volume, factor, options.seed)

@@ -265,9 +265,11 @@ def simulate_rebounds(rebound: Rebound, index: np.ndarray, seed: int) -> Iterato
 
 
 def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
-    """Return the EMD (n) between the r_z of each motion, from the measured first direction, and its own target.
+    """Return the EMD (n) of each simulated rebound at its true rate: between the r_z of that motion and the measured directions.
 
-    A target is r_z (m) and their weights (m), None for equal weights. The EMD is 1 if no direction of the motion is in view.
+    `states` have the true rates, and the first direction that the method would take. The measured directions of a rebound, its
+    target, are r_z (n_direction) with weights (n_direction), None for equal weights. The EMD is 1 if no direction of the motion is
+    in view, as `distances_to` returns it.
     """
     mask = direction_mask(case)
     ensemble = sun_heights(

@@ -48,10 +48,12 @@ def _speed_rows(candidate_sets: CandidateSets) -> list[Row]:
     case, chosen, source = candidate_sets.case, candidate_sets.chosen, candidate_sets.source
     speeds, possible_speeds = chosen.speed_range(), candidate_sets.scan_range.speed_range()
     by_recipe = candidate_sets.near_minimum.speed_touchdown
-    note = f"smallest of {len(by_recipe)} motions below 1.1 times the smallest EMD"
+    study = case.assumptions.study
+    note = f"smallest of {len(by_recipe)} motions below {study.near_minimum_factor:g} times the smallest EMD"
     smallest = make_row(case, "rate_at_touchdown_min", float(by_recipe.min()), note=note)
 
-    level = "95 % probable" if chosen.from_posterior else f"{case.assumptions.study.confidence:.0%}"
+    # one-sided: the lower end of the 5 to 95 % interval of the posterior, or of a confidence set
+    level = "95 % probable" if chosen.from_posterior else f"{study.confidence:.0%}"
     speed, bounded = "angular speed just after the first touchdown", has_lower_bound(candidate_sets)
     texts: dict[str, Any] = {"what": f"{speed} lies above this, {level}"}
     texts["note"] = f"over {chosen.about}; the scanned box begins at {possible_speeds[0]:.4f} rad/s"
