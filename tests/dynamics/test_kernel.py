@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.dynamics import batch
+from sunspin.dynamics import batch, gyrostat
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.kernels import rows
 from sunspin.dynamics.torques import Acting, Steady, acting
 from sunspin.environment import circular
+from sunspin.solve.linear import symmetric_inverse
 from tests.support.heyoka_witness import Torques, witness
 from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
@@ -133,34 +134,47 @@ def test_a_wheel_that_is_held_and_let_go_again_and_again_does_so_as_heyoka_says(
     assert compare(vehicle, np.array(omega), np.array([865.0, -605.5]), t) > 5
 
 
-def plain_rates(y, vehicle, free, held, signs):
-    """d/dt of (H, h, r) with NumPy alone, as the paper's equations say in momenta."""
-    inertia = np.array(vehicle.inertia_kg_m2)
-    u = np.array([w.axis_B for w in vehicle.wheels])
-    J = np.array([w.inertia_kg_m2 for w in vehicle.wheels])
-    H, h, r = y[:3], y[3 : 3 + len(J)], y[-3:]
-    A = inertia - (u.T * (J * free)) @ u
-    omega = np.linalg.solve(A, H - (held + free * h) @ u)
-    speeds = h / J - u @ omega
-    dry = np.array([w.friction.coulomb_N_m for w in vehicle.wheels])
-    viscous = np.array([w.friction.viscous_N_m_s for w in vehicle.wheels])
-    return np.concatenate(
-        [np.cross(H, omega), -free * (signs * dry + viscous * speeds), np.cross(r, omega)]
-    )
+STEP, WEIGHTS = 0.02, (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+"""Central differences of order eight."""
 
 
-def test_the_motion_satisfies_the_plain_equations_to_1e_10():
-    """Derivatives by differences of order eight along the motion."""
+@pytest.mark.parametrize("commands", [("coast",) * 3, ("hold", "coast", "hold")])
+def test_the_motion_satisfies_the_plain_equations_to_1e_10(commands):
     rng = np.random.default_rng(3)
     vehicle = random_vehicle(rng, 3, dry=1e-4, viscous=2e-4)
     omega, speeds = 0.3 * rng.normal(size=3), np.array([12.0, -8.0, 15.0])
-    step, weights = 0.02, np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
-    t = 1.0 + step * np.arange(-4, 5)
-    motion = batch.advance(problem_of(vehicle, omega, speeds), t, 1e-13)
-    y = motion.states[0, :, :9]
-    slope = sum(w * (y[4 + k] - y[4 - k]) for k, w in zip(range(1, 5), weights, strict=True)) / step
-    expected = plain_rates(y[4], vehicle, np.ones(3), np.zeros(3), np.sign(speeds))
-    np.testing.assert_allclose(slope, expected, atol=1e-10)
+    torque = 1e-3 * rng.normal(size=3)
+    forces = Acting((Steady([torque, np.zeros(3)]),))
+    problem = problem_of(vehicle, omega, speeds, commands, forces)
+    y = batch.advance(problem, 1.0 + STEP * np.arange(-4, 5), 1e-13).states[0]
+    slope = sum(w * (y[4 + k] - y[4 - k]) for k, w in enumerate(WEIGHTS, 1)) / STEP
+    free = np.array([command == "coast" for command in commands])
+    J = np.array([wheel.inertia_kg_m2 for wheel in vehicle.wheels])
+    axes = np.array([wheel.axis_B for wheel in vehicle.wheels])
+    wheels = [
+        gyrostat.WheelParameters(
+            tuple(wheel.axis_B),
+            1 / j,
+            float(is_free),
+            sign * wheel.friction.coulomb_N_m,
+            wheel.friction.viscous_N_m_s,
+        )
+        for wheel, j, is_free, sign in zip(vehicle.wheels, J, free, np.sign(speeds), strict=True)
+    ]
+    p = gyrostat.Parameters(
+        tuple(symmetric_inverse(gyrostat.free_inertia(vehicle, free))),
+        tuple((J * speeds * ~free) @ axes),
+        tuple(wheels),
+    )
+    H, h, r = y[4, :3], y[4, 3:6], y[4, 6:9]
+    dH, dh, dr = gyrostat.rhs(H, h, r, p, torque)
+    np.testing.assert_allclose(slope[:3], dH, atol=1e-10)
+    np.testing.assert_allclose(slope[6:9], dr, atol=1e-10)
+    np.testing.assert_allclose(slope[3:6][free], np.array(dh)[free], atol=1e-10)
+    # h of a wheel that a motor holds changes by the torque that this takes
+    held = [gyrostat.holding_torque(H, h, p, i, torque) for i in range(3)]
+    np.testing.assert_allclose(slope[3:6][~free], np.array(held)[~free], atol=1e-10)
+    np.testing.assert_allclose(y[4, 9:12], gyrostat.body_rate(H, h, p), atol=1e-12)
 
 
 def test_bodies_of_their_own_move_as_such_vehicles_and_neighbours_do_not_matter_to_a_bit():

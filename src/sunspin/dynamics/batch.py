@@ -456,14 +456,13 @@ def advance(
     ends: np.ndarray,
     error: float,
     attitude: bool = False,
-    most_events: int = MOST_EVENTS,
     room: int = 0,
 ) -> Motion:
     """Run the Taylor kernel over motions to the times `ends`, with `error` in units of |H| and of a direction over the run.
 
-    The first `room` events of each motion are kept. Nothing is checked; `run` does.
+    If there is `room` for events, they are kept, and a motion with more ends there. Nothing is checked; `run` does.
     """
-    return _advance(problem, ends, error, None, attitude, most_events, room)[0]
+    return _advance(problem, ends, error, None, attitude, room)[0]
 
 
 def _advance(
@@ -472,7 +471,6 @@ def _advance(
     error: float,
     nodes: histogram.Nodes | None,
     attitude: bool = False,
-    most_events: int = MOST_EVENTS,
     room: int = 0,
 ) -> tuple[Motion, np.ndarray]:
     """Return what :func:`advance` does, and histograms (n, bins) in seconds if `nodes` has the room for them."""
@@ -486,7 +484,7 @@ def _advance(
         error / duration if duration else 1.0,
         problem.torques,
         attitude,
-        most_events,
+        room or MOST_EVENTS,
         MAX_STEPS,
     )
     answer = rows.Answer(

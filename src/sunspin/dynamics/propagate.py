@@ -301,7 +301,7 @@ class _Run:
         error = SHARE * max(self.rtol, 1e-13) * (abs(seconds[-1]) / total if total else 1.0)
         room = FIRST_ROOM
         while True:
-            motion = advance(problem, seconds, error, True, room, room)
+            motion = advance(problem, seconds, error, True, room)
             if motion.outcome[0] != Outcome.CHATTERS:
                 return motion
             if room >= MAX_EVENTS:

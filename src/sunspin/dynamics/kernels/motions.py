@@ -208,7 +208,7 @@ def write_state(lanes, n_wheels, l, task, seconds, state):
 
 
 @compiled
-def tell(lanes, n_wheels, l, task, x, state):
+def write_output(lanes, n_wheels, l, task, x, state):
     """Write the state of lane l at the share x of its step into `state`. To be called before the step is taken."""
     for j in range(rows_in_use(n_wheels, task.torques, task.attitude)):
         lanes.spare[j * L + l] = value_at(lanes.c, task.order, j * L + l, x)
@@ -217,7 +217,7 @@ def tell(lanes, n_wheels, l, task, x, state):
 
 
 @compiled
-def tell_last(lanes, n_wheels, l, task, state):
+def write_last(lanes, n_wheels, l, task, state):
     """Write the state that lane l has reached into `state`."""
     for j in range(STATE_ROWS):
         lanes.spare[j * L + l] = lanes.y[j * L + l]
@@ -238,7 +238,7 @@ def write_due(lanes, clock, n_wheels, l, task, states):
                 clock.until[l] if exact else 0.0
             )  # not positive: the output lies before the end of the step
             x = lanes.share[l] + back / max(dt, 1e-300)
-            tell(lanes, n_wheels, l, task, x, states[clock.due[l]])
+            write_output(lanes, n_wheels, l, task, x, states[clock.due[l]])
         clock.due[l] += 1
         clock.until[l] += abs(ends[min(clock.due[l], last)]) - abs(ends[clock.due[l] - 1])
 
@@ -385,7 +385,7 @@ def advance(queue, motions, task, answer, work):
                 )
                 if clock.stops[l]:
                     answer.steps[row] = clock.steps[l]
-                    tell_last(lanes, n_wheels, l, task, answer.last[row])
+                    write_last(lanes, n_wheels, l, task, answer.last[row])
                     if answer.outcome[row]:
                         answer.states[row, clock.due[l] :, :] = np.nan
                     if with_histogram:

@@ -95,6 +95,23 @@ SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 
 """McLachlan's fractions of the step; the last of SIDE is applied twice in the middle, forward and backward."""
 
 
+class Task(NamedTuple):
+    """What is to be run: `queue` (n), numbers of the motions, similar ones together; `steps` (n) of each; `duration` s; `frames`
+    (2^n_wheel, 12), for each set of free wheels the inverse moments l and the rows p, q, m of the rotation from B."""
+
+    queue: np.ndarray
+    steps: np.ndarray
+    duration: float
+    frames: np.ndarray
+
+
+class Answer(NamedTuple):
+    """`hist` (n, bins) s; `again` (n): whether the Taylor kernel must compute the motion."""
+
+    hist: np.ndarray
+    again: np.ndarray
+
+
 class Lanes(NamedTuple):
     """Working arrays: `w` (NUMBERS L), `u` (WHEELS PER_WHEEL), float32; `fractions` (6, 3) of the flows; `left`, `step` (L): s."""
 
@@ -421,14 +438,14 @@ def is_near_rest(u, n_wheels):
 
 
 @compiled
-def run_block(queue, first, steps, duration, lanes, motions, frames, nodes, answer):
+def run_block(first, task, lanes, motions, nodes, answer):
     """Run L motions of the queue from number `first` on, and write their histograms."""
-    w, u, at = lanes.w, lanes.u, nodes.at
+    w, u, at, queue, frames = lanes.w, lanes.u, nodes.at, task.queue, task.frames
     n_wheels, last = len(motions.axes), len(queue) - 1
     for l in range(L):
         row = queue[min(first + l, last)]
         load(lanes, motions, frames, l, row)
-        lanes.step[l], lanes.left[l] = duration / steps[row], duration
+        lanes.step[l], lanes.left[l] = task.duration / task.steps[row], task.duration
     begin_step(w, u, n_wheels)
     write_node(lanes, at, n_wheels, 2, True)  # of steps without length: the node at the start
     for j in range(PER_NODE):
@@ -470,13 +487,6 @@ def run_block(queue, first, steps, duration, lanes, motions, frames, nodes, answ
     nodes.hist[:] = F(0)  # lanes with copies of the last motion
 
 
-class Answer(NamedTuple):
-    """`hist` (n, bins) s; `again` (n): whether the Taylor kernel must compute the motion."""
-
-    hist: np.ndarray
-    again: np.ndarray
-
-
 def new_lanes() -> Lanes:
     """Return empty working arrays."""
     return Lanes(
@@ -492,10 +502,10 @@ def _entry(sources: int) -> Any:
     """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the integrator of scans, once (some 10 s)")
-    def run(queue, steps, duration, lanes, motions, frames, nodes, answer):
+    def run(task, lanes, motions, nodes, answer):
         _ = sources
-        for first in range(0, len(queue), L):
-            run_block(queue, first, steps, duration, lanes, motions, frames, nodes, answer)
+        for first in range(0, len(task.queue), L):
+            run_block(first, task, lanes, motions, nodes, answer)
 
     return run
 
@@ -516,6 +526,6 @@ def run(
     n = len(motions.omega_B)
     answer = Answer(np.zeros((n, len(nodes.hist) // L), F), np.zeros(n, dtype=np.bool_))
     if n:
-        queue = np.argsort(steps, kind="stable")
-        _run(queue, steps, float(duration_s), new_lanes(), motions, frames, nodes, answer)
+        task = Task(np.argsort(steps, kind="stable"), steps, float(duration_s), frames)
+        _run(task, new_lanes(), motions, nodes, answer)
     return answer
