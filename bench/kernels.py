@@ -42,7 +42,7 @@ def repeat_series(count, lanes):
 def repeat_longest(count, lanes):
     """Write the lengths of steps."""
     for _ in range(count):
-        flow.write_longest(lanes, ORDER)
+        flow.write_share(lanes, ORDER)
 
 
 @njit

@@ -12,6 +12,7 @@ import numpy as np
 from sunspin.base.atomic_write import make_folder
 from sunspin.base.errors import OutputError, TelemetryError
 from sunspin.base.tables import read_table
+from sunspin.telemetry.reader import columns_of_readings
 from sunspin.telemetry.suggest import suggest_section
 from sunspin.vehicle import Vehicle
 
@@ -86,13 +87,18 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
 
 
 def suggest_telemetry(telemetry: Path, vehicle: Vehicle) -> str:
-    """Return a `[telemetry]` section that would read a file, with the names of the vehicle's panels; empty if there is none."""
-    panels = {}
+    """Return a `[telemetry]` section that would read a file, with the names of the vehicle's panels; empty if there is none.
+
+    There is none either if the file has a column that the vehicle file reads: then the section is right, and a column is missing.
+    """
+    table, panels = read_table(telemetry), {}
+    if columns_of_readings(vehicle) & set(table.header):
+        return ""
     for name, normal in zip(vehicle.panel_names, vehicle.panel_normals_B, strict=True):
         for face, axis in FACES.items():
             if normal @ np.array(axis) > ON_FACE:
                 panels.setdefault(face, name)
-    suggestion = suggest_section(read_table(telemetry), panels)
+    suggestion = suggest_section(table, panels)
     return suggestion.section if suggestion else ""
 
 

@@ -96,7 +96,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         what = "the file holds raw frames and no readings"
         do = "turn them into a table first, as `sunspin decode` does for skCUBE"
         raise TelemetryError(what, do=do, where=str(path))
-    table, layout_notes = collect_metrics(table, form.time_column, _all_columns(vehicle))
+    table, layout_notes = collect_metrics(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, optional=bool(sensors))
@@ -174,7 +174,7 @@ def _find_late_rows(form: TelemetryForm, table: Table, time: np.ndarray) -> np.n
     return late
 
 
-def _all_columns(vehicle: Vehicle) -> set[str]:
+def columns_of_readings(vehicle: Vehicle) -> set[str]:
     """Return the names of all columns with readings that the vehicle file reads, panels under each of their default names."""
     form = vehicle.telemetry
     names = {name for sensor in sensor_columns(vehicle) for name in sensor.columns}

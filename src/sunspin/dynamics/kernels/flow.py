@@ -3,21 +3,22 @@
 The equations are quadratic, so that the coefficient of order k + 1 follows from those up to k by sums of products:
 
     omega = A^-1 (H - K - sum_free h u)                               `write_rates`
+        A: inertia less J u u^T of the free wheels; K: momentum of the held ones
     dH/dt = H x omega + torque,   dv/dt = v x omega                   `write_turned`, `write_turned_pair`
-    dh/dt = -(sign dry + viscous W),   W = h / J - u.omega            `write_series`
-    3 n^2 d x (I d),   dd/dt = d x (omega - turn)                     `add_gravity_gradient`, `subtract_turn`
+    dh/dt = -(sign(W) dry + viscous W),   W = h / J - u.omega         `write_series` (sign(W) dry is the row COULOMB)
+    torque = 3 n^2 d x (I d),   dd/dt = d x (omega - turn)            `add_gravity_gradient`, `subtract_turn`
 
 for every vector v that stands in space. Coefficients are scaled by the step: c[k] holds (dt^k / k!) d^k y / dt^k, and the state
 after the share x of the step is the sum of c[k] x^k.
 
-A share SPIN of H is left out of omega. H does not notice, since H x H = 0; a direction v is then seen from axes that turn about H
-at the rate SPIN |H|, which is most of its motion: what remains is slow, and steps are longer. `wheels.straighten` brings
-directions back whenever they are needed. Torques turn H in space; then nothing is left out.
+The part SPIN H of omega is left out: the rows OMEGA hold omega - SPIN H. H does not notice, since H x H = 0; a direction v is then
+seen from axes that turn about H at the rate SPIN |H|, which is most of its motion: what remains is slow, and steps are longer.
+`wheels.straighten` brings directions back whenever they are needed. Torques turn H in space; then SPIN is zero.
 
 What decides the speed, each found by measuring (`python -m bench kernels` keeps watch):
 
 1. Offsets into arrays are constants, or a loop begins at 0. With an offset that is known at run time only, numba must check for
-   negative indices and LLVM gives up vectors: 11 ns instead of 1.4 for one function.
+   negative indices and LLVM gives up vectors: 11 ns instead of 1.4 for a node of the histogram.
 2. Sums are written `a = a + m * z - n * y`, a chain of fused operations, and not `a += m * z - n * y`.
 3. Several orders in a pass (`move`, `wheels.are_watched`): short dependent chains over few lanes wait for themselves.
 4. On processors with AVX-512 LLVM has to be told to use it (`processor`), and the number of rows is no power of two.
@@ -82,6 +83,7 @@ def write_rates(lanes, n_wheels, k):
         w = i * PER_WHEEL
         for l in range(L):
             h = c[k, AXIAL + i * L + l]
+            # LIFT, A^-1 u, is zero for a wheel that is not free
             c[k, OMEGA + l] = c[k, OMEGA + l] - h * u[w + LIFT + l]
             c[k, OMEGA + L + l] = c[k, OMEGA + L + l] - h * u[w + LIFT + L + l]
             c[k, OMEGA + 2 * L + l] = c[k, OMEGA + 2 * L + l] - h * u[w + LIFT + 2 * L + l]
@@ -99,7 +101,7 @@ def write_rates(lanes, n_wheels, k):
 
 @compiled
 def write_turned(c, k, V, slope):
-    """Write coefficient k of v x omega, v being the vector in the rows from V, into `slope` (3 L)."""
+    """Write coefficient k of v x (omega - SPIN H), v being the vector in the rows from V, into `slope` (3 L)."""
     for l in range(3 * L):
         slope[l] = 0.0
     for i in range(k + 1):
@@ -114,7 +116,7 @@ def write_turned(c, k, V, slope):
 
 @compiled
 def write_turned_pair(c, k, slope):
-    """Write coefficient k of H x omega and of r x omega, r being the direction to the Sun, into `slope` (6 L).
+    """Write coefficient k of H x omega and of r x (omega - SPIN H), r being the direction to the Sun, into `slope` (6 L).
 
     Half of all time is spent here. The products (i, j) and (j, i), j = k - i, are added together, and omega is read once for
     both vectors.
@@ -152,7 +154,10 @@ def write_turned_pair(c, k, slope):
 
 @compiled
 def add_gravity_gradient(c, p, k, slope):
-    """Add coefficient k of the gravity gradient, 3 n^2 d x (I d) with the nadir d (eq. 23), to the first three rows of `slope`."""
+    """Add coefficient k of the gravity gradient, 3 n^2 d x (I d) with the nadir d (eq. 23), to the first three rows of `slope`.
+
+    Few motions have it, so that the rule on sums (2) is not followed here.
+    """
     for i in range(k + 1):
         j = k - i
         for l in range(L):
@@ -237,21 +242,30 @@ def write_series(lanes, n_wheels, order, torques, attitude):
         write_rates(lanes, n_wheels, order)  # the events need u.omega to the last order
 
 
-@compiled
-def write_longest(lanes, order):
-    """Write the share of the step that keeps the error allowed per second: x = (allowed dt / |c_N|)^(1 / (N - 1)).
+SIXTEENTH_ROOT_ABOVE = 11
+"""Order up to which an 8th root serves for the length of a step, and above it a 16th."""
 
-    The root taken is the 8th or the 16th whatever the order N: each step begins from the length of the last one, and settles at
-    the length at which the last coefficient is what is allowed. So no step is rejected. The coefficient before the last counts by
-    a quarter: the last alone may vanish by chance.
+
+@compiled
+def write_share(lanes, order):
+    """Write into `share[:L]` the share x of the step that keeps the error allowed per second: |c_N| x^N = allowed x dt.
+
+    H and r alone steer the step: errors of other vectors, which turn with the same omega, are as large. x is found after the
+    coefficients and before the series is evaluated, and may exceed one; so no step is repeated. `motions.GROWTH` limits it. The
+    root taken is the 8th or the 16th, not the (N - 1)th: each step begins from the length of the last one, and in a few steps the length
+    settles where x is one, which is where the last coefficient is what is allowed. The coefficient before the last counts by a
+    quarter, found by trial: the last alone may vanish by chance.
     """
     c, p, share = lanes.c, lanes.p, lanes.share
     tiny = 1e-30
     for l in range(L):
-        i = p[INVERSE_H + l]
-        a = max(abs(c[order, H + l]), abs(c[order, H + L + l]), abs(c[order, H + 2 * L + l])) * i
+        per_H = p[INVERSE_H + l]
+        a = (
+            max(abs(c[order, H + l]), abs(c[order, H + L + l]), abs(c[order, H + 2 * L + l]))
+            * per_H
+        )
         n = order - 1
-        b = max(abs(c[n, H + l]), abs(c[n, H + L + l]), abs(c[n, H + 2 * L + l])) * i
+        b = max(abs(c[n, H + l]), abs(c[n, H + L + l]), abs(c[n, H + 2 * L + l])) * per_H
         a = max(
             a,
             abs(c[order, SUN + l]),
@@ -261,22 +275,27 @@ def write_longest(lanes, order):
         b = max(b, abs(c[n, SUN + l]), abs(c[n, SUN + L + l]), abs(c[n, SUN + 2 * L + l]))
         ratio = p[ALLOWED + l] * abs(p[DT + l]) / (max(a, 0.25 * b) + tiny)
         share[l] = math.sqrt(math.sqrt(math.sqrt(ratio)))
-    if order > 11:
+    if order > SIXTEENTH_ROOT_ABOVE:
         for l in range(L):
             share[l] = math.sqrt(share[l])
 
 
 @compiled
 def rows_in_use(n_wheels, torques, attitude):
-    """Return how many rows of the state, from the first on, take part in the motion."""
-    if torques:
-        return 6 + WHEELS + (15 if torques == GRADIENT else 9)
-    return 6 + WHEELS + 6 if attitude else 6 + n_wheels
+    """Return how many rows of the state, from the first on, take part in the motion; their order is that of `rows`."""
+    of_motion, of_attitude = 6 + WHEELS, 6  # H, r and h; two axes of N
+    if torques:  # the torque in space (3) and, for the gradient, nadir and its turn (6)
+        return of_motion + of_attitude + (9 if torques == GRADIENT else 3)
+    return of_motion + of_attitude if attitude else 6 + n_wheels
 
 
 @compiled
 def move(lanes, order, n_rows):
-    """Advance the state by the share of the step that each lane goes, four orders in a pass; those beyond `order` are zero."""
+    """Advance the state y by the share of the step that each lane goes, four orders in a pass, and copy it to c[0].
+
+    `share` holds the share of each lane in all rows. Coefficients beyond `order` are zero, as the arrays of a run are made for its
+    order; so are those of rows in use that no equation writes (the attitude, if only torques are asked for).
+    """
     c, y, share, sums = lanes.c, lanes.y, lanes.share, lanes.sums
     top = 4 * ((order + 3) // 4)
     for j in range(n_rows * L):

@@ -17,8 +17,8 @@ from sunspin.dynamics.kernels.flow import (
     move,
     rows_in_use,
     value_at,
-    write_longest,
     write_series,
+    write_share,
 )
 from sunspin.dynamics.kernels.histogram import take_out
 from sunspin.dynamics.kernels.nodes import (
@@ -337,7 +337,7 @@ def advance(queue, motions, task, answer, work):
         # series of the motion, from the state
         write_series(lanes, n_wheels, order, task.torques, task.attitude)
         # length of the step, as its share x of the last one's
-        write_longest(lanes, order)
+        write_share(lanes, order)
         for l in range(L):
             dt = abs(lanes.p[DT + l])
             x = min(share[l], GROWTH)

@@ -28,7 +28,7 @@ TORQUE = AXIAL + (WHEELS + 6) * L  # the torque that stands in space, N m
 NADIR = AXIAL + (WHEELS + 9) * L
 TURN = AXIAL + (WHEELS + 12) * L  # rate at which the nadir turns in space, rad/s
 STATE_ROWS = 6 + WHEELS + 15
-OMEGA = STATE_ROWS * L  # body rate less the share of H (SPIN)
+OMEGA = STATE_ROWS * L  # omega less SPIN H
 ALONG = OMEGA + 3 * L  # u.omega of wheel i at ALONG + i L
 ROWS = STATE_ROWS + 3 + WHEELS + 1  # one more: a power of two would crowd the processor's cache
 

@@ -1,9 +1,10 @@
 """Histograms of r_z for many motions by a product of rotations: single precision, for all lanes at once.
 
-In the principal axes (p, q, m) of A^-1, with inverse moments l and what the wheels add, w = l (K + sum_free h u), the body rate is
-omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with it (dv/dt = v x omega). The share l_q H of omega turns r
-about H and leaves H alone: it is done exactly, once a step (`write_node`). What is left has three parts, each a rotation about an
-axis at a rate that it does not change (:mod:`sunspin.dynamics.principal`):
+In the principal axes (p, q, m) of A^-1 (m: the axis whose moment differs most from the others'), with inverse moments l and what
+the wheels add, w = l (K + sum_free h u), the body rate is omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with
+it (dv/dt = v x omega). The part l_q H of omega turns r about H and leaves H alone. It commutes with all that is left, which turns
+H and r alike, so that it is done exactly, once a step (`write_node`). What is left has three parts, each a rotation about an axis
+at a rate that it does not change (:mod:`sunspin.dynamics.principal`):
 
     main   (l_m - l_q) H_m - w_m  about m
     P      (l_p - l_q) H_p - w_p  about p
@@ -11,13 +12,15 @@ axis at a rate that it does not change (:mod:`sunspin.dynamics.principal`):
 
 `go_forward` applies them in this order, `go_backward` in reverse. Three of each, with the fractions of McLachlan's method of order
 (8, 4) for nearly integrable systems (BIT 35, 1995, 258), make a symmetric step. Rotations keep |H|, |r| and H.r; the error comes
-from commutators, which are small where the moments of inertia differ little. One step covers some two radians and has two ways
-of the histogram.
+from commutators, which are small where l_p - l_q, w_p and w_q are small beside main. One step covers some two radians of main, and
+two ways of the histogram, the arcs of r between its nodes.
 
 Wheels run down by the exact solution of their friction at constant omega (`begin_step`); what friction does of the changing omega
 is added from the middle of the step. A step in which a wheel comes to rest is undone and shortened, until it rests at its end.
-Everything else is left to the Taylor kernel, which computes those motions again that are reported in `again`: a held wheel
-comes near its limit, or the motion comes near an unstable spin, where the last digits decide.
+Everything else is left to the Taylor kernel, which computes those motions again that are reported in `again`: a wheel that friction
+holds comes near its limit, or the motion comes near an unstable spin, where the last digits decide.
+
+Words: a wheel is *driven* if its motor holds its speed (its momentum is in K), *stuck* if friction holds it at rest, else free.
 
 Speed: the rules at the head of :mod:`sunspin.dynamics.kernels.flow` hold here, too.
 """
@@ -43,7 +46,7 @@ from sunspin.dynamics.processor import cached, compiled, digest
 
 F = np.float32
 
-# ---- rows of `w`: numbers of the motion in a lane ----------------------------------------------------
+# ---- rows of `w`: numbers of the motion in a lane; names as in `rows`, other places --------------------
 H, SUN = 0, 3 * L  # momentum and direction to the Sun, principal axes p, q, m
 STATE = 6 * L  # their number
 OLD = 6 * L  # the same at the begin of the step (6)
@@ -54,24 +57,24 @@ W0, W1 = (
     18 * L,
     21 * L,
 )  # what wheels add to omega at the begin of the step, and its change in the step (3 each)
-HELD = 24 * L  # K (3)
+HELD = 24 * L  # K (3), of the driven wheels
 AXES = 27 * L  # rows p, q, m of the rotation from B (9)
 COMMON = (
     36 * L
 )  # common turn: cosine, sine / |H|, (1 - cosine) H.r / |H|^2, in the middle and at the end of the step
 INVERSE_SQUARE = 42 * L  # 1 / |H|^2
 SLOWEST, FASTEST = 43 * L, 44 * L  # smallest and largest square of the speed of H in body axes
-OVERLOAD = 45 * L  # largest torque that a held wheel needed, over its limit
+OVERLOAD = 45 * L  # largest torque that a stuck wheel needed, over its limit
 NUMBERS = 46
 
 # ---- rows of `u`: numbers of wheel i, from i PER_WHEEL on ---------------------------------------------
 AXIS = 0  # u (3), principal axes
-AXIAL, LOW = 3 * L, 4 * L  # h, and what the sum has lost by rounding (Kahan)
-FREE, COULOMB, VISCOUS, J = 5 * L, 6 * L, 7 * L, 8 * L  # as in `rows`
+AXIAL, LOW = 3 * L, 4 * L  # h, and by how much it exceeds the exact sum (Kahan)
+FREE, COULOMB, VISCOUS, J = 5 * L, 6 * L, 7 * L, 8 * L  # as in `rows`; J in kg m^2
 WEAR = 9 * L  # seconds of friction in the step, by the exponential law
 SIGN = 10 * L  # of the speed of a wheel that dry friction will stop, else 0
-INVERSE_DRY = 11 * L  # 1 / limit of a wheel that friction holds or will hold, else 0
-SPEED = 12 * L  # relative to the body, rad/s
+INVERSE_DRY = 11 * L  # 1 / limit of a wheel that is stuck or may become so, else 0
+SPEED = 12 * L  # relative to the body, rad/s; only where SIGN is not 0
 OLD_SPEED, OLD_AXIAL, OLD_LOW = 13 * L, 14 * L, 15 * L
 PER_WHEEL = 16 * L
 
@@ -79,16 +82,16 @@ REST_SPEED = 1e-4
 """rad/s at which a wheel counts as at rest."""
 
 WAYS = 2
-"""Of the histogram, in a step."""
+"""Ways of the histogram in a step: from its begin to its middle, and on to its end."""
 
 MOST_SHORTENED = 0.02
-"""Smallest share of a step to which one is cut at once."""
+"""Smallest share to which a step is cut; it may be cut again."""
 
 UNEVEN = 3e-5
 """If the smallest square of the speed of H in body axes is below this share of the largest, a motion came near an unstable spin."""
 
 NEAR_LIMIT = 0.9
-"""Share of its limit at which a held wheel may break away between two looks at it."""
+"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at."""
 
 MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
 SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 / 2)
@@ -132,7 +135,7 @@ def fractions_of_step() -> np.ndarray:
 # ---- flows -----------------------------------------------------------------------------------------
 @compiled
 def sine_cosine(x):
-    """Return sine and cosine of an angle below some 1.2 rad, to single precision, as polynomials that vectors can compute."""
+    """Return sine and cosine as polynomials that vectors can compute: to 3e-8 up to 0.6 rad, 1.4e-5 at 1.2 rad."""
     q = x * x
     sine = x + x * q * (F(-1 / 6) + q * (F(1 / 120) + q * F(-1 / 5040)))
     cosine = F(1) + q * (F(-0.5) + q * (F(1 / 24) + q * (F(-1 / 720) + q * F(1 / 40320))))
@@ -141,7 +144,7 @@ def sine_cosine(x):
 
 @compiled
 def rotate(a, b, sine, cosine):
-    """Return the components a, b after a rotation."""
+    """Return the components a, b of a fixed vector, seen from axes that turned from a towards b."""
     return cosine * a + sine * b, cosine * b - sine * a
 
 
@@ -225,7 +228,7 @@ def write_node(lanes, at, n_wheels, k, is_end):
 
     The state is seen from axes that have turned about H with the share l_q H of omega (Rodrigues' formula); the node is in body
     axes. In the middle the speed of H is noted, and the friction that omega causes; at the end the wheels' speeds, and H and r
-    are brought back to their lengths, which rounding changes by 1e-3 in a thousand steps.
+    are brought back to their lengths, which change by 1e-3 in a thousand steps.
     """
     w, u = lanes.w, lanes.u
     turn, n, time = COMMON + 3 * L * (k - 1), NODE + PER_NODE * k, F(0.5) * F(k)
@@ -242,6 +245,7 @@ def write_node(lanes, at, n_wheels, k, is_end):
         b = w[INVERSE + L + l] * q - w[W0 + L + l] - time * w[W1 + L + l]
         d = w[INVERSE + 2 * L + l] * m - w[W0 + 2 * L + l] - time * w[W1 + 2 * L + l]
         if is_end:
+            # a step of Newton's method for 1 / sqrt
             scale = F(1.5) - F(0.5) * (p * p + q * q + m * m) * w[INVERSE_SQUARE + l]
             w[H + l], w[H + L + l], w[H + 2 * L + l] = p * scale, q * scale, m * scale
             scale = F(1.5) - F(0.5) * (x * x + y * y + z * z)
@@ -270,9 +274,9 @@ def write_node(lanes, at, n_wheels, k, is_end):
             if is_end:
                 u[o + SPEED + l] = u[o + AXIAL + l] / u[o + J + l] - along
             else:
-                # friction that omega causes, from the middle of the step
+                # friction that omega causes, from the middle of the step; too small for the sum's rounding to matter
                 u[o + AXIAL + l] += u[o + FREE + l] * u[o + VISCOUS + l] * w[DT + l] * along
-                # torque J u.domega/dt that a held wheel needs, over its limit; friction of others moves the body little
+                # torque J u.domega/dt that a stuck wheel needs, over its limit; friction of others moves the body little
                 x, y, z = x * w[INVERSE + l], y * w[INVERSE + L + l], z * w[INVERSE + 2 * L + l]
                 torque = x * (q * d - m * b) + y * (m * a - p * d) + z * (p * b - q * a)
                 load = abs(torque) * u[o + J + l] * u[o + INVERSE_DRY + l]
@@ -366,7 +370,7 @@ def load(lanes, motions, frames, l, row):
             body[k] += j * speeds[i] * axis[k]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
         sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
-        free = not held and not (sign == 0.0 and dry > 0.0)
+        free = not held and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
         u[o + AXIAL], u[o + LOW], u[o + SPEED] = j * (speeds[i] + along), 0.0, speeds[i]
         u[o + J], u[o + VISCOUS] = j, motions.wheels[0, i, 2]
         u[o + FREE] = 1.0 if free else 0.0
@@ -390,7 +394,9 @@ def end_step(lanes, motions, frames, at, l, row):
     for i in range(n_wheels):
         o = i * PER_WHEEL + l
         after, before = u[o + SIGN] * u[o + SPEED], u[o + SIGN] * u[o + OLD_SPEED]
-        if after < -REST_SPEED and after != before:
+        if (
+            after < -REST_SPEED and after != before
+        ):  # equal: a lane that has ended, its step has no length
             share = min(share, max(before / (before - after), MOST_SHORTENED))
     if share < 1.0:
         for j in range(6):
@@ -450,7 +456,7 @@ def run_block(first, task, lanes, motions, nodes, answer):
     write_node(lanes, at, n_wheels, 2, True)  # of steps without length: the node at the start
     for j in range(PER_NODE):
         at[NODE + j] = at[NODE + 2 * PER_NODE + j]
-    begin_way(nodes)
+    begin_way(nodes)  # from the first node
     for l in range(L):
         set_step(lanes, n_wheels, l, lanes.step[l])
     alive = True
@@ -472,7 +478,8 @@ def run_block(first, task, lanes, motions, nodes, answer):
             at[NODE + j] = at[NODE + 2 * PER_NODE + j]
         alive = False
         for l in range(L):
-            if lanes.left[l] < w[DT + l] * 0.999 and w[DT + l] != 0.0:  # the last step
+            # the last step; what is left within a thousandth of a step counts as a whole step, or as nothing
+            if lanes.left[l] < w[DT + l] * 0.999 and w[DT + l] != 0.0:
                 if lanes.left[l] < 1e-3 * lanes.step[l]:
                     lanes.left[l] = 0.0
                 lanes.step[l] = lanes.left[l]
