@@ -96,7 +96,8 @@ SUGGESTION = "A [telemetry] section that would read"
 def judge(result: CommandResult) -> Verdict:
     """Return the verdict on a result: exit code 0 without a message, or 2 with one printable sentence on stderr and no output.
 
-    A `SUGGESTION` is allowed as output. Lines that match `BEGUN` are ignored. `accepted` work (see `Accepted`) must have printed no error.
+    A `SUGGESTION` is allowed as output. Lines that match `BEGUN` are ignored. `accepted` work (see `Accepted`) must have printed
+    no error.
     """
     result = result._replace(err=BEGUN.sub("", result.err))
     if result.escaped:

@@ -252,9 +252,9 @@ def write_share(lanes, order):
 
     H and r alone steer the step: errors of other vectors, which turn with the same omega, are as large. x is found after the
     coefficients and before the series is evaluated, and may exceed one; so no step is repeated. `motions.GROWTH` limits it. The
-    root taken is the 8th or the 16th, not the (N - 1)th: each step begins from the length of the last one, and in a few steps the length
-    settles where x is one, which is where the last coefficient is what is allowed. The coefficient before the last counts by a
-    quarter, found by trial: the last alone may vanish by chance.
+    root taken is the 8th or the 16th, not the (N - 1)th: each step begins from the length of the last one, and in a few steps the
+    length settles where x is one, which is where the last coefficient is what is allowed. The coefficient before the last counts
+    by a quarter, found by trial: the last alone may vanish by chance.
     """
     c, p, share = lanes.c, lanes.p, lanes.share
     tiny = 1e-30
