@@ -41,7 +41,7 @@ $(READY): requirements.lock pyproject.toml
 	$(PIP) -r requirements.lock
 	@$(BYTECODE) || true
 	$(PIP) --no-deps --no-build-isolation --editable .
-	@$(BIN)/sunspin compile --quiet || echo "the first scan will compile its kernels (half a minute)" >&2
+	@$(BIN)/python -m sunspin.dynamics || echo "the first command will compile the integrators (half a minute)" >&2
 	@touch $(READY)
 
 reproduce: $(READY)
@@ -63,9 +63,10 @@ test long: export OPENBLAS_NUM_THREADS = 1
 # each worker, and each program that a test starts, would compile all sources and rewrite all tests anew: a fifth of the time
 unexport PYTHONDONTWRITEBYTECODE
 
-# the documents last: one of their pages shows what the tests have reached
+# before the tests, whose processes would each compile the integrators; the documents last: one of their pages shows what the tests have reached
 test: $(READY)
 	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style
+	$(BIN)/python -m sunspin.dynamics
 	$(TESTS) $(SPREAD)
 	@$(MAKE) --no-print-directory docs
 
@@ -76,6 +77,7 @@ test-all: test
 
 long: $(READY)
 	$(TESTS) $(SPREAD) -m "long and not slow"
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py
 
 other-pythons: $(READY)
 	$(BIN)/python tests/support/other_pythons.py

@@ -1,4 +1,4 @@
-"""Run the four benchmarks, or those that are named, and print their tables: ``python -m bench``."""
+"""Run the five benchmarks, or those that are named, and print their tables: ``python -m bench``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from importlib import import_module, metadata
 
 from bench.timing import cores
 
-NAMES = ("start", "scan", "emd", "accuracy")
+NAMES = ("start", "scan", "emd", "accuracy", "kernels")
 """Fresh processes first, before this one has filled caches and warmed the processor."""
 
 LIBRARIES = ("numpy", "scipy", "numba", "heyoka")

@@ -11,7 +11,8 @@ import numpy as np
 import sunspin as ss
 from bench.problem import grid_sample, philae
 from bench.timing import Table, medians
-from sunspin.dynamics.ensemble import Outcome, Rows, run_rows
+from sunspin.dynamics import batch
+from sunspin.dynamics.batch import Outcome, Rows
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERRORS = (1e-2, 1e-3, 1e-5, 1e-8)
@@ -25,11 +26,11 @@ def run(quick: bool) -> Table:
     for name, vehicle, rows, window in cases(n):
         exact = np.array([last_sun(vehicle, rows, i, window) for i in range(n)])
         for requested in DIRECTION_ERRORS[1:3] if quick else DIRECTION_ERRORS:
-            result = run_rows(vehicle, rows, window, direction_error=requested)
+            result = batch.run(vehicle, rows, window, error=requested)
             fine = result.outcome == Outcome.FINE
             refused += int((~fine).sum())
             error = np.linalg.norm(result.sun_B[fine, 0] - exact[fine], axis=1)
-            propagation = partial(run_rows, vehicle, rows, window, direction_error=requested)
+            propagation = partial(batch.run, vehicle, rows, window, error=requested)
             seconds = medians({"rows": propagation}, 1 if quick else 3)["rows"]
             quantiles = np.quantile(error, [0.5, 0.99, 1.0])
             table.rows.append((name, requested, *quantiles, 1e6 * seconds / n))

@@ -36,11 +36,6 @@ class End(NamedTuple):
 Contestant = Callable[[np.ndarray], End]
 
 
-def sun_direction(r: Any) -> gyrostat.Directions:
-    """Return the Sun direction r (3), the only one of these motions, in the form of the equations of motion."""
-    return {"sun": gyrostat.Direction(r)}
-
-
 def free_system(problem: Problem) -> tuple[list, Any]:
     """Return heyoka's system of (H, h, r) while the wheel turns, and the wheel's speed.
 
@@ -49,7 +44,7 @@ def free_system(problem: Problem) -> tuple[list, Any]:
     variables = hk.make_vars("Hx", "Hy", "Hz", "h", "rx", "ry", "rz")
     H, h, r = variables[:3], variables[3:4], variables[4:]
     p = problem.parameters(True)
-    dH, dh, dr = gyrostat.rhs(H, h, sun_direction(r), p)
+    dH, dh, dr = gyrostat.rhs(H, h, r, p)
     speed = gyrostat.wheel_speed(h[0], gyrostat.body_rate(H, h, p), p.wheels[0])
     return list(zip(variables, [*dH, *dh, *dr], strict=True)), speed
 
@@ -58,7 +53,7 @@ def stuck_system(problem: Problem) -> list:
     """Return heyoka's system of (H, r) after the wheel has stopped, when its momentum is no variable."""
     variables = hk.make_vars("Hx", "Hy", "Hz", "rx", "ry", "rz")
     H, r = variables[:3], variables[3:]
-    dH, _, dr = gyrostat.rhs(H, [0.0], sun_direction(r), problem.parameters(False))
+    dH, _, dr = gyrostat.rhs(H, [0.0], r, problem.parameters(False))
     return list(zip(variables, [*dH, *dr], strict=True))
 
 
@@ -132,7 +127,7 @@ class DormandPrince:
     def _rate(self, t: float, y: np.ndarray, p: gyrostat.Parameters) -> list[float]:
         """Return the derivative (7) of a state y (7)."""
         values = y.tolist()
-        dH, dh, dr = gyrostat.rhs(values[:3], values[3:4], sun_direction(values[4:]), p)
+        dH, dh, dr = gyrostat.rhs(values[:3], values[3:4], values[4:], p)
         return [*dH, *dh, *dr]
 
     def _piece(

@@ -19,7 +19,7 @@ from bench.accuracy import last_sun, states
 from bench.baselines import Contestant, DormandPrince, TaylorBatch, on_cores
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.timing import Table, cores, timings
-from sunspin.dynamics.ensemble import run_rows
+from sunspin.dynamics import batch
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 
 TOLERANCES = (1e-5, 1e-6, 1e-9)
@@ -108,7 +108,7 @@ def our_direction_error(problem: Problem, axes: dict[str, np.ndarray], n: int) -
     """Return the largest error (rad) of the kernel's last direction over n random rows, for a requested DIRECTION_ERROR."""
     rates = grid_sample(axes, n, seed=2)
     rows = states(problem.sun_B, rates, problem.wheel_speed_rad_s)
-    ends = run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR)
+    ends = batch.run(problem.vehicle, rows, problem.window_s, error=DIRECTION_ERROR)
     error = ends.sun_B[:, 0] - last_suns(problem, rates)
     return float(np.linalg.norm(error, axis=1).max())
 

@@ -43,7 +43,7 @@ def call(arguments: tuple[str, ...], cache: str | None = None) -> float:
     """Return the wall time (s) of ``python ARGUMENTS``; `cache` is a folder for the kernels, if given."""
     # this repository first, so that `bench` can be imported from any folder
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = os.environ | {"PYTHONPATH": path} | ({"SUNSPIN_CACHE": cache} if cache else {})
+    environment = os.environ | {"PYTHONPATH": path} | ({"NUMBA_CACHE_DIR": cache} if cache else {})
     start = time.perf_counter()
     subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, check=True)
     return time.perf_counter() - start

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from sunspin.dynamics.ensemble import run_rows
+from sunspin.dynamics.batch import run
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.output.figures import COLOURS
@@ -42,7 +42,7 @@ def histograms(rebound: Rebound, omega_B: np.ndarray) -> np.ndarray:
     hist, mask = np.zeros((3, len(states), BINS), dtype=np.float32), reconstructible_mask(vehicle)
     for begin in range(0, len(states), CHUNK):
         index = np.arange(begin, min(begin + CHUNK, len(states)))
-        track = run_rows(vehicle, states.take(index), t, direction_error=DIRECTION_ERROR).sun_B
+        track = run(vehicle, states.take(index), t, error=DIRECTION_ERROR).sun_B
         row, instant = np.nonzero(allows(mask, track))
         bins = np.clip(((track + 1) * BINS / 2).astype(int), 0, BINS - 1)[row, instant]
         for axis in range(3):

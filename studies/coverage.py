@@ -20,7 +20,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import binomtest
 
 from sunspin.cases import Case, load_case
-from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS

@@ -17,7 +17,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.cases import Case, load_case
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
 from sunspin.landing.predictions import collision_time_s

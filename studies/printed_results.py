@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import Outcome, Rows, run_rows
+from sunspin.dynamics.batch import Outcome, Rows, run
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.rows import distances_to, target_segments
 from sunspin.estimate.scan.table import Table
@@ -258,7 +258,7 @@ def simulate_rebounds(scan: Scan, seed: int, numbers: range) -> list[Rebound]:
         np.array([first for *_, first in drawn]),
         np.tile(np.array(speed), (n, 1)),
     )
-    motions = run_rows(vehicle, states, all_times, direction_error=DIRECTION_ERROR).sun_B
+    motions = run(vehicle, states, all_times, error=DIRECTION_ERROR).sun_B
     rebounds = []
     for (rng, omega_B, t, tilt, first), sun_B in zip(drawn, motions, strict=True):
         later = sun_B[np.searchsorted(all_times, t[1:] - t[0])]

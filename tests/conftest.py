@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from sunspin.base.atomic_write import ensure_writable
-
 pytest_plugins = ["tests.support.evidence"]
 
 
@@ -53,19 +51,3 @@ def framed(monkeypatch) -> None:
     from tests.support.figures import frame
 
     monkeypatch.setattr(figures, "lay_out", frame)
-
-
-def kernel_cache() -> Path:
-    """Compiled kernels of tests: one folder of this user beside the program's own, so that they are compiled once a machine.
-
-    A kernel is kept under the hash of its source and its compiler, so an edit to the physics never meets an older one.
-    """
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(base) / "sunspin" / "tests"
-    return (
-        folder if ensure_writable(folder) else Path(__file__).parents[1] / "build" / "test-kernels"
-    )
-
-
-# before any test is imported; workers of pytest-xdist and the programs that tests start take it over
-os.environ.setdefault("SUNSPIN_CACHE", str(kernel_cache()))

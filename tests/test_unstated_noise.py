@@ -247,7 +247,8 @@ def of_powers(craft: Vehicle, power: np.ndarray) -> xr.Dataset:
     )
 
 
-@pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("stated", [None, 0.02])
 def test_no_result_has_a_number_with_an_error_of_nan(stated, tmp_path, few_copies):
     everything(replace(UNSTATED, samples=6, stated=stated), tmp_path, 1, "check", "sun", "rates")
 

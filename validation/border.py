@@ -86,14 +86,18 @@ def sunspin(*arguments: str, piped: bytes = b"") -> CommandResult:
     )
 
 
-BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
-"""Line by which `rates` announces without a terminal that its work has begun. It is no error."""
+BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n|compiling the [^\n]*, once[^\n]*\n")
+"""Lines by which `rates` announces without a terminal that its work has begun, and the first run that it compiles: no errors."""
+
+SUGGESTION = "A [telemetry] section that would read"
+"""Begin of the line that `check` prints before it refuses a file of which it knows no column."""
 
 
 def judge(result: CommandResult) -> Verdict:
     """Return the verdict on a result: exit code 0 without a message, or 2 with one printable sentence on stderr and no output.
 
-    Lines that match `BEGUN` are ignored. `accepted` work (see `Accepted`) must have printed no error.
+    A `SUGGESTION` is allowed as output. Lines that match `BEGUN` are ignored. `accepted` work (see `Accepted`) must have printed
+    no error.
     """
     result = result._replace(err=BEGUN.sub("", result.err))
     if result.escaped:
@@ -111,7 +115,7 @@ def judge(result: CommandResult) -> Verdict:
     )
     if (
         not is_sentence
-        or result.out
+        or (result.out and SUGGESTION not in result.out)
         or len(result.err) > LONGEST
         or not result.err[:-1].isprintable()
     ):

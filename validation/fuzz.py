@@ -169,22 +169,14 @@ def make_stock(folder: Path) -> None:
 
 
 def shorten_work() -> list[Any]:
-    """Return patches that end long work at its beginning; small ensembles of vehicles with a compiled kernel run."""
+    """Return patches that end long work at its beginning; small ensembles run."""
     from sunspin.compute.rows import ensemble
-    from sunspin.dynamics.ensemble import ahead
 
     def run_if_small(function: Any, **options: Any) -> Any:
         """Run a small ensemble."""
         if function.n_rows > SMALL_ROWS or options.get("scheduler") is not None:
             raise Accepted
         return ensemble(function, **options)
-
-    def use_if_compiled(structure: Any) -> Any:
-        """Return a compiled kernel."""
-        module = ahead.kernel(structure)
-        if not ahead.is_kept(Path(str(module.__file__))):
-            raise Accepted
-        return module
 
     def raise_accepted(*_: Any, **__: Any) -> Any:
         """End the case in place of long work."""
@@ -194,9 +186,6 @@ def shorten_work() -> list[Any]:
         mock.patch("sunspin.estimate.scan.volume.ensemble", run_if_small),
         mock.patch("sunspin.landing.outcomes.ensemble", run_if_small),
         mock.patch("sunspin.estimate.posterior.modes.ensemble", raise_accepted),
-        mock.patch("sunspin.dynamics.ensemble.run.ready_kernel", use_if_compiled),
-        mock.patch("sunspin.dynamics.ensemble.ahead.compile_ahead", lambda structures: None),
-        mock.patch("sunspin.dynamics.ensemble.run.compile_ahead", lambda structures: None),
         mock.patch("sunspin.philae.reproduction.compute", raise_accepted),
     ]
 

@@ -87,7 +87,7 @@ def time_command(python: Path, home: Path, arguments: str, cache: str | None = N
     # without PYTHONPATH each interpreter imports the package of its own environment
     variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     variables |= {"OPENBLAS_NUM_THREADS": "1"}
-    variables |= {} if cache is None else {"SUNSPIN_CACHE": cache}
+    variables |= {} if cache is None else {"NUMBA_CACHE_DIR": cache}
     begin = os.times()
     done = subprocess.run(
         [str(python), "-m", "sunspin.cli", *words],

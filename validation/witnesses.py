@@ -17,7 +17,7 @@ from scipy.special import ellipj, ellipkinc
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
-from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.dynamics.batch import Rows, run
 from sunspin.vehicle import Friction, Vehicle, Wheel
 
 BASILISK_MRP = (0.373034285, -0.00239564413, 0.208570797)
@@ -73,7 +73,7 @@ def free_rigid_body() -> Iterator[Row]:
         # a body of a hundred times the inertia moves in the same way
         larger = Vehicle("free", 100.0 * np.diag(moments))
         rows = Rows(np.array([omega], dtype=float), SUN[None], np.zeros((1, 0)))
-        rates = run_rows(larger, rows, t[1:], direction_error=1e-9).omega_B[0]
+        rates = run(larger, rows, t[1:], error=1e-9).omega_B[0]
         error = np.abs(rates - expected[1:]).max() / np.linalg.norm(omega)
         what = f"the ensemble kernel, the same {name}"
         yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-8)
@@ -265,9 +265,9 @@ def return_trips() -> Iterator[Row]:
     error = float(np.abs(back["sun_B"].values[-1] - SUN).max())
     yield Row("itself, backward", "Sun after 45 min there and back, through the stop", error, 1e-9)
     rows = Rows(omega[None], SUN[None], np.array([[865.0]]))
-    far = run_rows(vehicle, rows, 2000.0, direction_error=1e-9)
+    far = run(vehicle, rows, 2000.0, error=1e-9)
     final = Rows(far.omega_B[:, 0], far.sun_B[:, 0], far.wheel_speed_rad_s[:, 0])
-    home = run_rows(vehicle, final, -2000.0, direction_error=1e-9)
+    home = run(vehicle, final, -2000.0, error=1e-9)
     error = float(np.abs(home.sun_B[0, 0] - SUN).max())
     yield Row("itself, backward", "the ensemble kernel, 2000 s there and back", error, 1e-8)
 

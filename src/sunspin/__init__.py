@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from sunspin.landing.outcomes import outcomes as outcomes
     from sunspin.landing.scenario import Scenario as Scenario
     from sunspin.output.compare import compare as compare
+    from sunspin.output.history import history as history
     from sunspin.philae.simulation import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
     from sunspin.vehicle import (
@@ -103,6 +104,7 @@ _MODULES = {
     "outcomes": "sunspin.landing.outcomes",
     "Scenario": "sunspin.landing.scenario",
     "compare": "sunspin.output.compare",
+    "history": "sunspin.output.history",
     "reproduce": "sunspin.philae.reproduction",
     "SunspinError": "sunspin.base.errors",
     "VehicleError": "sunspin.base.errors",

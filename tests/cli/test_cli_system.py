@@ -19,6 +19,7 @@ from sunspin.cli import values
 from sunspin.cli.common import COMMANDS
 from sunspin.output.folder import results_folder
 from tests.support.rows import heed_interrupts
+from validation.border import BEGUN
 
 START = ["--omega-deg-s=6,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -383,8 +384,8 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
 
 @pytest.mark.parametrize("home", ["", pytest.param("/proc", marks=pytest.mark.long)])
 def test_without_a_cache_folder_no_library_writes_to_the_output(home, tmp_path):
-    """The integrator's library warned of its own cache on standard output, where --json is read."""
-    places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}
+    """A library that warned of its own cache on standard output would spoil what --json writes there."""
+    places = {"HOME": home, "XDG_CACHE_HOME": home}
     command = [
         sys.executable,
         "-m",
@@ -396,7 +397,8 @@ def test_without_a_cache_folder_no_library_writes_to_the_output(home, tmp_path):
         "--json",
     ]
     done = subprocess.run(command, env={**os.environ, **places}, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "") and json.loads(done.stdout)["t_s"] == 10
+    errors = BEGUN.sub("", done.stderr)  # the first run says that it compiles
+    assert (done.returncode, errors) == (0, "") and json.loads(done.stdout)["t_s"] == 10
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])

@@ -13,10 +13,10 @@ from sunspin.cli.common import COMMANDS
 ELSEWHERE = {
     "rates": "minutes, or other people's data; the documents run it",
     "decode": "other people's data",
-    "compile": "minutes where nothing was compiled before; it has tests of its own",
     "compare": "other people's kernels",
     "reproduce": "minutes; it has tests of its own",
     "posterior": "minutes; it has tests of its own",
+    "history": "the rates of its example take seconds; it has tests of its own",
     "report": "needs the results of another command; it has tests of its own",
 }
 SMALLER = {

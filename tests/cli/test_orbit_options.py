@@ -46,10 +46,27 @@ def test_wrong_elements_are_refused_in_one_sentence(satellite):
     assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith(
         "an along-track offset needs elements"
     )
+    assert said("vehicle.toml", "telemetry.csv", "--norad", "25544") == (
+        "--norad selects a satellite of an orbit file; give --tle FILE too"
+    )
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle", command="rates")
     assert text.startswith("bad.tle, line 1: the checksum")
     text = said("vehicle.toml", "telemetry.csv", "--tle", "my.tle", "--no-orbit", command="rates")
     assert text.startswith("--no-orbit contradicts the elements")
+
+
+def test_a_file_of_many_satellites_serves_with_the_number_or_name_of_one(satellite, monkeypatch):
+    monkeypatch.setattr(orbit_check, "COPIES", 3)
+    other = TLE.replace("25544", "25545").replace("999\n", "990\n").replace("03\n", "04\n")
+    (satellite / "group.tle").write_text(f"MINE\n{TLE}SISTER\n{other}", "utf-8")
+    words = ["vehicle.toml", "telemetry.csv", "--tle", "group.tle"]
+    advice = (
+        "(found 25544 (MINE), 25545 (SISTER)); name yours with --norad and its catalogue number"
+    )
+    assert said(*words).endswith(advice)
+    for name in ("25544", "mine"):
+        done = CliRunner().invoke(cli, ["check", *words, "--norad", name, "--json"])
+        assert json.loads(done.stdout)["orbit"]["satellite"] == 25544, done.output
 
 
 def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_the_vehicle_file(

@@ -50,7 +50,10 @@ def test_check_counts_directions_and_not_rows(place):
     sparse, whole = printed(place, "sparse.csv"), printed(place, "telemetry.csv")
     assert "unambiguous" not in sparse and "even sampling" not in sparse
     assert "too few directions to estimate a rate: 0 of 120 samples give one" in sparse
-    assert "readings of 2 of 5 panels at most: write the readings of one time in one row" in sparse
+    assert (
+        "readings of 2 of 5 panels at most: set sample_span_s under [telemetry] to the time in which all are read"
+        in sparse
+    )
     # the advice: the file with one row for each time
     assert "rates up to 8.57 deg/s are unambiguous" in whole and "too few" not in whole
 

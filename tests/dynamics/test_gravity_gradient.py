@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
 from sunspin.dynamics.torques import acting
 from sunspin.environment import circular
 from sunspin.estimate.posterior.model import State, model, under
@@ -37,11 +37,18 @@ def propagated() -> np.ndarray:
     return run["nadir_B"].values
 
 
+def seen_nadir(turned: np.ndarray) -> np.ndarray:
+    """The nadir in body axes at all times, of rotations of the body since the start at all but the first."""
+    nadir_N = ORBIT.at(TIMES).nadir_N
+    at_start = START.apply(nadir_N)
+    return np.vstack([at_start[:1], np.einsum("nij,nj->ni", turned, at_start[1:])])
+
+
 def in_the_kernel() -> np.ndarray:
-    rows = k.Rows(OMEGA[None], SUN[None], np.zeros((1, 0)), B_from_N=START.as_quat()[None])
+    rows = batch.Rows(OMEGA[None], SUN[None], np.zeros((1, 0)), B_from_N=START.as_quat()[None])
     forces = acting(["gravity_gradient"], ORBIT)
-    run = k.run_rows(BODY, rows, TIMES[1:], direction_error=1e-6, acting=forces)
-    return np.vstack([START.apply([[0, 0, 1]]), run.carried[0, :, :3]])
+    run = batch.run(BODY, rows, TIMES[1:], error=1e-6, acting=forces, attitude=True)
+    return seen_nadir(run.attitude[0])
 
 
 def stepped_by_rates() -> np.ndarray:
@@ -66,9 +73,7 @@ def moved_by_the_posterior() -> np.ndarray:
         model(BODY, {"inertia": 0.0}, 1.0)[0], acting(["gravity_gradient"], ORBIT, 2 * np.pi / N)
     )
     rows = unknown.rows(State(OMEGA[None], SUN[None], np.zeros((1, len(unknown.unknowns)))))
-    return np.vstack(
-        [START.apply([[0, 0, 1]]), unknown.run(rows, TIMES[1:], 1e-6).carried[0, :, :3]]
-    )
+    return seen_nadir(unknown.run(rows, TIMES[1:], 1e-6, attitude=True).attitude[0])
 
 
 @pytest.mark.evidence(

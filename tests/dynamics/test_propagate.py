@@ -1,5 +1,7 @@
 """The reference propagator against independent integrators, closed forms, published truths and invariants."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -174,3 +176,54 @@ def test_a_long_run_cut_into_pieces_equals_an_uncut_one():
     direct = ss.propagate(vehicle, run["omega_B"].values[20], run["sun_B"].values[20], None, t[20:])
     np.testing.assert_allclose(run["sun_B"].values[20:], direct["sun_B"].values, atol=1e-8)
     assert run.sizes["event"] == 0
+
+
+def test_a_run_back_through_a_known_stop_returns_to_its_start():
+    vehicle, start = philae_body(), ([0.1, -0.05, 0.2], FIRST_SUN, 40.0)
+    there = ss.propagate(vehicle, *start, [0.0, 150.0, 400.0])
+    stop = float(there["event_time_s"].values[0])
+    assert list(there["event_what"].values) == ["stops"] and stop < 400.0
+    end = (there["omega_B"].values[-1], there["sun_B"].values[-1], 0.0)
+    back = ss.propagate(vehicle, *end, [400.0, 150.0, 0.0], stopped_at_s=stop)
+    assert list(back["event_what"].values) == ["stops"]
+    assert back["event_time_s"].values[0] == pytest.approx(stop, abs=1e-9)
+    np.testing.assert_allclose(back["omega_B"].values[::-1], there["omega_B"].values, atol=1e-9)
+    np.testing.assert_allclose(back["sun_B"].values[::-1], there["sun_B"].values, atol=1e-8)
+    np.testing.assert_allclose(back["wheel_speed_rad_s"].values[-1], [40.0], atol=1e-5)
+    with pytest.raises(ss.MotionError, match="lies after t = 400 s"):
+        ss.propagate(vehicle, *end, [400.0, 0.0], stopped_at_s=500.0)
+
+
+def test_a_wheel_held_then_braked_stops_as_two_runs_by_hand_say():
+    """A schedule with a brake, whose torque is added to the friction of the bearing."""
+    (wheel,) = philae_body().wheels
+    braked = replace(wheel, brake_torque_N_m=0.02)
+    vehicle, strong = (
+        replace(philae_body(), wheels=(each,))
+        for each in (
+            braked,
+            replace(
+                wheel,
+                friction=replace(wheel.friction, coulomb_N_m=wheel.friction.coulomb_N_m + 0.02),
+            ),
+        )
+    )
+    omega = [0.1, -0.05, 0.2]
+    schedule = [(0.0, "hold"), (60.0, "brake"), (500.0, "coast")]
+    whole = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, [0.0, 60.0, 600.0], schedule)
+    held = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, [0.0, 60.0], "hold")
+    then = ss.propagate(
+        strong, held["omega_B"][-1], held["sun_B"][-1], 865.0, [60.0, 600.0], "coast"
+    )
+    assert list(whole["event_what"].values) == ["stops"]
+    np.testing.assert_allclose(whole["event_time_s"], then["event_time_s"], atol=1e-9)
+    np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-10)
+    quaternions = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, np.linspace(0, 60, 601))
+    steps = np.einsum("ni,ni->n", *(quaternions["B_from_N"].values[k:][:600] for k in (0, 1)))
+    assert np.all(steps > 0.99)  # no attitude jumps to the other sign
+
+
+def test_a_wheel_that_friction_cannot_have_held_is_refused_backward():
+    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=1e-4)
+    with pytest.raises(ss.MotionError, match="cannot have been stuck before"):
+        ss.propagate(vehicle, [0.8, 0.5, -0.6], FIRST_SUN, 0.0, [0.0, -600.0], stopped_at_s=-500.0)

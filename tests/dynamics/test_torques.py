@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
 from sunspin.dynamics.bodies import Bodies
-from sunspin.dynamics.torques import TORQUES, Acting, Steady, acting
+from sunspin.dynamics.torques import Acting, Steady, acting
 from sunspin.environment import circular, unknown
 from sunspin.vehicle import Friction, Vehicle, Wheel
 
@@ -80,9 +80,9 @@ def test_the_reference_under_torques_agrees_with_scipy_forward_and_backward(t_en
     assert run.attrs["frame_N"] == ORBIT.frame_N
 
 
-def rows_of(n: int = 1) -> k.Rows:
+def rows_of(n: int = 1) -> batch.Rows:
     omega, sun, attitude = (np.tile(part, (n, 1)) for part in (OMEGA, SUN, ATTITUDE.as_quat()))
-    return k.Rows(omega, sun, np.full((n, 1), SPEED), B_from_N=attitude)
+    return batch.Rows(omega, sun, np.full((n, 1), SPEED), B_from_N=attitude)
 
 
 @pytest.mark.parametrize("mode", ["coast", "hold"])
@@ -91,31 +91,26 @@ def test_the_kernel_under_torques_agrees_with_the_reference_through_the_wheel_st
     times = np.array([100.0, 900.0])
     run = run_once([START_S, *(START_S + times)], wheel_mode=mode)
     assert list(run["event_what"].values) == (["stops"] if mode == "coast" else [])
-    result = k.run_rows(
+    result = batch.run(
         BODY,
         rows_of(),
         times,
-        direction_error=wanted,
-        wheel_mode=mode,
+        error=wanted,
+        command=mode,
         acting=acting(PULL, ORBIT, START_S),
     )
-    assert result.outcome[0] == k.Outcome.FINE
+    assert result.outcome[0] == batch.Outcome.FINE
     for name in ("sun_B", "omega_B", "wheel_speed_rad_s", "momentum_B"):
         np.testing.assert_allclose(getattr(result, name)[0], run[name].values[1:], atol=wanted)
-    np.testing.assert_allclose(result.carried[0, :, :3], run["nadir_B"].values[1:], atol=wanted)
 
 
 def test_the_kernel_under_torques_returns_to_its_start_backward():
-    there = k.run_rows(
-        BODY, rows_of(), 60.0, direction_error=1e-9, acting=acting(PULL, ORBIT, START_S)
-    )
+    there = batch.run(BODY, rows_of(), 60.0, error=1e-9, acting=acting(PULL, ORBIT, START_S))
     attitude = run_once([START_S, START_S + 60.0])["B_from_N"].values[-1:]
-    rows = k.Rows(
+    rows = batch.Rows(
         there.omega_B[:, 0], there.sun_B[:, 0], there.wheel_speed_rad_s[:, 0], B_from_N=attitude
     )
-    home = k.run_rows(
-        BODY, rows, -60.0, direction_error=1e-9, acting=acting(PULL, ORBIT, START_S + 60.0)
-    )
+    home = batch.run(BODY, rows, -60.0, error=1e-9, acting=acting(PULL, ORBIT, START_S + 60.0))
     np.testing.assert_allclose(home.omega_B[0, 0], OMEGA, atol=1e-9)
     np.testing.assert_allclose(home.sun_B[0, 0], SUN, atol=1e-8)
 
@@ -152,19 +147,14 @@ def test_an_attitude_and_a_sun_that_contradict_each_other_are_refused():
         ss.propagate(BODY, OMEGA, SUN, SPEED, [0.0, 1.0], B_from_N=ATTITUDE.as_quat())
 
 
-def test_the_split_method_refuses_torques_and_rows_need_their_attitude():
-    with pytest.raises(
-        ss.InputError,
-        match="the split method keeps the momentum, which torques change .found gravity_gradient.; run by",
-    ):
-        k.structure_of(BODY, None, 8, "split", torques=(TORQUES["gravity_gradient"],))
+def test_rows_need_their_attitude_under_torques_that_depend_on_directions():
     with pytest.raises(
         ss.InputError,
         match="torques that depend on directions need the attitude of each row; give B_from_N",
     ):
-        k.run_rows(
+        batch.run(
             BODY,
-            k.Rows(OMEGA[None], SUN[None], np.array([[SPEED]])),
+            batch.Rows(OMEGA[None], SUN[None], np.array([[SPEED]])),
             1.0,
             acting=acting(PULL, ORBIT),
         )
@@ -199,14 +189,11 @@ def test_a_scan_under_torques_agrees_with_the_reference():
     assert other.values[0, 0, 0] > 1e-7  # the control: without the torque it is another motion
 
 
-def test_distributions_under_torques_run_by_series():
-    result = k.run_rows(
-        BODY, rows_of(3), 300.0, emd_error=1e-3, bins=32, acting=acting(PULL, ORBIT, START_S)
-    )
-    assert set(result.method) == {"series"}
+def test_distributions_under_torques_agree_with_the_reference():
+    result = batch.sun_heights(BODY, rows_of(3), 300.0, acting=acting(PULL, ORBIT, START_S))
     z = run_once(START_S + np.linspace(0.0, 300.0, 40001))["sun_B"].values[:, 2]
-    expected = np.histogram(z, 32, (-1, 1))[0] / len(z)
-    assert np.abs(np.cumsum(result.hist[0] / 300.0 - expected)).max() < 2e-3
+    expected = np.histogram(z, 256, (-1, 1))[0] / len(z)
+    assert np.abs(np.cumsum(result.seconds[0] / 300.0 - expected)).max() < 5e-3
 
 
 def steady_by_scipy(
@@ -236,13 +223,13 @@ def test_steady_torques_in_body_axes_and_in_space_turn_a_body_as_eulers_equation
     body, t = Vehicle("box", np.diag([0.010, 0.012, 0.008])), [150.0, 300.0]
     torques = 0.01 * np.array([[1e-4, -2e-4, 1e-4], [2e-4, 1e-4, -1e-4]])
     cases = np.stack([torques * [[1], [0]], torques * [[0], [1]], torques])
-    rows = k.Rows(
+    rows = batch.Rows(
         np.tile(OMEGA, (3, 1)),
         np.tile(SUN, (3, 1)),
         np.zeros((3, 0)),
         replace(Bodies.of(body, 3), steady_N_m=cases),
     )
-    run = k.run_rows(body, rows, t, direction_error=1e-8, acting=Acting((Steady(),)))
+    run = batch.run(body, rows, t, error=1e-8, acting=Acting((Steady(),)))
     for i, case in enumerate(cases):
         omega, sun = steady_by_scipy(np.array(body.inertia_kg_m2), case, t[-1])
         reference = ss.propagate(body, OMEGA, SUN, None, [0.0, *t], torques=[Steady(case)])

@@ -528,6 +528,69 @@ def test_an_OMM_with_a_namespace_or_comments_is_read():
         assert elements.number == 25544
 
 
+def test_an_OMM_with_a_default_namespace_or_with_semicolons_is_read():
+    text = _xml(ISS).replace("<ndm>", '<ndm xmlns="urn:ccsds:schema:ndmxml">')
+    columns = "\n".join(";".join(map(str, row)) for row in (ISS, ISS.values()))
+    (plain,) = parse_elements(json.dumps(ISS), "case")
+    for each in (text, columns, "\n" + columns.replace(";", "\t")):
+        (elements,) = parse_elements(each, "case")
+        assert elements.number == 25544 and elements.epoch_jd == plain.epoch_jd
+
+
+SISTERS = [
+    ISS | {"NORAD_CAT_ID": 270_000_001 + k, "OBJECT_NAME": f"FLOCK 4X-{k}"} for k in range(9)
+]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("satellite", ["270000003", " 270000003 ", "FLOCK 4X-2", "flock 4x-2"])
+def test_one_of_many_satellites_is_chosen_by_number_or_name(form, satellite):
+    messages = [_xml(fields).split("<ndm>")[1].removesuffix("</ndm>") for fields in SISTERS]
+    rows = [SISTERS[0], *(fields.values() for fields in SISTERS)]
+    text = {
+        "json": json.dumps(SISTERS),
+        "csv": "\n".join(",".join(map(str, row)) for row in rows),
+        "kvn": "\n".join(map(_kvn, SISTERS)),
+        "xml": f"<ndm>{''.join(messages)}</ndm>",
+    }[form]
+    (elements,) = parse_elements(text, "case", satellite)
+    assert (elements.number, elements.name) == (270_000_003, "FLOCK 4X-2")
+
+
+def test_a_satellite_of_a_TLE_file_is_chosen_and_a_missing_one_is_refused_with_similar_names():
+    both = VANGUARD + VZLUSAT
+    for satellite in ("42790", "vzlusat-1"):
+        (elements,) = parse_elements(both, "case", satellite)
+        assert elements.number == 42790
+    assert parse_elements(both, "case", "5")[0].number == 5
+    for satellite in ("vzlusat", "42791"):
+        message = rf"no elements of '{satellite}' .found .*42790 .VZLUSAT-1.*; give one of its 2"
+        with pytest.raises(ss.InputError, match=message):
+            parse_elements(both, "case", satellite)
+
+
+@pytest.mark.parametrize(
+    ("character", "message"),
+    [
+        ("\N{NO-BREAK SPACE}", "in column 2 .found no-break space, U.00A0.; write a plain blank"),
+        ("\t", "in column 2 .found a control character, U.0009.; write a plain blank"),
+    ],
+)
+def test_a_blank_that_is_not_plain_is_named(character, message):
+    for line in VANGUARD.splitlines():
+        text = VANGUARD.replace(line, line[0] + character + line[2:])
+        with pytest.raises(ss.InputError, match=message):
+            parse_elements(text, "case")
+
+
+def test_a_dash_of_a_text_processor_is_named_with_its_column():
+    text = VANGUARD.replace("00000-0", "00000\N{EN DASH}0")
+    with pytest.raises(
+        ss.InputError, match="in column 51 .found en dash, U.2013.; write a plain m"
+    ):
+        parse_elements(text, "case")
+
+
 def _of_type(digit: str) -> str:
     """The two lines with this digit in column 63 of the first."""
     lines = VANGUARD.splitlines()
@@ -564,7 +627,7 @@ SWAPPED = "\n".join([VANGUARD.splitlines()[1], VANGUARD.splitlines()[0]])
         (VANGUARD[:60], "a line of elements has 69 characters .found 60."),
         (
             VANGUARD + VZLUSAT,
-            "the file has elements of 2 satellites .found 5, 42790.; keep those of yours",
+            "the file has elements of 2 satellites .found 5, 42790 .VZLUSAT-1..; name yours with --norad",
         ),
         (
             _of_type("4"),

@@ -12,7 +12,8 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
+from sunspin.dynamics.bodies import Bodies
 from sunspin.estimate.inertia import is_body
 from sunspin.estimate.posterior import estimate, importance, modes
 from sunspin.estimate.posterior.data import readings
@@ -64,14 +65,14 @@ def test_a_tensor_is_physical_with_and_without_the_wheels():
             [[2.0, 1.9, 0.0], [1.9, 2.0, 0.0], [0.0, 0.0, 2.0]],
         ]
     )
-    allowed = is_body(k.Bodies.rigid(0.01 * tensors), cube)
+    allowed = is_body(Bodies.rigid(0.01 * tensors), cube)
     assert allowed.tolist() == [True, False, False, False, True, False]
-    variants = k.Bodies.of(wheeled, 3)
+    variants = Bodies.of(wheeled, 3)
     heavy = replace(
         variants, wheel_inertia_kg_m2=variants.wheel_inertia_kg_m2 * [[1.0], [10.0], [100.0]]
     )
     assert is_body(heavy, wheeled).tolist() == [True, True, False]
-    assert is_body(k.Bodies.of(craft("plate", 0.1), 1), craft("plate", 0.1)).all()
+    assert is_body(Bodies.of(craft("plate", 0.1), 1), craft("plate", 0.1)).all()
 
 
 @pytest.mark.parametrize("kind", ["box", "plate", "wheel"])
@@ -153,14 +154,14 @@ def test_fits_and_weights_keep_to_physical_bodies_without_a_warning(
 
 def test_one_motion_that_exceeds_its_steps_does_not_end_the_others():
     cube = small_cube()
-    rows = k.Rows(
+    rows = batch.Rows(
         np.array([[0.1, 0.0, 0.0], [1e6, 0.0, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0))
     )
     with pytest.raises(SunspinError, match="needs"):
-        k.run_rows(cube, rows, [100.0])
-    run = k.run_rows(cube, rows, [100.0], leave_long=True)
-    assert run.outcome.tolist() == [k.Outcome.FINE, k.Outcome.NOT_FINITE]
-    alone = k.run_rows(cube, rows.take(np.array([0])), [100.0])
+        batch.run(cube, rows, [100.0])
+    run = batch.run(cube, rows, [100.0], leave_long=True)
+    assert run.outcome.tolist() == [batch.Outcome.FINE, batch.Outcome.NOT_FINITE]
+    alone = batch.run(cube, rows.take(np.array([0])), [100.0])
     np.testing.assert_array_equal(run.sun_B[0], alone.sun_B[0])
     assert np.isnan(run.sun_B[1]).all()
 
@@ -182,7 +183,7 @@ def test_periods_use_physical_inertias_only():
     body = Body.of(craft("box", 1.0, 0.5))
     made = np.array([one.inertia for one in period._bodies(body, np.random.default_rng(0))])
     assert len(made) == period.INERTIAS and len(np.unique(made[:, 0, 0])) == period.INERTIAS
-    assert is_body(k.Bodies.rigid(made), k.Bodies.rigid(body.inertia)).all()
+    assert is_body(Bodies.rigid(made), Bodies.rigid(body.inertia)).all()
 
 
 @pytest.fixture
@@ -208,7 +209,7 @@ def test_an_inertia_as_uncertain_as_its_moments_gives_physical_draws(quick):
     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         value = tree["posterior"][f"inertia_{'xyz'[a]}{'xyz'[b]}"].values.ravel()
         drawn[:, a, b] = drawn[:, b, a] = value
-    assert is_body(k.Bodies.rigid(drawn), vehicle).all()
+    assert is_body(Bodies.rigid(drawn), vehicle).all()
     assert "truncated" in tree.attrs["priors"]
 
 

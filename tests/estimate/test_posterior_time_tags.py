@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 
 import sunspin as ss
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
@@ -86,10 +86,8 @@ def test_time_tags_that_are_off_are_reported_and_modelled(max_rate, cube):
 
 
 def _at_first_tag(cube: Vehicle, telemetry) -> np.ndarray:
-    rows = k.Rows(RATE[None], SUN[None], np.zeros((1, 0)))
-    return k.run_rows(
-        cube, rows, [float(telemetry["time"].values[0])], direction_error=1e-8
-    ).omega_B[0, 0]
+    rows = batch.Rows(RATE[None], SUN[None], np.zeros((1, 0)))
+    return batch.run(cube, rows, [float(telemetry["time"].values[0])], error=1e-8).omega_B[0, 0]
 
 
 def test_exact_time_tags_are_not_modelled_as_off(cube):

@@ -99,6 +99,7 @@ def test_rates_of_a_body_with_a_wheel_cover_the_truth():
     )
 
 
+@pytest.mark.long
 def test_a_wheel_speed_of_the_wrong_sign_is_named_and_leaves_the_pass_undecided():
     """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)

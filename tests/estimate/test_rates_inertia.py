@@ -118,6 +118,7 @@ def test_a_sphere_that_needs_strong_torques_leaves_the_search_incomplete():
     assert not any(not_met(Motion(known, noise, 0.1), None, 60.0) for noise in (quiet, strong))
 
 
+@pytest.mark.long
 def test_a_small_nutation_is_not_taken_for_uniform_rotation():
     """From a sphere that turns about one axis, moments and rates across that axis change nothing unless both do."""
     made = passes.make("right model", 0, 1)

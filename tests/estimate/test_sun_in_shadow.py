@@ -205,6 +205,7 @@ def run(*words: str):
     return CliRunner().invoke(cli, list(words), catch_exceptions=False)
 
 
+@pytest.mark.long
 def test_check_reports_elements_that_do_not_fit_and_rates_ignore_them(satellite):
     files = ("vehicle.toml", "telemetry.csv")
     done = run("check", *files, "--tle", "my.tle")

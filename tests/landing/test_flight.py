@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.landing.flight import fly, rz_time_shares, transfer_directions
 from sunspin.vehicle import Friction, Vehicle, Wheel
 from tests.support.vehicles import FIRST_SUN

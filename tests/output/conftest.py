@@ -19,6 +19,7 @@ from sunspin.philae import data_check, motions, pictures, published_lines, repro
 from sunspin.philae import study as rp
 from tests.support.browser import HOSTILE, Browser, chromium
 from tests.support.figures import blank
+from tests.support.study import leave_out
 
 
 def shared_folder(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
@@ -47,15 +48,11 @@ def small() -> Iterator[None]:
             (data_check, "SHUFFLES", 1),
             (rp, "LEAST_RUNS", 40),
             (rp, "LANDING_RUNS", 1),
-            (
-                rp,
-                "STEPS",
-                tuple(step for step in rp.STEPS if step.name not in ("precession", "sensitivity")),
-            ),
-            (pictures, "PICTURES", {}),
+            (pictures, "list_drawings", lambda _: iter(())),
             (figures, "render", blank),
         ):
             patch.setattr(module, name, value)
+        leave_out(patch, "precession", "sensitivity")
         yield
 
 

@@ -89,7 +89,7 @@ def test_exported_kernels_follow_the_motion_between_their_records(name, tmp_path
     assert attitude.largest_rotation() < np.radians(30)
 
 
-@pytest.mark.parametrize("form", ["kvn", "xml"])
+@pytest.mark.parametrize("form", ["1.0", "xml"])
 @pytest.mark.parametrize("name", ["12 deg/s every 20 s", "tumbling fast, far apart"])
 def test_an_interpolated_attitude_message_follows_the_motion(name, form, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
@@ -98,7 +98,7 @@ def test_an_interpolated_attitude_message_follows_the_motion(name, form, tmp_pat
     (segment,) = ndm_io.NdmIo().from_path(path).body.segment
     assert segment.metadata.interpolation_method is None  # nothing is promised
     each = [
-        s.quaternion_state if form == "kvn" else s.quaternion_ephemeris for s in states(segment)
+        s.quaternion_state if form == "1.0" else s.quaternion_ephemeris for s in states(segment)
     ]
     start = datetime.fromisoformat(EPOCH.rstrip("Z"))
     t = [(datetime.fromisoformat(one.epoch) - start).total_seconds() for one in each]
@@ -244,3 +244,26 @@ def test_variables_of_simulate_have_units(tmp_path, undrawn):
     data = xr.load_dataset(run.sunspin.save(tmp_path / "run") / "trajectory.nc", engine="h5netcdf")
     for name in ("curve_time", "curve_omega_B", "curve_B_from_N"):
         assert data[name].attrs["units"] and data[name].attrs["long_name"]
+
+
+@pytest.mark.parametrize("name", ["12 deg/s every 20 s", "a wheel runs down and stops"])
+def test_attitude_and_rate_at_any_time_are_those_of_the_motion(name):
+    run, between, truth = simulated(name)
+    run = run.assign_attrs(epoch_utc=EPOCH)
+    found = run.sunspin.at(between)
+    assert degrees_off(Rotation.from_quat(found["B_from_N"].values), truth) < LARGEST_ERROR_DEG
+    utc = np.datetime64(EPOCH.rstrip("Z"), "us") + (between * 1e6).astype("timedelta64[us]")
+    for times in (utc, [f"{time}Z" for time in utc]):
+        again = run.sunspin.at(times)
+        np.testing.assert_allclose(again["omega_B"], found["omega_B"], atol=1e-6)
+    ends = run["time"].values[[0, -1]]
+    outside = run.sunspin.at([ends[0] - 1.0, ends[1] + 1.0])
+    assert np.isnan(outside["B_from_N"]).all() and (outside["pass_of"] == -1).all()
+
+
+def test_a_time_that_cannot_be_read_and_a_result_without_attitude_are_refused():
+    run, *_ = simulated("12 deg/s every 20 s")
+    with pytest.raises(ss.InputError):
+        run.assign_attrs(epoch_utc=EPOCH).sunspin.at(["noon"])
+    with pytest.raises(ss.InputError, match="the results have no"):
+        ss.load_case("philae").telemetry.sunspin.at([0.0])

@@ -3,12 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.cli import cli
 from sunspin.philae import reproduction
+from sunspin.philae.rebound import read_truth
 from sunspin.philae.row import read_tables
 
 CASE = ss.load_case("philae")
@@ -53,6 +56,20 @@ def test_each_published_figure_is_compared_or_marked_as_used(summary, reached):
 
 def test_reproduce_writes_the_telemetry_that_it_used(study: Path):
     assert (study / "telemetry.csv").read_bytes() == (CASE.folder / "telemetry.csv").read_bytes()
+
+
+def test_the_motion_of_the_truth_has_the_collision_of_the_telemetry(study: Path):
+    """Just after the collision its state is the one from which the samples after the collision were made."""
+    truth = read_truth(CASE)
+    with xr.open_dataset(study / "motion-truth.nc") as motion:
+        after = motion.sel(time=truth["collision_t_s"])
+        for variable, key in (
+            ("omega_B", "collision_omega_after_B"),
+            ("sun_B", "collision_sun_B"),
+            ("wheel_speed_rad_s", "collision_wheel_speed_after_rad_s"),
+        ):
+            np.testing.assert_allclose(after[variable], truth[key], rtol=1e-9)
+        assert f"leg {truth['collision_leg']} hits" in motion.attrs["about"]
 
 
 def test_telemetry_in_the_results_folder_is_refused_and_kept(tmp_path):

@@ -126,6 +126,7 @@ def test_every_result_is_summarised_drawn_and_saved_by_its_kind(kind, tmp_path, 
     assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
 
 
+@pytest.mark.long
 def test_a_posterior_and_its_predictions_are_summarised_and_saved(user_runs, tmp_path, framed):
     tree = xr.load_datatree(user_runs["posterior"] / "posterior.nc")
     assert tree.attrs["kind"] == "posterior" and tree["predictions"].attrs["kind"] == "predictions"

@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.philae import candidates, data_check, touchdown
 from sunspin.philae import rebound as rb
 from validation import controls
@@ -92,7 +92,7 @@ def test_a_lander_that_never_tumbled_is_distinguished_from_one_that_did(found):
     assert still.rows["lines_found"].ours == 0 and still.rows["lines_found"].agrees is False
     for one in (still, tumbled):
         assert one.rows["rate_at_touchdown_max"].informative is False
-        assert "do not depend on the size" in one.rows["rate_at_touchdown_max"].note
+        assert "does not depend on the size" in one.rows["rate_at_touchdown_max"].note
 
 
 def candidates_with_smaller_angle(low_deg, high_deg):

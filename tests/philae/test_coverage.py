@@ -12,7 +12,7 @@ from studies import coverage as study
 from sunspin.base.errors import InputError, MotionError
 from sunspin.cases import load_case
 from sunspin.cli import cli
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.metrics import emd

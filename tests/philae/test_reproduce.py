@@ -1,6 +1,8 @@
 """The steps of the study together: order, ids, figures, and telemetry with missing parts."""
 
 import threading
+from concurrent.futures import as_completed
+from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
@@ -11,21 +13,23 @@ from matplotlib.text import Text
 from sunspin.base.errors import MotionError, TelemetryError
 from sunspin.cases import load_case
 from sunspin.output.kind import Drawing
-from sunspin.philae import data_check, inputs, pictures, published_lines
+from sunspin.philae import data_check, inputs, pictures, published_lines, sun_directions
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
 from sunspin.philae.reproduction import make_figure_rows
+from sunspin.philae.steps import REPORTED, Steps
 from tests.support.figures import covered
+from tests.support.study import leave_out
 from validation import controls
 
 CASE = load_case("philae")
-QUICK = tuple(
-    (
-        "phases descent carries level_set candidates touchdown mechanics published_lines inputs"
-    ).split()
-)
-"""Steps that take seconds on a coarse grid; the others have tests of their own."""
+SLOW = "motions collision speeds strategies sensitivity precession".split()
+"""Steps that are left out here and have tests of their own; the others take seconds on a coarse grid."""
+
+
+def rows_by_step(study: rp.Study) -> dict:
+    return {outcome.key: outcome.rows for outcome in study.outcomes if outcome.rows}
 
 
 def without(*phases: str) -> xr.Dataset:
@@ -36,7 +40,7 @@ def without(*phases: str) -> xr.Dataset:
 @pytest.fixture(scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rp, "STEPS", tuple(step for step in rp.STEPS if step.name in QUICK))
+        leave_out(patch, *SLOW)
         patch.setattr(rp, "LEAST_RUNS", 60)
         patch.setattr(rp, "LANDING_RUNS", 1)
         patch.setattr(data_check, "SHUFFLES", 3)
@@ -49,18 +53,17 @@ def quick():
 @pytest.mark.long
 def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(quick):
     found = quick(rb.with_telemetry(CASE, without("descent", "deployment")), coarser=20)
-    assert (
-        list(found.missing) == ["descent"]
-        and "no sample before the first touchdown" in found.missing["descent"]
-    )
-    assert set(found.rows_by_part) == set(QUICK) - {"descent", "candidates"}
+    assert list(found.missing) == ["descent"] and found.descent.result is None
+    assert "no sample before the first touchdown" in found.missing["descent"]
+    with_rows = "phases carries level_set touchdown mechanics published_lines inputs".split()
+    assert list(rows_by_step(found)) == with_rows
     assert any(
         said.startswith("Section 3.1: the descent: not reproduced") for said in conclusions(found)
     )
     assert "too few samples" in headline(found)[0]
     ids = [row.id for row in found.rows]
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
-    sheets = [sheet for name in pictures.PICTURES if (sheet := pictures.make_drawing(found, name))]
+    sheets = list(pictures.list_drawings(found))
     names = {sheet.name for sheet in sheets}
     assert (
         "fig10_11_descent" not in names
@@ -106,12 +109,12 @@ def test_entries_that_need_no_telemetry_do_not_change_with_it(quick):
     of_file = [row for row in own.rows if row.chain not in ("none", "published")]
     assert len(of_file) > 20 and all("synthetic telemetry" in row.note for row in of_file)
     still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)), coarser=3)
-    for step in rp.STEPS:
-        if step.section == "no_telemetry" and step.name in own.rows_by_part:
-            assert [row.ours for row in own.rows_by_part[step.name]] == [
-                row.ours for row in still.rows_by_part[step.name]
-            ], step.name
-    pairs = zip(own.rows_by_part["touchdown"], still.rows_by_part["touchdown"], strict=True)
+    rows, rows_of_still = rows_by_step(own), rows_by_step(still)
+    steps = [step for step in own.outcomes if step.section == "no_telemetry" and step.rows]
+    assert [step.key for step in steps] == ["mechanics", "published_lines"]
+    for step in steps:
+        assert [row.ours for row in step.rows] == [row.ours for row in rows_of_still[step.key]]
+    pairs = zip(rows["touchdown"], rows_of_still["touchdown"], strict=True)
     moved = [a.id for a, b in pairs if (a.low, a.high) != (b.low, b.high)]
     bound = {"rate_at_touchdown_min", "rate_at_touchdown_bound"}
     assert bound | {"angle_smaller", "sun_height_range"} <= set(moved)
@@ -137,14 +140,16 @@ def test_telemetry_of_no_landing_gives_no_conclusion(quick):
     found = quick(
         rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20
     )
-    assert found.candidate_sets is None and "touchdown" in found.missing
+    assert found.candidate_sets.result is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
     assert "cannot be concluded" in told[1] and "lit pattern" in told[1]
     assert "No conclusions" in told[2]
-    assert not pictures.make_drawing(found, "fig12_touchdown") and pictures.make_drawing(
-        found, "fig12_lines"
-    )
+    assert "lit pattern" in found.candidate_sets.error.problem
+    of_scan = found.scan.rows
+    assert of_scan and all(row.kind != "test" and row.agrees is None for row in of_scan)
+    drawn = {drawing.name for drawing in pictures.list_drawings(found)}
+    assert "fig12_lines" in drawn and "fig12_touchdown" not in drawn
 
 
 def test_every_numbered_figure_of_the_paper_has_an_entry(tmp_path):
@@ -177,48 +182,91 @@ def test_a_changed_value_is_not_marked_as_used_from_the_paper():
     ].note.startswith("used as published")
 
 
-def step(name, compute, **about):
-    return rp.Step(name, name, compute, **about)
-
-
-def failing(_):
+def failing(*_):
     raise MotionError("no motion")
 
 
-def test_steps_of_the_study_can_end_in_any_order(monkeypatch):
-    """The slow one is in the results where it stands in the list; what needs a step that failed is left out and nothing else."""
+def submit(steps: Steps, key: str, compute, *rows, **about):
+    return steps.run(key, f"Step {key}", compute, *rows, **about)
+
+
+def test_steps_of_the_study_can_end_in_any_order():
+    """What needs a step that failed is left out and nothing else."""
     fast_is_seen, seen = threading.Event(), []
 
-    def slow(_):
-        assert fast_is_seen.wait(20), "nothing ran beside it"
+    def slow():
+        assert fast_is_seen.wait(20), "no other step ran at the same time"
         return "slow"
 
-    def progress(so_far):
-        seen.append(list(so_far.parts))
-        if "fast" in so_far.parts:
-            fast_is_seen.set()
+    with Steps(workers=2) as steps:
+        of = steps.of
+        first = submit(steps, "slow", slow, lambda result: [f"row of {result}"])
+        fast = submit(steps, "fast", lambda: "fast", lambda result: [f"row of {result}"])
+        failed = submit(steps, "failing", lambda: failing(of(fast)))
+        lost = submit(steps, "lost", lambda: ["lost", of(failed).get()])
+        behind = submit(steps, "behind", lambda: ["behind", of(lost).get()])
+        both = submit(steps, "both", lambda: (of(first).get(), of(failed).result))
+        for _ in as_completed(steps.submitted):
+            seen.append([step.result().result for step in (first, fast, both) if step.done()])
+            if fast.done():
+                fast_is_seen.set()
+    assert seen[-1] == ["slow", "fast", ("slow", None)] and ["fast"] in seen
+    assert first.result().rows == ("row of slow",) and fast.result().rows == ("row of fast",)
+    assert [step.result().reason for step in (failed, lost, behind)] == [
+        "Step failing: not reproduced, as no motion",
+        "Step lost: not computed, as it rests on what is missing",
+        "Step behind: not computed, as it rests on what is missing",
+    ]
+    for step in (lost, behind):  # the error is that of the step that failed
+        assert step.result().result is None and step.result().error is failed.result().error
 
-    steps = (
-        step("slow", slow),
-        step("fast", lambda _: "fast"),
-        step("failing", failing, uses=("fast",)),
-        step("lost", lambda _: "lost", needs=("failing",)),
-        step("both", lambda s: s.parts["slow"], needs=("slow",), uses=("failing", "nowhere")),
-    )
-    monkeypatch.setattr(rp, "STEPS", steps)
-    study = rp.compute(CASE, on_step=progress, workers=2)
-    assert list(study.parts.items()) == [("slow", "slow"), ("fast", "fast"), ("both", "slow")]
-    assert seen[-1] == ["fast", "slow", "both"]
-    assert list(study.missing) == ["failing", "lost"]
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_steps_that_wait_do_not_block_those_that_they_wait_for(workers):
+    with Steps(workers) as steps:
+        chain = [submit(steps, "first", lambda: 1)]
+        for number in range(20):
+            chain.append(
+                submit(steps, f"{number}", lambda before=chain[-1]: steps.of(before).get() + 1)
+            )
+        for step in steps.submitted:
+            step.result(20)
+    assert chain[-1].result().result == 21
 
 
-def test_a_failed_step_that_is_needed_ends_the_study(monkeypatch):
+def test_a_failed_step_that_is_needed_ends_the_study():
     ended = []
-    after = step("after", ended.append, uses=("failing",))
-    monkeypatch.setattr(rp, "STEPS", (step("failing", failing, required=True), after))
-    with pytest.raises(MotionError, match="no motion"):
-        rp.compute(CASE, workers=1)
-    assert not ended
+    with pytest.raises(MotionError, match="no motion"), Steps(workers=1) as steps:
+        failed = submit(steps, "failing", failing, fatal=REPORTED)
+        submit(steps, "after", lambda: ended.append(steps.of(failed)))
+        for step in steps.submitted:
+            step.result(20)
+    assert not ended and failed.exception() is not None
+
+
+def test_no_step_begins_after_an_interrupt():
+    running, go_on, begun = threading.Event(), threading.Event(), []
+
+    def wait_for_the_interrupt():
+        running.set()
+        return go_on.wait(20)
+
+    with pytest.raises(KeyboardInterrupt), Steps(workers=2) as steps:
+        first = submit(steps, "first", wait_for_the_interrupt)
+        second = submit(steps, "second", lambda: begun.append(steps.of(first).get()))
+        third = submit(steps, "third", lambda: begun.append(1))
+        assert running.wait(20)
+        raise KeyboardInterrupt
+    go_on.set()
+    assert first.result(20).result and second.result(20).result is None
+    assert third.cancelled() and not begun
+
+
+def test_a_study_cannot_be_changed_by_those_who_read_it():
+    noise = sun_directions.ReadingNoise(0.1, 0.1, "as stated")
+    study = rp.Study(CASE, rb.Options(), noise, CASE.telemetry)
+    with pytest.raises(FrozenInstanceError):
+        study.phases = None
 
 
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import TelemetryError
-from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.batch import Outcome
 from sunspin.philae import rebound as rebounds
 from sunspin.philae import reproduction, timing
 from sunspin.philae.metrics import (

@@ -18,7 +18,7 @@ TEMPLATE = resources.files("sunspin").joinpath("template", "vehicle.toml").read_
         ("2016-12-31 23:59:60.25+00:00", "leap seconds are not known"),
         ("1767225600", 'if it is in seconds, set time_format = "unix"'),
         ("46023.5", 'if it is in seconds, set time_format = "unix"'),
-        ("1767225600000", "milliseconds, set .* time_scale_s = 0.001"),
+        ("1767225600000", "Unix time in ms, us or ns, set time_format = .unix."),
         ("01.01.2026 00:00:00", "write it as 2026-01-31T23:59:59Z"),
         ("2026-01-01T00:00:00+25:00", "write it as 2026-01-31T23:59:59Z"),
         ("nan", "write it as 2026-01-31T23:59:59Z"),

@@ -10,12 +10,16 @@ from datetime import date, time
 
 
 class SunspinError(ValueError):
-    """Base class of all errors raised on purpose; ``str(error)`` is one sentence, built by :func:`sentence`."""
+    """Base class of all errors raised on purpose; ``str(error)`` is one sentence, built by :func:`sentence`.
+
+    `problem` is that sentence without the advice.
+    """
 
     def __init__(
         self, what: str, *, got: object = None, do: str | None = None, where: str | None = None
     ) -> None:
         super().__init__(sentence(what, got=got, do=do, where=where))
+        self.problem = sentence(what, got=got, where=where)
 
 
 class VehicleError(SunspinError):

@@ -1,6 +1,6 @@
 """Modules that are imported when one of their attributes is first used.
 
-SymPy, heyoka and parts of SciPy take longer to import than a small scan takes to run.
+Parts of SciPy take longer to import than a small scan takes to run.
 """
 
 from __future__ import annotations

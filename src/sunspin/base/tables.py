@@ -42,6 +42,9 @@ DELIMITERS = ",;\t"
 DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d*),(\d+([eE][-+]?\d+)?\s*)", re.ASCII)
 """A number with a decimal comma, as written in files with semicolons between columns."""
 
+SEPARATOR = re.compile(r"sep=(,|;|\t|\\t|\|)", re.IGNORECASE)
+"""A first line that names the delimiter for spreadsheet programs."""
+
 MAX_DEPTH = 8
 """Nesting of JSON objects; more than any telemetry has."""
 
@@ -137,24 +140,36 @@ def read_table(path: Path) -> Table:
 def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     """Return the cells of a CSV text and its comments.
 
-    Rows are counted here before pandas parses them, as pandas fills up short rows without a message.
+    Rows are counted here before pandas parses them, as pandas fills up short rows without a message. As other programs write them,
+    these are accepted: a first line `sep=;`, a delimiter after the last cell, and the header again before a further block of rows.
     """
     lines = text.splitlines()
+    stated = SEPARATOR.fullmatch(lines[0].strip('" '))
+    if stated:
+        lines[0] = ""
     # comments before the header and between rows are collected
     begin = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), len(lines))
     comment_lines = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
     comments = [comment for line in comment_lines if (comment := line.lstrip("# ").strip())]
     header = lines[begin] if begin < len(lines) else ""
     delimiter, added_header = max(DELIMITERS, key=header.count), {}
+    if stated:
+        delimiter = stated[1].replace("\\t", "\t")
     if RAW_FRAME.fullmatch(header.strip()):  # a row of frames and no header: add one as line 0
         delimiter = "|"
         added_header = {0: delimiter.join(FRAME_COLUMNS[: header.count(delimiter) + 1])}
-    # line number in the file -> line, without comments and lines of empty cells
+    # a header has no numbers; without one, the first rows may be equal
+    has_names = np.isnan([plain_number(cell) for cell in header.split(delimiter)]).all()
+    # line number in the file -> line, without comments, lines of empty cells and repeated headers
     rows = added_header | {
         number: line
         for number, line in enumerate(lines[begin:], begin + 1)
-        if line.strip(f' {delimiter}\t"') and line[0] != "#"
+        if line.strip(f' {delimiter}\t"')
+        and line[0] != "#"
+        and not (has_names and line == header and number > begin + 1)
     }
+    # after the last name there may be a delimiter, and then also after the last cell of each row
+    closing = not added_header and header.rstrip(" ").endswith(delimiter)
     width = 0  # number of columns, that of the first row
     for number, line in rows.items():
         at = f"{where}, line {number}"
@@ -166,7 +181,9 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
             except csv.Error as error:
                 what, do = f"this is not valid CSV ({error})", "close the quotes, or remove them"
                 raise TelemetryError(what, do=do, where=at) from None
-        width = width or n_cells
+        width = width or n_cells - closing
+        if closing and n_cells == width + 1 and line.rstrip(" ").endswith(delimiter):
+            rows[number], n_cells = line.rstrip(" ").removesuffix(delimiter), width
         if n_cells != width:
             what = f"the row has {n_cells} values but the header names {width} columns"
             raise TelemetryError(what, do="complete or remove the row", where=at)

@@ -24,6 +24,7 @@ from sunspin.cli.values import Parsed, parse_numbers
 if TYPE_CHECKING:
     import xarray as xr
 
+    from sunspin.environment.ephemeris import OrbitFile
     from sunspin.vehicle import Vehicle
 
 
@@ -43,11 +44,11 @@ COMMANDS = {
     "explain": (YOURS, "Explain a verdict or a warning."),
     "report": (YOURS, "Make an HTML report from a results folder."),
     "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
+    "history": (YOURS, "Collect the passes of many results: trend and jumps of the speed."),
     "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),
     "simulate": (MOTIONS, "Propagate one motion."),
     "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),
     "outcomes": (MOTIONS, "Simulate collision and landing outcomes (Monte Carlo)."),
-    "compile": (MOTIONS, "Compile the kernels of scans in advance."),
     "reproduce": (PHILAE, "Reproduce the Philae study (figures, tables, report)."),
     "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
 }
@@ -183,6 +184,10 @@ SHARED: dict[str, dict[str, Any]] = {
         "help": "Orbit file: TLE, OMM, OEM, SPK, or CSV with time_utc, x_km, y_km, z_km. The three names mean the same: the format "
         "is detected. Default: [orbit] of the vehicle file.",
     },
+    "--norad satellite": {
+        "metavar": "NUMBER",
+        "help": "Catalogue number (or name) of the satellite, for an orbit file with several.",
+    },
     "--tle-shift-sigma shift_sigma": {
         "type": POSITIVE,
         "help": "1-sigma along-track uncertainty of the orbit in s. Default: from the age of the elements.",
@@ -231,7 +236,7 @@ def shared(*names: str, out: bool | str = True) -> Callable:
     """Return a decorator that adds the options of `SHARED` with these names, and --out, --json and --quiet.
 
     The command receives the last three as one parameter `output` of the class `Output`. With --data, it receives TELEMETRY as the
-    path of a file that exists, if there is one.
+    path of a file that exists, if there is one. With --tle there is --norad too, and the command receives both as one `OrbitFile`.
 
     `out`: default of --out; True for --out without a default, False for a command without --out.
     """
@@ -245,16 +250,33 @@ def shared(*names: str, out: bool | str = True) -> Callable:
             if "--data" in names:
                 telemetry, data = given["telemetry"], given.pop("data")
                 given["telemetry"] = telemetry and find_telemetry(telemetry, data)
+            if "--tle" in names:
+                given["elements"] = _orbit_file(given["elements"], given.pop("satellite"))
             function(output=Output(name, out, as_json, quiet), **given)
 
         decorated: Callable = command
-        for name in reversed((*names, *(["--out"] if out else []), "--json", "--quiet")):
+        satellite = ["--norad"] if "--tle" in names else []
+        for name in reversed(
+            (*names, *satellite, *(["--out"] if out else []), "--json", "--quiet")
+        ):
             option_names, arguments = declared[name]
             default: dict[str, Any] = {} if name != "--out" or out is True else {"default": out}
             decorated = click.option(*option_names, **arguments, **default)(decorated)
         return decorated
 
     return decorate
+
+
+def _orbit_file(path: Path | None, satellite: str | None) -> OrbitFile | None:
+    """Return the file of --tle with the satellite of --norad, None without a file; raise `InputError` for --norad alone."""
+    from sunspin.environment.ephemeris import OrbitFile
+
+    if path is None:
+        if satellite is not None:
+            what, do = "--norad selects a satellite of an orbit file", "give --tle FILE too"
+            raise InputError(what, do=do)
+        return None
+    return OrbitFile(path, satellite or "")
 
 
 def find_telemetry(path: str, data: Path | None) -> Path:

@@ -13,7 +13,7 @@ from sunspin.cli.common import PATH, POSITIVE, shared
 @click.option(
     "--format",
     "file_format",
-    type=click.Choice(["aem", "aem-xml", "ck", "netcdf", "parquet"]),
+    type=click.Choice(["aem", "aem-2", "aem-xml", "ck", "netcdf", "parquet"]),
     default="aem",
     help="Output format.",
 )
@@ -32,7 +32,8 @@ from sunspin.cli.common import PATH, POSITIVE, shared
 def export(folder, file_format, frame, epoch, step, output) -> None:
     """Export attitude and rates of a results folder.
 
-    aem and aem-xml: CCSDS attitude ephemeris message; ck: SPICE kernels (.bc, .tsc, .tf); netcdf: with CF attributes; parquet.
+    aem, aem-2 and aem-xml: CCSDS attitude ephemeris message, as KVN of version 1.0 or 2.0, or as XML. ck: SPICE kernels (.bc, .tsc,
+    .tf). netcdf: with CF attributes. parquet: a table.
 
     \b
     Example:
@@ -58,10 +59,11 @@ def export(folder, file_format, frame, epoch, step, output) -> None:
         paths = [write_cf(target / "attitude.nc", data, attitude)]
     elif file_format == "parquet":
         paths = [write_parquet(target / "attitude.parquet", attitude)]
-    elif file_format == "aem":
-        paths = [write_aem(target / "sunspin.aem", attitude, "kvn")]
-    else:
+    elif file_format == "aem-xml":
         paths = [write_aem(target / "sunspin-aem.xml", attitude, "xml")]
+    else:
+        version = "2.0" if file_format == "aem-2" else "1.0"
+        paths = [write_aem(target / "sunspin.aem", attitude, version)]
     samples, segments = len(attitude.t_s), len(attitude.passes())
     files = [str(path) for path in paths]
     summary = {"from": str(source), "frame": attitude.frame, "samples": samples}

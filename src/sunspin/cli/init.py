@@ -12,17 +12,34 @@ from sunspin.cli.common import PATH, Output, shared
 
 @click.command(cls=Command)
 @click.argument("folder", metavar="DIR", type=PATH)
+@click.option(
+    "--from",
+    "telemetry",
+    metavar="FILE",
+    type=PATH,
+    help="Telemetry: vehicle.toml gets the panels and the [telemetry] section that its columns suggest.",
+)
 @shared(out=False)
-def init(folder: Path, output: Output) -> None:
+def init(folder: Path, telemetry: Path | None, output: Output) -> None:
     """Create an example vehicle.toml, with comments, and telemetry.csv. Existing files are never overwritten.
 
     \b
-    Example:
+    Examples (the third as for your own telemetry; check what it guessed):
       sunspin init my-satellite
       sunspin check my-satellite/vehicle.toml my-satellite/telemetry.csv
+      sunspin init mine --from my-satellite/telemetry.csv
     """
-    from sunspin.output.template import write_templates
+    from sunspin.output.template import write_templates, write_vehicle_for
 
+    if telemetry is not None:
+        vehicle = write_vehicle_for(folder, telemetry)
+        lines = [
+            f"Wrote {vehicle}: panels and [telemetry] from {telemetry.name}, no inertia and no wheel.",
+            "Check units, gains and faces in it, which are guesses from the names of the columns.",
+            f"Next: sunspin check {vehicle} {telemetry}",
+        ]
+        output.report({"vehicle": str(vehicle), "telemetry": str(telemetry)}, lines)
+        return
     vehicle, telemetry = write_templates(folder)
     lines = [
         f"Wrote {vehicle} and {telemetry} (synthetic samples).",

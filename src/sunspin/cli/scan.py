@@ -71,7 +71,7 @@ def scan(
     """Scan a grid of initial body rates: which motions reproduce the measured r_z, the body-z component of the Sun direction?
 
     Motions begin at the first sample with a Sun direction. With --out, writes scan.nc. A scan with a --store can be interrupted
-    and resumed. The first scan of a kind of vehicle takes 20 s longer, to compile its code; `sunspin compile` does so in advance.
+    and resumed. The first scan after the installation takes half a minute longer, to compile the integrators.
 
     \b
     Examples (the second with the built-in vehicle philae and its telemetry):

@@ -1,26 +1,25 @@
-"""The equations of motion of a rigid body with wheels, written once.
+"""The equations of motion of a rigid body with wheels, as plain functions of numbers.
 
-State, in body axes B: total angular momentum H (3, N m s), the physical axial momentum h_i of each wheel (N m s), the
-direction to the Sun r (unit, 3) and, where attitude is wanted, the quaternion B_from_N (scalar last). With A the inertia
-without the axial inertia of the wheels that turn freely,
+State, in body axes B: total angular momentum H (3, N m s), the physical axial momentum h_i of each wheel (N m s) and the direction
+to the Sun r (unit, 3). With A the inertia without the axial inertia of the wheels that turn freely,
 
     omega = A^-1 (H - sum_free h u - K)      K = sum_held J W u
-    dH/dt = H x omega      dh/dt = M(W)      dr/dt = r x omega      W = h / J - u.omega
+    dH/dt = H x omega + torque    dh/dt = M(W)    dr/dt = r x omega    W = h / J - u.omega
 
-which is the paper's eqs. (3), (4) and (7) without a matrix to solve per step, and with the invariants |H|, |r| and H.r in
-view: they hold whatever the wheels' torques are. The torque on a coasting wheel is M = -sign(W) (mu0 + mu1 |W|), eq. (5).
+which is the paper's eqs. (3), (4) and (7) without a matrix to solve per step, and with the invariants |H|, |r| and H.r in view.
+Derivatives are those of components in turning axes. M is the torque on the wheel along its axis (eq. 5): Coulomb and viscous
+friction oppose its speed W relative to the body.
 
-:func:`rhs` and the observables use only + - * on scalars. Called with heyoka expressions they build the reference
-integrator; traced with SymPy symbols they become the source of the ensemble kernel. There is no second copy of them.
-What depends on a wheel's mode (free or held, sign of its speed) enters through :class:`Parameters`, never through a branch,
-so every mode is a smooth system and mode changes are events of the callers. So do torques from outside
-(:mod:`sunspin.dynamics.torques`): with them H moves in space too, and directions in space that they depend on are part of the
-state beside the Sun's.
+What depends on a wheel's mode (free or held, sign of its speed) enters through :class:`Parameters`, never through a branch, so
+every mode is a smooth system and mode changes are events.
+
+The kernels compute with the same equations in other form (:mod:`sunspin.dynamics.kernels.flow`, :mod:`sunspin.dynamics.step`); the
+tests compare them with these functions, and witnesses such as heyoka are built of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -28,10 +27,12 @@ import numpy as np
 from sunspin.dynamics.bodies import Bodies
 from sunspin.vehicle import Vehicle
 
-Scalar = Any  # a float, a heyoka expression or a SymPy symbol
+Scalar = Any  # a number, an array, or an expression of another integrator
 Vector: TypeAlias = (
     Sequence[Any] | np.ndarray
-)  # scalars, or an array whose first axis are the components
+)  # three scalars, or an array whose first axis are the components
+
+NO_TORQUE = (0.0, 0.0, 0.0)
 
 
 class WheelParameters(NamedTuple):
@@ -44,44 +45,26 @@ class WheelParameters(NamedTuple):
     viscous: Scalar  # mu1, N m s
 
 
-class Direction(NamedTuple):
-    """A direction in body axes; `turn`, in body axes too, is the rate (rad/s) at which it turns in space, None where it stands."""
-
-    vector: Vector
-    turn: Vector | None = None
-
-
-Directions: TypeAlias = Mapping[str, Direction]  # by name, "sun" first
-
-
-class OutsideTorque(NamedTuple):
-    """A torque on the body: `torque(omega_B, directions_B, t_s, parameters)` in N m, of + - * only, and its parameters."""
-
-    torque: Callable[[Vector, Mapping[str, Vector], Scalar, Vector], Vector]
-    parameters: Vector
-
-
 class Parameters(NamedTuple):
-    """All that :func:`rhs` needs besides the state: A^-1 as (xx, xy, xz, yy, yz, zz), K (N m s), wheels, torques from outside."""
+    """What the equations need besides the state: A^-1 as (xx, xy, xz, yy, yz, zz), K (N m s), and the wheels."""
 
     inverse: tuple[Scalar, ...]  # six
     held_momentum: tuple[Scalar, ...]  # three
     wheels: tuple[WheelParameters, ...]
-    outside: tuple[OutsideTorque, ...] = ()
 
 
 def cross(a: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """a x b."""
+    """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    """a . b for three components."""
+    """Return a . b for three components."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def symmetric_times(m: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """M b for a symmetric M given as (xx, xy, xz, yy, yz, zz)."""
+    """Return M b for a symmetric M given as (xx, xy, xz, yy, yz, zz)."""
     return (
         m[0] * b[0] + m[1] * b[1] + m[2] * b[2],
         m[1] * b[0] + m[3] * b[1] + m[4] * b[2],
@@ -90,7 +73,7 @@ def symmetric_times(m: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def body_rate(H: Vector, h: Vector, p: Parameters) -> tuple[Scalar, Scalar, Scalar]:
-    """omega (rad/s, B) from total momentum and the wheels' axial momenta; `h` of a held wheel is not used."""
+    """Return omega (rad/s, B) from total momentum and the wheels' axial momenta; `h` of a held wheel is not used."""
     rest = [H[k] - p.held_momentum[k] for k in range(3)]
     for h_i, wheel in zip(h, p.wheels, strict=True):
         rest = [rest[k] - wheel.free * h_i * wheel.axis[k] for k in range(3)]
@@ -98,123 +81,53 @@ def body_rate(H: Vector, h: Vector, p: Parameters) -> tuple[Scalar, Scalar, Scal
 
 
 def wheel_speed(h_i: Scalar, omega: Vector, wheel: WheelParameters) -> Scalar:
-    """W (rad/s), speed of a free wheel relative to the body."""
+    """Return W (rad/s), the speed of a free wheel relative to the body."""
     return h_i * wheel.inverse_inertia - dot(wheel.axis, omega)
 
 
 def wheel_torque(h_i: Scalar, omega: Vector, wheel: WheelParameters) -> Scalar:
-    """Torque on the wheel along its axis (N m), zero where it is held: what holds it follows from the motion."""
+    """Return the torque on the wheel along its axis (N m), zero where it is held: what holds it follows from the motion."""
     return wheel.free * (-wheel.coulomb - wheel.viscous * wheel_speed(h_i, omega, wheel))
 
 
-def momentum_rate(
-    H: Vector, omega: Vector, directions: Directions, p: Parameters, t_s: Scalar
-) -> Vector:
-    """dH/dt (N m, B): as seen from the turning body, and by the torques from outside."""
-    moment = cross(H, omega)
-    vectors = {name: direction.vector for name, direction in directions.items()}
-    for acting in p.outside:
-        torque = acting.torque(omega, vectors, t_s, acting.parameters)
-        moment = (moment[0] + torque[0], moment[1] + torque[1], moment[2] + torque[2])
-    return moment
-
-
-def direction_rate(direction: Direction, omega: Vector) -> tuple[Scalar, ...]:
-    """d/dt of a direction as the body turns and, where it turns in space, of its turning rate too: d x (omega - turn)."""
-    if direction.turn is None:
-        return cross(direction.vector, omega)
-    relative = [omega[k] - direction.turn[k] for k in range(3)]
-    return (*cross(direction.vector, relative), *cross(direction.turn, omega))
+def gravity_gradient(nadir: Vector, inertia: Vector, strength: Scalar) -> tuple[Scalar, ...]:
+    """Return 3 n^2 nadir x (I nadir) (eq. 23), N m: unit nadir in B, I as six elements in kg m2, strength 3 n^2 in 1/s2."""
+    return tuple(strength * x for x in cross(nadir, symmetric_times(inertia, nadir)))
 
 
 def rhs(
-    H: Vector,
-    h: Vector,
-    directions: Directions,
-    p: Parameters,
-    t_s: Scalar = 0,
-    spin: Scalar = 0,
-    axis: Vector | None = None,
-) -> tuple[Vector, tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """Time derivatives in body axes of H, h and, one after the other, the directions with their turning rates.
+    H: Vector, h: Vector, r: Vector, p: Parameters, torque: Vector = NO_TORQUE
+) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """Return the time derivatives in body axes of H, h and r (paper, eqs. 3, 4, 5, 7, in momenta).
 
-    Paper eqs. (3), (4), (5), (7) in terms of momenta, and with torques from outside. Without those a `spin` in 1/(kg m2) may be
-    given: the directions are then seen from axes that turn about H at the rate spin |H| besides. The share spin H of omega turns
-    them about H and leaves H alone, and what is left of omega is slower than omega; see :func:`spun`. Where torques move H, an
-    `axis` in space that was H once stands for it: the first direction alone is seen from axes that turn about it, and its own
-    derivative comes last.
+    torque : (3,) N m, B
+        From outside, on the body.
     """
     omega = body_rate(H, h, p)
-    torques = tuple(wheel_torque(h_i, omega, wheel) for h_i, wheel in zip(h, p.wheels, strict=True))
-    if axis is not None:
-        left = tuple(omega[k] - spin * axis[k] for k in range(3))
-        sun, *others = directions.values()
-        rates = (x for direction in others for x in direction_rate(direction, omega))
-        return (
-            momentum_rate(H, omega, directions, p, t_s),
-            torques,
-            (*direction_rate(sun, left), *rates, *cross(axis, left)),
-        )
-    left = tuple(omega[k] - spin * H[k] for k in range(3)) if spin != 0 else omega
-    moment = momentum_rate(H, left, directions, p, t_s)
+    turned = cross(H, omega)
     return (
-        moment,
-        torques,
-        tuple(x for direction in directions.values() for x in direction_rate(direction, left)),
+        tuple(turned[k] + torque[k] for k in range(3)),
+        tuple(wheel_torque(h_i, omega, wheel) for h_i, wheel in zip(h, p.wheels, strict=True)),
+        cross(r, omega),
     )
-
-
-def spun(H: Vector, r: Vector, cosine: Scalar, sine: Scalar, along: Scalar) -> tuple[Scalar, ...]:
-    """r in body axes, from its value in the axes that turn about H, after a turn by the angle a = spin |H| t.
-
-    `cosine` is cos a, `sine` is sin a / |H|, `along` is (1 - cos a) H.r / |H|^2; H.r is an invariant.
-    """
-    x = cross(r, H)
-    return tuple(cosine * r[k] + sine * x[k] + along * H[k] for k in range(3))
-
-
-def quaternion_rate(q: Vector, omega: Vector) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """dq/dt of q = B_from_N, scalar last: -1/2 (omega, 0) * q."""
-    x, y, z, w = q
-    a, b, c = (0.5 * component for component in omega)
-    return (
-        -(a * w + b * z - c * y),
-        -(b * w + c * x - a * z),
-        -(c * w + a * y - b * x),
-        a * x + b * y + c * z,
-    )
-
-
-def body_acceleration(
-    H: Vector, h: Vector, p: Parameters, directions: Directions, t_s: Scalar = 0
-) -> tuple[Scalar, Scalar, Scalar]:
-    """domega/dt (rad/s2, B)."""
-    omega = body_rate(H, h, p)
-    moment = momentum_rate(H, omega, directions, p, t_s)
-    for h_i, wheel in zip(h, p.wheels, strict=True):
-        torque = wheel_torque(h_i, omega, wheel)
-        moment = [moment[k] - torque * wheel.axis[k] for k in range(3)]
-    return symmetric_times(p.inverse, moment)
 
 
 def holding_torque(
-    H: Vector,
-    h: Vector,
-    p: Parameters,
-    wheel: WheelParameters,
-    inertia: Scalar,
-    directions: Directions,
-    t_s: Scalar = 0,
+    H: Vector, h: Vector, p: Parameters, wheel: int, torque: Vector = NO_TORQUE
 ) -> Scalar:
-    """J u.domega/dt (N m): the torque on a held wheel that keeps its speed; a stuck one breaks away beyond mu0 (eq. 6)."""
-    return inertia * dot(wheel.axis, body_acceleration(H, h, p, directions, t_s))
-
-
-# ---- what is computed with numbers only --------------------------------------------------------------------------------
+    """Return J u.domega/dt (N m), the torque on a held wheel that keeps its speed; a stuck one breaks away beyond mu0 (eq. 6)."""
+    omega = body_rate(H, h, p)
+    turned = cross(H, omega)
+    moment = [turned[k] + torque[k] for k in range(3)]
+    for h_i, each in zip(h, p.wheels, strict=True):
+        friction = wheel_torque(h_i, omega, each)
+        moment = [moment[k] - friction * each.axis[k] for k in range(3)]
+    own = p.wheels[wheel]
+    return dot(own.axis, symmetric_times(p.inverse, moment)) / own.inverse_inertia
 
 
 def free_inertia(vehicle: Vehicle | Bodies, free: Sequence[bool]) -> np.ndarray:
-    """A (..., 3, 3) in kg m2: the vehicle's inertia less the axial inertia of each free wheel."""
+    """Return A (..., 3, 3) in kg m2: the vehicle's inertia less the axial inertia of each free wheel."""
     bodies = Bodies.of(vehicle)
     tensor = np.array(bodies.inertia_kg_m2)
     for k, is_free in enumerate(free):
@@ -227,7 +140,7 @@ def free_inertia(vehicle: Vehicle | Bodies, free: Sequence[bool]) -> np.ndarray:
 def total_momentum(
     vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray
 ) -> np.ndarray:
-    """H = Theta omega + sum J W u (..., 3) in N m s, from omega_B (..., 3) and wheel speeds (..., n_wheel)."""
+    """Return H = Theta omega + sum J W u (..., 3) in N m s, from omega_B (..., 3) and wheel speeds (..., n_wheel)."""
     bodies = Bodies.of(vehicle)
     spins = bodies.wheel_inertia_kg_m2 * wheel_speed_rad_s
     return np.einsum("...i,...ij->...j", omega_B, bodies.inertia_kg_m2) + spins @ bodies.axes_B
@@ -236,7 +149,7 @@ def total_momentum(
 def axial_momenta(
     vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray
 ) -> np.ndarray:
-    """h = J (W + u.omega) (..., n_wheel) in N m s."""
+    """Return h = J (W + u.omega) (..., n_wheel) in N m s."""
     bodies = Bodies.of(vehicle)
     return bodies.wheel_inertia_kg_m2 * (wheel_speed_rad_s + omega_B @ bodies.axes_B.T)
 
@@ -244,7 +157,7 @@ def axial_momenta(
 def kinetic_energy(
     vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray
 ) -> np.ndarray:
-    """Rotational kinetic energy (...) in J, wheels included: omega.A omega / 2 + sum h^2 / (2 J)."""
+    """Return the rotational kinetic energy (...) in J, wheels included: omega.A omega / 2 + sum h^2 / (2 J)."""
     bodies = Bodies.of(vehicle)
     tensor = free_inertia(bodies, [True] * bodies.n_wheels)
     h = axial_momenta(bodies, omega_B, wheel_speed_rad_s)

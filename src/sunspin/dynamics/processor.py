@@ -46,7 +46,7 @@ if _features.get("avx512f") and not (config.CPU_NAME or config.CPU_FEATURES):
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 """Threads run side by side; a division by zero gives infinity; products and sums may be fused, nothing else is reordered."""
 
-compiled = njit(**OPTIONS)
+compiled = njit(**OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Decorator of what is called from compiled code: it is compiled into its callers, and kept with them."""
 
 _announced: dict[Any, str] = {}

@@ -1,7 +1,8 @@
-"""The reference propagator: one trajectory to machine precision, forward or backward, with wheel events.
+"""The reference propagator: one motion to machine precision, forward or backward, with wheel events.
 
-Between events the system is smooth and integrated by Taylor's method (:mod:`sunspin.dynamics.taylor`); a wheel that stops,
-breaks away or reverses, and a change of command, end one smooth piece and begin the next (:mod:`sunspin.dynamics.wheel_modes`).
+The kernel of :mod:`sunspin.dynamics.kernels.motions` computes a leg of the run, in which each wheel has one command, with all its
+events. A leg ends where a command changes and, backward in time, where a wheel that is stuck had come to rest: that time has to be
+given, since friction that holds a wheel forgets its past.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from sunspin.base.errors import MotionError
 from sunspin.base.provenance import provenance
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
+from sunspin.dynamics.batch import Motion, Outcome, Problem, Rows, advance, require_followable
 from sunspin.dynamics.bodies import Bodies
-from sunspin.dynamics.taylor import integrator, parameter_values
-from sunspin.dynamics.torques import NOTHING, Acting, Steady, acting
-from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, directions_of, needed, outside
+from sunspin.dynamics.kernels.rows import BREAKS_AWAY, OVERLOADED, RESTS, REVERSES, STOPS
+from sunspin.dynamics.torques import Acting, Steady, acting
 from sunspin.environment import Environment
 from sunspin.environment.frames import BODY_AT_START
 from sunspin.vehicle import Vehicle
@@ -29,67 +30,27 @@ from sunspin.vehicle import Vehicle
 SUN_LENGTH_TOLERANCE = 1e-3
 """A direction to the Sun printed to three or four digits is taken as it is; beyond this it is an error."""
 
-TAKE_OFF_ANGLE = 1e-3
-"""rad that the body turns while a wheel that begins to slip gathers speed; only then its speed is told from rounding."""
-
-ROUNDING_SPEED = 1e-9
-"""rad/s; a slipping wheel slower than this has just begun to."""
-
 MAX_RATE = 1e6
 """rad/s; a body or wheel said to turn faster is a slip of units."""
-
-PIECE_ANGLE = 1e4
-"""rad turned by momentum over the smallest moment of inertia, at most, in one piece: bounds the memory of dense output."""
 
 MAX_EVENTS = 100_000
 """Wheel events in one run; more means that the wheel chatters and the run would not end."""
 
+FIRST_ROOM = 500
+"""Events for which there is room at first; a leg with more is computed again."""
 
-@dataclass
-class _Run:
-    """The state of a run between pieces: time, y = (H, h, r, what torques carry, q), the wheels, the events so far."""
+SHARE = 0.1
+"""Share of `rtol` that the kernel's law of steps may use up."""
 
-    vehicle: Vehicle
-    t: float
-    y: np.ndarray
-    wheels: tuple[m.WheelState, ...]
-    backward: bool
-    stopped_at: tuple[float | None, ...]
-    events: list[tuple[float, str, str]]
-    pending: int | None = None  # event that ended the last piece
-    acting: Acting = NOTHING
-    outside_values: np.ndarray = field(default_factory=lambda: np.zeros(0))
+ABOUT_TO_SLIP = 1e-300
+"""rad/s: a speed that is zero but for its sign. A wheel with it turns freely; one with zero is stuck."""
 
-    @property
-    def momentum(self) -> np.ndarray:
-        return self.y[:3]
-
-    @property
-    def axial(self) -> np.ndarray:
-        return self.y[3 : 3 + len(self.wheels)]
-
-    @property
-    def outside(self) -> tuple[g.OutsideTorque, ...]:
-        return outside(self.acting.torques, self.outside_values)
-
-    @property
-    def directions(self) -> g.Directions:
-        return directions_of(self.acting.torques, self.y[3 + len(self.wheels) : -4])
-
-    def settled(self) -> tuple[m.WheelState, ...]:
-        """The wheels, those let go that friction cannot hold."""
-        return m.settle(
-            self.vehicle,
-            self.momentum,
-            self.wheels,
-            self.axial,
-            self.outside,
-            self.directions,
-            self.t,
-        )
-
-    def note(self, wheel: int, what: str) -> None:
-        self.events.append((self.t, self.vehicle.wheels[wheel].name, what))
+EVENT_TEXT = {
+    STOPS: "stops",
+    BREAKS_AWAY: "breaks away",
+    REVERSES: "reverses",
+    RESTS: "breaks away",  # backward: forward in time it breaks away there
+}
 
 
 def propagate(
@@ -148,29 +109,31 @@ def propagate(
     """
     t = _times(t_s)
     forces = acting(torques, environment, t[0])
-    run, plan = _start(
-        vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N
-    )
-    ta = integrator(len(vehicle.wheels), forces.torques, _tolerance(rtol))
-    y = np.empty((t.size, run.y.size))
-    omega = np.empty((t.size, 3))
-    speeds = np.empty((t.size, len(vehicle.wheels)))
-    y[0] = run.y
-    omega[0], speeds[0] = _vector(omega_B, "omega_B"), [w.speed for w in run.wheels]
-    filled = 1
-    stops = [*m.switch_times(plan, t[0], t[-1]), t[-1]] if t.size > 1 else []
-    for t_stop in stops:
-        _command(run, plan, (run.t + t_stop) / 2)
-        while run.t != t_stop:
-            dense = _piece(run, ta, t_stop)
-            done = t >= run.t if run.backward else t <= run.t
-            inside = slice(filled, max(filled, int(np.count_nonzero(done))))
-            if dense is not None and inside.stop > inside.start:
-                y[inside] = dense(t[inside])
-                omega[inside], speeds[inside] = _observe(run.vehicle, run.wheels, y[inside])
-            filled = inside.stop
-            _change_modes(run, ta)
-    return _dataset(vehicle, t, y, omega, speeds, run, rtol)
+    if not 0 < rtol < 1:
+        raise MotionError("rtol must be between 0 and 1", got=rtol)
+    omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
+    if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
+        raise MotionError(
+            "sun_B must be a unit vector",
+            got=f"length {np.linalg.norm(sun):.6g}",
+            do="divide it by its length",
+        )
+    speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
+    fastest = max(np.abs(omega).max(), np.abs(speeds).max(initial=0.0))
+    if fastest > MAX_RATE:
+        raise MotionError(
+            f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"
+        )
+    plan = m.schedules(vehicle, wheel_mode)
+    attitude = forces.attitude(B_from_N, sun)
+    run = _Run(vehicle, t, forces, _stop_times(vehicle, stopped_at_s), rtol)
+    run.begin(omega, sun, speeds, attitude)
+    for end in [*m.switch_times(plan, t[0], t[-1]), t[-1]] if t.size > 1 else []:
+        middle = (run.t + end) / 2
+        commands = tuple(m.command_at(schedule, middle) for schedule in plan)
+        while run.t != end:
+            run.advance(end, commands)
+    return _dataset(run)
 
 
 def _times(t_s: npt.ArrayLike) -> np.ndarray:
@@ -186,13 +149,6 @@ def _times(t_s: npt.ArrayLike) -> np.ndarray:
             "t_s must be finite times that all increase, or all decrease", got=f"shape {t.shape}"
         )
     return t
-
-
-def _tolerance(rtol: float) -> float:
-    """heyoka's tolerance is per step; a thousand steps must stay within `rtol`."""
-    if not 0 < rtol < 1:
-        raise MotionError("rtol must be between 0 and 1", got=rtol)
-    return max(rtol * 1e-3, float(np.finfo(float).eps))
 
 
 def _vector(value: npt.ArrayLike, name: str) -> np.ndarray:
@@ -220,296 +176,244 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
     return speeds
 
 
-def _start(
-    vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N
-) -> tuple[_Run, tuple]:
+def _stop_times(
+    vehicle: Vehicle, stopped_at_s: float | Sequence[float | None] | None
+) -> tuple[float | None, ...]:
+    """Return the time at which each wheel had stopped, or None."""
+    n = len(vehicle.wheels)
+    times = stopped_at_s if isinstance(stopped_at_s, Sequence) else (stopped_at_s,) * n
+    if len(times) != n:
+        raise MotionError("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
+    return tuple(times)
+
+
+@dataclass
+class _Run:
+    """A run between two legs: what is asked for, the state at time `t`, and the outputs and events so far.
+
+    `sun_N` (3); `attitude` (4): quaternion at the first time. Of now: `matrix` (3, 3), attitude B from N, and `speeds` (n_wheel),
+    exactly zero where friction holds a wheel. `torque_B` and `torque_N` (3): steady torques in N m. `outputs` (n_time, ...) are
+    written from the first on; `filled` counts them.
+    """
+
+    vehicle: Vehicle
+    times: np.ndarray
+    acting: Acting
+    stopped_at: tuple[float | None, ...]
+    rtol: float
+    sun_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    attitude: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    t: float = 0.0
+    omega: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    speeds: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    matrix: np.ndarray = field(default_factory=lambda: np.eye(3))
+    torque_B: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    torque_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    filled: int = 0
+    outputs: dict[str, np.ndarray] = field(default_factory=dict)
+    events: list[tuple[float, str, str]] = field(default_factory=list)
+
+    @property
+    def backward(self) -> bool:
+        """Whether the run goes backward in time."""
+        return bool(self.times[-1] < self.times[0])
+
+    def begin(
+        self, omega: np.ndarray, sun_B: np.ndarray, speeds: np.ndarray, attitude: np.ndarray
+    ) -> None:
+        """Set the state at the first time, and write the first output."""
+        from scipy.spatial.transform import Rotation
+
+        bodies, n = Bodies.of(self.vehicle), self.times.size
+        self.t, self.omega, self.speeds = float(self.times[0]), omega, speeds.copy()
+        self.attitude, self.matrix = attitude, Rotation.from_quat(attitude).as_matrix()
+        self.sun_N = self.matrix.T @ sun_B
+        self.torque_B, space_B = self.acting.steady(bodies)
+        self.torque_N = self.matrix.T @ space_B
+        self.outputs = {
+            "omega_B": np.empty((n, 3)),
+            "sun_B": np.empty((n, 3)),
+            "wheel_speed_rad_s": np.empty((n, len(speeds))),
+            "momentum_B": np.empty((n, 3)),
+            "matrix": np.empty((n, 3, 3)),
+        }
+        first = {
+            "omega_B": omega,
+            "sun_B": sun_B,
+            "wheel_speed_rad_s": speeds,
+            "momentum_B": g.total_momentum(bodies, omega, speeds),
+            "matrix": self.matrix,
+        }
+        for name, value in first.items():
+            self.outputs[name][0] = value
+        self.filled = 1
+
+    def advance(self, end: float, commands: tuple[str, ...]) -> None:
+        """Go on to `end`, or to the time before it at which a wheel that is stuck had come to rest."""
+        if self.backward:
+            end = self._backward_end(end, commands)
+            if end == self.t:
+                return
+        due = self.times[self.filled :]
+        due = due[due >= end] if self.backward else due[due <= end]
+        motion = self._leg(np.append(due, end) - self.t, commands)
+        events = motion.events[0, : motion.n_events[0]]
+        begin, outcome = self.t, motion.outcome[0]
+        if outcome == Outcome.PAST_UNKNOWN:
+            # the state where the wheel had come to rest; what lies beyond belongs to the next leg
+            self.t = begin + float(events[-1, 0])
+            due = due[due > self.t]
+        elif outcome == Outcome.NOT_FINITE:
+            raise MotionError(
+                f"the motion left the range of numbers after t = {begin:zg} s",
+                do="check the rates' unit",
+            )
+        else:
+            self.t = end
+        for seconds, wheel, what in events:
+            self._note(begin + seconds, int(wheel), int(what))
+        self._write(motion, len(due))
+        last = motion.at_end()
+        self.omega, self.speeds = last.omega_B[0, 0], last.wheel_speed_rad_s[0, 0].copy()
+        self.matrix = last.attitude[0, 0] @ self.matrix
+
+    def _leg(self, seconds: np.ndarray, commands: tuple[str, ...]) -> Motion:
+        """Compute a leg from the present state to `seconds` (n_out) after it, with room for all its events."""
+        from scipy.spatial.transform import Rotation
+
+        bodies = Bodies.of(self.vehicle, 1)
+        forces = replace(self.acting, start_s=self.t)
+        if self.acting.torques:  # a torque in space is given in the body's axes of now
+            torque = np.stack([self.torque_B, self.matrix @ self.torque_N])
+            bodies = replace(bodies, steady_N_m=torque[None])
+            others = [x for x in forces.torques if not isinstance(x, Steady)]
+            forces = replace(forces, torques=(*others, Steady()))
+        initial = Rows(
+            self.omega[None],
+            (self.matrix @ self.sun_N)[None],
+            self.speeds[None],
+            bodies,
+            Rotation.from_matrix(self.matrix).as_quat()[None],
+        )
+        problem = Problem(self.vehicle, initial, commands, forces)
+        require_followable(problem, seconds[-1])
+        total = abs(self.times[-1] - self.times[0])
+        error = SHARE * max(self.rtol, 1e-13) * (abs(seconds[-1]) / total if total else 1.0)
+        room = FIRST_ROOM
+        while True:
+            motion = advance(problem, seconds, error, True, room)
+            if motion.outcome[0] != Outcome.CHATTERS:
+                return motion
+            if room >= MAX_EVENTS:
+                last = self.t + motion.events[0, -1, 0]
+                raise MotionError(
+                    f"more than {MAX_EVENTS} wheel events by t = {last:zg} s: the wheel chatters"
+                )
+            room = min(10 * room, MAX_EVENTS)
+
+    def _write(self, motion: Motion, count: int) -> None:
+        """Write the first `count` outputs of a leg after those of the legs before."""
+        to = slice(self.filled, self.filled + count)
+        self.outputs["omega_B"][to] = motion.omega_B[0, :count]
+        self.outputs["sun_B"][to] = motion.sun_B[0, :count]
+        self.outputs["wheel_speed_rad_s"][to] = motion.wheel_speed_rad_s[0, :count]
+        self.outputs["momentum_B"][to] = motion.momentum_B[0, :count]
+        self.outputs["matrix"][to] = motion.attitude[0, :count] @ self.matrix
+        self.filled += count
+
+    def _note(self, t: float, wheel: int, what: int) -> None:
+        """Note an event of a wheel; `MotionError` for one that shows that it cannot have been stuck."""
+        name = self.vehicle.wheels[wheel].name
+        if what == OVERLOADED:
+            raise MotionError(
+                f"wheel {name!r} cannot have been stuck before t = {t:z.6g} s: friction was too weak",
+                do="give the time it stopped as stopped_at_s, or begin later",
+            )
+        if what == RESTS:
+            self._require_past(wheel, t)
+        self.events.append((t, name, EVENT_TEXT[what]))
+
+    def _backward_end(self, end: float, commands: tuple[str, ...]) -> float:
+        """Return how far back the next leg may go: to where the first of the wheels that are stuck had come to rest.
+
+        Wheels that had come to rest just now are let go, and turn as the vehicle says that they do.
+        """
+        for i, wheel in enumerate(self.vehicle.wheels):
+            limit = m.friction_limit(wheel, commands[i])
+            if self.speeds[i] != 0.0 or commands[i] == "hold" or limit == 0.0:
+                continue
+            stopped = self._require_past(i, self.t)
+            if stopped == self.t:
+                self.speeds[i] = -ABOUT_TO_SLIP if wheel.speed_rad_s < 0 else ABOUT_TO_SLIP
+                self.events.append((self.t, wheel.name, "stops"))
+            else:
+                end = max(end, stopped)
+        return end
+
+    def _require_past(self, wheel: int, t: float) -> float:
+        """Return when a wheel that is at rest at `t` had stopped; `MotionError` if that is not known, or lies after `t`."""
+        stopped, name = self.stopped_at[wheel], self.vehicle.wheels[wheel].name
+        if stopped is None:
+            raise MotionError(
+                f"wheel {name!r} is at rest at t = {t:z.6g} s and a wheel that sticks forgets its past",
+                do="give the time it stopped as stopped_at_s",
+            )
+        if stopped > t:
+            raise MotionError(
+                f"stopped_at_s = {stopped:g} s lies after t = {t:zg} s, at which the wheel is already at rest"
+            )
+        return stopped
+
+
+def _quaternions(matrices: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Return unit quaternions (n, 4), scalar last, of matrices (n, 3, 3): neighbours on one side, the first next to `first`."""
     from scipy.spatial.transform import Rotation
 
-    omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
-    if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
-        raise MotionError(
-            "sun_B must be a unit vector",
-            got=f"length {np.linalg.norm(sun):.6g}",
-            do="divide it by its length",
-        )
-    speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
-    fastest = max(np.abs(omega).max(), np.abs(speeds).max(initial=0.0))
-    if fastest > MAX_RATE:
-        raise MotionError(
-            f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"
-        )
-    plan = m.schedules(vehicle, wheel_mode)
-    stopped = (
-        stopped_at_s
-        if isinstance(stopped_at_s, Sequence)
-        else (stopped_at_s,) * len(vehicle.wheels)
-    )
-    if len(stopped) != len(vehicle.wheels):
-        raise MotionError("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
-    attitude = forces.attitude(B_from_N, sun)
-    bodies = Bodies.of(vehicle)
-    carried = forces.carried(
-        Rotation.from_quat(attitude).as_matrix()[None], own=forces.own(bodies)
-    )[0]
-    y = np.concatenate(
-        [
-            g.total_momentum(vehicle, omega, speeds),
-            g.axial_momenta(vehicle, omega, speeds),
-            sun,
-            carried,
-            attitude,
-        ]
-    )
-    wheels = tuple(m.WheelState(m.Turning.HELD, "hold", float(speed), 0.0, 0.0) for speed in speeds)
-    backward = t.size > 1 and t[-1] < t[0]
-    values = forces.values(bodies)
-    return _Run(
-        vehicle,
-        float(t[0]),
-        y,
-        wheels,
-        backward,
-        tuple(stopped),
-        [],
-        acting=forces,
-        outside_values=values,
-    ), plan
+    quaternions = Rotation.from_matrix(matrices).as_quat()
+    turned = np.einsum("ni,ni->n", quaternions, np.vstack([first, quaternions[:-1]])) < 0
+    return quaternions * np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
 
 
-def _command(run: _Run, plan: tuple, t: float) -> None:
-    """Give each wheel the command in force at `t`, the middle of the interval that begins now."""
-    _refresh(run)
-    run.wheels = tuple(
-        m.state_under(wheel, m.command_at(schedule, t), state.speed)
-        for wheel, schedule, state in zip(run.vehicle.wheels, plan, run.wheels, strict=True)
-    )
-    if run.backward:
-        for i in range(len(run.wheels)):
-            _require_known_past(run, i)
-    else:
-        run.wheels = run.settled()
-
-
-def _refresh(run: _Run) -> None:
-    """Bring the speeds noted in `run.wheels`, and h of wheels that were not free, up to the present state."""
-    omega, speeds = _observe(run.vehicle, run.wheels, run.y[None])
-    exact = [
-        s if w.turning is m.Turning.FREE else w.speed
-        for s, w in zip(speeds[0], run.wheels, strict=True)
-    ]
-    run.wheels = tuple(replace(w, speed=float(s)) for w, s in zip(run.wheels, exact, strict=True))
-    run.y[3 : 3 + len(exact)] = g.axial_momenta(run.vehicle, omega[0], np.array(exact))
-
-
-def _observe(
-    vehicle: Vehicle, wheels: tuple[m.WheelState, ...], y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """omega (n, 3) and wheel speeds (n, n_wheel) of states y (n, ...) while the wheels are in these states."""
-    p = m.parameters(vehicle, wheels)
-    H, h = y[:, :3].T, y[:, 3 : 3 + len(wheels)].T
-    omega = g.body_rate(H, h, p)
-    speeds = [
-        g.wheel_speed(h[i], omega, p.wheels[i])
-        if state.turning is m.Turning.FREE
-        else np.full(len(y), state.speed)
-        for i, state in enumerate(wheels)
-    ]
-    return np.stack(omega, axis=-1), np.stack(speeds, axis=-1) if speeds else np.zeros((len(y), 0))
-
-
-def _piece(run: _Run, ta, t_stop: float):
-    """Integrate to `t_stop`, a wheel event, or the time a stuck wheel had stopped; return the dense output."""
-    values = parameter_values(run.vehicle, run.wheels, run.backward, run.outside_values)
-    fastest = np.linalg.norm(run.momentum) * np.linalg.norm(values[:6])
-    longest = PIECE_ANGLE / max(fastest, 1e-12)
-    target = max(t_stop, run.t - longest) if run.backward else min(t_stop, run.t + longest)
-    if run.backward:
-        for state, stopped in zip(run.wheels, run.stopped_at, strict=True):
-            if (
-                state.turning is m.Turning.STUCK
-                and stopped is not None
-                and target < stopped < run.t
-            ):
-                target = stopped
-    for state in run.wheels:
-        if state.watch_from is not None:
-            target = (
-                max(target, state.watch_from) if run.backward else min(target, state.watch_from)
-            )
-    if target == run.t:
-        raise MotionError(
-            f"the body turns too fast to be followed at t = {run.t:zg} s",
-            do="check the rates' unit",
-        )
-    ta.pars[:] = values
-    ta.state[:] = run.y
-    ta.time = run.t
-    result = ta.propagate_until(target, c_output=True)
-    outcome, dense = int(result[0]), result[4]
-    run.y = ta.state.copy()
-    run.pending = -outcome - 1 if -2 * len(run.wheels) <= outcome < 0 else None
-    run.t = float(ta.time if run.pending is not None else target)
-    if not np.all(np.isfinite(run.y)):
-        raise MotionError(
-            f"the motion left the range of numbers at t = {run.t:zg} s", do="check the rates' unit"
-        )
-    return dense
-
-
-def _change_modes(run: _Run, ta) -> None:
-    """Handle what ended the piece: an event of a wheel, or the known stop of a stuck wheel on the way back."""
-    if len(run.events) > MAX_EVENTS:
-        raise MotionError(
-            f"more than {MAX_EVENTS} wheel events by t = {run.t:zg} s: the wheel chatters"
-        )
-    if run.pending is not None:
-        wheel, is_breakaway = divmod(run.pending, 2)
-        _breakaway(run, wheel) if is_breakaway else _stop(run, wheel)
-    elif run.backward:
-        for i, (state, stopped) in enumerate(zip(run.wheels, run.stopped_at, strict=True)):
-            if state.turning is m.Turning.STUCK and stopped == run.t:
-                _release_backward(run, i)
-    if run.wheels:
-        ta.reset_cooldowns()
-        _watch_slipping_wheels(run)
-
-
-def _watch_slipping_wheels(run: _Run) -> None:
-    """Begin to watch wheels that have gathered speed since they began to slip; one that has not is still stuck."""
-    _refresh(run)
-    omega = float(np.linalg.norm(_observe(run.vehicle, run.wheels, run.y[None])[0]))
-    for i, state in enumerate(run.wheels):
-        if state.turning is not m.Turning.FREE or state.limit == 0:
-            continue
-        if state.watch_from == run.t:
-            gathered = state.sign * state.speed > 0
-            turning = (
-                state if gathered else replace(state, turning=m.Turning.STUCK, speed=0.0, sign=0.0)
-            )
-            _set_wheel(run, i, replace(turning, watch_from=None))
-        elif state.watch_from is None and abs(state.speed) < ROUNDING_SPEED:
-            delay = TAKE_OFF_ANGLE / max(omega, 1e-6)
-            _set_wheel(
-                run, i, replace(state, watch_from=run.t + (-delay if run.backward else delay))
-            )
-
-
-def _set_wheel(run: _Run, i: int, state: m.WheelState) -> None:
-    run.wheels = run.wheels[:i] + (state,) + run.wheels[i + 1 :]
-
-
-def _stop(run: _Run, i: int) -> None:
-    """Wheel i reaches zero speed: it sticks if friction can hold it, else it goes on into reverse."""
-    _refresh(run)
-    before = run.wheels[i]
-    _set_wheel(run, i, m.WheelState(m.Turning.STUCK, before.command, 0.0, 0.0, before.limit))
-    _refresh(run)
-    settled = run.settled()
-    if run.backward:
-        if settled[i].turning is m.Turning.FREE:
-            # it passed through zero; backward in time it leaves with the opposite sign
-            _set_wheel(run, i, replace(before, speed=0.0, sign=-before.sign))
-            run.note(i, "reverses")
-        else:
-            _require_known_past(run, i)
-            run.note(i, "breaks away")
-        return
-    run.note(i, "stops" if settled[i].turning is m.Turning.STUCK else "reverses")
-    run.wheels = settled
-
-
-def _breakaway(run: _Run, i: int) -> None:
-    """The torque that keeps wheel i stuck reaches the friction limit."""
-    if run.backward:
-        raise MotionError(
-            f"wheel {run.vehicle.wheels[i].name!r} cannot have been stuck before t = {run.t:z.6g} s: friction was too weak",
-            do="give the time it stopped as stopped_at_s, or begin later",
-        )
-    before = run.wheels[i]
-    p, inertia = (
-        m.parameters(run.vehicle, run.wheels, run.outside),
-        run.vehicle.wheels[i].inertia_kg_m2,
-    )
-    torque = g.holding_torque(
-        run.momentum, run.axial, p, p.wheels[i], inertia, run.directions, run.t
-    )
-    _refresh(run)
-    _set_wheel(
-        run,
-        i,
-        m.WheelState(m.Turning.FREE, before.command, 0.0, -float(np.sign(torque)), before.limit),
-    )
-    run.wheels = run.settled()
-    run.note(i, "breaks away")
-
-
-def _release_backward(run: _Run, i: int) -> None:
-    """Backward in time, the moment at which wheel i had stopped: before it the wheel was turning."""
-    _refresh(run)
-    before = run.wheels[i]
-    sign = -1.0 if run.vehicle.wheels[i].speed_rad_s < 0 else 1.0
-    _set_wheel(run, i, m.WheelState(m.Turning.FREE, before.command, 0.0, sign, before.limit))
-    run.note(i, "stops")
-
-
-def _require_known_past(run: _Run, i: int) -> None:
-    state, stopped = run.wheels[i], run.stopped_at[i]
-    if state.turning is m.Turning.STUCK and stopped is None:
-        raise MotionError(
-            f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t:z.6g} s and a wheel that "
-            "sticks forgets its past",
-            do="give the time it stopped as stopped_at_s",
-        )
-    if state.turning is m.Turning.STUCK and stopped is not None and stopped >= run.t:
-        if stopped > run.t:
-            raise MotionError(
-                f"stopped_at_s = {stopped:g} s lies after t = {run.t:zg} s, at which the wheel is already at rest"
-            )
-        _release_backward(run, i)
-
-
-def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
-    n, events, environment = len(vehicle.wheels), run.events, run.acting.environment
+def _dataset(run: _Run) -> xr.Dataset:
+    """Return the outputs and events of a run that has ended."""
+    out, events, environment = run.outputs, run.events, run.acting.environment
     body = ("time", "axis")
+    variables: dict[str, Any] = {
+        "omega_B": (
+            body,
+            out["omega_B"],
+            {"units": "rad s-1", "long_name": "body rate, body axes"},
+        ),
+        "sun_B": (
+            body,
+            out["sun_B"],
+            {"units": "1", "long_name": "direction to the Sun, body axes"},
+        ),
+        "wheel_speed_rad_s": (
+            ("time", "wheel"),
+            out["wheel_speed_rad_s"],
+            {"units": "rad s-1", "long_name": "relative to the body"},
+        ),
+        "momentum_B": (
+            body,
+            out["momentum_B"],
+            {"units": "N m s", "long_name": "total angular momentum, body axes"},
+        ),
+        "B_from_N": (
+            ("time", "quaternion"),
+            _quaternions(out["matrix"], run.attitude),
+            {"units": "1", "long_name": "attitude, scalar last; N is " + _named_frame(environment)},
+        ),
+    }
+    if run.acting.needs_attitude:
+        variables["nadir_B"] = (
+            body,
+            run.acting.nadir_B(out["matrix"], run.times)[:, :3],
+            {"units": "1", "long_name": "direction of the nadir, body axes"},
+        )
     return xr.Dataset(
-        {
-            "omega_B": (body, omega, {"units": "rad s-1", "long_name": "body rate, body axes"}),
-            "sun_B": (
-                body,
-                y[:, 3 + n : 6 + n],
-                {"units": "1", "long_name": "direction to the Sun, body axes"},
-            ),
-            "wheel_speed_rad_s": (
-                ("time", "wheel"),
-                speeds,
-                {"units": "rad s-1", "long_name": "relative to the body"},
-            ),
-            "momentum_B": (
-                body,
-                y[:, :3],
-                {"units": "N m s", "long_name": "total angular momentum, body axes"},
-            ),
-            "B_from_N": (
-                ("time", "quaternion"),
-                y[:, -4:],
-                {
-                    "units": "1",
-                    "long_name": "attitude, scalar last; N is " + _named_frame(environment),
-                },
-            ),
-            **{
-                f"{name}_B": (
-                    body,
-                    y[:, at : at + 3],
-                    {"units": "1", "long_name": f"direction of the {name}, body axes"},
-                )
-                for name, at in zip(
-                    needed(run.acting.torques),
-                    range(6 + n, y.shape[1], PER_DIRECTION),
-                    strict=False,
-                )
-                if name != OWN
-            },
+        variables
+        | {
             "event_time_s": (
                 "event",
                 np.array([e[0] for e in events], dtype=np.float64),
@@ -519,16 +423,16 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
             "event_what": ("event", np.array([e[2] for e in events], dtype=np.str_)),
         },
         coords={
-            "time": ("time", t, {"units": "s"}),
+            "time": ("time", run.times, {"units": "s"}),
             "axis": ["x", "y", "z"],
-            "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
+            "wheel": np.array([wheel.name for wheel in run.vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=provenance("trajectory", **vehicle.result_attributes)
+        attrs=provenance("trajectory", **run.vehicle.result_attributes)
         | {
-            "rtol": rtol,
+            "rtol": run.rtol,
             "frame_N": BODY_AT_START if environment is None else environment.frame_N,
-            "source": "paper, eqs. 3-7; Taylor integration by heyoka",
+            "source": "paper, eqs. 3-7; integration by Taylor series",
         },
     )
 

@@ -1,21 +1,17 @@
-"""What a wheel is told to do (its command, over time) and what it does (turn freely, be stuck, be held by its motor).
+"""Commands of wheels over time, and the limit of dry friction under them.
 
-Sticking and breaking away follow Coulomb's law as in the paper, eq. (6): a wheel at rest on the body stays at rest as long as
-the torque that this needs is within the friction limit; beyond it the wheel slips against the torque that was needed.
+Under "hold" a motor keeps the speed; under "coast" friction acts alone, and under "brake" the brake of the vehicle file besides.
+What a wheel then does (turn freely, stick, break away, reverse) follows in :mod:`sunspin.dynamics.kernels.wheels`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from sunspin.base.errors import MotionError
-from sunspin.dynamics import gyrostat as g
-from sunspin.solve.linear import symmetric_inverse
 from sunspin.vehicle import Vehicle, Wheel
 
 COMMANDS = ("coast", "hold", "brake")
@@ -26,28 +22,6 @@ def mode_before(wheel_speed_rad_s: np.ndarray) -> str:
     """The command under which motions with these speeds of the wheels (n, n_wheels) are run backward, where nothing else is known:
     wheels at rest are taken to have stood still, since friction that holds a wheel forgets how it came to rest."""
     return "coast" if np.any(wheel_speed_rad_s) else "hold"
-
-
-class Turning(Enum):
-    """How a wheel moves relative to the body."""
-
-    FREE = "turns freely"
-    STUCK = "is stuck by friction"
-    HELD = "is held at its speed by the motor"
-
-
-@dataclass(frozen=True)
-class WheelState:
-    """One wheel between two events: how it turns, its speed (held or stuck), the sign and friction limit that apply."""
-
-    turning: Turning
-    command: str
-    speed: float  # rad/s at the start of the interval
-    sign: float  # of the speed, for the friction law; 0 where there is no dry friction
-    limit: float  # N m, dry friction (and brake) that can hold the wheel
-    watch_from: float | None = (
-        None  # s; a wheel that has just begun to slip is watched for a stop only from here on
-    )
 
 
 def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:
@@ -118,77 +92,7 @@ def switch_times(all_schedules: Sequence[Schedule], t_from: float, t_to: float) 
     return sorted(times, reverse=bool(t_to < t_from))
 
 
-def state_under(
-    wheel: Wheel, command: str, speed: float, coulomb_N_m: float | None = None
-) -> WheelState:
-    """How a wheel of this speed turns under a command; one at rest counts as stuck until `settle` has judged it."""
-    limit = float(friction_limit(wheel, command, coulomb_N_m))
-    if command == "hold":
-        return WheelState(Turning.HELD, command, speed, 0.0, 0.0)
-    if speed == 0.0 and limit > 0:
-        return WheelState(Turning.STUCK, command, 0.0, 0.0, limit)
-    return WheelState(Turning.FREE, command, speed, float(np.sign(speed)), limit)
-
-
 def friction_limit(wheel: Wheel, command: str, coulomb_N_m: Any = None) -> Any:
     """Dry torque (N m) that opposes the wheel: Coulomb friction (the wheel's, or another), and the brake where it is on."""
     coulomb = wheel.friction.coulomb_N_m if coulomb_N_m is None else coulomb_N_m
     return coulomb + (wheel.brake_torque_N_m or 0.0 if command == "brake" else 0.0)
-
-
-def parameters(
-    vehicle: Vehicle, states: Sequence[WheelState], outside: tuple[g.OutsideTorque, ...] = ()
-) -> g.Parameters:
-    """Numbers for :func:`sunspin.dynamics.gyrostat.rhs` in this combination of wheel states."""
-    free = [state.turning is Turning.FREE for state in states]
-    held = np.zeros(3)
-    wheels = []
-    for wheel, state, is_free in zip(vehicle.wheels, states, free, strict=True):
-        if not is_free:
-            held += wheel.inertia_kg_m2 * state.speed * wheel.axis_B
-        wheels.append(
-            g.WheelParameters(
-                tuple(wheel.axis_B.tolist()),
-                1.0 / wheel.inertia_kg_m2,
-                float(is_free),
-                state.sign * state.limit,
-                wheel.friction.viscous_N_m_s,
-            )
-        )
-    inverse = tuple(symmetric_inverse(g.free_inertia(vehicle, free)).tolist())
-    return g.Parameters(inverse, tuple(held.tolist()), tuple(wheels), outside)
-
-
-def settle(
-    vehicle: Vehicle,
-    H: np.ndarray,
-    states: Sequence[WheelState],
-    h: np.ndarray,
-    outside: tuple[g.OutsideTorque, ...],
-    directions: g.Directions,
-    t_s: float,
-) -> tuple[WheelState, ...]:
-    """Decide which of the wheels at rest (turning STUCK) stay stuck; those that cannot begin to slip.
-
-    Stuck wheels couple, so the one that is most overloaded is released first and the others are judged again.
-    """
-    states = tuple(states)
-    while True:
-        worst, worst_ratio, worst_torque = -1, 1.0, 0.0
-        p = parameters(vehicle, states, outside)
-        for i, (wheel, state) in enumerate(zip(vehicle.wheels, states, strict=True)):
-            if state.turning is not Turning.STUCK:
-                continue
-            torque = g.holding_torque(H, h, p, p.wheels[i], wheel.inertia_kg_m2, directions, t_s)
-            if abs(torque) > worst_ratio * state.limit:
-                worst, worst_ratio, worst_torque = i, abs(torque) / state.limit, torque
-        if worst < 0:
-            return states
-        slipping = WheelState(
-            Turning.FREE,
-            states[worst].command,
-            0.0,
-            -float(np.sign(worst_torque)),
-            states[worst].limit,
-        )
-        states = states[:worst] + (slipping,) + states[worst + 1 :]

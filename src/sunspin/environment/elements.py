@@ -6,9 +6,11 @@ import csv
 import io
 import json
 import re
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from difflib import get_close_matches
 from functools import lru_cache
 from string import digits as DIGITS
 from typing import Any
@@ -92,6 +94,9 @@ UNUSED_KEYS = {
 }
 """Values of keys that the library `sgp4` requires but that do not affect the orbit; it accepts no number above 339999."""
 
+CSV_DELIMITERS = ",;\t"
+"""Characters between the columns of an OMM as CSV; the one that occurs most often in the header is used."""
+
 ALPHA_5 = "0123456789ABCDEFGHJKLMNPQRSTUVWXYZ"
 """Alpha-5: the ten thousands of a catalogue number as one character, without I and O."""
 
@@ -152,10 +157,12 @@ def _satrec(given: tuple) -> Any:
     return satellite
 
 
-def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
+def parse_elements(text: str, where: str, satellite: str = "") -> tuple[Elements, ...]:
     """Parse the element sets of one satellite, oldest first: TLE, with or without names, or OMM as KVN, XML, CSV or JSON.
 
-    `where` names the file in messages. Raises `InputError` with the file, the line, the offending text and the advice.
+    A text with several satellites, as catalogues publish them, needs `satellite`: its catalogue number, or its name in capitals or
+    small letters. `where` names the file in messages. Raises `InputError` with the file, the line, the offending text and the
+    advice.
     """
     # the form of an OMM shows at the begin of the text, or by its keys; each message is a dict of the keys
     first_character = text.lstrip()[:1]
@@ -163,8 +170,9 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
         messages = _read_xml(text, where)
     elif first_character in ("[", "{"):
         messages = _read_json(text, where)
-    elif "MEAN_MOTION" in text.split("\n", 1)[0]:
-        messages = csv.DictReader(io.StringIO(text.strip()))
+    elif "MEAN_MOTION" in (header := text.strip().split("\n", 1)[0]):
+        delimiter = max(CSV_DELIMITERS, key=header.count)
+        messages = csv.DictReader(io.StringIO(text.strip()), delimiter=delimiter)
     elif re.search(r"^\s*MEAN_MOTION\s*=", text, re.MULTILINE):
         messages = _read_kvn(text)
     else:
@@ -180,12 +188,45 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
     if not sets:
         do = "give two lines that begin with 1 and 2, or an OMM"
         raise InputError("no orbital elements here", do=do, where=where)
+    if satellite:
+        sets = _select_satellite(sets, satellite, where)
     numbers = sorted({elements.number for elements in sets})
     if len(numbers) > 1:
         what = f"the file has elements of {len(numbers)} satellites"
-        do = "keep those of yours"
-        raise InputError(what, got=", ".join(map(str, numbers[:4])), do=do, where=where)
+        do = "name yours with --norad and its catalogue number"
+        raise InputError(what, got=_describe_satellites(sets), do=do, where=where)
     return tuple(sorted(sets, key=lambda elements: elements.epoch_jd))
+
+
+def _select_satellite(sets: list[Elements], satellite: str, where: str) -> list[Elements]:
+    """Return the element sets of the satellite with this catalogue number or name; raise `InputError` if there are none.
+
+    A name that only begins or ends so is not taken: the satellites of a launch differ by their last letter.
+    """
+    wanted = satellite.strip()
+    is_number = re.fullmatch(r"\d{1,9}|[A-Z]\d{4}", wanted, re.ASCII) is not None
+    number = _parse_catalogue_number(wanted, where) if is_number else None
+    chosen = [
+        elements
+        for elements in sets
+        if elements.number == number or elements.name.casefold() == wanted.casefold()
+    ]
+    if not chosen:
+        names = {elements.name.casefold(): elements for elements in sets if elements.name}
+        similar = get_close_matches(wanted.casefold(), names, n=4, cutoff=0.4)
+        near = [names[name] for name in similar] or sets
+        what = f"the file has no elements of {wanted[:100]!r}"
+        do = f"give one of its {len({each.number for each in sets})} satellites, by number or name"
+        raise InputError(what, got=_describe_satellites(near), do=do, where=where)
+    return chosen
+
+
+def _describe_satellites(sets: list[Elements]) -> str:
+    """Return the catalogue numbers, with names where there are any, of the first four satellites."""
+    satellites = dict.fromkeys((elements.number, elements.name) for elements in sets)
+    return ", ".join(
+        f"{number} ({name[:24]})" if name else str(number) for number, name in [*satellites][:4]
+    )
 
 
 def nearest(sets: tuple[Elements, ...], jd: float) -> Elements:
@@ -203,7 +244,8 @@ def _read_tle(text: str, where: str) -> Iterator[Elements]:
         line, at = line.strip(), f"{where}, line {number}"
         if not line or line.startswith("#"):
             continue
-        if first is None and line.startswith(("1 ", "2 ")):
+        # a blank of any kind: `_check_line` names one that is not plain
+        if first is None and re.match(r"[12]\s", line):
             # a short line that begins with 2 is damaged, which `_check_line` reports
             if line[0] == "2" and len(line) > 60:
                 what = "line 2 of the elements comes before line 1"
@@ -211,7 +253,7 @@ def _read_tle(text: str, where: str) -> Iterator[Elements]:
             first = _check_line(line, LINE_1, at)
             _require_SGP4(first[EPHEMERIS_COLUMN].replace(" ", "0"), at)
         elif first is not None:
-            if not line.startswith("2 "):
+            if not re.match(r"2\s", line):
                 what = "line 2 of the elements must follow their line 1"
                 raise InputError(what, got=line, where=at)
             second = _check_line(line, LINE_2, at)
@@ -240,6 +282,16 @@ def _check_line(line: str, columns: re.Pattern[str], at: str) -> str:
 
     `columns`: `LINE_1` or `LINE_2`; `at` names file and line.
     """
+    # a copy from a web page or a text processor looks right and is not
+    if foreign := re.search(r"[^ -~]", line):
+        name = unicodedata.name(foreign[0], "a control character").lower()
+        what = f"the line contains a character that no line of elements has, in column {foreign.start() + 1}"
+        got, do = f"{name}, U+{ord(foreign[0]):04X}", "copy the line again"
+        if foreign[0].isspace():
+            do = "write a plain blank there"
+        elif foreign[0] == "\N{MINUS SIGN}" or unicodedata.category(foreign[0]) == "Pd":
+            do = "write a plain minus (-) there"
+        raise InputError(what, got=got, do=do, where=at)
     if len(line) != 69:
         what = "a line of elements has 69 characters"
         raise InputError(what, got=f"{len(line)}", do="copy it whole", where=at)

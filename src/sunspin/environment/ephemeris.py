@@ -236,7 +236,14 @@ class _PositionTable(NamedTuple):
     frame: str
 
 
-def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
+class OrbitFile(NamedTuple):
+    """A file of elements or positions, and the satellite in it: its catalogue number or name, empty if the file has one only."""
+
+    path: Path
+    satellite: str = ""
+
+
+def read_orbit(file: OrbitFile | Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
     """Read elements (TLE, OMM) or the positions of one satellite (OEM in KVN or XML, CSV, SPK).
 
     A CSV has the columns `time_utc` (ISO-8601) and `x_km`, `y_km`, `z_km` (or `x_m` and so on). Velocities are optional:
@@ -247,7 +254,8 @@ def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
     InputError
         With the file, the line, the offending text and the advice.
     """
-    path, do = Path(path), "give the path of a TLE, OMM, OEM, CSV or SPK"
+    path, satellite = file if isinstance(file, OrbitFile) else OrbitFile(Path(file))
+    do = "give the path of a TLE, OMM, OEM, CSV or SPK"
     where, meta = str(path), dict[str, str]()
     content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, do)
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
@@ -261,7 +269,10 @@ def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
         elif re.search(r"\b(time_utc|[xyz]_k?m)\b", next(lines, "")):  # the header of a CSV
             tables = [_read_csv(path)]
         else:
-            return parse_elements(text, where)
+            return parse_elements(text, where, satellite)
+    if satellite:
+        what = "a table of positions is of one satellite"
+        raise InputError(what, got=satellite, do="leave --norad out", where=where)
     segments = [segment for table in tables for segment in _build_segments(table, where)]
     if not segments:
         what = f"the ephemeris has no {MIN_POSITIONS} positions in a row"

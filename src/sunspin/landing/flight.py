@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunspin.dynamics.ensemble import EMD_ERROR, Rows, run_rows
+from sunspin.dynamics.batch import EMD_ERROR, Rows, run, sun_heights
 from sunspin.dynamics.wheel_modes import Schedule, command_at, switch_times
 from sunspin.vehicle import Vehicle
 
@@ -24,7 +24,7 @@ class Track:
     """Motions (n) at instants (n_t), in body axes.
 
     Total momentum (N m s), direction to the Sun and rate (rad/s) are (n, n_t, 3), wheel speeds (rad/s) are (n, n_t, n_wheel).
-    `outcome` (n): code of `sunspin.dynamics.ensemble.Outcome`, 0 if the motion was computed.
+    `outcome` (n): code of `sunspin.dynamics.batch.Outcome`, 0 if the motion was computed.
     """
 
     momentum_B: np.ndarray
@@ -67,11 +67,9 @@ def fly(
         wanted = times[(times >= low) & (times <= high) & (times != begin)]
         # the state at the switch is needed to go on, also if it is none of `times`
         stops = wanted if len(wanted) and wanted[-1] == end else np.append(wanted, end)
-        run = run_rows(
-            vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR
-        )
-        outcome = np.where(outcome == 0, run.outcome, outcome)
-        values = run.momentum_B, run.sun_B, run.omega_B, run.wheel_speed_rad_s
+        motion = run(vehicle, rows, stops - begin, command=command, error=DIRECTION_ERROR)
+        outcome = np.where(outcome == 0, motion.outcome, outcome)
+        values = motion.momentum_B, motion.sun_B, motion.omega_B, motion.wheel_speed_rad_s
         rows = Track(*values, outcome).at(-1)
         pieces.append([value[:, : len(wanted)] for value in values])
     joined = (np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True))
@@ -87,10 +85,10 @@ def rz_time_shares(
     """
     shares, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in split_at_switches(schedule, begin_s, end_s):
-        result = run_rows(
-            vehicle, rows, end - begin, wheel_mode=command, emd_error=EMD_ERROR, bins=bins
+        result = sun_heights(
+            vehicle, rows, end - begin, command=command, emd_error=EMD_ERROR, bins=bins
         )
-        seconds = result.hist.astype(np.float64)
+        seconds = result.seconds.astype(np.float64)
         weight = (end - begin) / (end_s - begin_s)
         shares += seconds / seconds.sum(axis=1, keepdims=True) * weight
         outcome = np.where(outcome == 0, result.outcome, outcome)

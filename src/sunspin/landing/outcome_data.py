@@ -11,7 +11,7 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.compute.identity import to_json
-from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
+from sunspin.dynamics.batch import OUTCOME_TEXT, Outcome
 from sunspin.landing.contact import KINDS
 from sunspin.landing.scenario import possible_verticals
 

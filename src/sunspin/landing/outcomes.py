@@ -16,7 +16,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.cases import case_names, load_case
 from sunspin.compute.rows import ensemble
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.gyrostat import total_momentum
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import wheel_speeds

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.cases import case_names, load_case
-from sunspin.dynamics.ensemble import Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.estimate.posterior.predict import (
     carried,
     checked_times,

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
+from sunspin.dynamics.batch import OUTCOME_TEXT, Outcome
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.landing.outcomes import default_scenario, outcomes
 from sunspin.landing.scenario import Scenario, delayed_switch_off, parse_strategy

@@ -1,4 +1,4 @@
-"""The accessor of every result: ``.sunspin.summary()``, ``.sunspin.plot()``, ``.sunspin.save(folder)``.
+"""The accessor of every result: ``.sunspin.summary()``, ``.sunspin.plot()``, ``.sunspin.at(times)``, ``.sunspin.save(folder)``.
 
 ``attrs["kind"]`` of a result names its kind. :mod:`sunspin.output.kinds` defines the kinds and is imported at the first use.
 """
@@ -86,6 +86,29 @@ class Result:
             do = f"known: {', '.join(drawings)}"
             raise InputError("there is no figure of this name", got=name, do=do)
         return drawings[name or next(iter(drawings))].make()
+
+    def at(self, times: Any) -> xr.Dataset:
+        """Return attitude and rate of a result of `rates` or `propagate` at any times; NaN outside its passes.
+
+        Parameters
+        ----------
+        times : (n)
+            Seconds from the epoch of the result, or UTC times such as "2026-01-31T12:00:00Z".
+
+        Returns
+        -------
+        xarray.Dataset
+            Over `time`: `B_from_N`, `omega_B`, `pass_of` (-1 outside all passes); see
+            :func:`sunspin.output.export.motion_at`.
+
+        Raises
+        ------
+        InputError
+            The result holds no attitude, a time cannot be read, or the attitudes are too far apart to interpolate.
+        """
+        from sunspin.output.export import motion_at
+
+        return motion_at(self._data, times)
 
     def save(
         self,

@@ -1,13 +1,30 @@
-"""The example files that a user starts from."""
+"""The files that a user starts from: an example, or a vehicle file for a telemetry file."""
 
 from __future__ import annotations
 
 import os
+import re
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
+
 from sunspin.base.atomic_write import make_folder
-from sunspin.base.errors import OutputError
+from sunspin.base.errors import OutputError, TelemetryError
+from sunspin.base.tables import read_table
+from sunspin.telemetry.reader import columns_of_readings
+from sunspin.telemetry.suggest import suggest_section
+from sunspin.vehicle import Vehicle
+
+FACES = {
+    f"{sign}{axis}": tuple(value if k == n else 0 for k in range(3))
+    for sign, value in (("+", 1), ("-", -1))
+    for n, axis in enumerate("XYZ")
+}
+"""Faces of a box and their outward normals."""
+
+ON_FACE = 0.9
+"""Least cosine between a panel's normal and that of the face on which it is taken to be."""
 
 
 def write_templates(folder: Path) -> list[Path]:
@@ -18,8 +35,100 @@ def write_templates(folder: Path) -> list[Path]:
     OutputError
         One of the files exists, or the folder cannot be written.
     """
-    source = resources.files("sunspin").joinpath("template")
-    targets = [folder / name for name in ("vehicle.toml", "telemetry.csv")]
+    names = ("vehicle.toml", "telemetry.csv")
+    return _write(folder, {name: _template(name) for name in names})
+
+
+def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
+    """Write a vehicle.toml that reads a telemetry file into a folder and return its path.
+
+    It has a panel of unknown gain for each face that a column names, and neither inertia nor wheels.
+
+    Raises
+    ------
+    TelemetryError
+        The file cannot be read, or no two columns name faces.
+    OutputError
+        The file exists, or the folder cannot be written.
+    """
+    suggestion = suggest_section(read_table(telemetry))
+    if suggestion is None:
+        what = "no columns look like times and panels on two faces"
+        do = "write [telemetry] by hand: `sunspin init DIR` has an example"
+        raise TelemetryError(what, do=do, where=str(telemetry))
+    text = _template("vehicle.toml")
+    panels = "".join(
+        f'[[panel]]\nname = "{face}"\nnormal_B = {list(FACES[face])}\n'
+        "relative_gain = 1.0                   # REPLACE by cells, gain_W or gain_A\n"
+        for face in sorted(suggestion.columns, key=lambda face: face[::-1])
+    )
+    text = _replace(text, '[[panel]]\nname = "+X"', "\n# Panels that share an input", panels)
+    # the example's own keys of [telemetry] end where its columns end
+    section, columns = suggestion.section.split("[telemetry.columns]\n")
+    begin, end = text.index("[telemetry]\n"), text.index("# [telemetry.offset_s]")
+    keys = [line for line in text[begin:end].splitlines() if line.startswith("# ")]
+    text = (
+        text[:begin] + section + "\n".join(keys) + "\n[telemetry.columns]\n" + columns + text[end:]
+    )
+    # made-up values of the example would act as if they were known
+    text = _comment_out(text, "[[wheel]]", "# [wheel.alternative_frictions")
+    for key in ("mass_kg", "inertia_kg_m2", "max_rate_rad_s"):
+        text = re.sub(rf"^{key} =", f"# {key} =", text, count=1, flags=re.MULTILINE)
+    about = f"Made by sunspin init from {telemetry.name}; to be completed."
+    text = re.sub(
+        r"^description = .*$",
+        lambda _: f"description = {_toml_text(about)}",
+        text,
+        count=1,
+        flags=re.MULTILINE,
+    )
+    (path,) = _write(folder, {"vehicle.toml": text})
+    return path
+
+
+def suggest_telemetry(telemetry: Path, vehicle: Vehicle) -> str:
+    """Return a `[telemetry]` section that would read a file, with the names of the vehicle's panels; empty if there is none.
+
+    There is none either if the file has a column that the vehicle file reads: then the section is right, and a column is missing.
+    """
+    table, panels = read_table(telemetry), {}
+    if columns_of_readings(vehicle) & set(table.header):
+        return ""
+    for name, normal in zip(vehicle.panel_names, vehicle.panel_normals_B, strict=True):
+        for face, axis in FACES.items():
+            if normal @ np.array(axis) > ON_FACE:
+                panels.setdefault(face, name)
+    suggestion = suggest_section(table, panels)
+    return suggestion.section if suggestion else ""
+
+
+def _template(name: str) -> str:
+    """Return the text of a file of the example."""
+    return resources.files("sunspin").joinpath("template", name).read_text(encoding="utf-8")
+
+
+def _replace(text: str, first: str, after: str, new: str) -> str:
+    """Return a text with `new` from the first occurrence of `first` up to `after`."""
+    begin = text.index(first)
+    return text[:begin] + new + text[text.index(after, begin) :]
+
+
+def _comment_out(text: str, first: str, after: str) -> str:
+    """Return a text whose lines from the first that begins with `first` up to `after` are comments."""
+    begin = text.index(f"\n{first}") + 1
+    end = text.index(after, begin)
+    lines = text[begin:end].splitlines(keepends=True)
+    return text[:begin] + "".join(x if x.startswith("#") else f"# {x}" for x in lines) + text[end:]
+
+
+def _toml_text(text: str) -> str:
+    """Return a text as a TOML string; characters that TOML does not allow become question marks."""
+    return '"' + "".join(c if c.isprintable() and c not in '"\\' else "?" for c in text) + '"'
+
+
+def _write(folder: Path, texts: dict[str, str]) -> list[Path]:
+    """Write texts into new files of a folder, all or none, and return their paths; raise `OutputError` if one exists."""
+    targets = [folder / name for name in texts]
     for target in targets:
         if os.path.lexists(target):
             what, do = "this file is there already", "choose another folder"
@@ -30,7 +139,7 @@ def write_templates(folder: Path) -> list[Path]:
         for target in targets:
             with open(target, "x", encoding="utf-8") as file:
                 created.append(target)
-                file.write(source.joinpath(target.name).read_text(encoding="utf-8"))
+                file.write(texts[target.name])
     except OSError as error:
         for target in created:
             target.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.cases import Case, case_names, load_case
-from sunspin.dynamics.ensemble import EMD_ERROR, Rows, run_rows
+from sunspin.dynamics.batch import EMD_ERROR, Rows, sun_heights
 from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.landing.outcomes import BINS
@@ -138,9 +138,11 @@ def make_candidates(
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     omega_collision_B = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
     elevation_draws = draws.take(np.arange(min(ELEVATION_DRAWS, len(draws))))
-    ensemble = run_rows(vehicle, elevation_draws, rebound.window_s, emd_error=EMD_ERROR, bins=BINS)
+    ensemble = sun_heights(
+        vehicle, elevation_draws, rebound.window_s, emd_error=EMD_ERROR, bins=BINS
+    )
     # smallest and largest r_z: outer edges of the first and the last bin that a motion visits
-    visited, edges = ensemble.hist > 0, np.linspace(-1, 1, BINS + 1)
+    visited, edges = ensemble.seconds > 0, np.linspace(-1, 1, BINS + 1)
     low_z = edges[np.argmax(visited, axis=1)]
     high_z = edges[BINS - np.argmax(visited[:, ::-1], axis=1)]
     theta, alpha, momentum = momentum_angles(vehicle, states)

@@ -8,7 +8,7 @@ depend on the order of the samples, so it cannot be checked; only the posterior 
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -169,7 +169,16 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
 
 def rows(check: DataCheck) -> list[Row]:
     """Return the data check as rows. None is a test of the method, so none agrees or differs."""
-    row_of, paper = partial(make_row, check.case, check=check), check.case.published
+    paper = check.case.published
+    notes = {
+        "carries_patterns": f"{check.impossible} of {check.early}, {check.unexplained} of them beyond the stated misalignment of "
+        f"the panels; limit {MOST_IMPOSSIBLE:.0%}",
+        "carries_delta": f"{check.directions} directions; limit {paper['delta_max'].value}, the paper's largest of a single sample",
+        "carries_rebound_order": f"{np.degrees(check.neighbour_angle_rad):.0f} degrees on average between successive directions, "
+        "which need not be near; EMD does not use their order",
+    }
+    row_of = partial(make_row, check.case, notes=notes)
+    good_delta = bool(check.delta <= paper["delta_max"].value)
     result = [
         row_of(
             "carries_patterns",
@@ -177,24 +186,13 @@ def rows(check: DataCheck) -> list[Row]:
             tolerance=MOST_IMPOSSIBLE,
             holds=check.unexplained <= MOST_IMPOSSIBLE * check.early,
         ),
-        row_of(
-            "carries_delta",
-            check.delta,
-            published=paper["delta_mean"].value,
-            holds=bool(check.delta <= paper["delta_max"].value),
-        ),
+        row_of("carries_delta", check.delta, published=paper["delta_mean"].value, holds=good_delta),
     ]
     if check.descent_E is not None:
         least = float(check.shuffled_E.min())
-        descent_row = row_of(
-            "carries_descent_order",
-            check.descent_E / least,
-            orders=check.shuffled_E.size,
-            least=least,
-            most=check.shuffled_E.max(),
-            tolerance=ORDERED,
-            holds=check.descent_has_spin,
-        )
-        result.append(descent_row)
-    angle_deg = np.degrees(check.neighbour_angle_rad)
-    return [*result, row_of("carries_rebound_order", check.order_p_value, neighbours=angle_deg)]
+        most = check.shuffled_E.max()
+        orders = f"{check.shuffled_E.size} random orders {least:.4f} to {most:.4f}"
+        given: dict[str, Any] = {"tolerance": ORDERED, "holds": check.descent_has_spin}
+        given["note"] = f"E {check.descent_E:.5f}; {orders}; criterion: below {ORDERED:g}"
+        result.append(row_of("carries_descent_order", check.descent_E / least, **given))
+    return [*result, row_of("carries_rebound_order", check.order_p_value)]

@@ -28,18 +28,19 @@ def headline(study: Study) -> list[str]:
     )
     measured = "The panel powers were read from a file that does not call itself synthetic."
     origin = synthetic if study.synthetic else measured
-    if study.candidate_sets is None:
+    scan, candidate_sets = study.scan.result, study.candidate_sets.result
+    if scan is None or candidate_sets is None:
         return [_descent_sentence(study), *_without_conclusions(study), origin]
-    acts = [_method_sentence(study, study.candidate_sets), _limits_sentence(study.candidate_sets)]
-    if "timing" in study.parts:
-        acts.append(timing.describe(study.parts["timing"]))
+    acts = [_method_sentence(study, scan, candidate_sets), _limits_sentence(candidate_sets)]
+    if study.timing.result is not None:
+        acts.append(timing.describe(study.timing.result))
     numbered = [f"{number}. {act}" for number, act in enumerate(acts, 1)]
     return [_descent_sentence(study), *numbered, origin]
 
 
 def _descent_sentence(study: Study) -> str:
     """Return the rotation period of the descent in a sentence, or why there is none."""
-    check, fit = study.parts["carries"], study.parts.get("descent")
+    check, fit = study.check.get(), study.descent.result
     if fit is None:
         return "Descent: too few samples to estimate the rotation."
     if not check.descent_has_spin or not check.consistent_with_sun:
@@ -50,20 +51,17 @@ def _descent_sentence(study: Study) -> str:
 
 def _without_conclusions(study: Study) -> list[str]:
     """Return two sentences for telemetry from which no motion after the touchdown follows."""
-    missing, check = study.missing, study.parts["carries"]
-    # why the scan failed, else why no candidates could be selected from it
-    failed = missing.get("level_set", missing.get("candidates", "no motion was found"))
-    # "STEP: not reproduced, as REASON; got ...": only the reason is repeated
-    reason = failed.split(" as ", 1)[-1].split(";")[0].rstrip(".")
-    why = "; ".join(check.reasons) or reason  # the data check explains more than its consequence
+    error = study.candidate_sets.error
+    problem = error.problem if error else "no motion was found"
+    # the data check explains more than its consequence
+    why = "; ".join(study.check.get().reasons) or problem.rstrip(".")
     motion = f"After the first touchdown: the motion cannot be concluded, as {why}."
     return [motion, "No conclusions on touchdown, collision and landing."]
 
 
-def _method_sentence(study: Study, candidate_sets: CandidateSets) -> str:
+def _method_sentence(study: Study, scan: TelemetryScan, candidate_sets: CandidateSets) -> str:
     """Return the first act: what the paper's own recipe gives with this telemetry, compared with the published figures."""
     published = study.case.published
-    scan: TelemetryScan = study.parts["level_set"]
     rows = {row.id: row for row in study.rows}
     lines = len(published_lines(study.case))
     text = (
@@ -137,8 +135,8 @@ def score(study: Study) -> list[str]:
 
 def conclusions(study: Study) -> list[str]:
     """Return the evidence for the headline as sentences, then what differs from the paper and what could not be computed."""
-    sentences = [study.parts["carries"].first_line, f"Readings: {study.noise.about}."]
-    if (candidate_sets := study.candidate_sets) is not None:
+    sentences = [study.check.get().first_line, f"Readings: {study.noise.about}."]
+    if (candidate_sets := study.candidate_sets.result) is not None:
         if candidate_sets.calibration is not None:
             sentences.append(f"The confidence set: EMD below {candidate_sets.calibration}.")
         sentences += touchdown.describe_motion(candidate_sets)[1:]

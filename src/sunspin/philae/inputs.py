@@ -33,11 +33,11 @@ def rows(case: Case) -> list[Row]:
     vehicle, timeline = case.vehicle, case.require_timeline()
     paper = {key: figure.value for key, figure in case.published.items()}
 
-    def taken_over(name: str, ours: Any, **texts: Any) -> Row:
-        """Return the row of an input, with a note if this run has another value than the published one."""
+    def taken_over(name: str, ours: Any, **given: Any) -> Row:
+        """Return the row of an input, with another note if this run has another value than the published one."""
         if as_tuples(ours) != paper[name]:
-            texts["note"] = "not as published: this run has another value"
-        return make_row(case, name, ours, **texts)
+            given["note"] = "not as published: this run has another value"
+        return make_row(case, name, ours, **given)
 
     # Tables 1 to 3 and the panels' cells
     schedule = [event for event in timeline.events if event.source.startswith("paper, Table 1")]
@@ -45,14 +45,18 @@ def rows(case: Case) -> list[Row]:
     refinements_s = [abs(utc_seconds(e.utc, e.refined_utc)) for e in schedule if e.refined_utc]
     body, tips, cells = _published_tables(vehicle)
     moments = np.linalg.eigvalsh(vehicle.require_inertia())
-    inertia_texts = {
-        "moments": ", ".join(f"{moment:.3f}" for moment in moments),
-        "unlike": 100 * (moments[1] / moments[0] - 1),  # difference of the two smaller ones, %
-    }
+    moments_text = ", ".join(f"{moment:.3f}" for moment in moments)
+    unlike = 100 * (moments[1] / moments[0] - 1)  # difference of the two smaller ones, %
+    off_s, middle_m = max(refinements_s, default=0.0), np.linalg.norm(np.mean(tips, axis=0)[:2])
+    of_times = f"times of the case's timeline; those in the trajectory kernel differ by {off_s:.2f} s at most"
+    of_body = (
+        f"principal moments {moments_text}: a possible body, {unlike:.0f} % from a symmetric one"
+    )
+    of_tips = f"their middle is {middle_m:.3f} m from the z axis, so the origin, which is not named, is likely the centre of mass"
     result = [
-        taken_over("table_1", times, off=max(refinements_s, default=0.0)),
-        taken_over("table_2", body, **inertia_texts),
-        taken_over("table_3", tips, middle=np.linalg.norm(np.mean(tips, axis=0)[:2])),
+        taken_over("table_1", times, note=f"used as published; {of_times}"),
+        taken_over("table_2", body, note=f"used as published; {of_body}"),
+        taken_over("table_3", tips, note=f"as published; {of_tips}"),
         taken_over("cells", cells),
     ]
 
@@ -79,7 +83,11 @@ def rows(case: Case) -> list[Row]:
     if vehicle.antenna is not None:
         ours["antenna_cone"] = float(np.degrees(vehicle.antenna.opening_rad))
     result += [make_row(case, name, value) for name, value in ours.items()]
-    result.append(make_row(case, "sun_below", share_below, share=share))
+    criteria = (
+        "panel 6 lit, three panels at least, 3 and 5 not both dark; for these normals 5/16 = 0.3125"
+    )
+    note = f"of all directions {share:.4f}: {criteria}"
+    result.append(make_row(case, "sun_below", share_below, note=note))
 
     # figures that the study uses, or that it only compares with a computed one; these two may be changed for a run
     in_this_run: dict[str, Any] = {

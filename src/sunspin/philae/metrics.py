@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from scipy.signal import find_peaks
 from sunspin.base.errors import InputError
 from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan import error_growth
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines
@@ -90,9 +91,11 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     paper = {key: figure.value for key, figure in case.published.items()}
     vehicle, samples, workers = case.vehicle, select_rebound(case, sun), options.workers
     speed, window = nominal_wheel_speeds(vehicle), published_window_s(case)
-    # the start direction as the paper quotes it is no unit vector, and the ranges (3, 2) of the rates
-    quoted, box = np.array(paper["first_sun_E_study"]), paper["E_study_box"]
+    # start direction as the paper quotes it: its length is not 1
+    quoted = np.array(paper["first_sun_E_study"])
     length = float(np.linalg.norm(quoted))
+    # (3, 2): ranges of omega_x, omega_y, omega_z
+    box = paper["E_study_box"]
 
     # After 45 min neighbours in rates differ by a third of a radian in phase, neighbours in parameters by 1.4 rad. The second map
     # is coarser because each of its points is another vehicle, which takes 4 ms, 30 times a point of the first map.
@@ -105,6 +108,7 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     rates = scan(
         vehicle, samples, quoted / length, omega_x, omega_y, box[2][:1], speed, workers=workers
     ).isel(omega_z=0)
+    # `Motion.of` makes the direction a unit vector
     motion_8B = error_growth.Motion.of(vehicle, paper["E_study_omega"], quoted, speed, window)
     parameters = error_growth.parameter_map(
         motion_8B, samples, {"mu_0": mu_0, "theta_xx": theta_xx}, workers
@@ -159,11 +163,8 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
     paper = {key: figure.value for key, figure in case.published.items()}
     box, omega = np.mean(paper["E_study_box"], axis=1), np.array(paper["E_study_omega"])
 
-    def map_row(name: str, error: xr.DataArray, start: np.ndarray, **texts: Any) -> Row:
-        """Return the row of a map: its range, its valleys, and the distance of its start from the nearest published line."""
-        ours = [float(error.min()), float(error.max()), *count_valleys(error.values)]
-        distance = float(distances_from_lines(case, start).min())
-        return make_row(case, name, ours, apart=distance, **texts)
+    # distances of the starts of the two maps from the nearest published line
+    box_apart, omega_apart = (distances_from_lines(case, start).min() for start in (box, omega))
 
     # the paper quotes another first direction here than for the scan
     first, quoted = first_sun(case), np.array(paper["first_sun_E_study"])
@@ -186,40 +187,37 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
     agrees = bool(difference < tolerance)
     # direction errors at the end of the window (rad): of a change of 1 %, and of one of a rate per angular speed
     last = motions["error_rad"].isel(time=-1)
-    last_errors = {
-        "at_end": last.max("input") * error_growth.ONE_PERCENT,
-        "per_rate": (last / motions["angular_speed"]).sel(input=rates),
-    }
-    ranges: dict[str, Any] = {
-        name: (float(error.min()), float(error.max())) for name, error in last_errors.items()
-    }
+    at_end = float(last.max()) * error_growth.ONE_PERCENT
+    per_rate = (last / motions["angular_speed"]).sel(input=rates)
 
     windows = ", ".join(f"{seconds / 60:g}" for seconds in sensitivity.valley["window"].values)
     width = error_growth.valley_width(sensitivity.valley).tolist()
+    notes = {
+        "E_map_rates": f"{sensitivity.n_directions} directions, {sensitivity.rates.size} motions; the box is {box_apart:.2f} rad/s "
+        "from the nearest line",
+        "E_map_parameters": f"the range of mu_0 leaves out the lander's {nominal(case.vehicle, 'mu_0'):.3g} N m, that of theta_xx "
+        f"begins at theta_yy; nearest line {omega_apart:.2f} rad/s away",
+        "E_study_bound": f"its length is {sensitivity.start_length:.4f}; as a unit vector it is {apart_deg:.1f} deg from the first "
+        "direction of the scan",
+        "one_percent_E": f"criterion: more than 0.1; of unrelated directions E is 0.5; largest E and EMD of each motion: {of_each}",
+        "phase_growth": f"criterion: 1 and 2 within {tolerance:g}; after 45 min the direction errs by up to {at_end:.0f} rad (to "
+        f"first order) if an input is off by 1 %; by {per_rate.min():.0f} to {per_rate.max():.0f} rad per rad/s of a rate",
+        "valley_width": f"rates of Fig. 8 B, own directions every 2 min; the scan's step is {paper['scan_step']} rad/s",
+    }
+    row_of = partial(make_row, case, notes=notes)
+    of_rates, of_parameters = (
+        [float(E.min()), float(E.max()), *count_valleys(E.values)]
+        for E in (sensitivity.rates, sensitivity.parameters)
+    )
+    what = f"full width of the valley of E in omega_x in windows of {windows} min"
     return [
-        map_row(
-            "E_map_rates",
-            sensitivity.rates,
-            box,
-            directions=sensitivity.n_directions,
-            motions=sensitivity.rates.size,
-        ),
-        map_row(
-            "E_map_parameters", sensitivity.parameters, omega, outside=nominal(case.vehicle, "mu_0")
-        ),
-        make_row(
-            case,
-            "E_study_bound",
-            (1 - sensitivity.start_length) / 2,
-            length=sensitivity.start_length,
-            apart=apart_deg,
-        ),
-        make_row(case, "one_percent_E", least_E, agrees=least_E > 0.1, of_each=of_each),
-        make_row(
-            case, "one_percent_emd", largest_emd, tolerance=emd_min, agrees=largest_emd < emd_min
-        ),
-        make_row(case, "phase_growth", growth, tolerance=tolerance, agrees=agrees, **ranges),
-        make_row(case, "valley_width", width, windows=windows),
+        row_of("E_map_rates", of_rates),
+        row_of("E_map_parameters", of_parameters),
+        row_of("E_study_bound", (1 - sensitivity.start_length) / 2),
+        row_of("one_percent_E", least_E, agrees=least_E > 0.1),
+        row_of("one_percent_emd", largest_emd, tolerance=emd_min, agrees=largest_emd < emd_min),
+        row_of("phase_growth", growth, tolerance=tolerance, agrees=agrees),
+        row_of("valley_width", width, what=what),
     ]
 
 
@@ -395,7 +393,7 @@ def scan_telemetry(case: Case, sun: xr.Dataset, options: Options) -> TelemetrySc
     """Scan the grid against the directions `sun` (of `sun_directions`, whole landing); `options.seed` is that of the line fit.
 
     For the case's own synthetic telemetry `truth` holds the true rate and Sun at the first sample after the touchdown. Its EMD is
-    that of the true rate from the direction that the panels show.
+    that of the true rate from the published first direction, over the paper's window.
     """
     rebound = make_rebound(case, sun)
     table = propagate_grid(case, rebound.sun_B, rebound.window_s, options)
@@ -405,7 +403,7 @@ def scan_telemetry(case: Case, sun: xr.Dataset, options: Options) -> TelemetrySc
         z = simulate_rz(case, np.array(true_values["omega_B"]))
         truth = {name: np.array(true_values[name]) for name in ("omega_B", "sun_B")}
         truth |= {"emd": emd(z, rebound.z, weights_b=rebound.weights), "z": z}
-    # EMD of each motion; infinite if its propagation failed, so that it is in no set
+    # EMD of each motion for other steps; infinite if its propagation failed, so that it is in no set
     distance = np.where(table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
     factor = case.assumptions.study.near_minimum_factor
     near = make_near_minimum_set(case, volume, factor, options.seed)
@@ -425,20 +423,18 @@ def scan_rows(result: TelemetryScan) -> list[Row]:
     line_text = "too few points in the set for four lines"
     if distances:
         line_text = f"mean distances of the fitted lines (rad/s): {distances}"
-    texts: dict[str, Any] = {
-        "near": set_text,
-        "each": line_text,
-        "within": NEAR_RAD_S,
-        "omega_z": list(LINE_RANGE),
-        "directions": rebound.z.size,
+    notes = {
+        "emd_min": f"{rebound.z.size} directions; {set_text}",
+        "lines_found": f"criterion: mean distance of a fitted line below {NEAR_RAD_S:g} rad/s over omega_z in {list(LINE_RANGE)}; "
+        f"{line_text}; {set_text}",
     }
-    lines = published_lines(case)
+    row_of, lines = partial(make_row, case, notes=notes), published_lines(case)
     # the number of runs is compared only on the paper's own grid, not on a coarser one
     is_paper_grid = near.emd.size == case.published["scan_runs"].value
     return [
-        make_row(case, "emd_min", result.smallest, **texts),
-        make_row(case, "scan_runs", int(near.emd.size), agrees=is_paper_grid or None),
-        make_row(case, "lines_found", result.lines_recovered, published=len(lines), **texts),
+        row_of("emd_min", result.smallest),
+        row_of("scan_runs", int(near.emd.size), agrees=is_paper_grid or None),
+        row_of("lines_found", result.lines_recovered, published=len(lines)),
     ]
 
 

@@ -1,8 +1,8 @@
 """Philae's motion for display: complete candidate motions from touchdown to touchdown, and the angular speed with its spread.
 
 Nothing here is compared with the paper; the report draws it. After the collision a candidate is one of many. The leg that hits and
-the direction of the impact are drawn once (`telemetry.simulate_collision`) and are the same for all, so that only the motions
-differ.
+the direction of the impact are drawn once (`simulation.simulate_collision`) and are the same for all, so that only the motions
+differ. The collision of the truth is that of the telemetry.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.cases import Case
 from sunspin.dynamics import gyrostat
-from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.dynamics.batch import Rows, run
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.output.figures import COLOURS, titled
 from sunspin.philae.candidates import CandidateSets
+from sunspin.philae.collision import AfterCollision
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.rebound import Rebound, event_seconds, nominal_wheel_speeds, read_truth
@@ -38,17 +39,15 @@ DESCENT_STEP_S = 20.0
 """Time step of the descent's motion for display: the body rotates by less than 20 degrees in it."""
 
 
-def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dataset]:
+def compute(
+    scan: TelemetryScan, candidate_sets: CandidateSets, descent: Descent | None, seed: int = 0
+) -> dict[str, xr.Dataset]:
     """Return motions by name, as Datasets of `propagate` with panel signals.
 
     They are the truth (of the case's own synthetic telemetry), the best grid point, the slowest, the median and the fastest
-    candidate, and the descent. `done` holds the results of earlier steps: `level_set`, `candidates` and, if it was computed,
-    `descent`. The attribute `about` of a motion says in words how it was selected.
+    candidate, and the descent if it was computed. The attribute `about` of a motion says in words how it was selected.
     """
-    scan: TelemetryScan = done["level_set"]
-    candidate_sets: CandidateSets = done["candidates"]
-    descent: Descent | None = done.get("descent")
-    rebound, chosen = candidate_sets.rebound, candidate_sets.chosen
+    case, rebound, chosen = candidate_sets.case, candidate_sets.rebound, candidate_sets.chosen
     motions = {}
     if scan.truth:
         start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
@@ -82,13 +81,8 @@ def propagate_landing(
     start_s = impact_s - rebound.window_s
     state = State(start_s, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
     if truth:
-        after = State(
-            impact_s,
-            *(
-                np.array(truth[f"collision_{name}"])
-                for name in ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")
-            ),
-        )
+        names = "omega_after_B", "sun_B", "wheel_speed_after_rad_s"
+        after = State(impact_s, *(np.array(truth[f"collision_{name}"]) for name in names))
         impact = f"the collision that the telemetry contains (leg {truth['collision_leg']} hits)"
     else:
         collision = simulate_collision(case, state, generator(seed, 3))
@@ -209,19 +203,15 @@ def _complete_for_display(
     return completed
 
 
-def compute_speeds(
-    candidate_sets: CandidateSets, collisions: xr.Dataset, descent: Descent | None, seed: int
-) -> xr.Dataset:
+def compute_speeds(collision: AfterCollision, descent: Descent | None, seed: int) -> xr.Dataset:
     """Return the range of angular speeds of the candidates against time, as data for a figure.
 
     Before the collision: slowest, median and fastest candidate, all equally likely. After it: quantiles 0.025, 0.5 and 0.975 over
-    the simulated `collisions` of the candidates. With a `descent` its fitted rate is added.
+    the simulated collisions of the candidates, at the kernel's speeds. With a `descent` its fitted rate is added.
     """
-    case, rebound, timeline = (
-        candidate_sets.case,
-        candidate_sets.rebound,
-        candidate_sets.case.require_timeline(),
-    )
+    candidate_sets, collisions = collision.candidate_sets, collision.weighted
+    case, rebound = candidate_sets.case, candidate_sets.rebound
+    timeline = case.require_timeline()
     vehicle, states = case.vehicle, candidate_sets.chosen.states
     # an even choice of the states, with those of least and largest angular speed and momentum
     momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
@@ -232,7 +222,7 @@ def compute_speeds(
     states = states.take(np.unique([*extremes, *drawn]))
     # every half minute, and the collision
     t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
-    later_omega_B = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
+    later_omega_B = run(vehicle, states, t[1:], error=1e-4).omega_B
     omega_B = np.concatenate([states.omega_B[:, None], later_omega_B], axis=1)  # (n, n_time, 3)
     band_before = np.quantile(np.linalg.norm(omega_B, axis=2), [0.0, 0.5, 1.0], axis=0)
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
@@ -244,10 +234,7 @@ def compute_speeds(
             "speed": (("level", "time"), band_before, rate_attrs),
             "speed_after_collision": ("level", band_after, rate_attrs),
         },
-        coords={
-            "level": ["low", "middle", "high"],
-            "time": ("time", t + start_s, {"units": "s"}),
-        },
+        coords={"level": ["low", "middle", "high"], "time": ("time", t + start_s, {"units": "s"})},
         attrs={
             "epoch_utc": timeline.epoch_utc,
             "motions": len(states),

@@ -7,6 +7,7 @@ they allow, and which motion after the collision (paper, sections 2.3, 3.2, 3.3;
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -159,52 +160,54 @@ def rows(lines: PublishedLines) -> list[Row]:
     """Return the published figures that the lines alone determine, compared with ours."""
     case, clean, off = lines.case, lines.clean, lines.runs["off"]
     paper = {key: figure.value for key, figure in case.published.items()}
-    texts: dict[str, Any] = {"chain": "published", "factor": clean.factor, "leads": LEADS_S}
+    rz, low, high = rz_range(off), min(lines.slowest), max(lines.slowest)
+    notes = {
+        "lines_common": f"points with omega_z in {list(POOL_RANGE)} rad/s; criterion: a fifth of the published smallest EMD",
+        "line_distance": f"criterion: two grid steps; found at {clean.factor:g} times the smallest EMD, which is our choice, where "
+        "the paper has 1.1",
+        "lines_by_threshold": f"EMD_min {float(clean.emd.min()):.4f}; with few points there are no four lines",
+        "rate_at_touchdown_min_lines": f"first sample {first_sample_lead_s(case):.0f} s after the touchdown; with {LEADS_S[0]:g} "
+        f"to {LEADS_S[1]:g} s, or the wheel nominal at the touchdown: {low:.4f} to {high:.4f}",
+        "rate_at_touchdown_min_scan": f"{len(lines.near_touchdown)} grid points at {clean.factor:g} times the smallest EMD (our "
+        "factor)",
+        "rz_range_lines": f"{off.sizes['run']} runs, every one reaches {rz.highest_minimum:.2f} or lower; below -0.5 for "
+        f"{tally(off)['rz_time_below_-0.5']} of the time",
+    }
+    row_of = partial(make_row, case, notes=notes, chain="published")
 
     # section 2.3: one distribution, and the lines that a scan against it gives
-    fifth, pool = paper["emd_min"] / 5, list(POOL_RANGE)
     # "one distribution": they differ by at most a fifth of the smallest EMD of the paper's scan
-    given: dict[str, Any] = {
-        "tolerance": fifth,
-        "omega_z": pool,
-        "agrees": bool(lines.spread <= fifth),
-    }
-    result = [make_row(case, "lines_common", lines.spread, **texts, **given)]
+    fifth = paper["emd_min"] / 5
+    common: dict[str, Any] = {"tolerance": fifth, "agrees": bool(lines.spread <= fifth)}
+    result = [row_of("lines_common", lines.spread, **common)]
     for k, deviation in enumerate(clean.deviation, 1):
         ours = [vector.round(4).tolist() for vector in deviation["line"]]
-        angle, limits = np.degrees(deviation["angle_rad"]), list(LINE_RANGE)
-        given = {"angle": angle, "most": deviation["max"], "line": f"L{k}", "omega_z": limits}
-        result += [
-            make_row(case, "line", ours, id=f"line_L{k}", **texts, **given),
-            make_row(
-                case, "line_distance", deviation["mean"], id=f"line_L{k}_distance", **texts, **given
-            ),
-        ]
-    given = {"published": paper["near_minimum_factor"], "smallest": float(clean.emd.min())}
-    result.append(make_row(case, "lines_by_threshold", lines.thresholds, **texts, **given))
+        note = (
+            f"EMD below {clean.factor:g} times the smallest (our factor; the paper's 1.1 leaves a handful of points): angle "
+            f"{np.degrees(deviation['angle_rad']):.1f} deg, largest distance {deviation['max']:.4f} rad/s over omega_z in "
+            f"{list(LINE_RANGE)}"
+        )
+        texts: dict[str, Any] = {"id": f"line_L{k}_distance", "published": f"the line L{k}"}
+        texts["what"] = f"mean distance of our line from the printed L{k}"
+        result.append(row_of("line", ours, id=f"line_L{k}", note=note))
+        result.append(row_of("line_distance", deviation["mean"], **texts))
+    factor, published = paper["near_minimum_factor"], paper["rate_at_touchdown_min"]
+    result.append(row_of("lines_by_threshold", lines.thresholds, published=factor))
 
     # section 3.2: back at the touchdown
-    given = {"published": paper["rate_at_touchdown_min"], "points": len(lines.near_touchdown)}
     slowest_of_set = float(np.linalg.norm(lines.near_touchdown, axis=1).min())
-    ends = {
-        "low": min(lines.slowest),
-        "high": max(lines.slowest),
-        "lead": first_sample_lead_s(case),
-    }
     as_stated = lines.slowest[2]  # nominal time of the first sample, wheel nominal at it
-    result.append(
-        make_row(case, "rate_at_touchdown_min_lines", as_stated, **texts, **given, **ends)
-    )
-    result.append(make_row(case, "rate_at_touchdown_min_scan", slowest_of_set, **texts, **given))
+    given: dict[str, Any] = {"published": published, "low": low, "high": high}
+    result.append(row_of("rate_at_touchdown_min_lines", as_stated, **given))
+    result.append(row_of("rate_at_touchdown_min_scan", slowest_of_set, published=published))
 
     # section 3.3: after the collision
-    rz = rz_range(off)
-    given = {"published": list(paper["rz_range_wheel_off"]), "runs": off.sizes["run"]}
-    given |= {"reaches": rz.highest_minimum, "off": tally(off)}
-    result.append(make_row(case, "rz_range_lines", [rz.lowest, rz.highest], **texts, **given))
-    for id, where, speed, runs, notes in (
-        ("rz_held_lines", "section 3.3", "collision_speed", lines.runs["held"], ("note",)),
-        ("rz_held_slow_collision", "section 4", "landing_speed", lines.slow, ("note", "note_slow")),
+    reached, published = [rz.lowest, rz.highest], list(paper["rz_range_wheel_off"])
+    result.append(row_of("rz_range_lines", reached, published=published))
+    likelier = "; the likelier reading of what was computed"
+    for id, where, speed, runs, remark in (
+        ("rz_held_lines", "section 3.3", "collision_speed", lines.runs["held"], ""),
+        ("rz_held_slow_collision", "section 4", "landing_speed", lines.slow, likelier),
     ):
         held, lowest = tally(runs), float(np.nanmin(lowest_rz(runs)))
         # share of the runs that fall below -0.5, and of the time spent below -0.2
@@ -212,10 +215,15 @@ def rows(lines: PublishedLines) -> list[Row]:
         values, errors = (ever.value, time.value), (ever.error, time.error)
         low, high = interval_90(values, errors)
         agrees = bool(ever.value <= NEVER and time.value <= RARELY)
-        given = {"id": id, "notes": notes, "agrees": agrees, "low": low, "high": high}
-        given |= {"speed": paper[speed], "where": where, "lowest": lowest, "held": held}
-        given |= {"never": NEVER, "rarely": RARELY}
-        result.append(make_row(case, "rz_held", list(values), **texts, **given))
+        given = {"id": id, "agrees": agrees, "low": low, "high": high}
+        given["what"] = (
+            f"wheel held, collision at {paper[speed]:g} m/s ({where}): runs with r_z below -0.5, time with r_z below -0.2"
+        )
+        given["note"] = (
+            f"criterion: at most {NEVER:.0%} of the runs and {RARELY:.0%} of the time; the time below -0.5 is "
+            f"{held['rz_time_below_-0.5']}, the lowest r_z {lowest:.2f}{remark}"
+        )
+        result.append(row_of("rz_held", list(values), **given))
     return result
 
 
@@ -223,10 +231,8 @@ def lines_touchdown_figure(lines: PublishedLines) -> Figure:
     """Draw body rates at the first touchdown of the near-minimum set and of the lines (paper, Fig. 12)."""
     figure = Figure(figsize=(6.5, 5.4), layout="constrained")
     axes = rate_axes(figure)
-    target = (
-        f"EMD < {lines.clean.factor:g} EMD_min against the printed lines' distribution, run back"
-    )
-    label = f"{target} ({len(lines.near_touchdown)} motions)"
+    target = "against the printed lines' distribution, run back"
+    label = f"EMD < {lines.clean.factor:g} EMD_min {target} ({len(lines.near_touchdown)} motions)"
     dots: dict[str, Any] = {"depthshade": False, "color": COLOURS[0]}
     axes.scatter(*lines.near_touchdown.T, s=6, alpha=0.35, lw=0, label=label, **dots)
     dots["color"] = COLOURS[1]

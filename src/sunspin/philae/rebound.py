@@ -19,12 +19,12 @@ from sunspin.base.untrusted import read_toml
 from sunspin.cases import Case
 from sunspin.compute.identity import to_json
 from sunspin.dynamics import gyrostat
-from sunspin.dynamics.ensemble import Mask, Rows
+from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, end_rates
 from sunspin.estimate.scan.lines import Line, point_at
-from sunspin.estimate.scan.mask import reconstructible_mask
+from sunspin.estimate.scan.mask import DirectionSet, reconstructible_mask
 from sunspin.estimate.scan.window import target_weights
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.telemetry.sun import is_reconstructed
@@ -115,7 +115,7 @@ def line_in_scan_range(case: Case, line: Line, n: int = 2) -> np.ndarray:
     return point + np.linspace(begin, max(begin, end), n)[:, None] * direction
 
 
-def direction_mask(case: Case) -> Mask | None:
+def direction_mask(case: Case) -> DirectionSet | None:
     """Return the mask of simulated directions that enter an EMD, as the study assumes; None if all directions do."""
     if case.assumptions.study.mask == "reconstructible":
         return reconstructible_mask(case.vehicle)

@@ -26,7 +26,7 @@ from sunspin.philae import pictures, timing
 from sunspin.philae.headline import conclusions, headline, score
 from sunspin.philae.rebound import published_lines, with_telemetry
 from sunspin.philae.row import Row
-from sunspin.philae.study import SECTIONS, STEPS, TIMING, Study, add_timing, compute, require_wheel
+from sunspin.philae.study import SECTIONS, Study, add_timing, compute, require_wheel
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
 from sunspin.vehicle.assumptions import split_changes
@@ -133,17 +133,16 @@ def reproduce(
     command += [] if coarser == 1 else ["--coarser", str(coarser)]
     command += [] if posterior else ["--without", "posterior"]
 
-    vehicle_text = attach_changes(
-        case.name if vehicle is None else vehicle, split_changes(requested)[0]
-    )
+    named_vehicle = case.name if vehicle is None else vehicle
+    vehicle_text = attach_changes(named_vehicle, split_changes(requested)[0])
     # the stored contradictions of the paper were computed from the unchanged case
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
 
-    def write() -> Written:
-        """Write pictures, summary, data and page of the study so far."""
-        drawings = pictures.write_pictures(drawn, folder)
+    def write(study: Study) -> Written:
+        """Write pictures, summary, data and page of the study."""
+        drawings = pictures.write_pictures(study, drawn, folder)
         summary = make_summary(study, drawings, time.perf_counter() - began)
         summary["changes"] = [str(change) for change in case.changes]
         summary |= {"command": shlex.join(command), "inputs": _hash_inputs(case, vehicle)}
@@ -151,14 +150,14 @@ def reproduce(
         write_contents(folder, summary, contents)
         return Written(folder, write_report(folder), summary)
 
-    written = write()
-    if not posterior or study.candidate_sets is None:
+    written = write(study)
+    if not posterior or study.candidate_sets.result is None:
         return written
     if on_page is not None:
         on_page(written)
-    add_timing(study)
+    study = add_timing(study)
     pictures.draw_pictures(study, drawn)
-    return write()
+    return write(study)
 
 
 def _load_inputs(
@@ -196,22 +195,16 @@ def _hash_inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]
 
 def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[str, Any]:
     """Return the content of `summary.json`."""
-    counts, missing = study.counts(), study.missing
-    calibration = study.candidate_sets and study.candidate_sets.calibration
+    counts = study.counts()
+    sets, no_candidates = study.candidate_sets.result, study.candidate_sets.error
+    calibration = sets and sets.calibration
     # the reason why the report has no conclusions on the motion; empty if it has
     stop = ""
-    if "candidates" in missing:
-        texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
-        # "STEP: not reproduced, as REASON": only the reason is repeated
-        separator = ": not reproduced, as "
-        reasons = [text.split(separator, 1)[1] for text in texts if separator in text]
-        why = (reasons or texts)[0].rstrip(".")
+    if no_candidates:
+        why = str(no_candidates).rstrip(".")
         stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
-    sections = [
-        (step.title, step.section, study.rows_by_part.get(step.name, []))
-        for step in (*STEPS, TIMING)
-    ]
-    sections.append(("The figures of the paper", "paper", make_figure_rows(drawings)))
+    sections = [(outcome.title, outcome.section, outcome.rows) for outcome in study.outcomes]
+    sections.append(("The figures of the paper", "paper", tuple(make_figure_rows(drawings))))
     rows = [
         asdict(row) | {"part": title, "section": SECTIONS[section]}
         for title, section, of_section in sections
@@ -225,10 +218,10 @@ def make_summary(study: Study, drawings: list[Drawing], seconds: float) -> dict[
         "synthetic_telemetry": study.synthetic,
         "seconds": round(seconds, 1),
         "chain": study.options.source,
-        "carries": study.parts["carries"].first_line,
+        "carries": study.check.get().first_line,
         "noise": study.noise.about,
         "calibration": str(calibration) if calibration else None,
-        "missing": missing,
+        "missing": study.missing,
         "stop": stop,
         "headline": headline(study),
         "conclusions": conclusions(study),
@@ -292,10 +285,13 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
 
     Files of steps that were not computed are left out.
     """
-    parts, lines, rate = study.parts, study.parts["published_lines"], {"units": "rad s-1"}
-    scans = [("scan_published_lines", lines.clean, "the common distribution of the printed lines")]
-    if (scan := parts.get("level_set")) is not None:
-        scans.insert(0, ("scan_telemetry", scan.near, "the directions of this telemetry"))
+    scan, lines, rate = study.scan.result, study.published_lines.result, {"units": "rad s-1"}
+    scans = []
+    if scan is not None:
+        scans.append(("scan_telemetry", scan.near, "the directions of this telemetry"))
+    if lines is not None:
+        target = "the common distribution of the printed lines"
+        scans.append(("scan_published_lines", lines.clean, target))
     files = {"sun": study.sun}
     points, directions = map(np.array, zip(*published_lines(study.case), strict=True))
     for name, near, target in scans:
@@ -309,13 +305,14 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         files[name] = data.assign_attrs(kind="scan", about=f"against {target}")
     if scan is not None and scan.truth:
         files["scan_telemetry"]["truth"] = "rate_axis", scan.truth["omega_B"], rate
-    touchdown = {
-        "omega_B": (("point", "axis"), lines.near_touchdown, rate),
-        "published_B": (("published", "axis"), lines.on_lines_touchdown, rate),
-    }
-    files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
-    if study.candidate_sets is not None:
-        chosen = study.candidate_sets.chosen
+    if lines is not None:
+        touchdown = {
+            "omega_B": (("point", "axis"), lines.near_touchdown, rate),
+            "published_B": (("published", "axis"), lines.on_lines_touchdown, rate),
+        }
+        files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
+    if study.candidate_sets.result is not None:
+        chosen = study.candidate_sets.result.chosen
         # at most 20,000 of the candidates, evenly chosen; the division rounds up
         table, every = chosen.dataset(), -(-len(chosen) // 20_000)
         for name, unit, about in (
@@ -325,22 +322,22 @@ def make_datasets(study: Study) -> dict[str, xr.Dataset]:
         ):
             table[name] = "candidate", getattr(chosen, name), {"units": unit, "long_name": about}
         files["candidates"] = table.isel(candidate=slice(None, None, every))
-    if "sensitivity" in parts:
-        files["map_rates"] = parts["sensitivity"].rates.to_dataset()
-        files["map_parameters"] = data = parts["sensitivity"].parameters.to_dataset()
+    if (maps := study.sensitivity.result) is not None:
+        files["map_rates"] = maps.rates.to_dataset()
+        files["map_parameters"] = data = maps.parameters.to_dataset()
         data["mu_0"].attrs["units"] = "N m"
         data["theta_xx"].attrs["units"] = "kg m2"
-    if "collision" in parts:
-        runs = parts["collision"].runs["chosen"]
+    if study.collision.result is not None:
+        runs = study.collision.result.runs["chosen"]
         files |= {f"outcomes-{name}": data for name, data in runs.items()}
-    if "strategies" in parts:
-        files["strategies"] = parts["strategies"].table
-    for name, motion in parts.get("motions", {}).items():
+    if study.strategies.result is not None:
+        files["strategies"] = study.strategies.result.table
+    for name, motion in (study.motions.result or {}).items():
         files[f"motion-{name.lower().replace(' ', '-')}"] = motion.assign_attrs(title=name)
-    if "speeds" in parts:
-        files["speed"] = parts["speeds"]
-    if "timing" in parts:
-        files |= timing.datasets(parts["timing"])
+    if study.speeds.result is not None:
+        files["speed"] = study.speeds.result
+    if study.timing.result is not None:
+        files |= timing.datasets(study.timing.result)
     attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
     attrs["sunspin_version"] = version()
     return {name: data.assign_attrs(attrs) for name, data in files.items()}

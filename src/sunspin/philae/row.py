@@ -11,7 +11,8 @@ Only a test agrees or differs. A figure that depends on candidate motions has tw
 other over everything that was possible before the data. If the first is not clearly narrower, the row is uninformative and judges
 nothing.
 
-The texts of a row are in the case's `published.toml`. A step of the study computes the numbers and calls `make_row`.
+The words for a figure are in the case's `published.toml`. A step of the study computes the numbers and calls `make_row`, with the
+notes that depend on them.
 """
 
 from __future__ import annotations
@@ -84,6 +85,11 @@ def settle(row: Row, put_in: bool = False) -> Row:
     return replace(row, kind=kind, agrees=None, holds=holds)
 
 
+def withhold_verdict(row: Row) -> Row:
+    """Return the row without a verdict: a test becomes "not_comparable"."""
+    return replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None)
+
+
 def label_synthetic(row: Row) -> Row:
     """Return the row with "synthetic telemetry" in front of its note."""
     return replace(row, note="; ".join(filter(None, ["synthetic telemetry", row.note])))
@@ -111,45 +117,37 @@ def read_tables(case: Case) -> Mapping[str, dict[str, Any]]:
     return _tables(case.folder / "published.toml")
 
 
-def make_row(case: Case, name: str, ours: Any, **given: Any) -> Row:
-    """Return the row of figure `name` with our value, and with the texts that the case's `published.toml` has for it.
+def make_row(
+    case: Case, name: str, ours: Any, notes: Mapping[str, str] | None = None, **given: Any
+) -> Row:
+    """Return the row of figure `name` with our value, and with what the case's `published.toml` has for it.
 
     Without `agrees` or `holds` in `given` the numbers are compared: they agree if they differ by at most the tolerance. In a table
-    with `at_most` they agree if ours is not larger. Without a tolerance nothing is judged. A text names its fields in braces, with
-    a format as in Python: `{share:.1%}`. `{paper[emd_min]}` is a published figure, and `{tolerance:g}` a value of the row.
+    with `at_most` they agree if ours is not larger. Without a tolerance nothing is judged.
 
     Parameters
     ----------
-    notes : tuple of str
-        Keys of the table whose texts are joined to the note of the row; default: "note".
+    notes : dict, optional
+        Notes by the names of rows. A row without one has that of its table.
     given
-        Fields of `Row` that replace those of the table, and values for the fields of the texts. With another `id` the published
-        figure is that of the table `id`.
+        Fields of `Row` that replace those of the table. With another `id` the published figure is that of the table `id`.
     """
-    text_keys = ("what", *given.pop("notes", ("note",)))
     about = read_tables(case).get(given.get("id", name), {}) | read_tables(case)[name]
+    # a place that begins with "not stated" names another source than the paper
+    source = about["place"].removeprefix("not stated; ")
     values: dict[str, Any] = {
         "id": name,
-        "ours": ours,
+        "what": about.get("what", ""),
         "published": about.get("published", about.get("value")),
+        "source": f"paper, {source}" if source == about["place"] else source,
         "tolerance": about.get("tolerance", about.get("at_most")),
         "unit": about.get("unit", "1"),
         "kind": about.get("kind", "test"),
         "chain": about.get("chain", "none" if about.get("kind") == "arithmetic" else ""),
+        "note": (notes or {}).get(name, about.get("note", "")),
     }
-    judged_by_caller = bool({"agrees", "holds"} & set(given))
-    values |= {key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__}
-    fields = {"paper": {key: figure.value for key, figure in case.published.items()}}
-    fields |= values | given
-    if isinstance(values["published"], str):
-        values["published"] = values["published"].format_map(fields)
-    # a place that begins with "not stated" names another source than the paper
-    source = about["place"].removeprefix("not stated; ")
-    source = f"paper, {source}" if source == about["place"] else source
-    what, *notes = (about[key].format_map(fields) if key in about else "" for key in text_keys)
-    values = {"source": source, "what": what, "note": "".join(notes), **values}
-    comparison = Row(**values)
-    if comparison.tolerance is None or judged_by_caller:
+    comparison = Row(ours=ours, **(values | given))
+    if comparison.tolerance is None or {"agrees", "holds"} & set(given):
         return comparison
     difference = np.asarray(ours, dtype=np.float64)
     if "at_most" not in about:

@@ -80,8 +80,6 @@ def rows(strategies: Strategies) -> list[Row]:
     rest = next(command for command in commands if command["way"] == "off")
     shares = strategies.alternatives.items()
     spread = ", ".join(f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)
-    texts = {"off": chosen, "held": held, "rest": rest, "spread": spread}
-    row_of = partial(make_row, case, speed=case.vehicle.wheels[0].speed_rad_s, **texts)
 
     def share_row(id: str, quantity: str) -> Row:
         """Return the row of the share of runs in which `quantity` happens with the wheel off; nothing is judged to agree."""
@@ -91,9 +89,8 @@ def rows(strategies: Strategies) -> list[Row]:
     # largest speed of a leg's tip: v + |l| |omega|
     longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     from_rotation = longest * paper["rate_at_collision"]
-    speeds = {"off": chosen["leg_tip_speed"].value, "held": held["leg_tip_speed"].value}
-    speeds["fast"] = paper["collision_speed"] + from_rotation
-    speeds["spun"] = paper["collision_speed"] + longest * 2 * np.pi / paper["romap_period_before"]
+    fast = paper["collision_speed"] + from_rotation
+    spun = paper["collision_speed"] + longest * 2 * np.pi / paper["romap_period_before"]
 
     # when to switch the wheel off for a landing on the legs
     metric, tip_speeds = (
@@ -102,21 +99,33 @@ def rows(strategies: Strategies) -> list[Row]:
     )
     # delays (min) that are as good as the best one within the sampling error
     good_min = delay["delay_s"].values[delay["as_good"].values] / 60
-    best = row_of(
-        "best_switch_off_delay",
-        delay.attrs["best_s"] / 60,
-        chain=source,
-        best=metric.max(),
-        at_once=metric[0],
-        as_good=", ".join(f"{minutes:g}" for minutes in good_min),
-        low=min(good_min),
-        high=max(good_min),
-        within=[t / 60 for t in delay.attrs["spread_s"]],
-        tip_best=tip_speeds[int(np.argmax(metric))],
-        tip=[tip_speeds[0], tip_speeds[-1]],
-    )
+    as_good = ", ".join(f"{minutes:g}" for minutes in good_min)
+    interval: dict[str, Any] = {"low": min(good_min), "high": max(good_min)}
+    earliest, latest = (t / 60 for t in delay.attrs["spread_s"])
+    notes = {
+        "leg_tip_speed": f"v + |l| |omega|; {fast:.3f} with v of section 3.3, {spun:.3f} with a turn in 13 s too; simulated: wheel "
+        f"off {chosen['leg_tip_speed'].value:.2f}, held {held['leg_tip_speed'].value:.2f} m/s",
+        "final_friction_torque": f"the law of eq. 5 at {case.vehicle.wheels[0].speed_rad_s:g} rad/s; {rest['momentum_N_m_s']:.2f} "
+        "N m s is the wheel's angular momentum, probably printed instead",
+        "final_foot_force": f"with {rest['weight_per_foot_N']:.3f} N on a foot a coefficient of friction of "
+        f"{rest['friction_coefficient']:.3f} holds the lander",
+        "first_contact_panel": f"over the candidates, wheel off: panel {chosen['touch_panel']}, bare body {chosen['touch_body']}, "
+        f"leg {chosen['touch_leg']} (with another ground's normal: {spread}); held: panel {held['touch_panel']}, leg "
+        f"{held['touch_leg']}. The top of the lander did press into the ground (O'Rourke et al., 2020, from images and "
+        "magnetometer)",
+        "rest_on_panel": f"over the candidates, rolling without speed on flat ground: wheel off: panel {chosen['rest_panel']}, "
+        f"legs {chosen['rest_leg']}; held: {held['rest_panel']}, {held['rest_leg']}",
+        "antenna_serves": "over the candidates, orbiter anywhere above the horizon of the first touchdown: at rest, wheel off "
+        f"{chosen['antenna_at_rest']}, held {held['antenna_at_rest']}; in flight {chosen['antenna_share']} and "
+        f"{held['antenna_share']} of the time",
+        "best_switch_off_delay": f"probability {metric.max():.3f}, at the touchdown {metric[0]:.3f}; not worse by two errors (the "
+        f"interval): {as_good} min; 68 % of resamplings {earliest:g} to {latest:g} min. The fastest leg tip then has "
+        f"{tip_speeds[int(np.argmax(metric))]:.2f} m/s, {tip_speeds[0]:.2f} if off at once, {tip_speeds[-1]:.2f} if held nearly to "
+        "the end",
+    }
+    row_of = partial(make_row, case, notes=notes)
     return [
-        make_row(case, "leg_tip_speed", paper["landing_speed"] + from_rotation, **speeds),
+        row_of("leg_tip_speed", paper["landing_speed"] + from_rotation),
         row_of("landing_speed", paper["kernel_speed_before_landing"]),
         row_of("final_friction_torque", rest["torque_N_m"]),
         row_of("final_foot_force", rest["foot_force_N"]),
@@ -124,5 +133,5 @@ def rows(strategies: Strategies) -> list[Row]:
         share_row("first_contact_panel", "touch_panel"),
         share_row("rest_on_panel", "rest_panel"),
         share_row("antenna_serves", "antenna_at_rest"),
-        best,
+        row_of("best_switch_off_delay", delay.attrs["best_s"] / 60, chain=source, **interval),
     ]

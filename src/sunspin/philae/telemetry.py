@@ -33,7 +33,7 @@ from sunspin.base.errors import InputError, SunspinError, TelemetryError
 from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import process_pool, worker_count
-from sunspin.dynamics.ensemble import Outcome
+from sunspin.dynamics.batch import Outcome
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.rows import distances_to, target_segments
 from sunspin.estimate.scan.table import Table

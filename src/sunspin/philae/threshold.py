@@ -27,7 +27,7 @@ from sunspin.base.errors import InputError, TelemetryError
 from sunspin.cases import Case
 from sunspin.compute.identity import fingerprint, to_json
 from sunspin.compute.pool import worker_count
-from sunspin.dynamics.ensemble import EMD_ERROR, Outcome, Rows, run_rows
+from sunspin.dynamics.batch import EMD_ERROR, Outcome, Rows, run, sun_heights
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.estimate.scan.window import target_weights
@@ -244,7 +244,7 @@ def simulate_rebounds(rebound: Rebound, index: np.ndarray, seed: int) -> Iterato
     readable = _readable(rebound)
     later = readable[readable > rebound.first]
     # error of directions: 1 % of the noise
-    ensemble = run_rows(vehicle, states, rebound.t_s[later], direction_error=1e-4)
+    ensemble = run(vehicle, states, rebound.t_s[later], error=1e-4)
     tilt = np.array(rotations)[:, None] if rotations else None
     # powers (rebound, sample, panel) without and with noise; dark panels read zero, lit ones not less
     exact = brightness_scale(rebound) * vehicle.response_in().power(ensemble.sun_B, tilt=tilt)
@@ -265,16 +265,20 @@ def simulate_rebounds(rebound: Rebound, index: np.ndarray, seed: int) -> Iterato
 
 
 def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
-    """Return the EMD (n) between the r_z of each motion, from the measured first direction, and its own target.
+    """Return the EMD (n) of each simulated rebound at its true rate: between the r_z of that motion and the measured directions.
 
-    A target is r_z (m) and their weights (m), None for equal weights. The EMD is 1 if no direction of the motion is in view.
+    `states` have the true rates, and the first direction that the method would take. The measured directions of a rebound, its
+    target, are r_z (n_direction) with weights (n_direction), None for equal weights. The EMD is 1 if no direction of the motion is
+    in view, as `distances_to` returns it.
     """
     mask = direction_mask(case)
-    ensemble = run_rows(case.vehicle, states, window_s, emd_error=EMD_ERROR, mask=mask, bins=BINS)
+    ensemble = sun_heights(
+        case.vehicle, states, window_s, counted=mask, emd_error=EMD_ERROR, bins=BINS
+    )
     return np.array(
         [
             distances_to(histogram[None], target_segments(*target))[0]
-            for histogram, target in zip(ensemble.hist, targets, strict=True)
+            for histogram, target in zip(ensemble.seconds, targets, strict=True)
         ]
     )
 

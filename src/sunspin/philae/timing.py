@@ -14,24 +14,18 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sunspin.dynamics.ensemble import Rows, run_rows
+from sunspin.dynamics.batch import Rows, run
 from sunspin.estimate.posterior.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, titled
 from sunspin.philae.candidates import (
-    CandidateSets,
     draws_of_posterior,
     sample_posterior,
     states_dataset,
     touchdown_speeds,
 )
 from sunspin.philae.metrics import NearMinimum, draw_published_lines, rate_space_views
-from sunspin.philae.rebound import (
-    Options,
-    Rebound,
-    read_truth,
-    start_states,
-)
+from sunspin.philae.rebound import Options, Rebound, read_truth, start_states
 from sunspin.philae.row import Row, make_row
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -87,12 +81,10 @@ class Timing:
         return self.verdict.startswith("unique")
 
 
-def compute(
-    rebound: Rebound, candidate_sets: CandidateSets | None, runs: int, options: Options
-) -> Timing:
+def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options: Options) -> Timing:
     """Sample the posterior of the rebound's readings, and simulate `runs` collisions of its draws.
 
-    If the candidates of the study are draws of the posterior already, these are used.
+    With a `posterior`, of which the candidates of the study are draws already, that one is used.
 
     Raises
     ------
@@ -100,7 +92,6 @@ def compute(
         No motion explains the readings.
     """
     case = rebound.case
-    posterior = None if candidate_sets is None else candidate_sets.posterior
     if posterior is None:
         posterior = sample_posterior(rebound, options)
     motions = states_dataset(*draws_of_posterior(posterior), source="posterior")
@@ -108,9 +99,8 @@ def compute(
     # the touchdown first, then from the candidates' instant to the collision
     instant = float(rebound.samples["utc_s"].values[rebound.first])
     times = instant + np.concatenate([[-rebound.lead_s], t])
-    rate = predict(case.vehicle, posterior, times, options.workers)["rate"].values[
-        0
-    ]  # (draw, time)
+    rates = predict(case.vehicle, posterior, times, options.workers)["rate"]
+    rate = rates.values[0]  # (draw, time)
     rate = rate[np.all(np.isfinite(rate), axis=1)]
     touchdown, collision, speed = rate[:, 0], rate[:, -1], np.quantile(rate[:, 1:], QUANTILES, 0)
     as_in_the_paper, _ = rebound.scenarios()
@@ -131,7 +121,7 @@ def compute(
 
 def _speeds(rebound: Rebound, states: Rows, t_s: np.ndarray) -> np.ndarray:
     """Return the angular speeds (n, n_time) in rad/s of motions from `states` (n); the first of t_s is zero."""
-    later = run_rows(rebound.case.vehicle, states, t_s[1:], direction_error=1e-4).omega_B
+    later = run(rebound.case.vehicle, states, t_s[1:], error=1e-4).omega_B
     omega_B = np.concatenate([states.omega_B[:, None], later], axis=1)
     return np.linalg.norm(omega_B, axis=2)
 
@@ -162,9 +152,14 @@ def rows(timing: Timing) -> list[Row]:
     ):
         low, middle, high = np.quantile(speeds, QUANTILES).tolist()
         known = "not known" if true is None else f"{true:.4f} rad/s"
-        texts: dict[str, Any] = {"truth": known, "verdict": timing.verdict}
-        row = make_row(timing.rebound.case, name, middle, low=low, high=high, **texts)
-        result.append(row)
+        before = f"median; {low:.4f} to {high:.4f} is 90 % probable; truth: {known}"
+        notes = {
+            "timed_rate_at_touchdown": f"{before}. The posterior: {timing.verdict}",
+            "timed_rate_at_collision": before,
+            "timed_rate_after_collision": f"median over simulated collisions as in section 3.3, wheel off; {low:.3f} to {high:.3f} "
+            f"is 90 % probable, as leg and direction of the impact are not known; truth: {known}",
+        }
+        result.append(make_row(timing.rebound.case, name, middle, notes, low=low, high=high))
     return result
 
 
@@ -219,20 +214,14 @@ def speeds_figure(timing: Timing, near_minimum: np.ndarray, synthetic: bool) -> 
     truth = timing.truth
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     first, middle, last = figure.subplots(1, 3)
-    panels: tuple[tuple[Any, np.ndarray, np.ndarray | None, Any, str], ...] = (
-        (
-            first,
-            timing.touchdown,
-            near_minimum,
-            truth and truth.touchdown,
-            "just after the first touchdown",
-        ),
-        (last, timing.after, None, truth and truth.after, "after the collision"),
-    )
-    for axes, speeds, of_lines, true, when in panels:
-        both = speeds if of_lines is None else np.concatenate([speeds, of_lines])
+    touchdown, after = "just after the first touchdown", "after the collision"
+    for axes, speeds, of_lines, true, when in (
+        (first, timing.touchdown, near_minimum, truth and truth.touchdown, touchdown),
+        (last, timing.after, near_minimum[:0], truth and truth.after, after),
+    ):
+        both = np.concatenate([speeds, of_lines])
         edges = np.linspace(0.0, 1.05 * float(np.quantile(both, 0.999)), 60)
-        if of_lines is not None:
+        if of_lines.size:
             label = "EMD near its minimum"
             axes.hist(of_lines, edges, density=True, color="#bbbbbb", label=label)
         axes.hist(speeds, edges, density=True, color=COLOURS[0], alpha=0.8, label="posterior")

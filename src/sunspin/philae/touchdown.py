@@ -33,42 +33,38 @@ def has_lower_bound(candidate_sets: CandidateSets) -> bool:
 
 def touchdown_rows(candidate_sets: CandidateSets) -> list[Row]:
     """Return the figures of section 3.2 on the touchdown compared with ours: angular speed, the two angles, the Sun's elevation."""
-    chosen, study = candidate_sets.chosen, candidate_sets.case.assumptions.study
-    # values for the fields of the texts in `published.toml`
-    texts = {
-        "about": chosen.about,
-        "level": "95 % probable" if chosen.from_posterior else f"{study.confidence:.0%}",
-        "motions": len(candidate_sets.near_minimum),
-        "prior_low": candidate_sets.scan_range.speed_range()[0],
-    }
     return [
-        *_speed_rows(candidate_sets, texts),
-        *_angle_rows(candidate_sets, texts),
-        _sun_elevation_row(candidate_sets, texts),
+        *_speed_rows(candidate_sets),
+        *_angle_rows(candidate_sets),
+        _sun_elevation_row(candidate_sets),
     ]
 
 
-def _speed_rows(candidate_sets: CandidateSets, texts: dict[str, Any]) -> list[Row]:
+def _speed_rows(candidate_sets: CandidateSets) -> list[Row]:
     """Return the rows on the angular speed just after the touchdown: by the paper's recipe, our lower bound, our largest speed.
 
     All three are judged by the same two ranges of the speed, over the chosen candidates and over the scan range.
     """
     case, chosen, source = candidate_sets.case, candidate_sets.chosen, candidate_sets.source
     speeds, possible_speeds = chosen.speed_range(), candidate_sets.scan_range.speed_range()
-    by_recipe = float(candidate_sets.near_minimum.speed_touchdown.min())
-    smallest = make_row(case, "rate_at_touchdown_min", by_recipe, **texts)
+    by_recipe = candidate_sets.near_minimum.speed_touchdown
+    study = case.assumptions.study
+    note = f"smallest of {len(by_recipe)} motions below {study.near_minimum_factor:g} times the smallest EMD"
+    smallest = make_row(case, "rate_at_touchdown_min", float(by_recipe.min()), note=note)
 
-    bounded = has_lower_bound(candidate_sets)
-    bound_row = make_row(
-        case,
-        "rate_at_touchdown_bound",
-        speeds[0],
-        published=case.published["rate_at_touchdown_min"].value,
-        notes=("note",) if bounded else ("note", "note_unbounded"),
-        **texts,
-    )
-    largest_notes = ("note_probable" if chosen.from_posterior else "note",)
-    largest = make_row(case, "rate_at_touchdown_max", speeds[1], notes=largest_notes, **texts)
+    # one-sided: the lower end of the 5 to 95 % interval of the posterior, or of a confidence set
+    level = "95 % probable" if chosen.from_posterior else f"{study.confidence:.0%}"
+    speed, bounded = "angular speed just after the first touchdown", has_lower_bound(candidate_sets)
+    texts: dict[str, Any] = {"what": f"{speed} lies above this, {level}"}
+    texts["note"] = f"over {chosen.about}; the scanned box begins at {possible_speeds[0]:.4f} rad/s"
+    texts["note"] += "" if bounded else ": no lower bound follows from this telemetry"
+    published = case.published["rate_at_touchdown_min"].value
+    bound_row = make_row(case, "rate_at_touchdown_bound", speeds[0], published=published, **texts)
+    note = "the largest of the scanned box: the distribution of r_z does not depend on the size of the momentum"
+    if chosen.from_posterior:
+        note = "from the order and the times of the samples, which the posterior uses"
+    what = f"{speed} lies below this, {level}"
+    largest = make_row(case, "rate_at_touchdown_max", speeds[1], what=what, note=note)
 
     smallest, bound_row, largest = (
         judge_range(row, source, speeds, possible_speeds) for row in (smallest, bound_row, largest)
@@ -80,13 +76,14 @@ def _speed_rows(candidate_sets: CandidateSets, texts: dict[str, Any]) -> list[Ro
     return [smallest, bound_row, largest]
 
 
-def _angle_rows(candidate_sets: CandidateSets, texts: dict[str, Any]) -> list[Row]:
+def _angle_rows(candidate_sets: CandidateSets) -> list[Row]:
     """Return the rows on the smaller and on the larger angle of the angular momentum, to the z axis and to the Sun."""
     result = []
     for which, name in enumerate(("smaller", "larger")):
         by_recipe = np.degrees(candidate_sets.near_minimum.angles[which])
         ends = [float(by_recipe.min()), float(by_recipe.max())]
-        row = make_row(candidate_sets.case, "angle", ends, id=f"angle_{name}", which=name, **texts)
+        what = f"the {name} of the angles from the momentum to the z axis and to the Sun"
+        row = make_row(candidate_sets.case, "angle", ends, id=f"angle_{name}", what=what)
         chosen_deg, possible_deg = (
             np.degrees(candidates.angle_range(which)).tolist()
             for candidates in (candidate_sets.chosen, candidate_sets.scan_range)
@@ -95,7 +92,7 @@ def _angle_rows(candidate_sets: CandidateSets, texts: dict[str, Any]) -> list[Ro
     return result
 
 
-def _sun_elevation_row(candidate_sets: CandidateSets, texts: dict[str, Any]) -> Row:
+def _sun_elevation_row(candidate_sets: CandidateSets) -> Row:
     """Return the row on the range of the Sun's elevation: means over the motions of the smallest and of the largest one (deg)."""
     chosen, possible, by_recipe = (
         [estimate(elevation) for elevation in np.degrees(candidates.sun_elevation).T]
@@ -110,13 +107,9 @@ def _sun_elevation_row(candidate_sets: CandidateSets, texts: dict[str, Any]) -> 
     published_deg = candidate_sets.case.published["sun_height_range"].value
     difference_deg = np.subtract([elevation.value for elevation in chosen], published_deg)
     agrees = bool(np.all(np.abs(difference_deg) <= tolerance_deg))
-    row = make_row(
-        candidate_sets.case,
-        "sun_height_range",
-        [elevation.value for elevation in by_recipe],
-        within=tolerance_deg,
-        **texts,
-    )
+    note = f"means over motions of the smallest and of the largest height; criterion: within {tolerance_deg:g} deg"
+    ours = [elevation.value for elevation in by_recipe]
+    row = make_row(candidate_sets.case, "sun_height_range", ours, note=note)
     smallest, largest = (
         judge_share(row, candidate_sets.source, of_chosen, of_possible, agrees)
         for of_chosen, of_possible in zip(chosen, possible, strict=True)

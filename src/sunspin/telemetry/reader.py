@@ -19,6 +19,7 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
+from sunspin.telemetry.layout import collect_metrics, join_packets
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.telemetry.stored import KIND, restore_telemetry
@@ -38,6 +39,11 @@ COLDEST_C, HOTTEST_C = -200.0, 250.0
 
 NEAR = 0.75
 """Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
+
+
+class MissingColumn(TelemetryError):
+    """A telemetry file lacks a column that the vehicle file names."""
+
 
 LEAST_FACTOR = 0.2
 """A temperature correction below this is not applied, because the linear law does not hold."""
@@ -62,7 +68,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         :func:`sunspin.telemetry.sensors.read_sensors`.
 
         attrs name the file, its hash, whether it calls itself synthetic, its `unused_columns`, and `missing_sensors`, which have no
-        column. `clock_notes`, if present, has one sentence in each line on assumptions about the clock and on its restarts.
+        column. `clock_notes`, if present, has one sentence in each line on how rows became samples, on assumptions about the clock
+        and on its restarts.
 
         With ``bad_rows = "flag"`` or "sort" rows are sorted by time. Rows of one instant without contradictions are merged, for
         example if several ground stations received a frame. Rows with dates years from all others are left out. attrs
@@ -89,6 +96,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         what = "the file holds raw frames and no readings"
         do = "turn them into a table first, as `sunspin decode` does for skCUBE"
         raise TelemetryError(what, do=do, where=str(path))
+    table, layout_notes = collect_metrics(table, form.time_column, columns_of_readings(vehicle))
+    header = set(table.header)
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, optional=bool(sensors))
     _require_clock(form, table)
@@ -99,6 +108,13 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         table, times, counts = _sort_and_merge(form, table, times, reading_columns)
         if counts:  # the rows of the table have changed
             sensors = read_sensors(vehicle, table)
+    if form.sample_span_s is not None:
+        _find_late_rows(form, table, times.time)  # refuses falling times, if it must
+        (table, packet_notes), rows = join_packets(
+            table, times.time, form.sample_span_s, reading_columns
+        )
+        times, sensors = times.take(rows), read_sensors(vehicle, table)
+        layout_notes += packet_notes
     time, epoch, received = times.time, times.epoch, times.received
     values, flag = _read_panels(vehicle, table, columns)
     values, temperatures = _correct_for_temperature(vehicle, table, values)
@@ -133,8 +149,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         "unused_columns": ", ".join(unused),
         "missing_sensors": "; ".join(missing),
     }
-    if times.notes:
-        attrs["clock_notes"] = "\n".join(times.notes)
+    if notes := (*layout_notes, *times.notes):
+        attrs["clock_notes"] = "\n".join(notes)
     return xr.Dataset(readings | sensors | temperatures, coords, attrs | counts)
 
 
@@ -156,6 +172,17 @@ def _find_late_rows(form: TelemetryForm, table: Table, time: np.ndarray) -> np.n
         do = 'sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file'
         raise TelemetryError("time does not increase", got=got, do=do, where=where)
     return late
+
+
+def columns_of_readings(vehicle: Vehicle) -> set[str]:
+    """Return the names of all columns with readings that the vehicle file reads, panels under each of their default names."""
+    form = vehicle.telemetry
+    names = {name for sensor in sensor_columns(vehicle) for name in sensor.columns}
+    names |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
+    for panel in vehicle.input_names:
+        default_names = {panel, f"P{panel}_W", f"I{panel}_A"}
+        names |= {form.columns[panel]} if panel in form.columns else default_names
+    return names
 
 
 def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
@@ -334,13 +361,13 @@ def require_column(
 
     Raises
     ------
-    TelemetryError
+    MissingColumn
         There is no such column. The message suggests a similar name, if there is one.
     """
     if name not in table.header:
         near = _find_similar_name(name, table.header if candidates is None else candidates)
         do = f"add it, or name the right column under [{section}] in the vehicle file"
-        raise TelemetryError(
+        raise MissingColumn(
             f"column {name!r} ({what}) is missing",
             got="columns " + ", ".join(table.header),
             do=do if near is None else f"did you mean {near!r}? {do[0].upper()}{do[1:]}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
@@ -73,6 +74,11 @@ class Times(NamedTuple):
     received: np.ndarray | None
     notes: tuple[str, ...]
     misdated: np.ndarray
+
+    def take(self, rows: np.ndarray) -> Times:
+        """Return the times of some rows (m)."""
+        received = None if self.received is None else self.received[rows]
+        return self._replace(time=self.time[rows], received=received, misdated=self.misdated[rows])
 
 
 def parse_utc(text: str) -> datetime | None:
@@ -203,6 +209,23 @@ def _read_seconds(form: TelemetryForm, table: Table, kind: str) -> np.ndarray:
         do = "correct it, or set time_format under [telemetry] in the vehicle file"
         raise _cell_error(table, form.time_column, int(bad.argmax()), f"{kind} are expected", do)
     return numbers
+
+
+def _read_unix(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]]:
+    """Read Unix times (n, s), and say if they are counted in ms, us or ns: as seconds they would lie thousands of years ahead.
+
+    A unit that the vehicle file states (`time_scale_s`) is not changed.
+    """
+    numbers = np.abs([plain_number(cell) for cell in table.cells[form.time_column]])
+    typical = float(np.nanmedian(numbers)) if np.isfinite(numbers).any() else 0.0
+    if form.time_scale_s != 1.0 or typical <= LATEST_UNIX_S:
+        return _read_seconds(form, table, "Unix seconds"), []
+    for unit, scale in {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}.items():
+        if typical * scale <= LATEST_UNIX_S:
+            form = replace(form, time_scale_s=scale)
+            note = f"times taken as Unix {unit} by their size (time_scale_s = {scale:g})"
+            return _read_seconds(form, table, "Unix seconds"), [note]
+    return _read_seconds(form, table, "Unix seconds"), []
 
 
 def _read_elapsed(
@@ -372,7 +395,7 @@ def _read_calendar(
         time = (micro - (epoch - UNIX_ZERO) // timedelta(microseconds=1)) / 1e6
     else:
         if form.time_format == "unix":
-            seconds = _read_seconds(form, table, "Unix seconds")
+            seconds, notes = _read_unix(form, table)
         else:
             seconds, notes = _read_atomic(form, table), []
         epoch = fixed or UNIX_ZERO + timedelta(seconds=float(seconds[0]))
@@ -679,7 +702,7 @@ def _advise_on_cell(cell: str) -> str:
     """Return advice on a cell that is not a date in UTC."""
     size = abs(plain_number(cell))
     if size > LATEST_UNIX_S:
-        return 'if it is Unix time in milliseconds, set time_format = "unix" and time_scale_s = 0.001 under [telemetry]'
+        return 'if it is Unix time in ms, us or ns, set time_format = "unix" under [telemetry]'
     if np.isfinite(size):
         return (
             'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the '

@@ -91,7 +91,8 @@ class TelemetryForm(Part):
     `receive_time_column`: the time at which a row was received, read in addition to its own time. `time_zone`: zone of times
     without one. `week_column`: GPS weeks; the time column then has seconds of the week, and the week number has overflowed
     `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times include leap seconds. `throttled`: if the battery is
-    full, all readings of a sample are reduced by one unknown factor.
+    full, all readings of a sample are reduced by one unknown factor. `sample_span_s`: rows within so many seconds, each with some
+    of the columns, are one sample.
     """
 
     quantity: Literal["power_W", "current_A"] = "power_W"
@@ -124,6 +125,7 @@ class TelemetryForm(Part):
     temperature_coefficient_per_K: Number = 0.0
     reference_temperature_C: Number = 25.0
     throttled: StrictBool = False
+    sample_span_s: Positive | None = None
 
     def __post_init__(self) -> None:
         time_columns = (self.time_column, self.week_column, self.receive_time_column)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.environment.elements import parse_elements
-from sunspin.environment.ephemeris import read_orbit
+from sunspin.environment.ephemeris import OrbitFile, read_orbit
 from sunspin.environment.orbit import Orbit, Source, in_orbit
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.telemetry.assess import Assessment
@@ -19,7 +19,9 @@ from sunspin.vehicle.parts import Orbit as Stated
 
 
 def elements_of(
-    vehicle: Vehicle, path: Path | str | None = None, shift_sigma_s: float | None = None
+    vehicle: Vehicle,
+    file: OrbitFile | Path | str | None = None,
+    shift_sigma_s: float | None = None,
 ) -> tuple[Source, ...] | None:
     """The element sets of a file (TLE, OMM), or its table of positions (OEM, CSV, SPK), else the elements of the vehicle file; None
     without any.
@@ -30,8 +32,8 @@ def elements_of(
         For elements that cannot be used, or a sigma of the shift without elements.
     """
     stated = vehicle.orbit or Stated()
-    if path is not None:
-        return read_orbit(path)
+    if file is not None:
+        return read_orbit(file)
     if stated.tle:
         return parse_elements("\n".join(stated.tle), f"[orbit] of {vehicle.name}")
     if shift_sigma_s is not None:
@@ -45,7 +47,7 @@ def elements_of(
 def orbit_of(
     vehicle: Vehicle,
     telemetry: xr.Dataset,
-    elements: Path | str | None = None,
+    elements: OrbitFile | Path | str | None = None,
     shift_sigma_s: float | None = None,
 ) -> Orbit | None:
     """The environment of a telemetry file by the elements of :func:`elements_of`; None without them.

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, needed
 from sunspin.estimate.posterior.importance import Sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, pushed
@@ -189,12 +188,9 @@ class Sampled:
             steady[:, "BN".index(model.frame)] = model.relative(state.u, "steady_torque", 3)
         if back == 0.0:
             return First(state.omega, state.sun, rows.wheel_speed_rad_s, steady)
-        run = model.run(rows, [back], likelihood.direction_error)
-        if model.frame == "N":
-            at = PER_DIRECTION * needed(model.acting.torques).index(OWN)
-            steady[:, 1] = run.carried[:, 0, at : at + 3] / (
-                np.trace(model.vehicle.require_inertia()) / 3
-            )
+        run = model.run(rows, [back], likelihood.direction_error, attitude=True)
+        # the torque that stands in space, as the body sees it there
+        steady[:, 1] = np.einsum("nij,nj->ni", run.attitude[:, 0], steady[:, 1])
         return First(run.omega_B[:, 0], run.sun_B[:, 0], run.wheel_speed_rad_s[:, 0], steady)
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import log_ndtr
 
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.batch import Outcome
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.tags import power_slope, tagged
@@ -156,7 +156,7 @@ class Likelihood:
                 result = self.model.run(rows, part, error or self.direction_error)
                 back = slice(None, None, -1 if part[0] < 0 else 1)
                 parts.append((result.sun_B[:, back], result.omega_B[:, back]))
-                fine &= result.outcome == k.Outcome.FINE
+                fine &= result.outcome == Outcome.FINE
         sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
         lost = ~np.isfinite(sun).all(axis=(1, 2)) | ~np.isfinite(omega).all(axis=(1, 2))
         if lost.any():

@@ -17,11 +17,10 @@ from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError
-from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.ensemble.steps import MAX_STEPS, Scales, plan
+from sunspin.dynamics import batch
+from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting, Steady
-from sunspin.dynamics.torques.acting import needed_around
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
 from sunspin.estimate.posterior import tilt
@@ -179,7 +178,7 @@ class Model:
             )
         if not self.after_s:
             return speeds
-        bodies, commands = self.bodies(u), k.check_commands(self.vehicle, self.wheel_mode)
+        bodies, commands = self.bodies(u), batch.one_command(self.vehicle, self.wheel_mode)
         for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
             if command != "hold":
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
@@ -189,9 +188,9 @@ class Model:
                 )
         return speeds
 
-    def rows(self, state: State) -> k.Rows:
+    def rows(self, state: State) -> batch.Rows:
         """Initial states for the kernel."""
-        rows = k.Rows(
+        rows = batch.Rows(
             state.omega,
             state.sun,
             self.wheel_speeds(state.u),
@@ -221,15 +220,22 @@ class Model:
         about = Rotation.from_rotvec(self.relative(state.u, "turn", 1) * state.sun)
         return (about * Rotation.from_quat(shortest)).as_quat()
 
-    def run(self, rows: k.Rows, times_s: npt.ArrayLike, direction_error: float) -> k.BlockResult:
+    def run(
+        self,
+        rows: batch.Rows,
+        times_s: npt.ArrayLike,
+        direction_error: float,
+        attitude: bool = False,
+    ) -> batch.Motion:
         """Motions from initial states at the reference to times from there, all later or all earlier."""
-        return k.run_rows(
+        return batch.run(
             self.vehicle,
             rows,
             times_s,
-            wheel_mode=self.wheel_mode,
-            direction_error=direction_error,
+            command=self.wheel_mode,
+            error=direction_error,
             acting=replace(self.acting, start_s=self.acting.start_s + self.after_s),
+            attitude=attitude,
             leave_long=True,  # one draw far out in the priors must not end them all
         )
 
@@ -266,7 +272,7 @@ class Model:
         count = np.count_nonzero(inertia.is_body(self._bodies(u), self.vehicle))
         return float(np.log(max(count, 1) / PRIOR_DRAWS))
 
-    def bodies(self, u: np.ndarray) -> k.Bodies:
+    def bodies(self, u: np.ndarray) -> Bodies:
         """Return inertia, wheel inertia, friction and steady torques of each hypothesis.
 
         A body that cannot exist is replaced by the last that can on the way from the nominal one: runs for derivatives, and from
@@ -274,10 +280,10 @@ class Model:
         """
         return self._bodies(self.possible(u))
 
-    def _bodies(self, u: np.ndarray) -> k.Bodies:
+    def _bodies(self, u: np.ndarray) -> Bodies:
         """Return the bodies that the unknowns describe, also those that cannot exist."""
         wheels = len(self.vehicle.wheels)
-        body = k.Bodies.of(self.vehicle, len(u))
+        body = Bodies.of(self.vehicle, len(u))
         tensor = np.array(body.inertia_kg_m2)
         for i in self.where("inertia"):
             a, b = divmod(self.unknowns[i].index, 3)
@@ -336,7 +342,7 @@ def model(
             do="leave it out",
         )
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
-    commands = k.check_commands(vehicle, mode)
+    commands = batch.one_command(vehicle, mode)
     told: dict[str, str] = {}
     made = [
         Unknown(
@@ -391,20 +397,16 @@ def require_computable(model_: Model, times_s: np.ndarray, limit_rad_s: float) -
     one = State(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model_.unknowns))))
     rows = model_.rows(one)
 
-    scales = Scales(
+    problem = batch.Problem(
         model_.vehicle,
         rows,
-        k.check_commands(model_.vehicle, model_.wheel_mode),
+        batch.one_command(model_.vehicle, model_.wheel_mode),
         replace(model_.acting, start_s=model_.acting.start_s + model_.after_s),
     )
-    wanted = k.accuracy(COMPUTABLE_ERROR, None)
 
     def fine(part: float) -> bool:
         ends = part * np.array([times_s.min(), times_s.max()])
-        return all(
-            plan(scales, end, wanted, False, 1, np.inf).steps[0] <= MAX_STEPS
-            for end in ends[ends != 0]
-        )
+        return all(batch.steps_needed(problem, end)[0] <= batch.MAX_STEPS for end in ends)
 
     part = 1.0
     while not fine(part):
@@ -421,9 +423,7 @@ def require_computable(model_: Model, times_s: np.ndarray, limit_rad_s: float) -
 def under(model_: Model, acting: Acting) -> Model:
     """The model under torques; where they depend on directions beside the Sun's, the turn about the Sun becomes an unknown."""
     turn = (
-        (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),)
-        if needed_around(acting.torques)
-        else ()
+        (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if acting.needs_attitude else ()
     )
     return replace(model_, acting=acting, unknowns=model_.unknowns + turn)
 

@@ -14,7 +14,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.compute.rows import ensemble
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.torques import NOTHING, Acting, Steady
 from sunspin.estimate.posterior.data import group
@@ -31,7 +31,7 @@ LEVELS = (0.5, 0.9)
 """Intervals told, as shares of the draws, both tails alike."""
 
 
-def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
+def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, batch.Rows]:
     """The model behind a posterior and its draws (n) at the first sample as rows for the kernel."""
     if json.loads(tree.attrs.get("torques", "[]")):
         raise InputError(
@@ -67,7 +67,7 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
         bodies = replace(
             bodies, steady_N_m=mean * posterior["steady_torque"].values.reshape(-1, 2, 3)
         )
-    return unknown, k.Rows(omega, sun, speeds, bodies=bodies)
+    return unknown, batch.Rows(omega, sun, speeds, bodies=bodies)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class AtTimes:
     """Row -> a motion, with its own body, at times all later or all earlier (s from the row's)."""
 
     vehicle: Vehicle
-    rows: k.Rows = field(repr=False)
+    rows: batch.Rows = field(repr=False)
     ends_s: np.ndarray
     wheel_mode: Any
     acting: Acting
@@ -94,21 +94,21 @@ class AtTimes:
         return len(self.rows)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        run = k.run_rows(
+        run = batch.run(
             self.vehicle,
             self.rows.take(index),
             self.ends_s,
-            wheel_mode=self.wheel_mode,
-            direction_error=DIRECTION_ERROR,
+            command=self.wheel_mode,
+            error=DIRECTION_ERROR,
             acting=self.acting,
         )
-        fine = (run.outcome == k.Outcome.FINE)[:, None, None]
+        fine = (run.outcome == batch.Outcome.FINE)[:, None, None]
         return {name: np.where(fine, getattr(run, name), np.nan) for name in self.outputs}
 
 
 def run_to(
     vehicle: Vehicle,
-    rows: k.Rows,
+    rows: batch.Rows,
     after_s: npt.ArrayLike,
     wheel_mode: Any = "coast",
     workers: int | None = None,
@@ -142,7 +142,7 @@ def run_to(
 
 
 def predictions(
-    unknown: Model, rows: k.Rows, run: dict[str, np.ndarray], times_s: np.ndarray
+    unknown: Model, rows: batch.Rows, run: dict[str, np.ndarray], times_s: np.ndarray
 ) -> xr.Dataset:
     """What runs (n, n_t, ...) say, over (chain, draw, predicted_s); the times are s from the epoch."""
     speed = np.linalg.norm(run["omega_B"], axis=-1)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.dynamics.torques.acting import needed_around
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
 from sunspin.estimate.rates.common_errors import (
@@ -119,7 +118,7 @@ def most_modes(o: Observations) -> int:
 
 def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
     """The modes, tried with several turns about the Sun where torques tell one from the other: the search knows only the Sun."""
-    if not needed_around(motion.body.acting.torques) or not len(track.omega):
+    if not motion.body.acting.needs_attitude or not len(track.omega):
         return track
     angles = 2 * np.pi / TURNS * np.arange(TURNS)[:, None] * SUN_N
     tried = [

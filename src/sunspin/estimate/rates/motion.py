@@ -83,11 +83,11 @@ class Body:
             return 0.0
         bodies = Bodies.rigid(self.unit * self.inertia)
         least = self.unit * np.linalg.eigvalsh(self.inertia)[0]
-        return float(np.sqrt(self.acting.largest(self.acting.values(bodies)) / max(least, 1e-300)))
+        return float(np.sqrt(self.acting.largest(bodies) / max(least, 1e-300)))
 
     def seen(self, ends: Ends, attitude: np.ndarray, t_s: npt.ArrayLike) -> Ends:
         """`ends` with the nadir, if a torque depends on it, of steps that begin at B_from_N (..., 3, 3) and times (...)."""
-        if not self.acting.gradient_strength():
+        if not self.acting.needs_attitude:
             return ends
         t = np.broadcast_to(t_s, attitude.shape[:-2])
         nadir = self.acting.nadir_B(attitude.reshape(-1, 3, 3), t.ravel())
@@ -219,7 +219,7 @@ def _runge_kutta(
     numbers = BodyNumbers(
         body.inertia,
         body.dipole,
-        body.acting.torque_B(rigid) / body.unit,
+        body.acting.steady(rigid)[0] / body.unit,
         body.acting.gradient_strength(),
     )
     # no step is fine enough for some trials: they must cost much, not fail

@@ -155,7 +155,10 @@ def _require_directions(o: Observations, tried: np.ndarray) -> None:
         read = np.isfinite(panels.sigma)
         most, count = int(read.sum(axis=1).max()), panels.sigma.shape[1] - len(panels.left_out)
         if most < count:
-            do = f"a row has readings of {most} of {count} panels at most: write the readings of one time in one row"
+            do = (
+                f"a row has readings of {most} of {count} panels at most: "
+                "set sample_span_s under [telemetry] to the time in which all are read"
+            )
     raise InputError(
         "too few Sun directions to estimate a rate",
         got=f"{np.count_nonzero(~wide)} of {len(o)} samples in the pass from {o.t_s[0]:.0f} s give one",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.base.errors import MotionError
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
 from sunspin.vehicle import Vehicle
 
 RATE_DIRECTION_ERROR = 1e-9
@@ -14,7 +14,7 @@ RATE_DIRECTION_ERROR = 1e-9
 
 def end_rates(
     vehicle: Vehicle,
-    states: k.Rows,
+    states: batch.Rows,
     duration_s: float,
     direction_error: float = RATE_DIRECTION_ERROR,
     wheel_mode: str = "coast",
@@ -31,19 +31,13 @@ def end_rates(
     if len(states) == 0:
         return np.zeros((0, 3))
     return rates_at_end(
-        k.run_rows(
-            vehicle,
-            states,
-            float(duration_s),
-            wheel_mode=wheel_mode,
-            direction_error=direction_error,
-        )
+        batch.run(vehicle, states, float(duration_s), command=wheel_mode, error=direction_error)
     )
 
 
-def rates_at_end(run: k.BlockResult) -> np.ndarray:
+def rates_at_end(run: batch.Motion) -> np.ndarray:
     """Body rates (n, 3) in rad/s at the last time of a run; `MotionError` if a motion could not be followed."""
-    if np.any(run.outcome != k.Outcome.FINE):
-        what = k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))]
+    if np.any(run.outcome != batch.Outcome.FINE):
+        what = batch.OUTCOME_TEXT[batch.Outcome(int(run.outcome.max()))]
         raise MotionError("a motion could not be followed", got=what)
     return run.omega_B[:, -1]

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.dynamics.ensemble import Mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns
+from sunspin.vehicle.response.planes import DirectionSet
 
 
-def reconstructible_mask(vehicle: Vehicle) -> Mask:
+def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
     """The directions of the Sun that this vehicle's panels would allow to reconstruct."""
     names = vehicle.input_names
     possible = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
@@ -37,6 +37,6 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
     return vehicle.response_in().direction_set(good, bad)
 
 
-def allows(mask: Mask, sun_B: np.ndarray) -> np.ndarray:
+def allows(mask: DirectionSet, sun_B: np.ndarray) -> np.ndarray:
     """Whether the mask allows each direction sun_B (..., 3)."""
     return mask.contains(np.asarray(sun_B))

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.dynamics.ensemble import Bodies
+from sunspin.dynamics.bodies import Bodies
 from sunspin.vehicle import Vehicle
 
 INERTIA = {

@@ -15,7 +15,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
+from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.scan.end_rates import rates_at_end
@@ -23,6 +24,7 @@ from sunspin.estimate.scan.histogram import emd_rows
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.planes import DirectionSet
 
 BINS = 256
 """Bins of r_z over [-1, 1]; the CDF is linear inside a bin, the measured one exact. Error below 1e-3, see the tests."""
@@ -49,7 +51,7 @@ class Start:
     wheel_speed_rad_s: np.ndarray
     acting: Acting = NOTHING
     B_from_N: np.ndarray | None = None
-    bodies: k.Bodies | None = None
+    bodies: Bodies | None = None
 
     @classmethod
     def on_grid(
@@ -78,10 +80,10 @@ class Start:
     def __len__(self) -> int:
         return int(np.prod(self.shape))
 
-    def take(self, index: np.ndarray) -> k.Rows:
+    def take(self, index: np.ndarray) -> batch.Rows:
         """States of the rows `index`, in C order of the grid; made chunk by chunk so that no grid is stored."""
         n, (i, j, l, *body) = len(index), np.unravel_index(index, self.shape)
-        return k.Rows(
+        return batch.Rows(
             np.stack([self.omega_x[i], self.omega_y[j], self.omega_z[l]], axis=-1),
             np.tile(self.sun_B, (n, 1)),
             np.tile(self.wheel_speed_rad_s, (n, 1)),
@@ -91,18 +93,21 @@ class Start:
 
 
 class Measure(NamedTuple):
-    """What a scan keeps of each motion: `of` a run and the scan's target, an array (n, *shape)."""
+    """What a scan keeps of each motion: `of` a run and the scan's target, an array (n, *shape).
+
+    A run is a `batch.Heights` if there are bins, else a `batch.Motion`.
+    """
 
     bins: int
     """Of a histogram of r_z; 0: the run has a track."""
     dtype: str
     shape: tuple[int, ...]
-    of: Callable[[k.BlockResult, Any], np.ndarray]
+    of: Callable[[Any, Any], np.ndarray]
 
 
 MEASURES = {
-    "emd": Measure(BINS, "float64", (), lambda run, segments: distances_to(run.hist, segments)),
-    "hist": Measure(BINS, "float32", (BINS,), lambda run, _: run.hist),
+    "emd": Measure(BINS, "float64", (), lambda run, segments: distances_to(run.seconds, segments)),
+    "hist": Measure(BINS, "float32", (BINS,), lambda run, _: run.seconds),
     "E": Measure(0, "float64", (), lambda run, sun_B: direction_error(run.sun_B, sun_B)),
     "speed": Measure(0, "float64", (), lambda run, _: np.linalg.norm(rates_at_end(run), axis=1)),
 }
@@ -130,16 +135,18 @@ class ScanRows:
     wheel_mode: str | tuple[str, ...] = "coast"
     emd_error: float | None = None
     direction_error: float | None = None
-    condition: k.Mask | None = field(init=False)
+    condition: DirectionSet | None = field(init=False)
 
     def __post_init__(self) -> None:
         if self.mask not in ("reconstructible", None):
             raise InputError('mask must be "reconstructible" or None', got=self.mask)
-        k.check_commands(self.vehicle, self.wheel_mode)
+        batch.one_command(self.vehicle, self.wheel_mode)
         if self.emd_error is None and self.direction_error is None:
-            default = ("emd_error", k.EMD_ERROR) if self.bins else ("direction_error", TRACK_ERROR)
+            default = (
+                ("emd_error", batch.EMD_ERROR) if self.bins else ("direction_error", TRACK_ERROR)
+            )
             object.__setattr__(self, *default)
-        k.accuracy(self.direction_error, self.emd_error)
+        batch.check_errors(self.direction_error, self.emd_error)
         condition = reconstructible_mask(self.vehicle) if self.mask else None
         object.__setattr__(self, "condition", condition)
 
@@ -158,17 +165,29 @@ class ScanRows:
         return len(self.start)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        run = k.run_rows(
-            self.vehicle,
-            self.start.take(index),
-            self.t_s,
-            wheel_mode=self.wheel_mode,
-            direction_error=self.direction_error,
-            emd_error=self.emd_error,
-            mask=self.condition,
-            bins=self.bins,
-            acting=self.start.acting,
-        )
+        states, acting = self.start.take(index), self.start.acting
+        run: batch.Heights | batch.Motion
+        if self.bins:
+            run = batch.sun_heights(
+                self.vehicle,
+                states,
+                float(self.t_s),
+                command=self.wheel_mode,
+                counted=self.condition,
+                error=self.direction_error,
+                emd_error=self.emd_error,
+                acting=acting,
+            )
+        else:
+            error = TRACK_ERROR if self.direction_error is None else self.direction_error
+            run = batch.run(
+                self.vehicle,
+                states,
+                self.t_s,
+                command=self.wheel_mode,
+                error=error,
+                acting=acting,
+            )
         values = MEASURES[self.measure].of(run, self.target)
         return {self.measure: values, "outcome": run.outcome.astype(np.int8)}
 

@@ -7,7 +7,7 @@ storing a track; and E, the mean misfit of directions at the times of the sample
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,15 +19,12 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.compute.rows import ensemble
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.torques import Steady, acting
 from sunspin.environment import Environment
-from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.rows import (
-    BINS,
     ScanRows,
     Start,
-    distances_to,
     target_segments,
     track_rows,
 )
@@ -38,10 +35,6 @@ MAX_ROWS = 50_000_000
 
 SECONDS_PER_ROW, BYTES_PER_ROW = 1e-4, 30
 """For estimates: 42 to 189 microseconds of a core for 45 min of Philae, and two results with their copies."""
-
-MANY_ROWS = 5_000
-"""Grids from here on nearly always hold motions near an unstable spin, which are run again by the other method: its kernel is
-compiled beside the first."""
 
 
 @dataclass(frozen=True)
@@ -151,22 +144,10 @@ def scan(
         rows = ScanRows(
             body, start, float(duration_s), "emd", target, mask, emd_error=emd_error, **how
         )
-        if executor is None and len(start) >= MANY_ROWS:
-            k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
     out = ensemble(
         rows, workers=workers, store=store, scheduler=executor, progress=progress, label="scan"
     )
     return volume(vehicle, rows, rows.measure, out, count)
-
-
-def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
-    """Compile what scans of these vehicles run and is not kept yet, and return the folder that keeps it."""
-    runs = [(vehicle, [(reconstructible_mask(vehicle), BINS), (None, 0)]) for vehicle in vehicles]
-    folder = k.compile_all(
-        structure for vehicle, some in runs for structure in k.structures(vehicle, some)
-    )
-    distances_to(np.zeros((1, BINS), np.float32), target_segments([0.0]))
-    return folder
 
 
 def volume(
@@ -176,8 +157,8 @@ def volume(
     start, dims = rows.start, ("omega_x", "omega_y", "omega_z")
     axes = {dim: (dim, getattr(start, dim), {"units": "rad s-1"}) for dim in dims}
     flags = {
-        "flag_values": [int(o) for o in k.Outcome],
-        "flag_meanings": " ".join(o.name.lower() for o in k.Outcome),
+        "flag_values": [int(o) for o in Outcome],
+        "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
     return xr.DataArray(
         values[name].reshape(start.shape),
@@ -252,5 +233,5 @@ def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
 
 def _computed(emd: xr.DataArray) -> np.ndarray:
     if "outcome" in emd.coords:
-        emd = emd.where(emd["outcome"] == k.Outcome.FINE)
+        emd = emd.where(emd["outcome"] == Outcome.FINE)
     return emd.transpose("omega_x", "omega_y", "omega_z").values

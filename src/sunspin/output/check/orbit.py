@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from sunspin.environment.elements import nearest
+from sunspin.environment.ephemeris import OrbitFile
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST
@@ -37,7 +37,7 @@ class ChosenOrbit(NamedTuple):
 
 
 def describe_orbit(
-    assessment: Assessment, elements: Path | None, shift_sigma: float | None
+    assessment: Assessment, elements: OrbitFile | None, shift_sigma: float | None
 ) -> Findings:
     """Return the findings on whether orbital elements are consistent with the telemetry; empty without elements.
 
@@ -53,7 +53,7 @@ def describe_orbit(
 
 
 def choose_orbit(
-    assessment: Assessment, elements: Path | None, shift_sigma: float | None
+    assessment: Assessment, elements: OrbitFile | None, shift_sigma: float | None
 ) -> ChosenOrbit:
     """Return the orbit of the elements if the telemetry is consistent with it, with the calibration of the magnetometer.
 

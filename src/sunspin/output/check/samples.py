@@ -272,4 +272,5 @@ def _partial_rows_advice(samples: xr.Dataset) -> str:
     panels = int(has_reading.any(axis=0).sum())  # that have a reading in any row
     if not 0 < most_in_row < MOST_PANELS * panels:
         return ""
-    return f". A row has readings of {most_in_row} of {panels} panels at most: write the readings of one time in one row"
+    do = "set sample_span_s under [telemetry] to the time in which all are read"
+    return f". A row has readings of {most_in_row} of {panels} panels at most: {do}"

@@ -196,6 +196,61 @@ def build_attitude(
     )
 
 
+def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
+    """Return attitude and rate of a result of `rates` or `propagate` at any times.
+
+    Parameters
+    ----------
+    times : (n)
+        Seconds from the epoch of the result, or UTC times such as "2026-01-31T12:00:00Z".
+
+    Returns
+    -------
+    xarray.Dataset
+        Over `time` (s from the epoch): `B_from_N` (time, quaternion), `omega_B` (time, axis) in rad/s and `pass_of` (time), the
+        number of the pass; NaN and -1 at times outside all passes. `frame_N` as in the result. Attitudes are interpolated as in
+        :func:`build_attitude`. The frame N of different passes may differ (`ORIENTATIONS`).
+
+    Raises
+    ------
+    InputError
+        A time cannot be read, or the instants of the result are too far apart to interpolate between them.
+    """
+    texts = np.atleast_1d(np.asarray(times))
+    if texts.dtype.kind in "iuf":
+        t = texts.astype(np.float64)
+    elif texts.dtype.kind == "M":
+        epoch = _parse_epoch(str(data.attrs.get("epoch_utc")))
+        t = (texts.astype("datetime64[us]") - epoch) / np.timedelta64(1, "s")
+    else:
+        epoch = _parse_epoch(str(data.attrs.get("epoch_utc")))
+        moments = np.array([_parse_epoch(str(text)) for text in texts])
+        t = (moments - epoch) / np.timedelta64(1, "s")
+    motion = _add_curve(data, _read_samples(data))
+    quaternion, omega = np.full((t.size, 4), np.nan), np.full((t.size, 3), np.nan)
+    pass_of = np.full(t.size, -1)
+    for number in np.unique(motion.pass_of):
+        of_pass = AttitudeSamples(*(array[motion.pass_of == number] for array in motion))
+        inside = (t >= of_pass.t_s[0]) & (t <= of_pass.t_s[-1])
+        if inside.any():
+            found = of_pass.interpolate(t[inside], np.full(inside.sum(), number))
+            quaternion[inside], omega[inside] = found.quaternion, found.omega_B
+            pass_of[inside] = number
+    names = {"axis": ["x", "y", "z"], "quaternion": ["x", "y", "z", "w"]}
+    attrs = {
+        key: data.attrs[key] for key in ("epoch_utc", "frame_N", "synthetic") if key in data.attrs
+    }
+    return xr.Dataset(
+        {
+            "B_from_N": (("time", "quaternion"), quaternion),
+            "omega_B": (("time", "axis"), omega),
+            "pass_of": ("time", pass_of),
+        },
+        {"time": t, **names},
+        attrs,
+    )
+
+
 def _choose_frame(data: xr.Dataset, frame: str | None) -> tuple[str, str]:
     """Return the name of the frame N in the file, and its orientation in words, which is empty for a celestial frame.
 

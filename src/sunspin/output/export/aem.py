@@ -1,4 +1,4 @@
-"""CCSDS attitude ephemeris message (CCSDS 504.0-B): KVN of version 1.0, which every reader knows, and XML of version 2.0.
+"""CCSDS attitude ephemeris message (CCSDS 504.0-B): KVN of version 1.0 or 2.0, as readers refuse one or the other, and XML.
 
 The standard's quaternion q rotates the axes of frame A into those of frame B. With R(q) the rotation of vectors that SciPy makes of
 q, components in B are R(q)^T times those in A. The numbers written are therefore the conjugate of `B_from_N`.
@@ -18,12 +18,15 @@ from sunspin.environment.frames import J2000
 from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
-IN_KVN_ALONE = ("ATTITUDE_DIR", "QUATERNION_TYPE")
-"""Keys of version 1.0 that version 2.0 lacks: it has one direction only, A to B, and one order of the components."""
+IN_VERSION_1_ALONE = ("ATTITUDE_DIR", "QUATERNION_TYPE")
+"""Keys that version 2.0, and so the XML, lacks: it has one direction only, A to B, and one order of the components."""
 
 
-def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
-    """Write an attitude ephemeris message with a segment for each pass, and return its path; `form`: "kvn" or "xml"."""
+def write_aem(target: Path, attitude: Attitude, form: str = "1.0") -> Path:
+    """Write an attitude ephemeris message with a segment for each pass, and return its path.
+
+    `form`: "1.0" or "2.0", the version of a KVN file, or "xml".
+    """
     utc = np.datetime_as_string(attitude.utc)
     # the standard allows printable ASCII only
     name, number = (
@@ -54,10 +57,14 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     if form == "xml":
         text = _xml(header, comments, segments)
         return write_whole(target, text)
-    lines = ["CCSDS_AEM_VERS = 1.0", *(f"{key} = {value}" for key, value in header.items()), ""]
+    lines = [f"CCSDS_AEM_VERS = {form}", *(f"{key} = {value}" for key, value in header.items()), ""]
     for metadata, states in segments:
         lines += ["META_START", *(f"COMMENT {text}" for text in comments)]
-        lines += [f"{key} = {value}" for key, value in metadata.items()]
+        lines += [
+            f"{key} = {value}"
+            for key, value in metadata.items()
+            if form == "1.0" or key not in IN_VERSION_1_ALONE
+        ]
         lines += ["META_STOP", "", "DATA_START"]
         lines += [" ".join([time, *numbers]) for time, numbers in states]
         lines += ["DATA_STOP", ""]
@@ -85,7 +92,7 @@ def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:
         for text in comments:
             _add_element(metadata_element, "COMMENT", text)
         for key, value in metadata.items():
-            if key not in IN_KVN_ALONE:
+            if key not in IN_VERSION_1_ALONE:
                 _add_element(metadata_element, key, value)
         for utc, components in states:
             state = _add_element(_add_element(data, "attitudeState"), "quaternionEphemeris")

@@ -5,6 +5,7 @@ from sunspin.output.kinds import (  # noqa: F401
     calibration,
     collision,
     comparison,
+    history,
     motion,
     outcomes,
     panels,

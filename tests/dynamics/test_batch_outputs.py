@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics import batch
+from sunspin.dynamics.bodies import Bodies
 from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
 TIMES = np.array([100.0, 900.0, 1800.0])
@@ -15,7 +16,7 @@ TIMES = np.array([100.0, 900.0, 1800.0])
 def rows_for(vehicle, n=5, seed=2, speed=None):
     rng = np.random.default_rng(seed)
     speeds = np.array([speed or wheel.speed_rad_s for wheel in vehicle.wheels])
-    return k.Rows(
+    return batch.Rows(
         rng.uniform(-0.3, 0.3, (n, 3)), np.tile(FIRST_SUN, (n, 1)), np.tile(speeds, (n, 1))
     )
 
@@ -52,7 +53,7 @@ def test_rates_and_wheel_speeds_at_output_times_agree_with_the_reference(n_wheel
         else random_vehicle(np.random.default_rng(5), n_wheels, dry=1e-3)
     )
     rows = rows_for(vehicle, speed=40.0)
-    run = k.run_rows(vehicle, rows, TIMES, wheel_mode=mode, direction_error=1e-9)
+    run = batch.run(vehicle, rows, TIMES, command=mode, error=1e-9)
     assert n_wheels == 0 or mode == "hold" or np.any(run.wheel_speed_rad_s[:, -1] == 0)
     for i in range(len(rows)):
         speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
@@ -70,24 +71,20 @@ def test_a_row_with_its_own_inertia_and_friction_moves_like_such_a_vehicle():
     """And other numbers are another motion."""
     vehicle = philae_body()
     crafts = variants(vehicle, 4)
-    rows = replace(rows_for(vehicle, 4), bodies=k.Bodies.stack(crafts))
-    run = k.run_rows(vehicle, rows, 2700.0, direction_error=1e-6)
+    rows = replace(rows_for(vehicle, 4), bodies=Bodies.stack(crafts))
+    run = batch.run(vehicle, rows, 2700.0, error=1e-6)
     for i, craft in enumerate(crafts):
         one = np.array([i])
-        alone = k.run_rows(
-            craft, replace(rows.take(one), bodies=None), 2700.0, direction_error=1e-6
-        )
-        np.testing.assert_allclose(run.track[i], alone.track[0], rtol=1e-9, atol=1e-9)
-    same = k.run_rows(vehicle, replace(rows, bodies=None), 2700.0, direction_error=1e-6)
+        alone = batch.run(craft, replace(rows.take(one), bodies=None), 2700.0, error=1e-6)
+        np.testing.assert_allclose(run.states[i], alone.states[0], rtol=1e-9, atol=1e-9)
+    same = batch.run(vehicle, replace(rows, bodies=None), 2700.0, error=1e-6)
     assert np.all(np.linalg.norm(run.sun_B - same.sun_B, axis=-1) > 1e-3)
 
 
 def test_a_wheel_without_friction_is_not_held_at_rest_by_the_friction_of_others():
     vehicle = philae_body()
-    bodies = k.Bodies.of(vehicle, 2)
+    bodies = Bodies.of(vehicle, 2)
     bodies = replace(bodies, coulomb_N_m=np.array([[0.0], [1e-3]]), viscous_N_m_s=np.zeros((2, 1)))
-    still = k.Rows(np.full((2, 3), 0.05), np.tile(FIRST_SUN, (2, 1)), np.zeros((2, 1)), bodies)
-    speeds = k.run_rows(
-        vehicle, still, np.array([50.0, 100.0]), direction_error=1e-8
-    ).wheel_speed_rad_s
+    still = batch.Rows(np.full((2, 3), 0.05), np.tile(FIRST_SUN, (2, 1)), np.zeros((2, 1)), bodies)
+    speeds = batch.run(vehicle, still, np.array([50.0, 100.0]), error=1e-8).wheel_speed_rad_s
     assert np.all(speeds[0] != 0) and np.all(speeds[1] == 0)

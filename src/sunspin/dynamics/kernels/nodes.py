@@ -1,0 +1,154 @@
+"""Nodes of the histogram in a step of the Taylor kernel: at its thirds and at its end, for all lanes at once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sunspin.dynamics.kernels.histogram import (
+    MIN_WAYS,
+    NODE,
+    PER_NODE,
+    SECONDS,
+    add_way,
+    begin_way,
+)
+from sunspin.dynamics.kernels.rows import (
+    AXIAL,
+    DT,
+    HELD_RATE,
+    INVERSE,
+    INVERSE_H,
+    LIFT,
+    PER_WHEEL,
+    SPIN,
+    SUN,
+    H,
+    L,
+)
+from sunspin.dynamics.processor import compiled
+
+WAYS = 3
+"""Between nodes, in a step."""
+
+
+@compiled
+def write_state_at(lanes, nodes, n_wheels, order, part):
+    """Write H, r and h of all lanes at `part` of their steps into `nodes.state`, four orders of the series in a pass."""
+    c, share, state = lanes.c, lanes.share, nodes.state
+    top = 4 * ((order + 3) // 4)
+    for j in range((6 + n_wheels) * L):
+        state[j] = c[top, j]
+    for k in range(top - 4, -1, -4):
+        for j in range((6 + n_wheels) * L):
+            x = part * share[j]
+            state[j] = (((state[j] * x + c[k + 3, j]) * x + c[k + 2, j]) * x + c[k + 1, j]) * x + c[
+                k, j
+            ]
+
+
+@compiled
+def write_half_angle(lanes, nodes, seconds_before):
+    """Write half the angle by which directions have turned about H, within +-pi/2, `seconds_before` (L) before `lanes.since`."""
+    p, angle = lanes.p, nodes.angle
+    for l in range(L):
+        turns = (lanes.since[l] - seconds_before[l]) * p[SPIN + l] / max(p[INVERSE_H + l], 1e-300)
+        turns *= 1 / (2 * math.pi)
+        angle[l] = math.pi * (turns - math.floor(turns + 0.5))
+
+
+@compiled
+def write_node(lanes, nodes, n_wheels, node):
+    """Write the direction to the Sun, its slope and the square of the body rate from `nodes.state` into `node` (7 rows).
+
+    `nodes.angle` holds half the angle of the common turn about H. `node` is a slice of `nodes.at`, so that its rows begin at 0.
+    """
+    p, u, m, angle = lanes.p, lanes.u, nodes.state, nodes.angle
+    for l in range(L):  # omega, for the time being in the rows of the slope
+        a, b, c = m[H + l], m[H + L + l], m[H + 2 * L + l]
+        x = p[INVERSE + l] * a + p[INVERSE + L + l] * b + p[INVERSE + 2 * L + l] * c
+        y = p[INVERSE + L + l] * a + p[INVERSE + 3 * L + l] * b + p[INVERSE + 4 * L + l] * c
+        z = p[INVERSE + 2 * L + l] * a + p[INVERSE + 4 * L + l] * b + p[INVERSE + 5 * L + l] * c
+        node[3 * L + l] = x - p[HELD_RATE + l]
+        node[4 * L + l] = y - p[HELD_RATE + L + l]
+        node[5 * L + l] = z - p[HELD_RATE + 2 * L + l]
+    for i in range(n_wheels):
+        w = i * PER_WHEEL
+        for l in range(L):
+            h = m[AXIAL + i * L + l]
+            node[3 * L + l] -= h * u[w + LIFT + l]
+            node[4 * L + l] -= h * u[w + LIFT + L + l]
+            node[5 * L + l] -= h * u[w + LIFT + 2 * L + l]
+    for l in range(L):  # sine and cosine of the half angle, as polynomials that vectors can compute
+        f = angle[l]
+        q = f * f
+        sine = f + f * q * (
+            -1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 - q / 39916800)))
+        )
+        cosine = 1.0 + q * (-1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 - q / 3628800))))
+        angle[l], angle[L + l] = sine, cosine
+    for l in range(L):  # Rodrigues' formula about H
+        a, b, c = m[H + l], m[H + L + l], m[H + 2 * L + l]
+        x, y, z = m[SUN + l], m[SUN + L + l], m[SUN + 2 * L + l]
+        i = p[INVERSE_H + l]
+        e = 2.0 * angle[l] * angle[l]
+        f = 2.0 * angle[l] * angle[L + l] * i
+        g = 1.0 - e
+        e = e * i * i * (a * x + b * y + c * z)
+        node[l] = g * x + f * (y * c - z * b) + e * a
+        node[L + l] = g * y + f * (z * a - x * c) + e * b
+        node[2 * L + l] = g * z + f * (x * b - y * a) + e * c
+    for l in range(L):  # slope r x omega
+        x, y, z = node[l], node[L + l], node[2 * L + l]
+        a, b, c = node[3 * L + l], node[4 * L + l], node[5 * L + l]
+        node[6 * L + l] = a * a + b * b + c * c
+        node[3 * L + l] = y * c - z * b
+        node[4 * L + l] = z * a - x * c
+        node[5 * L + l] = x * b - y * a
+
+
+@compiled
+def longest_step(nodes, l, duration):
+    """Return the longest step (s) of lane l: its ways must be short in angle and in number of ways of the whole run."""
+    rate = math.sqrt(nodes.at[NODE + 6 * L + l] + 1e-20)
+    return WAYS * min(nodes.tolerance / rate, duration / MIN_WAYS)
+
+
+@compiled
+def begin(lanes, nodes, n_wheels):
+    """Write the first node of all lanes from their states: after one was loaded or passed an event."""
+    for j in range((6 + n_wheels) * L):
+        nodes.state[j] = lanes.c[0, j]
+    write_half_angle(lanes, nodes, np.zeros(L))
+    write_node(lanes, nodes, n_wheels, nodes.at[NODE : NODE + PER_NODE])
+    begin_way(nodes)
+
+
+@compiled
+def write_inner_nodes(lanes, nodes, n_wheels, order):
+    """Write the nodes at the thirds of the step. To be called before the step is taken."""
+    before, at = np.empty(L), nodes.at
+    for k in range(1, WAYS):
+        write_state_at(lanes, nodes, n_wheels, order, k / WAYS)
+        for l in range(L):
+            before[l] = -(k / WAYS) * lanes.share[l] * lanes.p[DT + l]
+        write_half_angle(lanes, nodes, before)
+        write_node(lanes, nodes, n_wheels, at[NODE + k * PER_NODE : NODE + (k + 1) * PER_NODE])
+    for l in range(L):
+        at[SECONDS + l] = lanes.share[l] * lanes.p[DT + l] / WAYS
+
+
+@compiled
+def deposit_step(lanes, nodes, n_wheels):
+    """Write the node at the end of the step, which has been taken, and add its ways to the histograms."""
+    at = nodes.at
+    for j in range((6 + n_wheels) * L):
+        nodes.state[j] = lanes.c[0, j]
+    write_half_angle(lanes, nodes, np.zeros(L))
+    write_node(lanes, nodes, n_wheels, at[NODE + WAYS * PER_NODE : NODE + (WAYS + 1) * PER_NODE])
+    add_way(nodes, 0)  # written out: in a loop the rows would not be known, six times slower
+    add_way(nodes, 1)
+    add_way(nodes, 2)
+    for l in range(PER_NODE):
+        at[NODE + l] = at[NODE + WAYS * PER_NODE + l]

@@ -1,0 +1,153 @@
+"""Where the numbers of motions lie that advance side by side.
+
+L motions fill L lanes. A row is one number of all lanes, one after the other, so that the processor's vectors hold the same number
+of several motions: number X of lane l lies at X + l, where X is a multiple of L. A vector takes three rows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+L = 32
+"""Lanes. 16 take 1.05 to 1.2 of the time on a processor with vectors of eight numbers."""
+
+WHEELS = 4
+"""Wheels that there is room for."""
+
+# ---- the state, and its coefficients -------------------------------------------------------------
+H = 0  # total angular momentum, N m s
+SUN = 3 * L  # direction to the Sun
+AXIAL = 6 * L  # h of wheel i at AXIAL + i L, N m s
+NX, NY = (
+    AXIAL + WHEELS * L,
+    AXIAL + (WHEELS + 3) * L,
+)  # the axes x and y of N, which give the attitude
+TORQUE = AXIAL + (WHEELS + 6) * L  # the torque that stands in space, N m
+NADIR = AXIAL + (WHEELS + 9) * L
+TURN = AXIAL + (WHEELS + 12) * L  # rate at which the nadir turns in space, rad/s
+STATE_ROWS = 6 + WHEELS + 15
+OMEGA = STATE_ROWS * L  # omega less SPIN H
+ALONG = OMEGA + 3 * L  # u.omega of wheel i at ALONG + i L
+ROWS = STATE_ROWS + 3 + WHEELS + 1  # one more: a power of two would crowd the processor's cache
+
+# ---- numbers of the motion in a lane -------------------------------------------------------------
+DT = 0  # length of the step, s, negative backward in time
+SPIN = L  # share of H that is left out of omega, 1/(kg m2)
+HELD = 2 * L  # K, momentum of the wheels that do not turn freely (3)
+INVERSE = 5 * L  # A^-1: xx, xy, xz, yy, yz, zz
+TORQUE_B = 11 * L  # torque that is constant in body axes (3), N m
+PULL = 14 * L  # 3 n^2 of the gravity gradient, 1/s2
+INERTIA = 15 * L  # of the body with its wheels, six elements as INVERSE
+INVERSE_H = 21 * L  # 1 / |H|
+ALLOWED = 22 * L  # error allowed per second
+REST = 23 * L  # A^-1 less SPIN (6)
+HELD_RATE = 29 * L  # A^-1 K (3)
+NUMBERS = 32
+
+# ---- numbers of wheel i in a lane, from i PER_WHEEL on -------------------------------------------
+AXIS = 0  # u (3)
+FREE = 3 * L  # 1 if the wheel turns freely, 0 if friction or a motor holds it
+COULOMB = 4 * L  # sign of the speed times DRY; 0 unless it turns freely
+VISCOUS = 5 * L  # N m s
+INVERSE_J = 6 * L  # 1 / J
+DRY = 7 * L  # limit of dry friction and brake, N m; 0 if a motor holds the wheel
+SIGN = 8 * L  # sign of the speed of a wheel that dry friction will stop, else 0
+KEPT = 9 * L  # speed at which a motor holds the wheel, rad/s
+LIFT = 10 * L  # A^-1 u (3) of a wheel that turns freely, else 0
+PER_WHEEL = 13 * L
+
+# ---- how a motion ends, and what a motion is run for ---------------------------------------------
+FINE, CHATTERS, PAST_UNKNOWN, NOT_FINITE = 0, 1, 2, 3
+STOPS, BREAKS_AWAY, REVERSES, RESTS, OVERLOADED = (
+    0,
+    1,
+    2,
+    3,
+    4,
+)  # what a wheel does (wheels.pass_event)
+NO_TORQUE, STEADY, GRADIENT = (
+    0,
+    1,
+    2,
+)  # torques: none; constant in body axes and in space; and the gravity gradient
+
+
+class Lanes(NamedTuple):
+    """Working arrays of the lanes, float64.
+
+    `c` (orders, ROWS L): coefficients of the Taylor series, scaled by the step; rows beyond the order are zero. `y` (ROWS L): the
+    state at the begin of the step. `p` (NUMBERS L), `u` (WHEELS PER_WHEEL). `share` (STATE_ROWS L): share of the step that a lane
+    goes, repeated for each row of the state. `since` (L): seconds since directions were last seen from axes that do not turn
+    (SPIN). `slope` (6 L), `sums` (ROWS L), `polynomial` (orders), `spare` (ROWS L): scratch.
+    """
+
+    c: np.ndarray
+    y: np.ndarray
+    p: np.ndarray
+    u: np.ndarray
+    share: np.ndarray
+    since: np.ndarray
+    slope: np.ndarray
+    sums: np.ndarray
+    polynomial: np.ndarray
+    spare: np.ndarray
+
+
+class Motions(NamedTuple):
+    """Initial states of n motions, and their bodies; arrays with a first axis of 1 or n hold one body for all or one for each.
+
+    `omega_B` (n, 3) rad/s, `sun_B` (n, 3), `speeds` (n, n_wheel) rad/s; `inertia` (1 or n, 3, 3) kg m2; `wheels` (1 or n, n_wheel,
+    3): J in kg m2, limit of dry friction with the brake in N m, viscous friction in N m s; `axes` (n_wheel, 3); `held` (n_wheel):
+    whether a motor holds the wheel; `modes` (1 or n, 2^n_wheel, 7): share of H left out of omega, and A^-1 for each set of free
+    wheels, bit i of its number standing for wheel i; `steady` (1 or n, 2, 3) N m: torques in body axes and in space, the second
+    in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of turning in rad/s, in body axes at the start;
+    `pull`: 3 n^2 in 1/s2.
+    """
+
+    omega_B: np.ndarray
+    sun_B: np.ndarray
+    speeds: np.ndarray
+    inertia: np.ndarray
+    wheels: np.ndarray
+    axes: np.ndarray
+    held: np.ndarray
+    modes: np.ndarray
+    steady: np.ndarray
+    nadir: np.ndarray
+    pull: float
+
+
+class Task(NamedTuple):
+    """What the motions are run for.
+
+    `ends` (n_out) s: times of output, increasing or decreasing from 0; `order` of the series; `allowed`: error per second in units
+    of |H| and of a direction; `torques`: NO_TORQUE, STEADY or GRADIENT; `attitude`: whether it is computed; `most_events` and
+    `most_steps` of a motion.
+    """
+
+    ends: np.ndarray
+    order: int
+    allowed: float
+    torques: int
+    attitude: bool
+    most_events: int
+    most_steps: int
+
+
+class Answer(NamedTuple):
+    """What is written for n motions.
+
+    `states` (n, n_out, size): H, h, direction to the Sun, omega, speeds of the wheels and, if computed, the axes x and y of N, all
+    in body axes; `last` (n, size): the same where the motion ended; `outcome` (n); `events` (n, room, 3): time in s, wheel, what
+    it does; `n_events` (n); `steps` (n); `hist` (n, bins) s, or (n, 0).
+    """
+
+    states: np.ndarray
+    last: np.ndarray
+    outcome: np.ndarray
+    events: np.ndarray
+    n_events: np.ndarray
+    steps: np.ndarray
+    hist: np.ndarray

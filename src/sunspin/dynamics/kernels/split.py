@@ -1,0 +1,538 @@
+"""Histograms of r_z for many motions by a product of rotations: single precision, for all lanes at once.
+
+In the principal axes (p, q, m) of A^-1 (m: the axis whose moment differs most from the others'), with inverse moments l and what
+the wheels add, w = l (K + sum_free h u), the body rate is omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with
+it (dv/dt = v x omega). The part l_q H of omega turns r about H and leaves H alone. It commutes with all that is left, which turns
+H and r alike, so that it is done exactly, once a step (`write_node`). What is left has three parts, each a rotation about an axis
+at a rate that it does not change (:mod:`sunspin.dynamics.principal`):
+
+    main   (l_m - l_q) H_m - w_m  about m
+    P      (l_p - l_q) H_p - w_p  about p
+    Q                      - w_q  about q
+
+`go_forward` applies them in this order, `go_backward` in reverse. Three of each, with the fractions of McLachlan's method of order
+(8, 4) for nearly integrable systems (BIT 35, 1995, 258), make a symmetric step. Rotations keep |H|, |r| and H.r; the error comes
+from commutators, which are small where l_p - l_q, w_p and w_q are small beside main. One step covers some two radians of main, and
+two ways of the histogram, the arcs of r between its nodes.
+
+Wheels run down by the exact solution of their friction at constant omega (`begin_step`); what friction does of the changing omega
+is added from the middle of the step. A step in which a wheel comes to rest is undone and shortened, until it rests at its end.
+Everything else is left to the Taylor kernel, which computes those motions again that are reported in `again`: a wheel that friction
+holds comes near its limit, or the motion comes near an unstable spin, where the last digits decide.
+
+Words: a wheel is *driven* if its motor holds its speed (its momentum is in K), *stuck* if friction holds it at rest, else free.
+
+Speed: the rules at the head of :mod:`sunspin.dynamics.kernels.flow` hold here, too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunspin.dynamics.kernels import histogram, rows
+from sunspin.dynamics.kernels.histogram import (
+    NODE,
+    PER_NODE,
+    SECONDS,
+    add_way,
+    begin_way,
+    take_out,
+)
+from sunspin.dynamics.kernels.rows import WHEELS, L, Motions
+from sunspin.dynamics.processor import cached, compiled, digest
+
+F = np.float32
+
+# ---- rows of `w`: numbers of the motion in a lane; names as in `rows`, other places --------------------
+H, SUN = 0, 3 * L  # momentum and direction to the Sun, principal axes p, q, m
+STATE = 6 * L  # their number
+OLD = 6 * L  # the same at the begin of the step (6)
+DT = 12 * L
+DP, DM = 13 * L, 14 * L  # l_p - l_q and l_m - l_q
+INVERSE = 15 * L  # l (3)
+W0, W1 = (
+    18 * L,
+    21 * L,
+)  # what wheels add to omega at the begin of the step, and its change in the step (3 each)
+HELD = 24 * L  # K (3), of the driven wheels
+AXES = 27 * L  # rows p, q, m of the rotation from B (9)
+COMMON = (
+    36 * L
+)  # common turn: cosine, sine / |H|, (1 - cosine) H.r / |H|^2, in the middle and at the end of the step
+INVERSE_SQUARE = 42 * L  # 1 / |H|^2
+SLOWEST, FASTEST = 43 * L, 44 * L  # smallest and largest square of the speed of H in body axes
+OVERLOAD = 45 * L  # largest torque that a stuck wheel needed, over its limit
+NUMBERS = 46
+
+# ---- rows of `u`: numbers of wheel i, from i PER_WHEEL on ---------------------------------------------
+AXIS = 0  # u (3), principal axes
+AXIAL, LOW = 3 * L, 4 * L  # h, and by how much it exceeds the exact sum (Kahan)
+FREE, COULOMB, VISCOUS, J = 5 * L, 6 * L, 7 * L, 8 * L  # as in `rows`; J in kg m^2
+WEAR = 9 * L  # seconds of friction in the step, by the exponential law
+SIGN = 10 * L  # of the speed of a wheel that dry friction will stop, else 0
+INVERSE_DRY = 11 * L  # 1 / limit of a wheel that is stuck or may become so, else 0
+SPEED = 12 * L  # relative to the body, rad/s; only where SIGN is not 0
+OLD_SPEED, OLD_AXIAL, OLD_LOW = 13 * L, 14 * L, 15 * L
+PER_WHEEL = 16 * L
+
+REST_SPEED = 1e-4
+"""rad/s at which a wheel counts as at rest."""
+
+WAYS = 2
+"""Ways of the histogram in a step: from its begin to its middle, and on to its end."""
+
+MOST_SHORTENED = 0.02
+"""Smallest share to which a step is cut; it may be cut again."""
+
+UNEVEN = 3e-5
+"""If the smallest square of the speed of H in body axes is below this share of the largest, a motion came near an unstable spin."""
+
+NEAR_LIMIT = 0.9
+"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at."""
+
+MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
+SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 / 2)
+"""McLachlan's fractions of the step; the last of SIDE is applied twice in the middle, forward and backward."""
+
+
+class Task(NamedTuple):
+    """What is to be run: `queue` (n), numbers of the motions, similar ones together; `steps` (n) of each; `duration` s; `frames`
+    (2^n_wheel, 12), for each set of free wheels the inverse moments l and the rows p, q, m of the rotation from B."""
+
+    queue: np.ndarray
+    steps: np.ndarray
+    duration: float
+    frames: np.ndarray
+
+
+class Answer(NamedTuple):
+    """`hist` (n, bins) s; `again` (n): whether the Taylor kernel must compute the motion."""
+
+    hist: np.ndarray
+    again: np.ndarray
+
+
+class Lanes(NamedTuple):
+    """Working arrays: `w` (NUMBERS L), `u` (WHEELS PER_WHEEL), float32; `fractions` (6, 3) of the flows; `left`, `step` (L): s."""
+
+    w: np.ndarray
+    u: np.ndarray
+    fractions: np.ndarray
+    left: np.ndarray
+    step: np.ndarray
+
+
+def fractions_of_step() -> np.ndarray:
+    """Return what the flows are given (6, 3): fractions of main, its middle time, of P and Q, their time; times in reverse."""
+    main, side = np.array(MAIN), np.array(SIDE)
+    end = np.cumsum(main)
+    return np.stack([main, end - main / 2, side, end, 1 - (end - main / 2), 1 - end]).astype(F)
+
+
+# ---- flows -----------------------------------------------------------------------------------------
+@compiled
+def sine_cosine(x):
+    """Return sine and cosine as polynomials that vectors can compute: to 3e-8 up to 0.6 rad, 1.4e-5 at 1.2 rad."""
+    q = x * x
+    sine = x + x * q * (F(-1 / 6) + q * (F(1 / 120) + q * F(-1 / 5040)))
+    cosine = F(1) + q * (F(-0.5) + q * (F(1 / 24) + q * (F(-1 / 720) + q * F(1 / 40320))))
+    return sine, cosine
+
+
+@compiled
+def rotate(a, b, sine, cosine):
+    """Return the components a, b of a fixed vector, seen from axes that turned from a towards b."""
+    return cosine * a + sine * b, cosine * b - sine * a
+
+
+@compiled
+def go_forward(w, a, time_a, b, time_b):
+    """Apply main for the fraction a of the step, then P and Q for b; wheels count as they are at the times, fractions too."""
+    for l in range(L):
+        dt = w[DT + l]
+        p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
+        x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
+        wheels = w[W0 + 2 * L + l] + time_a * w[W1 + 2 * L + l]
+        s, c = sine_cosine(a * dt * (w[DM + l] * m - wheels))
+        p, q = rotate(p, q, s, c)
+        x, y = rotate(x, y, s, c)
+        s, c = sine_cosine(b * dt * (w[DP + l] * p - (w[W0 + l] + time_b * w[W1 + l])))
+        q, m = rotate(q, m, s, c)
+        y, z = rotate(y, z, s, c)
+        s, c = sine_cosine(-b * dt * (w[W0 + L + l] + time_b * w[W1 + L + l]))
+        m, p = rotate(m, p, s, c)
+        z, x = rotate(z, x, s, c)
+        w[H + l], w[H + L + l], w[H + 2 * L + l] = p, q, m
+        w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
+
+
+@compiled
+def go_backward(w, a, time_a, b, time_b):
+    """Apply Q and P for the fraction b of the step, then main for a: the reverse of `go_forward`."""
+    for l in range(L):
+        dt = w[DT + l]
+        p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
+        x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
+        s, c = sine_cosine(-b * dt * (w[W0 + L + l] + time_b * w[W1 + L + l]))
+        m, p = rotate(m, p, s, c)
+        z, x = rotate(z, x, s, c)
+        s, c = sine_cosine(b * dt * (w[DP + l] * p - (w[W0 + l] + time_b * w[W1 + l])))
+        q, m = rotate(q, m, s, c)
+        y, z = rotate(y, z, s, c)
+        wheels = w[W0 + 2 * L + l] + time_a * w[W1 + 2 * L + l]
+        s, c = sine_cosine(a * dt * (w[DM + l] * m - wheels))
+        p, q = rotate(p, q, s, c)
+        x, y = rotate(x, y, s, c)
+        w[H + l], w[H + L + l], w[H + 2 * L + l] = p, q, m
+        w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
+
+
+# ---- wheels in a step -------------------------------------------------------------------------------
+@compiled
+def begin_step(w, u, n_wheels):
+    """Keep the state, and let friction act on the wheels as if omega were zero: h by the exponential law, w by h."""
+    for j in range(STATE):
+        w[OLD + j] = w[j]
+    for j in range(3 * L):
+        w[W0 + j] = w[INVERSE + j] * w[HELD + j]
+        w[W1 + j] = F(0)
+    for i in range(n_wheels):
+        o = i * PER_WHEEL
+        for l in range(L):
+            h, free = u[o + AXIAL + l], u[o + FREE + l]
+            friction = u[o + COULOMB + l] + u[o + VISCOUS + l] / u[o + J + l] * h
+            change = -free * u[o + WEAR + l] * friction
+            p = free * w[INVERSE + l] * u[o + AXIS + l]
+            q = free * w[INVERSE + L + l] * u[o + AXIS + L + l]
+            m = free * w[INVERSE + 2 * L + l] * u[o + AXIS + 2 * L + l]
+            w[W0 + l] += p * h
+            w[W0 + L + l] += q * h
+            w[W0 + 2 * L + l] += m * h
+            w[W1 + l] += p * change
+            w[W1 + L + l] += q * change
+            w[W1 + 2 * L + l] += m * change
+            u[o + OLD_AXIAL + l], u[o + OLD_LOW + l] = h, u[o + LOW + l]
+            u[o + OLD_SPEED + l] = u[o + SPEED + l]
+            part = change - u[o + LOW + l]  # Kahan's sum: thousands of small changes of a large h
+            total = h + part
+            u[o + LOW + l] = (total - h) - part
+            u[o + AXIAL + l] = total
+
+
+@compiled
+def write_node(lanes, at, n_wheels, k, is_end):
+    """Write node k = 1 (middle of the step) or 2 (its end) into `at`; at the end the state itself takes the common turn.
+
+    The state is seen from axes that have turned about H with the share l_q H of omega (Rodrigues' formula); the node is in body
+    axes. In the middle the speed of H is noted, and the friction that omega causes; at the end the wheels' speeds, and H and r
+    are brought back to their lengths, which change by 1e-3 in a thousand steps.
+    """
+    w, u = lanes.w, lanes.u
+    turn, n, time = COMMON + 3 * L * (k - 1), NODE + PER_NODE * k, F(0.5) * F(k)
+    for l in range(L):
+        p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
+        x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
+        c, s, along = w[turn + l], w[turn + L + l], w[turn + 2 * L + l]
+        x, y, z = (
+            c * x + s * (y * m - z * q) + along * p,
+            c * y + s * (z * p - x * m) + along * q,
+            c * z + s * (x * q - y * p) + along * m,
+        )
+        a = w[INVERSE + l] * p - w[W0 + l] - time * w[W1 + l]  # omega
+        b = w[INVERSE + L + l] * q - w[W0 + L + l] - time * w[W1 + L + l]
+        d = w[INVERSE + 2 * L + l] * m - w[W0 + 2 * L + l] - time * w[W1 + 2 * L + l]
+        if is_end:
+            # a step of Newton's method for 1 / sqrt
+            scale = F(1.5) - F(0.5) * (p * p + q * q + m * m) * w[INVERSE_SQUARE + l]
+            w[H + l], w[H + L + l], w[H + 2 * L + l] = p * scale, q * scale, m * scale
+            scale = F(1.5) - F(0.5) * (x * x + y * y + z * z)
+            x, y, z = x * scale, y * scale, z * scale
+            w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
+        else:
+            e, f, g = q * d - m * b, m * a - p * d, p * b - q * a
+            speed = e * e + f * f + g * g
+            w[SLOWEST + l] = min(w[SLOWEST + l], speed)
+            w[FASTEST + l] = max(w[FASTEST + l], speed)
+        e, f, g = y * d - z * b, z * a - x * d, x * b - y * a  # slope of r
+        for j in range(3):  # from principal to body axes
+            i, h, o = w[AXES + j * L + l], w[AXES + (3 + j) * L + l], w[AXES + (6 + j) * L + l]
+            at[n + j * L + l] = i * x + h * y + o * z
+            at[n + (3 + j) * L + l] = i * e + h * f + o * g
+        at[n + 6 * L + l] = a * a + b * b + d * d
+    for i in range(n_wheels):
+        o = i * PER_WHEEL
+        for l in range(L):
+            p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
+            a = w[INVERSE + l] * p - w[W0 + l] - time * w[W1 + l]
+            b = w[INVERSE + L + l] * q - w[W0 + L + l] - time * w[W1 + L + l]
+            d = w[INVERSE + 2 * L + l] * m - w[W0 + 2 * L + l] - time * w[W1 + 2 * L + l]
+            x, y, z = u[o + AXIS + l], u[o + AXIS + L + l], u[o + AXIS + 2 * L + l]
+            along = a * x + b * y + d * z
+            if is_end:
+                u[o + SPEED + l] = u[o + AXIAL + l] / u[o + J + l] - along
+            else:
+                # friction that omega causes, from the middle of the step; too small for the sum's rounding to matter
+                u[o + AXIAL + l] += u[o + FREE + l] * u[o + VISCOUS + l] * w[DT + l] * along
+                # torque J u.domega/dt that a stuck wheel needs, over its limit; friction of others moves the body little
+                x, y, z = x * w[INVERSE + l], y * w[INVERSE + L + l], z * w[INVERSE + 2 * L + l]
+                torque = x * (q * d - m * b) + y * (m * a - p * d) + z * (p * b - q * a)
+                load = abs(torque) * u[o + J + l] * u[o + INVERSE_DRY + l]
+                load = F(0) if u[o + FREE + l] > F(0.5) else load
+                w[OVERLOAD + l] = max(w[OVERLOAD + l], load)
+
+
+@compiled
+def take_step(lanes, at, n_wheels):
+    """Take a step in all lanes, with its two nodes."""
+    w, c = lanes.w, lanes.fractions
+    begin_step(w, lanes.u, n_wheels)
+    for k in range(3):
+        go_forward(w, c[0, k], c[1, k], c[2, k], c[3, k])
+    write_node(lanes, at, n_wheels, 1, False)
+    for k in range(2, -1, -1):
+        go_backward(w, c[0, k], c[4, k], c[2, k], c[5, k])
+    write_node(lanes, at, n_wheels, 2, True)
+
+
+# ---- one lane ---------------------------------------------------------------------------------------
+@compiled
+def set_step(lanes, n_wheels, l, dt):
+    """Give lane l a step of dt seconds: the common turn about H, and the wear of its wheels."""
+    w, u = lanes.w, lanes.u
+    w[DT + l] = dt
+    p, q, m = float(w[H + l]), float(w[H + L + l]), float(w[H + 2 * L + l])
+    square = p * p + q * q + m * m
+    size = math.sqrt(square)
+    along = p * w[SUN + l] + q * w[SUN + L + l] + m * w[SUN + 2 * L + l]
+    for k in range(2):
+        angle = w[INVERSE + L + l] * size * dt * (k + 1) / 2
+        turn = COMMON + 3 * k * L + l
+        w[turn] = math.cos(angle)
+        w[turn + L] = math.sin(angle) / size if size > 0.0 else 0.0
+        w[turn + 2 * L] = (1.0 - math.cos(angle)) * along / square if size > 0.0 else 0.0
+    for i in range(n_wheels):
+        o = i * PER_WHEEL + l
+        x = u[o + VISCOUS] / u[o + J] * dt
+        u[o + WEAR] = dt * (-math.expm1(-x) / x if abs(x) > 1e-6 else 1.0 - 0.5 * x)
+
+
+@compiled
+def set_mode(lanes, motions, frames, l, row, body):
+    """Load lane l from H and r in body axes, `body` (6): the principal axes of its set of free wheels, momentum of the held ones.
+
+    frames : (2^n_wheel, 12)
+        Inverse moments l, and rows p, q, m of the rotation from B, for each set of free wheels.
+    """
+    w, u = lanes.w, lanes.u
+    n_wheels = len(motions.axes)
+    mode = 0
+    for i in range(n_wheels):
+        if u[i * PER_WHEEL + FREE + l] > F(0.5):
+            mode |= 1 << i
+    for k in range(3):
+        a = frames[mode, 3 + 3 * k : 6 + 3 * k]
+        w[INVERSE + k * L + l] = frames[mode, k]
+        w[H + k * L + l] = a[0] * body[0] + a[1] * body[1] + a[2] * body[2]
+        w[SUN + k * L + l] = a[0] * body[3] + a[1] * body[4] + a[2] * body[5]
+        held = 0.0
+        for i in range(n_wheels):
+            axis = motions.axes[i]
+            along = a[0] * axis[0] + a[1] * axis[1] + a[2] * axis[2]
+            u[i * PER_WHEEL + AXIS + k * L + l] = along
+            if motions.held[i]:
+                held += along * motions.wheels[0, i, 0] * motions.speeds[row, i]
+        w[HELD + k * L + l] = held
+        for j in range(3):
+            w[AXES + (3 * k + j) * L + l] = a[j]
+    w[DP + l] = frames[mode, 0] - frames[mode, 1]
+    w[DM + l] = frames[mode, 2] - frames[mode, 1]
+    square = body[0] ** 2 + body[1] ** 2 + body[2] ** 2
+    w[INVERSE_SQUARE + l] = 1.0 / square if square > 0.0 else 0.0
+
+
+@compiled
+def load(lanes, motions, frames, l, row):
+    """Load motion `row` into lane l, at its begin, with a step of no length."""
+    w, u = lanes.w, lanes.u
+    n_wheels, inertia, body = len(motions.axes), motions.inertia[0], np.empty(6)
+    omega, speeds = motions.omega_B[row], motions.speeds[row]
+    for k in range(3):
+        body[k] = inertia[k, 0] * omega[0] + inertia[k, 1] * omega[1] + inertia[k, 2] * omega[2]
+        body[3 + k] = motions.sun_B[row, k]
+    for i in range(n_wheels):
+        o, axis = i * PER_WHEEL + l, motions.axes[i]
+        j, dry = motions.wheels[0, i, 0], motions.wheels[0, i, 1]
+        held = motions.held[i]
+        for k in range(3):
+            body[k] += j * speeds[i] * axis[k]
+        along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
+        sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
+        free = not held and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
+        u[o + AXIAL], u[o + LOW], u[o + SPEED] = j * (speeds[i] + along), 0.0, speeds[i]
+        u[o + J], u[o + VISCOUS] = j, motions.wheels[0, i, 2]
+        u[o + FREE] = 1.0 if free else 0.0
+        u[o + COULOMB] = sign * dry if free else 0.0
+        u[o + SIGN] = sign if free and dry > 0.0 else 0.0
+        u[o + INVERSE_DRY] = 1.0 / dry if dry > 0.0 and not held else 0.0
+    w[SLOWEST + l], w[FASTEST + l], w[OVERLOAD + l] = 1e30, 0.0, 0.0
+    set_mode(lanes, motions, frames, l, row, body)
+    set_step(lanes, n_wheels, l, 0.0)
+
+
+@compiled
+def end_step(lanes, motions, frames, at, l, row):
+    """See in lane l whether a turning wheel has come to rest in the step; return whether the step stands.
+
+    If a wheel is past rest the step is undone, and a shorter one set. If it is at rest it sticks from here on.
+    """
+    w, u = lanes.w, lanes.u
+    n_wheels = len(motions.axes)
+    share, sticks = 1.0, False
+    for i in range(n_wheels):
+        o = i * PER_WHEEL + l
+        after, before = u[o + SIGN] * u[o + SPEED], u[o + SIGN] * u[o + OLD_SPEED]
+        if (
+            after < -REST_SPEED and after != before
+        ):  # equal: a lane that has ended, its step has no length
+            share = min(share, max(before / (before - after), MOST_SHORTENED))
+    if share < 1.0:
+        for j in range(6):
+            w[j * L + l] = w[OLD + j * L + l]
+        for i in range(n_wheels):
+            o = i * PER_WHEEL + l
+            u[o + AXIAL], u[o + LOW] = u[o + OLD_AXIAL], u[o + OLD_LOW]
+            u[o + SPEED] = u[o + OLD_SPEED]
+        for j in range(7):
+            at[NODE + PER_NODE + j * L + l] = at[NODE + j * L + l]
+            at[NODE + 2 * PER_NODE + j * L + l] = at[NODE + j * L + l]
+        at[SECONDS + l] = 0.0
+        set_step(lanes, n_wheels, l, w[DT + l] * share)
+        return False
+    for i in range(n_wheels):
+        o = i * PER_WHEEL + l
+        if u[o + SIGN] != F(0) and u[o + SIGN] * u[o + SPEED] <= REST_SPEED:
+            u[o + FREE], u[o + SIGN], u[o + COULOMB], sticks = 0.0, 0.0, 0.0, True
+    if sticks:
+        body = np.zeros(6)
+        for j in range(3):
+            for k in range(3):
+                axis = w[AXES + (3 * k + j) * L + l]
+                body[j] += axis * w[H + k * L + l]
+                body[3 + j] += axis * w[SUN + k * L + l]
+        set_mode(lanes, motions, frames, l, row, body)
+    if sticks or w[DT + l] != F(
+        lanes.step[l]
+    ):  # a lane without an event must not notice its neighbours'
+        set_step(lanes, n_wheels, l, lanes.step[l])
+    return True
+
+
+# ---- the run ----------------------------------------------------------------------------------------
+@compiled
+def is_near_rest(u, n_wheels):
+    """Return whether in some lane a wheel that dry friction will stop is at rest, or past it."""
+    near = False
+    for i in range(n_wheels):
+        o = i * PER_WHEEL
+        for l in range(L):
+            sign = u[o + SIGN + l]
+            near |= sign * u[o + SPEED + l] < F(REST_SPEED) and sign != F(0)
+    return near
+
+
+@compiled
+def run_block(first, task, lanes, motions, nodes, answer):
+    """Run L motions of the queue from number `first` on, and write their histograms."""
+    w, u, at, queue, frames = lanes.w, lanes.u, nodes.at, task.queue, task.frames
+    n_wheels, last = len(motions.axes), len(queue) - 1
+    for l in range(L):
+        row = queue[min(first + l, last)]
+        load(lanes, motions, frames, l, row)
+        lanes.step[l], lanes.left[l] = task.duration / task.steps[row], task.duration
+    begin_step(w, u, n_wheels)
+    write_node(lanes, at, n_wheels, 2, True)  # of steps without length: the node at the start
+    for j in range(PER_NODE):
+        at[NODE + j] = at[NODE + 2 * PER_NODE + j]
+    begin_way(nodes)  # from the first node
+    for l in range(L):
+        set_step(lanes, n_wheels, l, lanes.step[l])
+    alive = True
+    while alive:
+        take_step(lanes, at, n_wheels)
+        for l in range(L):
+            at[SECONDS + l] = F(1 / WAYS) * w[DT + l]
+        if is_near_rest(u, n_wheels):
+            for l in range(L):
+                dt = w[DT + l]
+                if end_step(lanes, motions, frames, at, l, queue[min(first + l, last)]):
+                    lanes.left[l] -= dt
+        else:
+            for l in range(L):
+                lanes.left[l] -= w[DT + l]
+        add_way(nodes, 0)  # written out: in a loop the rows would not be known, six times slower
+        add_way(nodes, 1)
+        for j in range(PER_NODE):
+            at[NODE + j] = at[NODE + 2 * PER_NODE + j]
+        alive = False
+        for l in range(L):
+            # the last step; what is left within a thousandth of a step counts as a whole step, or as nothing
+            if lanes.left[l] < w[DT + l] * 0.999 and w[DT + l] != 0.0:
+                if lanes.left[l] < 1e-3 * lanes.step[l]:
+                    lanes.left[l] = 0.0
+                lanes.step[l] = lanes.left[l]
+                set_step(lanes, n_wheels, l, lanes.left[l])
+            alive |= w[DT + l] > 0.0
+    for l in range(L):
+        if first + l <= last:
+            row = queue[first + l]
+            take_out(nodes, l, answer.hist[row])
+            even = w[SLOWEST + l] > F(UNEVEN) * w[FASTEST + l] or w[FASTEST + l] == F(0)
+            answer.again[row] = not even or not w[OVERLOAD + l] < F(NEAR_LIMIT)
+    nodes.hist[:] = F(0)  # lanes with copies of the last motion
+
+
+def new_lanes() -> Lanes:
+    """Return empty working arrays."""
+    return Lanes(
+        np.zeros(NUMBERS * L, F),
+        np.zeros(WHEELS * PER_WHEEL, F),
+        fractions_of_step(),
+        np.zeros(L),
+        np.zeros(L),
+    )
+
+
+def _entry(sources: int) -> Any:
+    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+
+    @cached("compiling the integrator of scans, once (some 10 s)")
+    def run(task, lanes, motions, nodes, answer):
+        _ = sources
+        for first in range(0, len(task.queue), L):
+            run_block(first, task, lanes, motions, nodes, answer)
+
+    return run
+
+
+_run = _entry(digest(*(str(module.__file__) for module in (rows, histogram)), __file__))
+
+
+def run(
+    motions: Motions, steps: np.ndarray, duration_s: float, frames: np.ndarray, nodes: Any
+) -> Answer:
+    """Return the histograms (n, bins) of motions with one body, without torques, forward in time, and which must be done again.
+
+    steps : (n)
+        Steps of each motion; motions with similar numbers share a block.
+    frames : (2^n_wheel, 12)
+        Principal axes for each set of free wheels (:func:`sunspin.dynamics.principal.frames`).
+    """
+    n = len(motions.omega_B)
+    answer = Answer(np.zeros((n, len(nodes.hist) // L), F), np.zeros(n, dtype=np.bool_))
+    if n:
+        task = Task(np.argsort(steps, kind="stable"), steps, float(duration_s), frames)
+        _run(task, new_lanes(), motions, nodes, answer)
+    return answer

@@ -1,0 +1,143 @@
+"""Files that have no row for each sample: one row for each value, or one row for each packet with the other columns empty.
+
+Both become a table with a row for each sample, as all other readers expect it.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from sunspin.base.errors import TelemetryError
+from sunspin.base.tables import Table
+from sunspin.base.untrusted import plain_number
+
+VALUE_NAMES = ("value", "_value", "val", "metric_value")
+"""Names of the column with the values in files of one value a row, in small letters: Grafana, InfluxDB, JSON lines."""
+
+SERIES_NAMES = ("series", "metric", "name", "_field", "field", "parameter", "mnemonic", "channel")
+"""Names of the column that says what each value is, in small letters; used where no cell has a name of the vehicle file."""
+
+
+class Samples(NamedTuple):
+    """A table with a row for each sample, and the sentences that say how it was made; no sentences if nothing was changed."""
+
+    table: Table
+    notes: tuple[str, ...] = ()
+
+
+def collect_metrics(table: Table, time_column: str, names: set[str]) -> Samples:
+    """Return a table of one value a row as a table with a column for each name and a row for each time, in the order of time.
+
+    `names`: the columns that the vehicle file reads. A table that has one of them in its header is returned unchanged, as is one
+    without columns for a time and a value (`VALUE_NAMES`).
+
+    Raises
+    ------
+    TelemetryError
+        The file has two different values of a name for one time.
+    """
+    values = [name for name in table.header if name.strip().lower() in VALUE_NAMES]
+    if names & set(table.header) or time_column not in table.header or len(values) != 1:
+        return Samples(table)
+    value_column = values[0]
+    others = [name for name in table.header if name not in (time_column, value_column)]
+    wanted = {name: table.cells[name].str.strip().isin(names).sum() for name in others}
+    series_column = max(wanted, key=lambda name: wanted[name], default="")
+    if not wanted.get(series_column):
+        usual = [name for name in others if name.strip().lower() in SERIES_NAMES]
+        if not usual:
+            return Samples(table)
+        series_column = usual[0]
+    times, series, cells = (
+        table.cells[name].str.strip().to_numpy()
+        for name in (time_column, series_column, value_column)
+    )
+    instants = np.array(sorted(set(times.tolist()), key=_sort_key), dtype=object)
+    row_of_time = {time: row for row, time in enumerate(instants)}
+    column_of_series = {name: k for k, name in enumerate(dict.fromkeys(series.tolist()))}
+    rows = np.full((len(instants), len(column_of_series)), "", dtype=object)
+    first_line = np.zeros(len(instants), dtype=np.int64)
+    for i, (time, name, cell) in enumerate(zip(times, series, cells, strict=True)):
+        row, k = row_of_time[time], column_of_series[name]
+        if rows[row, k] and cell and rows[row, k] != cell:
+            what = f"there are two values of {name!r} for one time"
+            got = f"{rows[row, k]} and {cell} at {time}"
+            do = f"keep the rows of one source{_describe_sources(table, others, series_column)}"
+            raise TelemetryError(what, got=got, do=do, where=f"{table.where}, {table.row_place(i)}")
+        rows[row, k] = rows[row, k] or cell
+        first_line[row] = first_line[row] or table.cells.index[i]
+    collected = pd.DataFrame(rows, first_line, list(column_of_series))
+    collected.insert(0, time_column, instants)
+    note = (
+        f"{len(series)} rows of one value each, named in column {series_column!r}, are {len(instants)} samples "
+        f"of {len(column_of_series)} values"
+    )
+    return Samples(table._replace(cells=collected), (note,))
+
+
+def _sort_key(text: str) -> tuple[float, str]:
+    """Return a key by which times are sorted: numbers and dates by size, any other text by its letters."""
+    number = plain_number(text)
+    if np.isnan(number):
+        try:
+            moment = datetime.fromisoformat(text.replace("/", "-"))
+            # a date without a zone: only the order within the file counts, and one file has one kind of date
+            number = (moment.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds()
+            number -= (moment.utcoffset() or moment - moment).total_seconds()
+        except (ValueError, OverflowError):
+            number = 0.0
+    return number, text
+
+
+def _describe_sources(table: Table, columns: list[str], series_column: str) -> str:
+    """Return the other columns in which rows differ, with two of their values, in words for advice; empty if there are none."""
+    texts = []
+    for name in columns:
+        values = list(dict.fromkeys(table.cells[name].tolist()))
+        if name != series_column and len(values) > 1:
+            texts.append(f"{name!r} has {values[0]!r}, {values[1]!r} ...")
+    return f" (column {'; '.join(texts)})" if texts else ""
+
+
+def join_packets(
+    table: Table, time: np.ndarray, span_s: float, reading_columns: set[str]
+) -> tuple[Samples, np.ndarray]:
+    """Return a table in which rows within `span_s` of the first are one sample, and the rows (m) that begin a sample.
+
+    `time` (n): increasing times of the rows, s. A row that has a reading which the sample already has begins the next sample. The
+    time of a sample is that of its first row. The sentence says how much later the columns are read, for `offset_s`.
+    """
+    cells = table.cells.to_numpy(copy=True)
+    filled = np.array([[bool(cell.strip()) for cell in row] for row in cells])
+    is_reading = np.array([name in reading_columns for name in table.header])
+    begins: list[int] = []
+    late = np.full(filled.shape, np.nan)  # s from the sample's time to that of each of its cells
+    for i in range(len(cells)):
+        if (
+            not begins
+            or time[i] - time[begins[-1]] > span_s
+            or (filled[i] & filled[begins[-1]] & is_reading).any()
+        ):
+            begins.append(i)
+        start = begins[-1]
+        new = filled[i] & (~filled[start] | (i == start))
+        cells[start, new], late[start, new] = cells[i, new], time[i] - time[start]
+        filled[start] |= filled[i]
+    rows = np.array(begins)
+    if len(rows) == len(cells):
+        return Samples(table), rows
+    joined = pd.DataFrame(cells[rows], table.cells.index[rows], table.header)
+    delays = {
+        name: float(np.nanmedian(late[rows, k]))
+        for k, name in enumerate(table.header)
+        if is_reading[k] and np.isfinite(late[rows, k]).any()
+    }
+    notes = [f"{len(cells)} rows are {len(rows)} samples, each of rows within {span_s:g} s"]
+    later = [f"{name} {delay:.3g} s" for name, delay in delays.items() if delay > 0]
+    if later:
+        notes.append(f"columns read later than the sample's time: {', '.join(later)} (offset_s)")
+    return Samples(table._replace(cells=joined), tuple(notes)), rows

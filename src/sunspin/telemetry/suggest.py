@@ -1,0 +1,235 @@
+"""A `[telemetry]` section for a file whose columns the vehicle file does not know, from the names and values of its columns.
+
+A face of the spacecraft is recognised by its axis and sign: `px`, `+X`, `iXm`, `solar_panel_x_plus_current`, `I_ny [mA]`. Columns
+whose names differ only in the face form a group, such as all currents. The group with the most faces is taken.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from datetime import datetime
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.base.tables import Table
+from sunspin.base.untrusted import plain_number
+from sunspin.telemetry.layout import collect_metrics
+
+SIGNS = {
+    "+": ("+", "p", "pos", "plus", "positive"),
+    "-": ("-", "m", "n", "neg", "minus", "negative"),
+}
+"""Words for the sign of an axis."""
+
+FACE = re.compile(
+    r"(?<![a-z])(?:(?P<before>[+-]|pos|plus|positive|neg|minus|negative|[pmn])[ _]*(?P<first>[xyz])"
+    r"|(?P<second>[xyz])[ _]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])"
+)
+"""A face in a name in small letters whose words are separated by blanks: the sign before or after the axis."""
+
+UNITS = {
+    "a": ("current_A", 1.0),
+    "ma": ("current_A", 1e-3),
+    "ua": ("current_A", 1e-6),
+    "w": ("power_W", 1.0),
+    "mw": ("power_W", 1e-3),
+}
+"""Unit in small letters -> quantity, and its size in A or W."""
+
+WORDS = {
+    "current_A": ("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
+    "power_W": ("pwr", "power", "watt", "watts"),
+    "": (
+        *("v", "u", "volt", "volts", "voltage", "voltages", "vsol", "mv"),
+        *("t", "tmp", "temp", "temps", "temperature", "degc", "c", "k"),
+        *("b", "mag", "magnetometer", "field", "gyro", "w", "omega", "rate", "wheel", "rpm", "q"),
+    ),
+}
+"""Words in the name of a column -> its quantity; empty for readings that are not of panels' currents or powers."""
+
+MILLI = 30.0
+"""A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
+
+TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "t")
+"""Words in the name of a time column, the likeliest first."""
+
+FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
+"""Unix times of satellites with such telemetry, s: from 1998 to 2128."""
+
+READ_SHARE = 0.5
+"""Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
+
+
+class Suggestion(NamedTuple):
+    """How a table may be read: the text of a `[telemetry]` section, and the column of each face ("+X" ...), empty if none."""
+
+    section: str
+    columns: dict[str, str]
+
+
+class _Group(NamedTuple):
+    """Columns of one kind: the column of each face, the quantity, the size of the file's unit, and how both are known."""
+
+    columns: dict[str, str]
+    quantity: str
+    scale: float
+    reason: str
+
+
+def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Suggestion | None:
+    """Return a section that would read a table; None without a column of times or of two faces.
+
+    The table may have one value a row (:func:`sunspin.telemetry.layout.collect_metrics`). `panels`: names of a vehicle's panels by
+    the face on which they are; default: the face itself.
+    """
+    if (time := _time_column(table)) is None:
+        return None
+    time_column, time_lines = time
+    table = collect_metrics(table, time_column, set()).table
+    if (group := _best_group(table)) is None:
+        return None
+    lines = [
+        "[telemetry]",
+        _entry(f'quantity = "{group.quantity}"', ""),
+        _entry(f"time_column = {_quoted(time_column)}", ""),
+        *time_lines,
+        _entry(f"scale = {group.scale:g}", group.reason),
+        _entry('bad_rows = "flag"', "sort rows, merge repeats, name what cannot be used"),
+        "[telemetry.columns]",
+        *(
+            f"{_quoted((panels or {}).get(face, face))} = {_quoted(column)}"
+            for face, column in sorted(group.columns.items(), key=lambda pair: pair[0][::-1])
+            if panels is None or face in panels
+        ),
+    ]
+    used = {time_column, *group.columns.values()}
+    if others := [name for name in table.header if name not in used]:
+        shown = ", ".join(map(_quoted, others[:12])) + (", ..." * (len(others) > 12))
+        lines.append(f"# not read: {shown}")
+    return Suggestion("\n".join(lines) + "\n", group.columns)
+
+
+def _entry(text: str, comment: str) -> str:
+    """Return a line of TOML with a comment."""
+    return f"{text:<38}# {comment}" if comment else text
+
+
+def _quoted(name: str) -> str:
+    """Return a text as a TOML string."""
+    return json.dumps(name, ensure_ascii=False)
+
+
+def _split_unit(name: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit in small letters, empty if there is none.
+
+    The unit is in brackets, or the last word after a blank or underscore.
+    """
+    match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name) or re.fullmatch(
+        r"(.*)[_ ](mA|uA|A|mW|W)", name
+    )
+    return (match[1], match[2].strip().lower()) if match else (name, "")
+
+
+def _words(name: str) -> str:
+    """Return a name in small letters with blanks between its words; a change from small to capital letters begins a word."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return re.sub(r"[._/:|#]+", " ", spaced).lower()
+
+
+def _best_group(table: Table) -> _Group | None:
+    """Return the group of columns that are most probably currents or powers of panels; None if no group has two faces."""
+    groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
+    for column in table.header:
+        name, unit = _split_unit(column)
+        words = _words(name)
+        face = FACE.search(words)
+        if face is None or not _is_numeric(table, column):
+            continue
+        sign = face["before"] or face["after"]
+        plus = sign in SIGNS["+"]
+        label = ("+" if plus else "-") + (face["first"] or face["second"]).upper()
+        template = f"{words[: face.start()]}#{words[face.end() :]}"
+        groups[template, unit].setdefault(label, column)
+    judged = []
+    for (template, unit), columns in groups.items():
+        quantity, scale, reason = _judge_quantity(table, template, unit, columns)
+        # a minus alone is no face: `mx`, `my`, `mz` are a magnetometer's
+        if quantity and len(columns) > 1 and any(face[0] == "+" for face in columns):
+            # of groups with the same faces the one with a stated unit, then currents
+            rank = (len(columns), bool(unit), quantity == "current_A")
+            judged.append((rank, _Group(columns, quantity, scale, reason)))
+    return max(judged, key=lambda pair: pair[0])[1] if judged else None
+
+
+def _judge_quantity(
+    table: Table, template: str, unit: str, columns: dict[str, str]
+) -> tuple[str, float, str]:
+    """Return quantity, size of the unit and the reason for a group; an empty quantity if it is neither current nor power."""
+    if unit in UNITS:
+        return *UNITS[unit], f"{unit.replace('w', 'W').replace('a', 'A')}, by the header"
+    words = set(re.findall(r"[a-z]+", template))
+    quantities = [name for name, known in WORDS.items() if words & set(known)]
+    if unit or quantities == [""]:
+        return "", 1.0, ""
+    quantity = next((name for name in quantities if name), "power_W")
+    largest = float(np.nanmax(table.numbers(list(columns.values())), initial=0.0))
+    letter = quantity[-1]
+    guess = "check this: no column says what it holds; " if not any(quantities) else ""
+    if largest > MILLI:
+        return quantity, 1e-3, f"{guess}m{letter}, guessed by the size (up to {largest:.4g})"
+    return quantity, 1.0, f"{guess}{letter}, guessed by the size (up to {largest:.4g})"
+
+
+def _is_numeric(table: Table, column: str) -> bool:
+    """Return whether enough cells of a column are numbers."""
+    cells = [cell for cell in table.cells[column] if cell.strip()]
+    return bool(cells) and np.isfinite([plain_number(c) for c in cells]).mean() >= READ_SHARE
+
+
+def _time_column(table: Table) -> tuple[str, list[str]] | None:
+    """Return the column of times and the lines of the section that say how it is read; None if there is none."""
+    ranked = []
+    for place, column in enumerate(table.header):
+        words = set(re.findall(r"[a-z]+", _words(column)))
+        by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
+        lines = _describe_times(table.cells[column].tolist(), bool(by_name))
+        if lines is not None:
+            # dates before numbers, then by the name, then the first
+            is_date = lines[0].startswith('time_format = "utc"')
+            ranked.append((not is_date, min(by_name, default=99), place, column, lines))
+    return min(ranked)[3:] if ranked else None
+
+
+def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
+    """Return the lines for a column of times; None if the cells are no times. `is_named`: the column's name says that they are."""
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    if not filled:
+        return None
+    if sum(map(_is_date, filled)) >= READ_SHARE * len(filled):
+        return [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
+    numbers = np.array([plain_number(cell) for cell in filled])
+    known = numbers[np.isfinite(numbers)]
+    if not is_named or len(known) < READ_SHARE * len(filled):
+        return None
+    typical = float(np.median(known))
+    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
+        if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
+            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", unit)]
+            return [_entry('time_format = "unix"', f"{unit} since 1970"), *scaled]
+    return [
+        _entry('time_format = "elapsed"', "the numbers are too small for dates"),
+        _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
+    ]
+
+
+def _is_date(text: str) -> bool:
+    """Return whether a text is a date in the notation of ISO 8601, with slashes or UTC at its end as well."""
+    iso = re.sub(r"\s*(UTC|GMT|Z)$", "", text).replace("/", "-")
+    try:
+        datetime.fromisoformat(iso)
+    except ValueError:
+        return False
+    return not iso.isdigit()

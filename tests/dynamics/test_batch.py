@@ -1,0 +1,197 @@
+"""Many motions at once, compared with the reference propagator; distributions of r_z; what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import wasserstein_distance
+
+import sunspin as ss
+from sunspin.dynamics import batch
+from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
+
+
+def rows_of(omega, speeds) -> batch.Rows:
+    n = len(omega)
+    return batch.Rows(
+        np.asarray(omega, float), np.tile(FIRST_SUN, (n, 1)), np.tile(np.atleast_1d(speeds), (n, 1))
+    )
+
+
+def reference(vehicle, rows, duration, **options):
+    ends = []
+    for omega, sun, speeds in zip(rows.omega_B, rows.sun_B, rows.wheel_speed_rad_s, strict=True):
+        run = ss.propagate(
+            vehicle, omega, sun, speeds if len(speeds) else None, [0.0, duration], **options
+        )
+        ends.append(run["sun_B"].values[-1])
+    return np.array(ends)
+
+
+def philae_rows(n=40, seed=1):
+    rng = np.random.default_rng(seed)
+    return rows_of(
+        np.column_stack([rng.uniform(-0.5, 1, (n, 2)), rng.uniform(-0.3, 0.3, n)]), 865.0
+    )
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-4, 1e-6])
+def test_the_kernel_meets_its_direction_error_through_the_wheel_stop(wanted):
+    vehicle, rows = philae_body(), philae_rows()
+    result = batch.run(vehicle, rows, 2700.0, error=wanted)
+    error = np.linalg.norm(result.sun_B[:, 0] - reference(vehicle, rows, 2700.0), axis=1)
+    assert error.max() < wanted
+    assert np.all(result.outcome == batch.Outcome.FINE)
+
+
+@pytest.mark.parametrize("n_wheels", [0, 1, 2])
+@pytest.mark.parametrize("mode", ["coast", "hold"])
+def test_the_kernel_agrees_with_the_reference_on_wheels_that_stop_and_break_away(n_wheels, mode):
+    rng = np.random.default_rng(100 + n_wheels)
+    vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
+    rows = rows_of(rng.normal(size=(12, 3)) * 0.5, rng.uniform(-20, 20, n_wheels))
+    result = batch.run(vehicle, rows, 120.0, error=1e-6, command=mode)
+    expected = reference(vehicle, rows, 120.0, wheel_mode=mode)
+    np.testing.assert_allclose(result.sun_B[:, 0], expected, atol=1e-5)
+
+
+HARD = [[-0.275, 0.82, 0.285], [-0.335, 1.0, -0.165], [-0.35, 0.82, 0.21]]
+"""Rates with which the second wheel is held and let go up to 17 times, once for much less than a step."""
+
+
+@pytest.mark.parametrize("wanted", [1e-2, 1e-5, 1e-6, 1e-8])
+def test_the_kernel_agrees_with_the_reference_on_a_wheel_held_and_released_repeatedly(wanted):
+    """It may break away just at its limit, turn for a moment only, and stop within the same step."""
+    vehicle = philae_body()
+    (wheel,) = vehicle.wheels
+    vehicle = replace(
+        vehicle, wheels=(wheel, replace(wheel, name="across", axis_B=[1.0, 0.0, 0.0]))
+    )
+    rows = rows_of(HARD, [865.0, -605.5])
+    result = batch.run(vehicle, rows, 2700.0, error=wanted)
+    assert np.all(result.outcome == batch.Outcome.FINE)
+    error = np.linalg.norm(result.sun_B[:, 0] - reference(vehicle, rows, 2700.0), axis=1)
+    assert error.max() < wanted
+
+
+def test_the_kernel_runs_backward_through_reversals_of_the_wheel():
+    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
+    rows = rows_of([[0.8, 0.5, -0.6], [-0.9, 0.7, 0.8]], 0.1)
+    back = ss.propagate(vehicle, rows.omega_B[0], FIRST_SUN, 0.1, [0.0, -30.0])
+    assert "reverses" in back["event_what"].values
+    result = batch.run(vehicle, rows, -30.0, error=1e-7)
+    np.testing.assert_allclose(result.sun_B[:, 0], reference(vehicle, rows, -30.0), atol=1e-6)
+
+
+def test_a_backward_run_from_a_wheel_at_rest_is_marked_as_an_outcome():
+    result = batch.run(philae_body(), rows_of([[0.1, 0.2, 0.3]], 0.0), -60.0)
+    assert result.outcome[0] == batch.Outcome.PAST_UNKNOWN
+
+
+@pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long)])
+def test_distributions_of_random_vehicles_agree_with_the_reference(n_wheels):
+    """Strongly unequal moments, oblique wheels that stop or not, slow and fast rows: EMD by SciPy, no mask."""
+    rng = np.random.default_rng(200 + n_wheels)
+    vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
+    rows = rows_of(
+        rng.normal(size=(6, 3)) * np.geomspace(0.02, 2.0, 6)[:, None],
+        rng.uniform(-20, 20, n_wheels),
+    )
+    result = batch.sun_heights(vehicle, rows, 600.0)
+    centres = (np.arange(256 * 8) + 0.5) / (128 * 8) - 1
+    for i in range(len(rows)):
+        speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
+        track = ss.propagate(
+            vehicle, rows.omega_B[i], FIRST_SUN, speeds, np.linspace(0, 600, 20_001), rtol=1e-9
+        )
+        z = track["sun_B"].values[:, 2]
+        assert (
+            wasserstein_distance(centres, z, np.repeat(result.seconds[i], 8).astype(float)) / 2
+            < 1.5e-3
+        )
+
+
+def test_bits_of_a_distribution_do_not_depend_on_neighbours_or_on_the_method_of_others():
+    """Some are near an unstable spin and computed again by series, wheels stop on the way."""
+    vehicle, rows = philae_body(), philae_rows(150)
+    together = batch.sun_heights(vehicle, rows, 2700.0, bins=80).seconds
+    order = np.random.default_rng(1).permutation(150)
+    shuffled = batch.sun_heights(vehicle, rows.take(order), 2700.0, bins=80).seconds
+    assert np.array_equal(together[order], shuffled)
+    alone = batch.sun_heights(vehicle, rows.take(np.array([7])), 2700.0, bins=80).seconds
+    assert np.array_equal(together[7], alone[0])
+
+
+def run_by_split(monkeypatch, vehicle, rows, duration, command):
+    """Histograms by both methods, and which motions the split kernel left to the other."""
+    left = []
+
+    def note(*given):
+        left.append(split(*given))
+        return left[0]
+
+    split = batch._split
+    monkeypatch.setattr(batch, "_split", note)
+    fast = batch.sun_heights(vehicle, rows, duration, command=command).seconds
+    exact = batch.sun_heights(vehicle, rows, duration, command=command, error=1e-6).seconds
+    return fast, exact, left[0]
+
+
+@pytest.mark.parametrize("command", ["coast", "hold"])
+@pytest.mark.parametrize("n_wheels", [0, 1, 2, 3])
+def test_the_split_kernel_agrees_with_the_series_for_wheels_at_rest_held_and_stopping(
+    n_wheels, command, monkeypatch
+):
+    """Bodies like Philae, wheels on any axes; a third of them begins at rest, where friction may not hold them."""
+    rng = np.random.default_rng(n_wheels)
+    (wheel,) = philae_body().wheels
+    axes = rng.normal(size=(n_wheels, 3))
+    wheels = tuple(
+        replace(wheel, name=f"w{i}", axis_B=axis / np.linalg.norm(axis))
+        for i, axis in enumerate(axes)
+    )
+    vehicle = replace(philae_body(), wheels=wheels)
+    n = 48
+    speeds = rng.uniform(-40, 40, (n, n_wheels)) * (np.arange(n) % 3 > 0)[:, None]
+    rows = batch.Rows(0.3 * rng.normal(size=(n, 3)), np.tile(FIRST_SUN, (n, 1)), speeds)
+    fast, exact, left = run_by_split(monkeypatch, vehicle, rows, 1500.0, command)
+    away = np.abs(np.cumsum(fast - exact, axis=1)).mean(axis=1) / 1500.0
+    assert len(left) < n / 2 and np.median(away) < 1.5e-3 and away.max() < 6e-3
+    np.testing.assert_allclose(fast.sum(axis=1), 1500.0, rtol=1e-4)
+
+
+def test_a_held_wheel_that_breaks_away_is_left_to_the_series(monkeypatch):
+    vehicle = philae_body(ss.Friction(1e-4, 1e-6))
+    rows = rows_of([[0.8, 0.5, -0.6], [0.05, 0.02, 0.01]], 0.0)
+    fast, exact, left = run_by_split(monkeypatch, vehicle, rows, 600.0, "coast")
+    assert 0 in left and 1 not in left and np.array_equal(fast.shape, exact.shape)
+
+
+def test_a_histogram_counts_time_and_is_the_same_forward_and_backward():
+    vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
+    forward = batch.sun_heights(vehicle, rows, 700.0).seconds
+    assert forward.sum() == pytest.approx(700.0, rel=1e-4)
+    end = batch.run(vehicle, rows, 700.0, error=1e-6)
+    there = batch.Rows(end.omega_B[:, 0], end.sun_B[:, 0], end.wheel_speed_rad_s[:, 0])
+    back = batch.sun_heights(vehicle, there, -700.0).seconds
+    assert np.abs(np.cumsum(forward - back)).mean() / 700.0 < 2e-3  # EMD: each errs by 1e-3
+
+
+def test_invalid_error_tolerances_of_the_kernel_are_refused():
+    vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
+    for options in ({"error": 0.0}, {"error": 1e-16}, {"error": np.nan}, {"emd_error": 1e-9}):
+        with pytest.raises(ss.InputError, match="must be at least"):
+            batch.sun_heights(vehicle, rows, 10.0, **options)
+    with pytest.raises(ss.InputError, match="must be at least"):
+        batch.run(vehicle, rows, 10.0, error=0.0)
+    with pytest.raises(ss.InputError, match="found both"):
+        batch.sun_heights(vehicle, rows, 10.0, error=1e-3, emd_error=1e-3)
+
+
+def test_absurd_rates_and_too_many_wheels_are_refused_in_a_sentence():
+    vehicle = random_vehicle(np.random.default_rng(8), 0)
+    with pytest.raises(ss.MotionError, match="needs .* steps; shorten the window"):
+        batch.run(vehicle, rows_of([[1e6, 0.0, 0.0]], []), 2700.0)
+    many = random_vehicle(np.random.default_rng(8), 5)
+    with pytest.raises(ss.MotionError, match="may have 4 wheels at most .found 5 wheels"):
+        batch.run(many, rows_of([[0.3, -0.4, 0.5]], np.ones(5)), 10.0)

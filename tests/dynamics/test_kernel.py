@@ -1,0 +1,263 @@
+"""The Taylor kernel against heyoka on random bodies, event for event, and against the plain equations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin.dynamics import batch, gyrostat
+from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.kernels import rows
+from sunspin.dynamics.torques import Acting, Steady, acting
+from sunspin.environment import circular
+from sunspin.solve.linear import symmetric_inverse
+from tests.support.heyoka_witness import Torques, witness
+from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
+
+SUN = FIRST_SUN / np.linalg.norm(FIRST_SUN)
+TIMES = np.linspace(0.0, 120.0, 25)
+WHAT = {rows.STOPS: "stops", rows.BREAKS_AWAY: "breaks away", rows.REVERSES: "reverses"}
+
+
+def problem_of(vehicle, omega, speeds, command="coast", forces=None, bodies=None) -> batch.Problem:
+    initial = batch.Rows(
+        np.atleast_2d(omega),
+        np.tile(SUN, (len(np.atleast_2d(omega)), 1)),
+        np.atleast_2d(speeds),
+        bodies,
+    )
+    return batch.Problem(vehicle, initial, batch.one_command(vehicle, command), forces or Acting())
+
+
+def compare(vehicle, omega, speeds, t, command="coast", torques=None, problem=None) -> int:
+    """Compare one motion and all its events; how many there were."""
+    expected = witness(vehicle, omega, SUN, speeds, t, command, torques)
+    if problem is None:
+        problem = problem_of(vehicle, omega, speeds, command)
+    motion = batch.advance(problem, np.asarray(t[1:]), 1e-12, True, room=500)
+    scale = np.abs(expected.omega_B).max()
+    assert motion.outcome[0] == batch.Outcome.FINE
+    np.testing.assert_allclose(motion.sun_B[0], expected.sun_B[1:], atol=3e-11)
+    np.testing.assert_allclose(motion.attitude[0], expected.attitude[1:], atol=3e-11)
+    np.testing.assert_allclose(motion.omega_B[0], expected.omega_B[1:], atol=3e-11 * scale)
+    limit = 3e-11 * max(np.abs(speeds).max(initial=0.0), scale)
+    np.testing.assert_allclose(motion.wheel_speed_rad_s[0], expected.speeds[1:], atol=limit)
+    ours = motion.events[0, : motion.n_events[0]]
+    assert [(int(w), WHAT[int(what)]) for _, w, what in ours] == [
+        event[1:] for event in expected.events
+    ]
+    np.testing.assert_allclose(ours[:, 0], [event[0] for event in expected.events], atol=1e-9)
+    return len(ours)
+
+
+CASES = [
+    ("coast", 0, 0.0, 1.0),
+    ("coast", 1, 0.004, 1.0),
+    ("coast", 2, 0.004, 1.0),
+    ("coast", 3, 0.004, 1.0),
+    ("coast", 4, 0.004, 0.25),
+    ("hold", 2, 0.004, 1.0),
+    ("brake", 2, 0.001, 1.0),
+]
+
+
+@pytest.mark.evidence(
+    "propagate",
+    "verified",
+    "heyoka on equations typed in the tests: random bodies, all wheel events",
+)
+@pytest.mark.parametrize("n", [2, pytest.param(20, marks=pytest.mark.long)], ids=["few", "many"])
+@pytest.mark.parametrize(("command", "n_wheels", "dry", "length"), CASES)
+def test_random_bodies_move_as_heyoka_says_event_for_event(command, n_wheels, dry, length, n):
+    rng = np.random.default_rng(n_wheels + len(command))
+    events = 0
+    for _ in range(n):
+        vehicle = random_vehicle(rng, n_wheels, dry=dry, viscous=2e-4)
+        braked = tuple(replace(wheel, brake_torque_N_m=0.003) for wheel in vehicle.wheels)
+        vehicle = replace(vehicle, wheels=braked)
+        omega, speeds = 0.5 * rng.normal(size=3), rng.uniform(-20, 20, n_wheels)
+        events += compare(vehicle, omega, speeds, length * TIMES, command)
+    assert (events > 0) == (dry > 0 and command != "hold")
+
+
+@pytest.mark.parametrize(("n_wheels", "dry"), [(0, 0.0), (2, 0.0), (1, 1e-3)])
+def test_random_bodies_move_backward_as_heyoka_says(n_wheels, dry):
+    rng = np.random.default_rng(7)
+    vehicle = random_vehicle(rng, n_wheels, dry=dry, viscous=2e-4)
+    compare(vehicle, 0.5 * rng.normal(size=3), rng.uniform(5, 20, n_wheels), -TIMES)
+
+
+def test_a_wheel_reverses_backward_as_heyoka_says():
+    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
+    for omega in ([0.8, 0.5, -0.6], [-0.9, 0.7, 0.8]):
+        assert compare(vehicle, np.array(omega), np.array([0.1]), -TIMES / 4) > 0
+
+
+def test_steady_torques_turn_a_body_with_a_wheel_as_heyoka_says():
+    rng = np.random.default_rng(11)
+    for _ in range(3):
+        vehicle = random_vehicle(rng, 1, dry=0.004, viscous=2e-4)
+        omega, speeds, torques = (
+            0.5 * rng.normal(size=3),
+            rng.uniform(-20, 20, 1),
+            1e-3 * rng.normal(size=(2, 3)),
+        )
+        problem = problem_of(vehicle, omega, speeds, forces=Acting((Steady(torques),)))
+        compare(vehicle, omega, speeds, TIMES, torques=Torques(*torques), problem=problem)
+
+
+def test_the_gravity_gradient_turns_a_body_with_a_wheel_as_heyoka_says():
+    rng, rate = np.random.default_rng(12), 2e-3
+    vehicle = random_vehicle(rng, 1, dry=1e-4, viscous=2e-4)
+    omega, speeds = 0.01 * rng.normal(size=3), np.array([3.0])
+    orbit = circular(rate, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+    problem = problem_of(vehicle, omega, speeds, forces=acting(["gravity_gradient"], orbit))
+    attitude = np.array([[0.0, 0.0, 0.0, 1.0]])
+    problem = replace(problem, initial=replace(problem.initial, B_from_N=attitude))
+    torques = Torques(rate=rate, nadir=np.array([0.0, 0.0, 1.0]), normal=np.array([0.0, 1.0, 0.0]))
+    compare(vehicle, omega, speeds, np.linspace(0, 3000, 13), torques=torques, problem=problem)
+
+
+HARD = [[-0.275, 0.82, 0.285], [-0.335, 1.0, -0.165], [-0.35, 0.82, 0.21]]
+"""Rates with which the second wheel is held and let go up to 17 times, once for much less than a step."""
+
+
+@pytest.mark.parametrize(
+    "omega", [HARD[0], *(pytest.param(x, marks=pytest.mark.long) for x in HARD[1:])]
+)
+def test_a_wheel_that_is_held_and_let_go_again_and_again_does_so_as_heyoka_says(omega):
+    vehicle = philae_body()
+    (wheel,) = vehicle.wheels
+    across = replace(wheel, name="across", axis_B=[1.0, 0.0, 0.0])
+    vehicle = replace(vehicle, wheels=(wheel, across))
+    t = np.linspace(0, 2700, 28)
+    assert compare(vehicle, np.array(omega), np.array([865.0, -605.5]), t) > 5
+
+
+STEP, WEIGHTS = 0.02, (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+"""Central differences of order eight."""
+
+
+@pytest.mark.parametrize("commands", [("coast",) * 3, ("hold", "coast", "hold")])
+def test_the_motion_satisfies_the_plain_equations_to_1e_10(commands):
+    rng = np.random.default_rng(3)
+    vehicle = random_vehicle(rng, 3, dry=1e-4, viscous=2e-4)
+    omega, speeds = 0.3 * rng.normal(size=3), np.array([12.0, -8.0, 15.0])
+    torque = 1e-3 * rng.normal(size=3)
+    forces = Acting((Steady([torque, np.zeros(3)]),))
+    problem = problem_of(vehicle, omega, speeds, commands, forces)
+    y = batch.advance(problem, 1.0 + STEP * np.arange(-4, 5), 1e-13).states[0]
+    slope = sum(w * (y[4 + k] - y[4 - k]) for k, w in enumerate(WEIGHTS, 1)) / STEP
+    free = np.array([command == "coast" for command in commands])
+    J = np.array([wheel.inertia_kg_m2 for wheel in vehicle.wheels])
+    axes = np.array([wheel.axis_B for wheel in vehicle.wheels])
+    wheels = [
+        gyrostat.WheelParameters(
+            tuple(wheel.axis_B),
+            1 / j,
+            float(is_free),
+            sign * wheel.friction.coulomb_N_m,
+            wheel.friction.viscous_N_m_s,
+        )
+        for wheel, j, is_free, sign in zip(vehicle.wheels, J, free, np.sign(speeds), strict=True)
+    ]
+    p = gyrostat.Parameters(
+        tuple(symmetric_inverse(gyrostat.free_inertia(vehicle, free))),
+        tuple((J * speeds * ~free) @ axes),
+        tuple(wheels),
+    )
+    H, h, r = y[4, :3], y[4, 3:6], y[4, 6:9]
+    dH, dh, dr = gyrostat.rhs(H, h, r, p, torque)
+    np.testing.assert_allclose(slope[:3], dH, atol=1e-10)
+    np.testing.assert_allclose(slope[6:9], dr, atol=1e-10)
+    np.testing.assert_allclose(slope[3:6][free], np.array(dh)[free], atol=1e-10)
+    # h of a wheel that a motor holds changes by the torque that this takes
+    held = [gyrostat.holding_torque(H, h, p, i, torque) for i in range(3)]
+    np.testing.assert_allclose(slope[3:6][~free], np.array(held)[~free], atol=1e-10)
+    np.testing.assert_allclose(y[4, 9:12], gyrostat.body_rate(H, h, p), atol=1e-12)
+
+
+def test_bodies_of_their_own_move_as_such_vehicles_and_neighbours_do_not_matter_to_a_bit():
+    rng = np.random.default_rng(3)
+    vehicle, n = random_vehicle(rng, 2, dry=0.004, viscous=2e-4), 70
+    bodies = Bodies.of(vehicle, n)
+    bodies = replace(
+        bodies,
+        inertia_kg_m2=bodies.inertia_kg_m2 * rng.uniform(0.8, 1.2, (n, 1, 1)),
+        coulomb_N_m=bodies.coulomb_N_m * rng.uniform(0.5, 1.5, (n, 2)),
+    )
+    omega, speeds = 0.4 * rng.normal(size=(n, 3)), rng.uniform(-20, 20, (n, 2))
+    t = np.array([10.0, 60.0, 120.0])
+    initial = batch.Rows(omega, np.tile(SUN, (n, 1)), speeds, bodies)
+    together = batch.run(vehicle, initial, t, error=1e-9)
+    some = rng.permutation(n)[:37]
+    alone = batch.run(vehicle, initial.take(some), t, error=1e-9)
+    assert np.array_equal(alone.states, together.states[some])
+    for i in some[:2]:
+        track = witness(bodies.vehicle(vehicle, i), omega[i], SUN, speeds[i], [0.0, *t])
+        np.testing.assert_allclose(together.sun_B[i], track.sun_B[1:], atol=1e-9)
+        np.testing.assert_allclose(together.omega_B[i], track.omega_B[1:], atol=1e-9)
+
+
+def test_outputs_at_the_start_and_next_to_each_other_are_states_of_one_motion():
+    vehicle = random_vehicle(np.random.default_rng(4), 1, dry=0.004)
+    omega, speeds = np.array([0.3, -0.2, 0.4]), np.array([6.0])
+    problem = problem_of(vehicle, omega, speeds)
+    many = np.sort(np.append(np.linspace(0, 60, 400), [0.0, 1e-9, 30.0, 30.0]))
+    motion = batch.advance(problem, many, 1e-12)
+    np.testing.assert_allclose(motion.omega_B[0, :2], [omega, omega], atol=1e-15)
+    few = batch.advance(problem, np.array([30.0, 60.0]), 1e-12)
+    at = [int(np.flatnonzero(many == t)[0]) for t in (30.0, 60.0)]
+    np.testing.assert_allclose(motion.states[0, at], few.states[0], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_numbers_that_are_none_end_with_an_outcome_and_leave_neighbours_alone(bad):
+    vehicle = philae_body()
+    omega = np.tile([0.1, 0.2, 0.3], (40, 1))
+    good = batch.Rows(omega, np.tile(SUN, (40, 1)), np.full((40, 1), 865.0))
+    expected = batch.run(vehicle, good, [10.0, 60.0])
+    spoilt = omega.copy()
+    spoilt[[0, 7, 39], 1] = bad
+    motion = batch.run(vehicle, replace(good, omega_B=spoilt), [10.0, 60.0], leave_long=True)
+    others = np.delete(np.arange(40), [0, 7, 39])
+    assert np.all(motion.outcome[[0, 7, 39]] == batch.Outcome.NOT_FINITE)
+    assert np.all(np.isnan(motion.states[[0, 7, 39], -1]))
+    assert np.array_equal(motion.states[others], expected.states[others])
+
+
+def test_motions_at_rest_without_momentum_and_without_time_are_followed():
+    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
+    still = batch.run(vehicle, batch.Rows(np.zeros((1, 3)), SUN[None], np.zeros((1, 1))), 60.0)
+    assert np.array_equal(still.sun_B[0, 0], SUN) and still.outcome[0] == batch.Outcome.FINE
+    omega = -5.0 * 0.02 * np.linalg.solve(vehicle.inertia_kg_m2, vehicle.wheels[0].axis_B)
+    compare(vehicle, omega, np.array([5.0]), np.linspace(0, 60, 4))  # H = 0
+    now = batch.run(vehicle, batch.Rows(omega[None], SUN[None], np.full((1, 1), 5.0)), 0.0)
+    np.testing.assert_allclose(now.omega_B[0, 0], omega, atol=1e-15)
+
+
+def test_a_wheel_at_rest_has_no_past():
+    initial = batch.Rows(np.array([[0.1, 0.2, 0.3]]), SUN[None], np.zeros((1, 1)))
+    assert batch.run(philae_body(), initial, -60.0).outcome[0] == batch.Outcome.PAST_UNKNOWN
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [pytest.param(1e-4, marks=pytest.mark.long), 1e-6, pytest.param(1e-8, marks=pytest.mark.long)],
+)
+def test_the_law_of_errors_holds_on_random_bodies_and_near_unstable_spins(wanted):
+    """Moments of all shapes; a third of the motions begins within 1e-3 of the middle axis, and their wheels reverse again and
+    again: an event found with the error of a coarse step must not be found again at once."""
+    rng = np.random.default_rng(21)
+    for _ in range(4):
+        vehicle = random_vehicle(rng, 1, dry=1e-4, viscous=1e-5)
+        axes = np.linalg.eigh(vehicle.inertia_kg_m2)[1]
+        omega = 0.5 * rng.normal(size=(96, 3))
+        omega[:32] = 0.5 * (axes[:, 1] + 1e-3 * rng.normal(size=(32, 3)))
+        initial = batch.Rows(omega, np.tile(SUN, (96, 1)), rng.uniform(-20, 20, (96, 1)))
+        initial.wheel_speed_rad_s[:32] *= 1e-3
+        motion = batch.run(vehicle, initial, 600.0, error=wanted)
+        exact = batch.advance(batch.Problem(vehicle, initial, ("coast",)), np.array([600.0]), 1e-13)
+        error = np.linalg.norm(motion.sun_B[:, 0] - exact.sun_B[:, 0], axis=1)
+        assert np.all(motion.outcome == batch.Outcome.FINE)
+        assert error.max() < wanted

@@ -1,0 +1,180 @@
+"""The history of many passes: what it reads, its trend and jumps, its picture and files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from scipy.stats import multivariate_normal
+
+import sunspin as ss
+from sunspin.cli import cli
+from sunspin.output.history import _fit, _whiten, fit_trend
+from sunspin.output.report.page import write_report
+from sunspin.vehicle.file import parse_vehicle
+from tests.output.test_results import directions
+
+VEHICLE = """
+name = "a spinner"
+[body]
+inertia_kg_m2 = [[0.02, 0, 0], [0, 0.03, 0], [0, 0, 0.04]]
+[telemetry]
+time_column = "t"
+[sun_vector]
+columns = ["x", "y", "z"]
+sigma_rad = 0.01
+"""
+
+SPIN = np.radians(1.2)
+"""Rate about z of the simulated passes, rad/s."""
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Return rates of a body that spins about z, 60 degrees from the Sun, whose inertia is known."""
+    t = np.arange(0.0, 600.0, 20.0)
+    phase = SPIN * t
+    sun = np.stack(
+        [np.cos(phase), -np.sin(phase), np.full(t.size, np.tan(np.radians(30.0)))], axis=1
+    )
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    return ss.rates(
+        parse_vehicle(VEHICLE, "test"), directions(t, sun), max_rate_rad_s=np.radians(3.0)
+    )
+
+
+def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner"):
+    """Save the rates as if the pass had been on another day and the body had had another speed."""
+    utc = np.datetime64("2026-03-01T12:00:00", "ms") + np.timedelta64(round(day * 86_400_000), "ms")
+    changed = result.copy(deep=True).assign_attrs(vehicle=name)
+    for variable in ("speed_median", "speed_low", "speed_high", "omega_x", "omega_y", "omega_z"):
+        changed[variable] = changed[variable] * speed_factor
+    changed["omega_B"] = changed["omega_B"] * speed_factor
+    changed["utc_at"] = changed["utc_at"].astype(object)
+    changed["utc_at"][:] = f"{utc}Z"
+    changed["utc_at"] = changed["utc_at"].astype(str)
+    changed["decided"] = changed["decided"] & decided
+    vehicle = folder.parent / f"{folder.name}.toml"
+    vehicle.parent.mkdir(exist_ok=True)
+    vehicle.write_text(VEHICLE.replace("a spinner", name), "utf-8")
+    changed.sunspin.save(folder, vehicle=vehicle)
+    return folder
+
+
+def test_passes_of_several_folders_are_in_order_of_time_with_axis_and_momentum(result, tmp_path):
+    for day in (2.0, 0.0, 1.0):
+        save(result, tmp_path / "week" / f"{day}", day)
+    data = ss.history([tmp_path / "week"])
+    np.testing.assert_allclose(data["time"], [0.0, 86_400.0, 172_800.0])
+    assert data["decided"].all()
+    np.testing.assert_allclose(np.abs(data["spin_axis_B"].values[:, 2]), 1.0, atol=1e-3)
+    np.testing.assert_allclose(data["speed_median"], SPIN, rtol=0.02)
+    np.testing.assert_allclose(data["momentum"], 0.04 * SPIN, rtol=0.02)
+    np.testing.assert_allclose(np.degrees(data["momentum_sun_rad"]), 60.0, atol=1.5)
+    assert np.isnan(data["momentum_J2000"]).all() and np.isnan(data.attrs["trend"])
+
+
+def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_path, framed):
+    for day in range(8):
+        save(result, tmp_path / "week" / f"{day}", day, 1 - 0.05 * day, decided=day != 3)
+    out = tmp_path / "history"
+    done = CliRunner().invoke(cli, ["history", str(tmp_path / "week"), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00, 7 decided" in done.output
+    assert "it slows down, by half in" in done.output and "not decided" in done.output
+    table = pd.read_csv(out / "history.csv", comment="#")
+    slope = np.polyfit(np.arange(8), table["speed_median_deg_s"], 1)[0]
+    summary = ss.history([tmp_path / "week"]).sunspin.summary()
+    assert summary["trend_deg_s_day"] == pytest.approx(slope, rel=0.02)
+    stored = xr.load_dataset(out / "history.nc", engine="h5netcdf")
+    assert all(v.attrs.get("units") and v.attrs.get("long_name") for v in stored.variables.values())
+    assert "a spinner" in write_report(out).read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda result, folder: save(result, folder / "b", 1.0, name="another"), "several satell"),
+        (lambda result, folder: save(result, folder / "b", 0.0), "two results hold the same pass"),
+        (lambda result, folder: result.to_netcdf(folder / "x.nc"), ""),
+    ],
+)
+def test_results_that_do_not_belong_together_are_refused(make, message, result, tmp_path):
+    save(result, tmp_path / "a", 0.0)
+    make(result, tmp_path)
+    if message:
+        with pytest.raises(ss.InputError, match=message):
+            ss.history([tmp_path])
+    else:  # files beside the folders do not matter
+        assert ss.history([tmp_path]).sizes["time"] == 1
+
+
+def test_folders_of_other_commands_and_empty_ones_are_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ss.InputError, match="the folder holds no results; give folders that"):
+        ss.history([tmp_path / "empty"])
+    with pytest.raises(ss.InputError, match="there is no such folder"):
+        ss.history([tmp_path / "none"])
+    data = ss.panel_health(ss.load_vehicle("philae"), ss.load_case("philae").telemetry)
+    data.sunspin.save(tmp_path / "other")
+    with pytest.raises(ss.InputError, match="results of `sunspin"):
+        ss.history([tmp_path / "other"])
+
+
+def simulated(rng, n, slope, walk, jump=0.0):
+    t = np.sort(rng.uniform(0, 30, n))
+    sigma = rng.uniform(0.5, 2.0, n) * 1e-4
+    steps = walk * np.sqrt(np.diff(t, prepend=t[0])) * rng.normal(size=n)
+    speed = 0.05 + slope * t + np.cumsum(steps) + sigma * rng.normal(size=n) + jump * (t > 15)
+    return t, speed, sigma
+
+
+def test_the_filter_gives_the_likelihood_of_the_walk_written_as_a_matrix():
+    t, speed, sigma = simulated(np.random.default_rng(2), 12, 1e-4, 2e-4)
+    strength, since = 4e-8, t - t[0]
+    covariance = strength * np.minimum.outer(since, since) + np.diag(sigma**2)
+    white, log_determinant = _whiten(t, sigma, strength, np.array([speed, np.ones(12)]))
+    weight = np.linalg.inv(covariance)
+    rows = np.array([speed, np.ones(12)])
+    np.testing.assert_allclose(white @ white.T, rows @ weight @ rows.T, rtol=1e-6)
+    density = multivariate_normal(np.zeros(12), covariance).logpdf(speed)
+    log_likelihood = -0.5 * (white[0] @ white[0] + log_determinant + 12 * np.log(2 * np.pi))
+    assert log_likelihood == pytest.approx(density, rel=1e-9)
+
+
+def test_without_a_walk_the_trend_is_that_of_weighted_least_squares():
+    t, speed, sigma = simulated(np.random.default_rng(3), 40, 1e-4, 0.0)
+    (slope, _), covariance = np.polyfit(t, speed, 1, w=1 / sigma, cov="unscaled")
+    fit = _fit(t, speed, sigma, np.array([np.ones(40), t - t.mean()]))
+    error = np.sqrt(covariance[0, 0])
+    assert abs(fit.value[0, 1] - slope) < 0.3 * error
+    assert error < np.sqrt(fit.covariance[0, 1, 1]) < 2 * error
+
+
+@pytest.mark.parametrize("walk", [0.0, 3e-4])
+def test_trends_have_errors_of_the_right_size_and_rarely_a_jump_that_is_none(walk):
+    rng, pulls, jumps = np.random.default_rng(5), [], 0
+    for _ in range(60):
+        slope = rng.normal() * 1e-4
+        trend = fit_trend(*simulated(rng, 25, slope, walk))
+        jumps += len(trend.jumps)
+        pulls.append((trend.slope - slope) / trend.slope_sigma)
+    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.35
+    assert jumps <= 1
+
+
+@pytest.mark.parametrize("walk", [0.0, 1e-4])
+def test_a_jump_is_found_with_place_and_size(walk):
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        t, speed, sigma = simulated(rng, 25, 1e-5, walk, jump=4e-3)
+        trend = fit_trend(t, speed, sigma)
+        ((k, size, error),) = trend.jumps
+        assert k == int(np.argmax(t > 15)) and abs(size - 4e-3) < 4.5 * error
+
+
+def test_few_passes_give_no_trend():
+    t, speed, sigma = simulated(np.random.default_rng(1), 4, 1e-4, 0.0)
+    assert np.isnan(fit_trend(t, speed, sigma).slope)

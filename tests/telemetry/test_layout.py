@@ -1,0 +1,193 @@
+"""Files as other programs export them: one row a value, one row a packet, spreadsheet habits, Unix times in any unit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import sunspin as ss
+from sunspin.vehicle.file import parse_vehicle
+
+TEMPLATE = resources.files("sunspin").joinpath("template")
+VEHICLE = parse_vehicle(TEMPLATE.joinpath("vehicle.toml").read_text("utf-8"), "template")
+PANELS = list(VEHICLE.telemetry.columns.values())
+
+
+def template_rows() -> pd.DataFrame:
+    """Return the cells of the template's telemetry as texts: time and panels only."""
+    with resources.as_file(TEMPLATE.joinpath("telemetry.csv")) as path:
+        cells = pd.read_csv(path, comment="#", dtype=str)
+    return cells[["time_utc", *PANELS]]
+
+
+def read(folder, text, **telemetry):
+    """Read a text as telemetry of the template's vehicle, with other values of its [telemetry]."""
+    path = folder / "telemetry"
+    path.write_text(text, "utf-8")
+    return ss.read_telemetry(
+        path, replace(VEHICLE, telemetry=replace(VEHICLE.telemetry, **telemetry))
+    )
+
+
+@pytest.fixture
+def expected(tmp_path):
+    return read(tmp_path, template_rows().to_csv(index=False))
+
+
+def assert_same_samples(found, expected):
+    np.testing.assert_allclose(found["time"], expected["time"], atol=1e-6)
+    np.testing.assert_array_equal(found["power_W"], expected["power_W"])
+    assert found.attrs["epoch_utc"] == expected.attrs["epoch_utc"]
+
+
+def by_metric(rows: pd.DataFrame) -> pd.DataFrame:
+    return rows.melt("time_utc", var_name="Series", value_name="Value")
+
+
+INFLUX = """#group,false,false,true,true,false,false,true,true
+#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string
+#default,_result,,,,,,,
+,result,table,_start,_stop,_time,_value,_field,_measurement
+"""
+
+
+def influx(rows: pd.DataFrame) -> str:
+    """Return annotated CSV as InfluxDB writes it: a block with its header for each series."""
+    blocks = []
+    for table, (name, part) in enumerate(by_metric(rows).groupby("Series", sort=False)):
+        ends = "2026-01-01T00:00:00Z,2026-01-02T00:00:00Z"
+        lines = [
+            f",,{table},{ends},{time},{value},{name},eps"
+            for time, value in zip(part["time_utc"], part["Value"], strict=True)
+        ]
+        blocks.append(INFLUX + "\n".join(lines))
+    return "\n\n".join(blocks) + "\n"
+
+
+def lines_of_metrics(rows: pd.DataFrame) -> str:
+    return "\n".join(
+        json.dumps({"name": name, "time": time, "value": float(value)})
+        for time, name, value in by_metric(rows).itertuples(index=False)
+    )
+
+
+EXPORTS = {
+    "Grafana": (lambda rows: by_metric(rows).to_csv(sep=";", index=False), "time_utc"),
+    "InfluxDB": (influx, "_time"),
+    "JSON lines": (lines_of_metrics, "time"),
+    "any order": (lambda rows: by_metric(rows).sample(frac=1, random_state=1).to_csv(), "time_utc"),
+}
+
+
+@pytest.mark.parametrize("export", EXPORTS)
+def test_a_row_for_each_value_reads_as_a_row_for_each_sample(export, expected, tmp_path):
+    write, time_column = EXPORTS[export]
+    found = read(tmp_path, write(template_rows()), time_column=time_column)
+    if export == "JSON lines":  # numbers there are shortest texts
+        np.testing.assert_allclose(found["power_W"], expected["power_W"])
+    else:
+        assert_same_samples(found, expected)
+    assert "rows of one value each, named in column" in found.attrs["clock_notes"]
+
+
+def test_two_sources_of_one_value_are_refused_with_the_column_that_tells_them_apart(tmp_path):
+    rows = by_metric(template_rows())
+    both = pd.concat([rows.assign(host="a"), rows.assign(host="b", Value="9.9")])
+    message = (
+        "two values of 'px' for one time .* keep the rows of one source .column 'host' has 'a'"
+    )
+    with pytest.raises(ss.TelemetryError, match=message):
+        read(tmp_path, both.to_csv(index=False))
+    # the same values twice are no contradiction
+    twice = pd.concat([rows.assign(host="a"), rows.assign(host="b")])
+    assert read(tmp_path, twice.to_csv(index=False)).sizes["time"] == len(template_rows())
+
+
+def test_names_that_the_vehicle_file_does_not_know_are_listed(tmp_path):
+    rows = by_metric(template_rows()).replace({"Series": {"px": "eps.ipx"}})
+    rows["Series"] = "raw." + rows["Series"]
+    with pytest.raises(ss.TelemetryError, match="column 'px' .*found columns time_utc, raw.eps"):
+        read(tmp_path, rows.to_csv(index=False))
+
+
+def packets(rows: pd.DataFrame, delay_s: float = 0.4) -> pd.DataFrame:
+    """Return three packets for each sample, each with some of the panels and its own time."""
+    parts = []
+    for k, names in enumerate((PANELS[:2], PANELS[2:4], PANELS[4:])):
+        part = rows.copy()
+        part[[name for name in PANELS if name not in names]] = ""
+        time = pd.to_datetime(rows["time_utc"]) + pd.Timedelta(seconds=k * delay_s)
+        part["time_utc"] = time.dt.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        parts.append(part)
+    return pd.concat(parts).sort_values("time_utc")
+
+
+def test_packets_within_a_stated_span_are_one_sample(expected, tmp_path):
+    text = packets(template_rows()).to_csv(index=False)
+    found = read(tmp_path, text, sample_span_s=2.0)
+    assert_same_samples(found, expected)
+    notes = found.attrs["clock_notes"].splitlines()
+    n = len(template_rows())
+    assert notes[0] == f"{3 * n} rows are {n} samples, each of rows within 2 s"
+    assert notes[1].startswith("columns read later than the sample's time: ")
+    assert f"{PANELS[2]} 0.4 s" in notes[1] and f"{PANELS[4]} 0.8 s" in notes[1]
+
+
+def test_a_reading_that_a_sample_already_has_begins_the_next_sample(expected, tmp_path):
+    text = packets(template_rows()).to_csv(index=False)
+    assert_same_samples(read(tmp_path, text, sample_span_s=1000.0), expected)
+
+
+def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
+    found = read(tmp_path, template_rows().to_csv(index=False), sample_span_s=2.0)
+    assert found.drop_attrs().identical(expected.drop_attrs())
+    assert found.attrs.get("clock_notes") == expected.attrs.get("clock_notes")
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda rows: "sep=;\n" + rows.to_csv(sep=";", index=False),
+        lambda rows: '"sep=,"\r\n' + rows.to_csv(index=False, lineterminator="\r\n"),
+        lambda rows: rows.to_csv(index=False).replace("\n", ",\n"),
+        lambda rows: rows.to_csv(sep=";", index=False).replace("\n", ";\n"),
+        # a delimiter after the last name alone
+        lambda rows: rows.to_csv(index=False).replace("\n", ",\n", 1),
+    ],
+    ids=["sep=;", "sep=,", "closing comma", "closing semicolon", "closing header"],
+)
+def test_habits_of_spreadsheets_are_read(write, expected, tmp_path):
+    assert_same_samples(read(tmp_path, write(template_rows())), expected)
+
+
+def test_a_row_that_is_too_long_is_refused_after_a_closing_delimiter_too(tmp_path):
+    lines = template_rows().to_csv(index=False).splitlines()
+    text = "\n".join([lines[0] + ",", lines[1] + ",", lines[2] + ",7"])
+    message = "line 3: the row has 7 values but the header names 6 columns"
+    with pytest.raises(ss.TelemetryError, match=message):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_second"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)]
+)
+def test_Unix_times_in_smaller_units_are_understood_by_their_size(
+    unit, per_second, expected, tmp_path
+):
+    rows = template_rows()
+    seconds = (pd.to_datetime(rows["time_utc"]) - pd.Timestamp(0, tz="UTC")).dt.total_seconds()
+    rows["time_utc"] = [f"{round(second * per_second)}" for second in seconds]
+    found = read(tmp_path, rows.to_csv(index=False), time_format="unix")
+    assert_same_samples(found, expected)
+    assert f"times taken as Unix {unit} by their size" in found.attrs["clock_notes"]
+    # a stated unit is not changed
+    stated = read(
+        tmp_path, rows.to_csv(index=False), time_format="unix", time_scale_s=1 / per_second
+    )
+    assert_same_samples(stated, expected)
+    assert "clock_notes" not in stated.attrs

@@ -1,0 +1,150 @@
+"""The `[telemetry]` section that is suggested for unknown columns: it is followed, and reads the file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+import tomlkit
+from click.testing import CliRunner
+
+import sunspin as ss
+from sunspin.base.errors import SunspinError
+from sunspin.cli import cli
+
+TEMPLATE = resources.files("sunspin").joinpath("template")
+FACES = {"px": "+X", "mx": "-X", "py": "+Y", "my": "-Y", "pz": "+Z"}
+
+STYLES = {
+    "I_px [mA]": ("current_A", 0.001, "I_{sign:pn}{axis} [mA]"),
+    "iXp": ("current_A", 0.001, "i{AXIS}{sign:pm}"),
+    "solar_panel_x_plus_current": ("current_A", 0.001, "solar_panel_{axis}_{word}_current"),
+    "SolarPanelXPlusCurrent": ("current_A", 0.001, "SolarPanel{AXIS}{Word}Current"),
+    "eps.cur_pos_x (A)": ("current_A", 1.0, "eps.cur_{short}_{axis} (A)"),
+    "PXp_W": ("power_W", 1.0, "P{AXIS}{sign:pm}_W"),
+    "+X power (mW)": ("power_W", 0.001, "{sign:+-}{AXIS} power (mW)"),
+    "sunX+": ("power_W", 1.0, "sun{AXIS}{sign:+-}"),
+}
+"""Name of the column of +X -> quantity, scale, and the form of all names."""
+
+
+class Sign(str):
+    """A sign that is written as the first of two characters if it is plus, else as the second."""
+
+    def __format__(self, pair: str) -> str:
+        return pair[self == "-"]
+
+
+def column(form: str, face: str) -> str:
+    plus = face[0] == "+"
+    word = "plus" if plus else "minus"
+    words = {"short": "pos" if plus else "neg", "word": word, "Word": word.title()}
+    return form.format(sign=Sign(face[0]), axis=face[1].lower(), AXIS=face[1], **words)
+
+
+def export(form: str, scale: float, time: str = "Time (UTC)") -> str:
+    """Return the template's telemetry with other names and units, and columns that are not of panels."""
+    text = TEMPLATE.joinpath("telemetry.csv").read_text("utf-8")
+    rows = list(csv.reader(line for line in text.splitlines() if not line.startswith("#")))
+    names = [time, *(column(form, FACES[name]) for name in rows[0][1:]), "mag_x", "mag_y", "T_px"]
+    lines = [
+        [row[0], *(f"{float(x) / scale:.6g}" for x in row[1:]), "21000", "-3000", "20.5"]
+        for row in rows[1:]
+    ]
+    out = io.StringIO()
+    csv.writer(out).writerows([names, *lines])
+    return out.getvalue()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["init", "."]).exit_code == 0
+    (tmp_path / "telemetry.csv").rename(tmp_path / "as_expected.csv")
+    return tmp_path
+
+
+def check_is_refused(*words: str) -> str:
+    """Run check on a file that cannot be read, and return what it prints before the error."""
+    done = CliRunner().invoke(cli, ["check", *words])
+    assert isinstance(done.exception, SunspinError) and "is missing" in str(done.exception)
+    return done.stdout
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_the_suggested_section_reads_the_file_as_it_is_pasted(style, folder):
+    quantity, scale, form = STYLES[style]
+    (folder / "export.csv").write_text(export(form, scale), "utf-8")
+    printed = check_is_refused("vehicle.toml", "export.csv")
+    section = printed[printed.index("[telemetry]\n") :]
+    document = tomlkit.parse((folder / "vehicle.toml").read_text("utf-8"))
+    document["telemetry"] = tomlkit.parse(section)["telemetry"]
+    (folder / "mine.toml").write_text(tomlkit.dumps(document), "utf-8")
+    found = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(folder / "mine.toml"))
+    expected = ss.read_telemetry(
+        folder / "as_expected.csv", ss.load_vehicle(folder / "vehicle.toml")
+    )
+    assert list(found["panel"].values) == list(expected["panel"].values)
+    np.testing.assert_allclose(found[quantity], expected["power_W"], rtol=1e-4, atol=1e-3)
+    assert found.attrs["epoch_utc"] == expected.attrs["epoch_utc"]
+    assert '# not read: "mag_x", "mag_y", "T_px"' in section
+
+
+def test_the_section_for_a_row_for_each_value_reads_the_file(folder):
+    rows = list(csv.reader(io.StringIO(export("I_{sign:pn}{axis} [mA]", 0.001))))
+    lines = [
+        json.dumps({"name": name, "time": row[0], "value": float(cell)})
+        for row in rows[1:]
+        for name, cell in zip(rows[0][1:6], row[1:6], strict=True)
+    ]
+    (folder / "export.jsonl").write_text("\n".join(lines), "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.jsonl"])
+    assert done.exit_code == 0, done.output
+    found = ss.read_telemetry(
+        folder / "export.jsonl", ss.load_vehicle(folder / "mine/vehicle.toml")
+    )
+    assert found["current_A"].shape == (40, 5)
+
+
+def test_init_from_a_file_knows_its_panels_and_makes_no_inertia_and_no_wheel_up(folder):
+    (folder / "export.csv").write_text(export("i{AXIS}{sign:pm}", 0.001), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert list(craft.panel_names) == ["+X", "-X", "+Y", "-Y", "+Z"]
+    assert not craft.wheels and craft.inertia_kg_m2 is None and craft.mass_kg is None
+    assert not (folder / "mine" / "telemetry.csv").exists()
+    done = CliRunner().invoke(cli, ["check", "mine/vehicle.toml", "export.csv"])
+    assert done.exit_code == 0 and "40 samples" in done.output
+    again = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "is there already" in str(again.exception)
+
+
+@pytest.mark.parametrize(
+    ("cells", "lines"),
+    [
+        ("17672256{:02d}", ['time_format = "unix"']),
+        ("17672256{:02d}000", ['time_format = "unix"', "time_scale_s = 0.001"]),
+        ("1{:02d}", ['time_format = "elapsed"', "REPLACE by the UTC of time zero"]),
+        ("2026/01/01 00:00:{:02d} UTC", ['time_format = "utc"']),
+    ],
+)
+def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
+    rows = "".join(f"{cells.format(k)},{100 + k},{200 - k}\n" for k in range(20))
+    (folder / "export.csv").write_text(f"timestamp,iXp,iXm\n{rows}", "utf-8")
+    printed = check_is_refused("vehicle.toml", "export.csv")
+    assert all(line in printed for line in lines)
+
+
+@pytest.mark.parametrize("header", ["t,mx,my,mz", "t,a,b,c", "a,px,nx,b"])
+def test_nothing_is_suggested_where_names_say_nothing(header, folder):
+    """A magnetometer has three axes and no signs; a file without times cannot be read."""
+    date = "2026-01-01T00:00:00Z" if header[0] == "t" else "noon"
+    (folder / "export.csv").write_text(f"{header}\n{date},1,2,3\n", "utf-8")
+    assert "[telemetry]" not in check_is_refused("vehicle.toml", "export.csv")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "no columns look like times and panels on two faces" in str(done.exception)
+    assert not (folder / "mine").exists()
