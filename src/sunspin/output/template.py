@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from sunspin.base.atomic_write import make_folder
-from sunspin.base.errors import OutputError, TelemetryError
+from sunspin.base.errors import OutputError, TelemetryError, printable
 from sunspin.base.tables import read_table
 from sunspin.telemetry.reader import columns_of_readings
-from sunspin.telemetry.suggest import suggest_section
+from sunspin.telemetry.suggest import suggest_section, toml_string
 from sunspin.vehicle import Vehicle
 
 FACES = {
@@ -77,7 +77,7 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
     about = f"Made by sunspin init from {telemetry.name}; to be completed."
     text = re.sub(
         r"^description = .*$",
-        lambda _: f"description = {_toml_text(about)}",
+        lambda _: f"description = {toml_string(printable(about))}",
         text,
         count=1,
         flags=re.MULTILINE,
@@ -119,11 +119,6 @@ def _comment_out(text: str, first: str, after: str) -> str:
     end = text.index(after, begin)
     lines = text[begin:end].splitlines(keepends=True)
     return text[:begin] + "".join(x if x.startswith("#") else f"# {x}" for x in lines) + text[end:]
-
-
-def _toml_text(text: str) -> str:
-    """Return a text as a TOML string; characters that TOML does not allow become question marks."""
-    return '"' + "".join(c if c.isprintable() and c not in '"\\' else "?" for c in text) + '"'
 
 
 def _write(folder: Path, texts: dict[str, str]) -> list[Path]:

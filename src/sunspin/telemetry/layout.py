@@ -5,7 +5,6 @@ Both become a table with a row for each sample, as all other readers expect it.
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,8 @@ import pandas as pd
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
 from sunspin.base.untrusted import plain_number
+from sunspin.telemetry.times import parse_utc
+from sunspin.telemetry.timescales import UNIX_ZERO
 
 VALUE_NAMES = ("value", "_value", "val", "metric_value")
 """Names of the column with the values in files of one value a row, in small letters: Grafana, InfluxDB, JSON lines."""
@@ -83,13 +84,9 @@ def _sort_key(text: str) -> tuple[float, str]:
     """Return a key by which times are sorted: numbers and dates by size, any other text by its letters."""
     number = plain_number(text)
     if np.isnan(number):
-        try:
-            moment = datetime.fromisoformat(text.replace("/", "-"))
-            # a date without a zone: only the order within the file counts, and one file has one kind of date
-            number = (moment.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds()
-            number -= (moment.utcoffset() or moment - moment).total_seconds()
-        except (ValueError, OverflowError):
-            number = 0.0
+        # a date without a zone counts as UTC: only the order within the file matters
+        moment = parse_utc(text)
+        number = (moment - UNIX_ZERO).total_seconds() if moment else 0.0
     return number, text
 
 

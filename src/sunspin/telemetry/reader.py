@@ -41,12 +41,12 @@ NEAR = 0.75
 """Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
 
 
-class MissingColumn(TelemetryError):
-    """A telemetry file lacks a column that the vehicle file names."""
-
-
 LEAST_FACTOR = 0.2
 """A temperature correction below this is not applied, because the linear law does not hold."""
+
+
+class MissingColumn(TelemetryError):
+    """A telemetry file lacks a column that the vehicle file names."""
 
 
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:

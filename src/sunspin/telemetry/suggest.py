@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from datetime import datetime
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +16,10 @@ import numpy as np
 from sunspin.base.tables import Table
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.layout import collect_metrics
+from sunspin.telemetry.times import parse_utc
 
-SIGNS = {
-    "+": ("+", "p", "pos", "plus", "positive"),
-    "-": ("-", "m", "n", "neg", "minus", "negative"),
-}
-"""Words for the sign of an axis."""
+PLUS = ("+", "p", "pos", "plus", "positive")
+"""Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
 
 FACE = re.compile(
     r"(?<![a-z])(?:(?P<before>[+-]|pos|plus|positive|neg|minus|negative|[pmn])[ _]*(?P<first>[xyz])"
@@ -94,20 +91,20 @@ def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Sugge
     lines = [
         "[telemetry]",
         _entry(f'quantity = "{group.quantity}"', ""),
-        _entry(f"time_column = {_quoted(time_column)}", ""),
+        _entry(f"time_column = {toml_string(time_column)}", ""),
         *time_lines,
         _entry(f"scale = {group.scale:g}", group.reason),
         _entry('bad_rows = "flag"', "sort rows, merge repeats, name what cannot be used"),
         "[telemetry.columns]",
         *(
-            f"{_quoted((panels or {}).get(face, face))} = {_quoted(column)}"
+            f"{toml_string((panels or {}).get(face, face))} = {toml_string(column)}"
             for face, column in sorted(group.columns.items(), key=lambda pair: pair[0][::-1])
             if panels is None or face in panels
         ),
     ]
     used = {time_column, *group.columns.values()}
     if others := [name for name in table.header if name not in used]:
-        shown = ", ".join(map(_quoted, others[:12])) + (", ..." * (len(others) > 12))
+        shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
     return Suggestion("\n".join(lines) + "\n", group.columns)
 
@@ -117,7 +114,7 @@ def _entry(text: str, comment: str) -> str:
     return f"{text:<38}# {comment}" if comment else text
 
 
-def _quoted(name: str) -> str:
+def toml_string(name: str) -> str:
     """Return a text as a TOML string."""
     return json.dumps(name, ensure_ascii=False)
 
@@ -149,8 +146,7 @@ def _best_group(table: Table) -> _Group | None:
         if face is None or not _is_numeric(table, column):
             continue
         sign = face["before"] or face["after"]
-        plus = sign in SIGNS["+"]
-        label = ("+" if plus else "-") + (face["first"] or face["second"]).upper()
+        label = ("+" if sign in PLUS else "-") + (face["first"] or face["second"]).upper()
         template = f"{words[: face.start()]}#{words[face.end() :]}"
         groups[template, unit].setdefault(label, column)
     judged = []
@@ -208,7 +204,8 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
-    if sum(map(_is_date, filled)) >= READ_SHARE * len(filled):
+    dates = sum(parse_utc(cell) is not None for cell in filled if not cell.isdigit())
+    if dates >= READ_SHARE * len(filled):
         return [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
@@ -223,13 +220,3 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
     ]
-
-
-def _is_date(text: str) -> bool:
-    """Return whether a text is a date in the notation of ISO 8601, with slashes or UTC at its end as well."""
-    iso = re.sub(r"\s*(UTC|GMT|Z)$", "", text).replace("/", "-")
-    try:
-        datetime.fromisoformat(iso)
-    except ValueError:
-        return False
-    return not iso.isdigit()

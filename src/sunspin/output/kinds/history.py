@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, styled
+from sunspin.output.history import DAY_S
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table, synthetic_words
-
-DAY_S = 86_400.0
 
 MOST_LINES = 30
 """Number of passes that are printed; the table has all."""
