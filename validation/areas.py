@@ -115,12 +115,12 @@ def _orbiting(seed: int, i: int) -> Row:
 
 def _sparse(seed: int, i: int) -> Row:
     """Run and judge `rates` on sparse samples of satellite `i` in orbit, several revolutions apart."""
-    import sunspin as ss
     from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rates_case
+    from validation.subject import rates
 
     vehicle, data, _, truth, about = rates_case(seed, i, **SPARSE)
     results = [
-        ss.rates(vehicle, one_pass(data, begin).drop_vars("field_B")) for begin in about["begin_s"]
+        rates(vehicle, one_pass(data, begin).drop_vars("field_B")) for begin in about["begin_s"]
     ]
     return _of_passes(
         [pass_against_truth(result, truth, 0) for result in results], "miss_deg_s", "sigma_deg_s"
@@ -626,13 +626,14 @@ def _skcube(side: str) -> Row:
     """Estimate skCUBE's rates without its gyro, and judge them by the gyro."""
     import sunspin as ss
     from validation.real import SIDES, compare_with_gyro, fit_gyros
+    from validation.subject import rates
 
     path = Path(os.environ.get("SUNSPIN_DATA", "")) / "skcube" / "skcube_adcs.csv"
     if not os.environ.get("SUNSPIN_DATA") or not path.is_file():
         return {"outcome": "not run", "says": "no skcube/skcube_adcs.csv below SUNSPIN_DATA"}
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(path, craft)
-    result = ss.rates(craft, data.drop_vars(SIDES[side]), workers=1)
+    result = rates(craft, data.drop_vars(SIDES[side]), workers=1)
     rows = [
         row
         for row in compare_with_gyro(craft, data, result, fit_gyros(craft, data))

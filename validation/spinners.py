@@ -15,15 +15,21 @@ from typing import Any, NamedTuple
 import erfa
 import numpy as np
 import ppigrf
+import xarray as xr
 from click.testing import CliRunner
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sgp4.api import Satrec, jday
 
+import sunspin as ss
+from sunspin.base.errors import SunspinError
 from sunspin.cli.check import check
-from sunspin.cli.rates import rates
+from sunspin.environment.ephemeris import OrbitFile
+from sunspin.output.check.orbit import choose_orbit
+from sunspin.telemetry.assess import assess
 from tests.support.orbits import with_check_digit, with_node_turned
 from tests.support.vehicles import FACES
+from validation.subject import rates
 from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
@@ -351,44 +357,56 @@ def _vehicle(case: Case, zero_nT: np.ndarray, zero_sigma_nT: float) -> str:
 
 
 def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
-    """Run a command on a case and return its result as a row.
+    """Check the elements of a case, or estimate its rates, and return the result as a row.
 
     `what` is "check" or "rates", a space, and the elements: "right", "wrong" or "none". The row has "defect", whether the command
-    ended with a traceback; for a failed one "error"; else "orbit", the verdict on the elements if any, and for `rates` "passes".
+    `check` ended with a traceback; for a failed run "error"; else "orbit", the verdict on the elements, or for `rates` "passes".
     """
     command, which = what.split()
     truth = make(case, folder)
+    if command == "rates":
+        return _estimate(folder, which, truth)
     arguments = [str(folder / "vehicle.toml"), str(folder / "telemetry.csv"), "--json"]
     arguments += [] if which == "none" else ["--tle", str(folder / f"{which}.tle")]
-    arguments += ["--workers", "1", "--quiet"] if command == "rates" else []
-    done = CliRunner().invoke({"check": check, "rates": rates}[command], arguments)
+    done = CliRunner().invoke(check, arguments)
     if done.exit_code:
         defect = done.exception is not None and not isinstance(done.exception, SystemExit)
         return {"defect": defect, "error": (done.stderr or repr(done.exception))[-300:]}
     summary = json.loads(done.stdout)
-    row: dict[str, Any] = {"defect": False}
-    if "orbit" in summary:
-        row["orbit"] = summary["orbit"]
-    if command == "rates":
-        row["passes"] = [_pass(truth, result) for result in summary["passes"]]
-    return row
+    return {"defect": False} | ({"orbit": summary["orbit"]} if "orbit" in summary else {})
 
 
-def _pass(truth: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:
-    """Return the comparison of a pass of `rates` with the truth at the instant of its stated rates; deg/s."""
-    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - summary["at_s"]).argmin()]
-    solutions = summary["solutions"]
+def _estimate(folder: Path, which: str, truth: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of `rates` on the files of a case; elements that do not fit the telemetry are not used."""
+    craft = ss.load_vehicle(folder / "vehicle.toml")
+    assessment = assess(craft, ss.read_telemetry(folder / "telemetry.csv", craft))
+    orbit = calibration = None
+    try:
+        if which != "none":
+            chosen = choose_orbit(assessment, OrbitFile(folder / f"{which}.tle"), None)
+            orbit, calibration = chosen.orbit, chosen.calibration
+        result = rates(craft, assessment, environment=orbit, calibration=calibration)
+    except SunspinError as error:
+        return {"defect": False, "error": str(error)[-300:]}
+    passes = [_pass(truth, result.isel(pass_id=k)) for k in range(result.sizes["pass_id"])]
+    return {"defect": False, "passes": passes}
+
+
+def _pass(truth: dict[str, Any], result: xr.Dataset) -> dict[str, Any]:
+    """Return the comparison of a pass (a result on one `pass_id`) with the truth at the sample nearest to its middle; deg/s."""
+    t_s = result["time"].values[result["pass_of"].values == int(result["pass_id"])]
+    at_s = t_s[np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2))]
+    true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - at_s).argmin()]
+    listed = np.isfinite(result["probability"].values)
     omega, sigma = (
-        np.array([[solution[f"{name}_{axis}_deg_s"] for axis in "xyz"] for solution in solutions])
+        np.stack([result[f"{name}_{axis}"].values[listed] for axis in "xyz"], axis=1)
         for name in ("omega", "sigma")
     )
-    probability = np.array([solution["probability"] for solution in solutions])
-    off = omega[0] - true
-    rates = np.radians(omega), np.radians(sigma)
+    probability = result["probability"].values[listed]
     return {
-        "decided": summary["decided"],
-        "off_all": off.tolist(),
-        "sigma_all": sigma[0].tolist(),
-        "wrong": is_wrong(rates[0][0], rates[1][0], np.radians(true)),
-        "listed": is_listed(*rates, probability, np.radians(true)),
+        "decided": bool(result["decided"]),
+        "off_all": (np.degrees(omega[0]) - true).tolist(),
+        "sigma_all": np.degrees(sigma[0]).tolist(),
+        "wrong": is_wrong(omega[0], sigma[0], np.radians(true)),
+        "listed": is_listed(omega, sigma, probability, np.radians(true)),
     }

@@ -39,7 +39,9 @@ def panels(scale_sigma):
     names = tuple("abcdef")
     power = RNG.random((N, 6))
     gain = np.ones(6), 0.1 * np.eye(6)
-    return Panels(power, sigma, response, *gain, *scale, names, offset, np.ones(6, dtype=bool))
+    shown, lit = np.ones(6, dtype=bool), np.ones(N)
+    sigmas = sigma, sigma, np.full((N, 6), 0.03)
+    return Panels(power, sigma, response, *gain, *scale, names, offset, shown, *sigmas, lit)
 
 
 def gyro():

@@ -12,7 +12,6 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
@@ -35,6 +34,7 @@ from tests.support.orbits import (
 )
 from tests.support.simulate import telemetry_of
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
+from validation.subject import rates
 from validation.truths import is_listed, is_wrong
 
 WRONG_DEG = 20.0
@@ -269,7 +269,7 @@ def judge_rates(seed: int, i: int) -> dict[str, Any]:
         about[name] = {"passes": []}
         for begin in about["begin_s"][: 1 if dropped else None]:
             try:
-                result = ss.rates(
+                result = rates(
                     vehicle,
                     one_pass(data, begin).drop_vars(dropped),
                     environment=orbit,

@@ -8,6 +8,7 @@ is known in N, as its z axis: the turn about it is held by a weak prior.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,8 +16,10 @@ import numpy as np
 
 from sunspin.estimation.carry import step
 from sunspin.estimation.copies import distinct
-from sunspin.estimation.model import Model, Noise, Observations, Track
+from sunspin.estimation.model import Model, Noise, Observations, Seen, Track
 from sunspin.estimation.settings import SearchSettings
+from sunspin.estimation.terms.clock import Lateness
+from sunspin.estimation.terms.term import Residual, Term
 from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
 from sunspin.solve.linear import (
     BorderedSystem,
@@ -32,6 +35,9 @@ TURN, RATE = slice(0, 3), slice(3, 6)
 
 TURN_PRIOR = 10.0
 """rad; holds the turn about the Sun, which nothing measures, without telling anything."""
+
+DIFFERENCE_RAD = 1e-5
+"""Turn by which an attitude is changed for the derivative of a torque."""
 
 RATE_LIMIT = 4.0
 """No trial rate exceeds this many sigmas of the prior: a step far out of the basin must not overflow."""
@@ -99,27 +105,35 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
     border, corner = np.zeros((k, n, 6, m)), np.repeat(np.eye(m)[None], k, axis=0)
     border_slope, cost = motions.u.copy(), (motions.u**2).sum(axis=1) / 2
+    coupled = np.zeros((k, n - 1, 6, 6))  # of terms that compare neighbours
 
-    for term, place in zip(model.obs.terms, model.of_terms, strict=True):
-        for residual in term.residuals(motions, motions.u[:, place]):
-            part, weight = residual.law(residual.value)
-            cost += part.sum(axis=1)
-            columns = [
-                (rows, derivative)
-                for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
-                if derivative is not None
-            ]
-            for rows, derivative in columns:
-                weighted = np.swapaxes(weight[..., None, None] * derivative, -1, -2)
-                slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
-                for others, other in columns:
-                    diagonal[..., rows, others] += weighted @ other
-                if residual.by_u is not None:
-                    border[..., rows, place] += weighted @ residual.by_u
+    for residual, place in readings(model, motions):
+        part, weight = residual.law(residual.value)
+        cost += part.sum(axis=1)
+        columns = [
+            (rows, derivative, np.swapaxes(weight[..., None, None] * derivative, -1, -2))
+            for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
+            if derivative is not None
+        ]
+        for rows, _, weighted in columns:
+            slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
+            for others, other, _ in columns:
+                diagonal[..., rows, others] += weighted @ other
             if residual.by_u is not None:
-                weighted = np.swapaxes(weight[..., None, None] * residual.by_u, -1, -2)
-                corner[:, place, place] += (weighted @ residual.by_u).sum(axis=1)
-                border_slope[:, place] += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+                border[..., rows, place] += weighted @ residual.by_u
+        if residual.by_previous is not None:
+            previous = residual.by_previous[:, 1:]
+            weighted = np.swapaxes(weight[:, 1:, None, None] * previous, -1, -2)
+            slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
+            diagonal[:, :-1, TURN, TURN] += weighted @ previous
+            for others, other, _ in columns:
+                coupled[..., TURN, others] += weighted @ other[:, 1:]
+            if residual.by_u is not None:
+                border[:, :-1, TURN, place] += weighted @ residual.by_u[:, 1:]
+        if residual.by_u is not None:
+            weighted = np.swapaxes(weight[..., None, None] * residual.by_u, -1, -2)
+            corner[:, place[:, None], place] += (weighted @ residual.by_u).sum(axis=1)
+            border_slope[:, place] += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
 
     # damping in the measure of what was read: in that of the equations of motion, which are stiff where samples are close together,
     # it would hold a whole motion in its place
@@ -130,7 +144,7 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     cost += np.einsum("kni,kni->k", value, value) / 2
     diagonal[:, :-1] += first_T @ by_first
     diagonal[:, 1:] += second_T @ by_second
-    upper = first_T @ by_second
+    upper = coupled + first_T @ by_second
     slope[:, :-1] += (first_T @ value[..., None])[..., 0]
     slope[:, 1:] += (second_T @ value[..., None])[..., 0]
     if m:
@@ -148,6 +162,86 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     return BorderedSystem(cost, diagonal, upper, slope, damping, *shared)
 
 
+def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarray]]:
+    """Yield the differences of all readings, and the indices (m) of the unknowns to which their `by_u` belongs.
+
+    Sensors other than the Sun's may be late: what they read is what the motion was so much earlier.
+    """
+    every, late = np.arange(len(model.unknowns)), lateness(model, motions.u)
+    earlier = None if late is None else seen_earlier(model, motions, late.late_s)
+    for term, place in model.placed_terms:
+        if earlier is None or term.of_sun:
+            for residual in term.residuals(motions, motions.u[:, place]):
+                yield residual, every[place]
+            continue
+        assert late is not None
+        for residual in term.residuals(earlier.seen, motions.u[:, place]):
+            changed, by_late = earlier.answer(residual, late.late_s)
+            if late.place is None:
+                yield changed, every[place]
+                continue
+            by_late = late.sigma_s * by_late[..., None]
+            by_u = by_late if changed.by_u is None else np.concatenate([changed.by_u, by_late], -1)
+            yield changed._replace(by_u=by_u), np.append(every[place], late.place)
+
+
+class Late(NamedTuple):
+    """How late (K) in s the sensors are of motions, the sigma of that (s), and its place among the unknowns, None if it is known."""
+
+    late_s: np.ndarray
+    sigma_s: float
+    place: int | None
+
+
+def lateness(model: Model, u: np.ndarray) -> Late | None:
+    """Return how late the sensors other than the Sun's are for unknowns u (K, m); None if they are read with it."""
+    for term, place in model.placed_terms:
+        if isinstance(term, Lateness) and (term.late_s or term.sigma_s):
+            where = place.start if term.sigma_s else None
+            off = 0.0 if where is None else term.sigma_s * u[:, where]
+            return Late(term.late_s + off + np.zeros(len(u)), term.sigma_s, where)
+    return None
+
+
+class Earlier(NamedTuple):
+    """Motions as they were some time before their samples: `turned` (K, n, 3, 3) since then, and the `acceleration` (K, n, 3)."""
+
+    seen: Seen
+    turned: np.ndarray
+    acceleration: np.ndarray
+
+    def answer(self, residual: Residual, late_s: np.ndarray) -> tuple[Residual, np.ndarray]:
+        """Return differences of the earlier state with derivatives by that of the sample, and by the time (K, n, r) between, s."""
+        by_late = np.zeros(residual.value.shape)
+        by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
+        if by_rate is not None:
+            by_late -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
+        if by_turn is not None:
+            by_late -= np.einsum("knri,kni->knr", by_turn, self.seen.omega)
+            if previous is None:  # of two neighbours both are turned by a rate, nearly alike
+                moved = -late_s[:, None, None, None] * by_turn
+                by_rate = moved if by_rate is None else by_rate + moved
+            by_turn = by_turn @ self.turned
+        if previous is not None:
+            by_late[:, 1:] -= np.einsum(
+                "knri,kni->knr", previous[:, 1:], self.seen.omega[:, :-1]
+            )
+            turned = np.concatenate([self.turned[:, :1], self.turned[:, :-1]], axis=1)
+            previous = previous @ turned
+        return residual._replace(by_turn=by_turn, by_rate=by_rate, by_previous=previous), by_late
+
+
+def seen_earlier(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
+    """Return motions as they were `late_s` (K) before their samples, by the equations of motion with the wheels held."""
+    momentum = model.obs.momentum
+    inertia = model.body.inertia_at(motions.u[:, model.of_body])
+    back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
+    made = step(inertia, motions.omega, back, (momentum, momentum))
+    turning = np.cross(made.omega @ inertia + momentum, made.omega)
+    acceleration = turning @ np.linalg.inv(inertia)
+    return Earlier(Seen(made.turned @ motions.attitude, made.omega), made.turned, acceleration)
+
+
 def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
     """Return how far motions leave the equations of motion between neighbours (K, n - 1, 6), in sigmas of unknown torques.
 
@@ -162,16 +256,32 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
         [rotation_between(made.turned, relative), motions.omega[:, 1:] - made.omega], axis=-1
     )
     assert made.by_start is not None and made.by_inertia is not None
-    by_u = np.zeros((*value.shape, motions.u.shape[1]))
+    by_start, by_u = made.by_start, np.zeros((*value.shape, motions.u.shape[1]))
     by_u[..., model.of_body] = made.by_inertia
     for term, place in zip(model.obs.terms, model.of_terms, strict=True):
         push = term.pushes(motions, dt)
         if push is not None:
             by_u[..., place] = push
             value = value - np.einsum("knim,km->kni", push, motions.u[:, place])
+        known = term.pushed(motions, dt)
+        if known is not None:
+            value = value - known
+            if term.about_sun:
+                by_start[..., TURN] += pushed_by_turn(term, motions, dt, known)
     white = Whitening.of(model.noise, dt).matrix
     by_second = np.broadcast_to(white, (len(value), *white.shape))
-    return (white @ value[..., None])[..., 0], -white @ made.by_start, by_second, -white @ by_u
+    return (white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u
+
+
+def pushed_by_turn(
+    term: Term, motions: Track, dt: np.ndarray, known: np.ndarray
+) -> np.ndarray:
+    """Return the derivative (K, n - 1, 6, 3) of what a known torque adds, `known` (K, n - 1, 6), by a turn at the first sample."""
+    columns = [
+        term.pushed(replace(motions, attitude=rotate_attitude(motions.attitude, turn)), dt) - known
+        for turn in DIFFERENCE_RAD * np.eye(3)
+    ]
+    return np.stack(columns, axis=-1) / DIFFERENCE_RAD
 
 
 def damping_scale(read: np.ndarray, t_s: np.ndarray) -> np.ndarray:
@@ -296,9 +406,14 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
             for residual in term.residuals(track, track.u):
                 part, weight = residual.law(residual.value)
                 cost += part.sum(axis=1)
+                before = np.concatenate([answer[:, :1], answer[:, :-1]], axis=1)
                 derivative = sum(
-                    by @ answer[..., rows, :]
-                    for rows, by in ((TURN, residual.by_turn), (RATE, residual.by_rate))
+                    by @ of_state[..., rows, :]
+                    for of_state, rows, by in (
+                        (answer, TURN, residual.by_turn),
+                        (answer, RATE, residual.by_rate),
+                        (before, TURN, residual.by_previous),
+                    )
                     if by is not None
                 )
                 weighted = np.swapaxes(weight[..., None, None] * derivative, -1, -2)

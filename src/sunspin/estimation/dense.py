@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunspin.estimation.carry import Step, angle_turned, step
+from sunspin.estimation.chain import lateness, seen_earlier
 from sunspin.estimation.model import Model, Observations, Seen, Track
 from sunspin.estimation.terms.term import Term
 from sunspin.estimation.verdict import in_sigma
@@ -151,11 +152,14 @@ def residuals_by_sensor(
     granted = np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
     u = track.u * granted
     residuals: dict[str, np.ndarray] = {}
+    late = lateness(model, u)
+    earlier = None if late is None else seen_earlier(replace(model, obs=obs), track, late.late_s).seen
     for term, place in zip(obs.terms, model.of_terms, strict=False):
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():
             continue
-        square = _square(term, track, u[:, place], spread)
+        seen = track if term.of_sun or earlier is None else earlier
+        square = _square(term, seen, u[:, place], spread, np.diff(obs.t_s))
         sigmas = np.where(freedom > 0, in_sigma(square, freedom), np.nan)
         residuals[term.label] = np.where(
             np.isnan(sigmas), residuals.get(term.label, np.nan), sigmas
@@ -163,10 +167,20 @@ def residuals_by_sensor(
     return residuals
 
 
-def _square(term: Term, seen: Seen, u: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Return the squares (K, n) of a term's differences under the covariance of readings and states together."""
+def _square(
+    term: Term, seen: Seen, u: np.ndarray, spread: np.ndarray, dt: np.ndarray
+) -> np.ndarray:
+    """Return the squares (K, n) of a term's differences under the covariance of readings and states together.
+
+    Of neighbours, dt (n - 1) apart, the errors of the attitudes are those that the rate makes in between.
+    """
     square = np.zeros(seen.omega.shape[:2])
     for residual in term.residuals(seen, u):
+        if residual.by_previous is not None:
+            between = np.zeros_like(spread)
+            turned = spread[:, 1:, 3:, 3:] * dt[:, None, None] ** 2
+            between[:, 1:, :3, :3] = turned
+            spread = between
         slope = np.zeros((*residual.value.shape, 6))
         for rows, derivative in ((slice(0, 3), residual.by_turn), (slice(3, 6), residual.by_rate)):
             if derivative is not None:

@@ -75,7 +75,8 @@ def ladder(
         now, last = start, begin
         for rung in path:
             for level in _levels(last, rung, s.cooling):
-                now = _kept(fit(model.under(level), now.motions, s.steps), s, copies)
+                under = model.under(level)
+                now = _kept(fit(under, _restated(now, under), s.steps), s, copies)
             last = rung
             if not len(now):
                 break
@@ -84,6 +85,14 @@ def ladder(
             if now.log_evidence.max() < best - s.hopeless:
                 break
     return [over_shares(one, s.beyond_fit) for one in fits]
+
+
+def _restated(now: Fit, under: Model) -> Track:
+    """Return the motions of a fit with their unknowns in the sigmas of another model, of stronger or weaker torques."""
+    before, after = (
+        np.array([unknown.sigma for unknown in model.unknowns]) for model in (now.model, under)
+    )
+    return replace(now.motions, u=now.motions.u * (before / np.where(after > 0, after, 1.0)))
 
 
 def _levels(last: float, rung: float, cooling: float) -> list[float]:

@@ -182,6 +182,11 @@ class Observations:
         terms = tuple(term.take(samples) for term in self.terms)
         return Observations(self.t_s[samples], self.momentum[samples], terms)
 
+    def of_pass(self, samples: Any) -> Observations:
+        """Return some of the samples, as those of one pass: what is estimated of the terms is constant over it."""
+        some = self.take(samples)
+        return replace(some, terms=tuple(term.of_pass(some.t_s) for term in some.terms))
+
     @cached_property
     def sees_sun(self) -> np.ndarray:
         """Return whether each sample (n) shows something of the Sun's direction."""
@@ -228,13 +233,20 @@ class Model:
         ends = np.cumsum(counts)
         return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
 
+    @cached_property
+    def placed_terms(self) -> tuple[tuple[Term, slice], ...]:
+        """Return the terms, each with the place of its unknowns."""
+        return tuple(zip(self.obs.terms, self.of_terms, strict=True))
+
     def seeing(self, samples: Any) -> Model:
         """Return the model of some of the samples."""
         return replace(self, obs=self.obs.take(samples))
 
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
-        return replace(self, noise=replace(self.noise, acceleration=acceleration))
+        terms = tuple(term.under(acceleration) for term in self.obs.terms)
+        noise = replace(self.noise, acceleration=acceleration)
+        return replace(self, obs=replace(self.obs, terms=terms), noise=noise)
 
     def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
         """Return the model with one more term, at these log odds to the model before the data."""

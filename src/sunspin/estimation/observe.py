@@ -11,17 +11,38 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics.friction import spin_down_speed
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.environment import Environment, Surroundings
 from sunspin.estimation.model import Observations
 from sunspin.estimation.settings import PassSettings
-from sunspin.estimation.terms.directions import SunDirections
-from sunspin.estimation.terms.inertial import Gyro
+from sunspin.estimation.terms.clock import Lateness
+from sunspin.estimation.terms.directions import UNREAD, SunDirections
+from sunspin.estimation.terms.field import (
+    FieldCalibration,
+    FieldChange,
+    FieldDirection,
+    KnownField,
+    reads_directions,
+)
+from sunspin.estimation.terms.inertial import AttitudeChange, Gyro
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.terms.term import Term
+from sunspin.estimation.terms.torques import GravityGradient, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
-from sunspin.telemetry.quality import LATE, STALE, find_late_frames
+from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
 from sunspin.vehicle import Vehicle
 
 ALONE = "dropped: fewer than three samples between gaps (in no pass)"
 NOT_ASKED = "dropped: in another pass than the one asked for"
+
+FIELD = "field"
+"""Where directions come from without a Sun: a magnetometer."""
+
+FIELD_ALONE = "used: the field alone; "
+"""Begin of what is said of a sample without a Sun whose field an orbit makes a direction."""
+
+NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
+"""What is said of samples whose only fault is that they show no Sun."""
 
 MEASURED = "measured"
 HELD = "held at the nominal speed"
@@ -37,10 +58,18 @@ class Seen:
     source: str
 
     @property
+    def dipole_modelled(self) -> bool:
+        """Return whether the dipole that the vehicle file states acts, in a measured field."""
+        return any(isinstance(term, StatedDipole) for term in self.obs.terms)
+
+    @property
     def usable(self) -> np.ndarray:
-        """Indices of the samples that show the Sun and are not dropped."""
-        dropped = np.array([text.startswith("dropped") for text in self.why])
-        return np.flatnonzero(self.obs.sees_sun & ~dropped)
+        """Indices of the samples that show the Sun, or a field whose direction is known, and are not dropped."""
+        dropped, alone = (
+            np.array([text.startswith(word) for text in self.why])
+            for word in ("dropped", FIELD_ALONE)
+        )
+        return np.flatnonzero((self.obs.sees_sun | alone) & ~dropped)
 
 
 @dataclass(frozen=True)
@@ -56,35 +85,100 @@ class Pass:
         return np.searchsorted(self.samples, self.kept)
 
 
-def observe(assessment: Assessment, source: str | None = None) -> Seen:
+def observe(
+    assessment: Assessment,
+    source: str | None = None,
+    local: Environment | None = None,
+    calibration: FieldCalibration | None = None,
+    torques: Acting = NOTHING,
+) -> Seen:
     """Return terms and times of all samples, a sentence for each, and where the Sun comes from.
 
-    `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has.
+    `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
+    `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
     """
-    telemetry = assessment.telemetry
-    source = _source(telemetry, source)
+    vehicle, telemetry, sensors = assessment.vehicle, assessment.telemetry, assessment.sensors
+    has_field = calibration is not None or reads_directions(vehicle, telemetry)
+    source = _source(telemetry, source, has_field)
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    here = None if local is None else local.at(t_s)
+    sun: Term | None = None
     if source == "panels":
         sun, why = Panels.read(assessment)
+        sun = sun if here is None else sun.placed(here)
+    elif source != FIELD:
+        sun, why = SunDirections.read(sensors, source)
+    elif calibration is None and vehicle.sensors.magnetometer is not None:
+        sun, why = FieldDirection.alone(vehicle.sensors.magnetometer, sensors)
     else:
-        sun, why = SunDirections.read(assessment.sensors, source)
+        why = np.full(len(t_s), UNREAD, dtype=object)
+
+    fields = FieldChange.read(vehicle, sensors)
+    known = None
+    in_field = here is not None and here.field_N is not None
+    if fields is not None and calibration is not None and in_field:
+        known = KnownField.of(fields, here, calibration)
+        # a sample whose only fault is that it shows no Sun has a direction of its own
+        for k in np.flatnonzero(known.present() & np.isin(why, NOT_SEEN)):
+            why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
+    elif fields is not None:
+        fields = fields.with_own_zero()
+    if source != "panels":
         why[assessment.repeats.frozen] = STALE
     why[find_late_frames(telemetry)] = LATE
-    gyro = Gyro.read(assessment.vehicle, assessment.sensors)
-    terms = tuple(term for term in (sun, gyro) if term is not None)
-    return Seen(Observations(t_s, np.zeros((len(t_s), 3)), terms), why, source)
+
+    compared = None if isinstance(sun, FieldDirection) else known or fields
+    read = (sun, Gyro.read(vehicle, sensors), compared, AttitudeChange.read(vehicle, sensors))
+    others = _torques(vehicle, t_s, fields, here, torques)
+    clock = vehicle.sensors.clock
+    terms = [term for term in (*read, *others) if term is not None]
+    terms += [Lateness.of(clock)] if clock is not None else []
+    return Seen(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
 
 
-def _source(telemetry: xr.Dataset, wanted: str | None) -> str:
-    """Return where the Sun comes from."""
+def _torques(
+    vehicle: Vehicle,
+    t_s: np.ndarray,
+    fields: FieldChange | None,
+    here: Surroundings | None,
+    torques: Acting,
+) -> list[Term]:
+    """Return the torques of a stated or an unknown dipole if the field is measured or known, and those that are named."""
+    terms: list[Term] = []
+    dipole = vehicle.sensors.disturbance.dipole
+    if dipole is not None and fields is not None and np.isfinite(fields.field_B).any():
+        terms.append(StatedDipole(np.asarray(dipole), np.nan_to_num(fields.field_B)))
+    elif here is not None and here.field_N is not None:
+        terms.append(MagneticTorque.in_field(here.field_N))
+    elif fields is not None:
+        terms.append(MagneticTorque.in_field(None))
+    if torques.needs_attitude:
+        assert here is not None and here.nadir_N is not None
+        inertia = vehicle.require_inertia()
+        strength = np.full(len(t_s), torques.gradient_strength())
+        inertia = inertia / (np.trace(inertia) / 3)
+        terms.append(GravityGradient(here.nadir_N, strength, inertia))
+    return terms
+
+
+def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
+    """Return where the Sun comes from; :data:`FIELD` without a Sun, if the directions of a magnetometer are of use."""
     has = {
         "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
         "sun_sensor": "sun_sensor_B" in telemetry,
         "panels": "power_W" in telemetry or "current_A" in telemetry,
     }
     wanted = wanted or next((name for name, exists in has.items() if exists), None)
+    if wanted in (None, FIELD) and has_field:
+        return FIELD
     if wanted is None or not has.get(wanted, False):
         exist = ", ".join(name for name, exists in has.items() if exists)
+        if wanted is None and "field_B" in telemetry:
+            raise InputError(
+                "the telemetry has no Sun",
+                got="a magnetometer",
+                do="a magnetometer alone needs its `noise` in the vehicle file, or an orbit (--tle)",
+            )
         raise InputError(
             f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}",
             got=exist or "nothing of the Sun",
@@ -103,15 +197,25 @@ def split(seen: Seen, gap_s: float | None, s: PassSettings) -> list[Pass]:
             do=_why_unused(seen),
         )
     t_s = seen.obs.t_s
-    gap = s.gap_intervals * float(np.median(np.diff(t_s[use]))) if gap_s is None else gap_s
+    usual = float(np.median(np.diff(t_s[use])))
+    gap = s.gap_intervals * usual if gap_s is None else gap_s
+    ends = np.flatnonzero(np.diff(t_s[use]) > gap)
+    compared = [term for term in seen.obs.terms if isinstance(term, FieldChange)]
+    fields = [term for term in compared if term.present().any()]
+    if fields and gap_s is None:
+        read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
+        ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
+    known = any(isinstance(term, KnownField) for term in seen.obs.terms)
+    longest = s.longest_field_s if fields or known and s.longest_s > s.many * usual else s.longest_s
     passes = []
-    for part in np.split(use, np.flatnonzero(np.diff(t_s[use]) > gap) + 1):
+    for part in np.split(use, np.asarray(ends, dtype=int) + 1):
         duration = t_s[part[-1]] - t_s[part[0]]
-        pieces = max(1, int(np.ceil(duration / s.longest_s)))
+        pieces = max(1, int(np.ceil(duration / longest)))
         edges = t_s[part[0]] + np.arange(1, pieces) * duration / pieces
         for piece in np.split(part, np.searchsorted(t_s[part], edges)):
             if len(piece) >= 3:
-                passes.append(Pass(piece, piece[thinned(len(piece), s)]))
+                dense_from = _dense_from(seen.obs.sees_sun[piece], s)
+                passes.append(Pass(piece, piece[thinned(len(piece), s, dense_from)]))
     if not passes:
         raise InputError(
             "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
@@ -140,27 +244,67 @@ def why_not_used(seen: Seen, passes: Sequence[Pass], chosen: Sequence[int]) -> n
     return why
 
 
-def thinned(count: int, s: PassSettings) -> np.ndarray:
+def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings):
+    """Return whether a field is read on between two samples that show the Sun: a body with few panels turns them away."""
+    between = read_s[(read_s >= start_s) & (read_s <= end_s)]
+    short = end_s - start_s < s.longest_dark_s
+    return short and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
+
+
+def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
+    """Return from which of the samples of a pass a search may begin, by which of them (n) show the Sun.
+
+    The first if half of those next to it do, else the one whose next ones do most often: a pass may begin in the shadow.
+    """
+    after = np.convolve(sees_sun, np.ones(s.dense))[s.dense - 1 :]
+    return 0 if after[0] >= s.dense / 2 or len(sees_sun) <= s.kept else int(np.argmax(after))
+
+
+def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
     """Return at most `s.kept` places of `count` samples, the first and the last among them.
 
-    Close together where the rate is determined first, then ever farther apart: each step is at most `s.growth` times the one
-    before, so that what is known of the rate always predicts the next sample.
+    Close together where the rate is determined first, at `dense_from`, then ever farther apart: each step is at most `s.growth` times
+    the one before, so that what is known of the rate always predicts the next sample.
     """
     if count <= s.kept:
         return np.arange(count)
-    growing = s.growth ** np.arange(s.kept - 1)
-    low, high = 1.0, float(count)
+    after, before = np.arange(dense_from, count), np.arange(dense_from, -1, -1)
+    best: tuple[float, np.ndarray] = np.inf, _growing(np.arange(count), s.kept, s.growth)
+    for n in range(2, s.kept) if dense_from else ():
+        sides = _growing(after, s.kept + 1 - n, s.growth), _growing(before, n, s.growth)
+        # steps that grow to both sides do not reach the ends of a very long pass
+        if sides[0][-1] == count - 1 and sides[1][-1] == 0:
+            widest = max(np.abs(np.diff(side)).max(initial=0) for side in sides)
+            if widest < best[0]:
+                best = widest, np.unique(np.concatenate(sides))
+    return best[1]
+
+
+def _growing(places: np.ndarray, most: int, growth: float) -> np.ndarray:
+    """Return at most so many of some places, in steps that grow by a factor up to even ones; the first among them."""
+    if len(places) <= most:
+        return places
+    growing = growth ** np.arange(most - 1)
+    low, high = 1.0, float(len(places))
     for _ in range(60):  # bisection for the largest step with which the steps reach the end
         widest = (low + high) / 2
-        reached = np.minimum(growing, widest).sum() >= count - 1
+        reached = np.minimum(growing, widest).sum() >= len(places) - 1
         low, high = (low, widest) if reached else (widest, high)
     place = np.concatenate([[0.0], np.cumsum(np.minimum(growing, high))])
-    return np.unique(np.minimum(np.round(place), count - 1).astype(int))
+    return places[np.unique(np.minimum(np.round(place), len(places) - 1).astype(int))]
 
 
 def _why_unused(seen: Seen) -> str:
     """Return why most samples are not used, and what to do."""
     dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
+    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
+    down = panels[0].lit == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    shadow = sum(dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True))
+    if shadow > len(dropped):
+        return (
+            f"by the orbit {shadow} are in the Earth's shadow: compare clock and elements with `sunspin check`, or leave out "
+            "the orbit"
+        )
     if not dropped:
         return "add samples with a Sun direction"
     reason, count = Counter(dropped).most_common(1)[0]

@@ -12,6 +12,9 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import with_units
 from sunspin.compute.pool import process_pool, worker_count
+from sunspin.dynamics.torques import acting
+from sunspin.environment import Environment
+from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimation.alternatives import alternatives
 from sunspin.estimation.between import link_passes
 from sunspin.estimation.budget import USUAL, Budget
@@ -26,8 +29,9 @@ from sunspin.estimation.evidence import (
     share_noise,
     united,
 )
+from sunspin.estimation.field_led import begun, in_axes_of, searched
 from sunspin.estimation.images import images_of, with_images
-from sunspin.estimation.model import AS_STATED, Body, Model, Noise, Observations
+from sunspin.estimation.model import AS_STATED, SUN_N, Body, Model, Noise, Observations
 from sunspin.estimation.observe import (
     Pass,
     Seen,
@@ -38,18 +42,28 @@ from sunspin.estimation.observe import (
     why_not_used,
     with_momentum,
 )
-from sunspin.estimation.rates_dataset import NOT_LATE, believed, dataset, repeats_doubted
+from sunspin.estimation.rates_dataset import (
+    believed,
+    dataset,
+    in_space,
+    lateness,
+    repeats_doubted,
+)
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimation.solutions import Solutions, solutions
 from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
 from sunspin.estimation.swings import swings_by_all_ways
+from sunspin.estimation.terms.field import FieldCalibration
 from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 NOISE_RANGE = (1e-9, 1.0)
 """rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+
+ALONG_Z = 1e-6
+"""The Sun of an environment is off z by less than this."""
 
 LONGEST_PASSES = 2
 """Passes, those with the most samples, that say what the wheels do."""
@@ -67,6 +81,9 @@ def rates(
     acceleration_noise: float | None = None,
     gap_s: float | None = None,
     pass_id: int | None = None,
+    environment: Environment | None = None,
+    calibration: FieldCalibration | None = None,
+    torques: Sequence[str] = (),
     effort: float = 1.0,
     workers: int = 1,
     progress: bool | Callable[[str], None] = False,
@@ -80,7 +97,7 @@ def rates(
     Parameters
     ----------
     telemetry : Dataset of `read_telemetry` or its Assessment, or Dataset of `sun_directions`
-        A gyro in it is used if the vehicle describes one.
+        A gyro, magnetometer or attitude sensor in it is used if the vehicle describes one.
     source : {"panels", "sun_sensor", "directions"}, optional
         Where the Sun comes from; default: what the telemetry has.
     max_rate_rad_s : float, optional
@@ -91,6 +108,14 @@ def rates(
         A longer gap parts two passes; default: six usual intervals.
     pass_id : int, optional
         Only this pass, counted from zero as in the result; default: all.
+    environment : Environment, optional
+        What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
+        to the Sun (:func:`sunspin.environment.circular`). In an orbit field, shadow and Earth's light are known: a calibrated
+        magnetometer gives directions, and samples without a Sun count. The orbit is believed.
+    calibration : FieldCalibration, optional
+        Of the magnetometer along the orbit; without one its readings are compared with their neighbours only.
+    torques : list, optional
+        Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`).
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -104,7 +129,8 @@ def rates(
     -------
     xarray.Dataset
         On `time` (all samples used) of each pass's best solution: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
-        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary), `pass_of`. On
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
+        magnetometer J2000), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_of`. On
         `curve_time` the same between the samples. On `pass_id` and `solution`: probabilities, mean rates, and what may be believed:
         the variables of `passes.csv`. On `sample`: `why`, what became of each sample of the file. attrs: `verdict`, the settings.
 
@@ -112,14 +138,17 @@ def rates(
     ------
     InputError
         Too few samples, or no rate below the largest fits.
+    MotionError
+        A torque without the environment that it needs.
     """
     assessment = assess(vehicle, telemetry)
-    seen = observe(assessment, source)  # all samples, and why each is used or not
+    local = along_the_sun(environment)  # axes N with z to the Sun
+    seen = observe(assessment, source, local, calibration, acting(torques, local))  # all samples, and why each is used or not
     every = split(seen, gap_s, settings.passes)
     chosen = asked(every, pass_id)
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
-    noise = stated_noise(vehicle, acceleration_noise)
+    noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
     body = Body.of(vehicle, torques_stated=noise is not None)
@@ -135,7 +164,11 @@ def rates(
         # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
-        models = [stated.seeing(one.kept) for one in passes]
+        whole = [stated.obs.of_pass(one.samples) for one in passes]
+        models = [
+            replace(stated, obs=obs.take(one.places))
+            for obs, one in zip(whole, passes, strict=True)
+        ]
         open_still = [k for k in range(len(passes)) if k not in done]
         fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
         done |= dict(zip(open_still, fitted, strict=True))
@@ -144,8 +177,8 @@ def rates(
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
     solved = [
-        solutions(one, seen.obs.take(p.samples), p.places, settings.solutions, settings.search)
-        for one, p in zip(fits, passes, strict=True)
+        solutions(one, obs, p.places, settings.solutions, settings.search)
+        for one, obs, p in zip(fits, whole, passes, strict=True)
     ]
     middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
     solved, walk = link_passes(solved, middles, stated.rate_sigma)
@@ -160,9 +193,9 @@ def rates(
     doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
-    result = repeats_doubted(result, assessment)
+    result = in_space(repeats_doubted(result, assessment), local, solved, seen)
     result = result.assign_attrs(
-        NOT_LATE
+        lateness(vehicle, solved)
         | coarse
         | {
             "wheels": wheels,
@@ -186,12 +219,14 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     def found(noise: float) -> list[Fit]:
         """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
         motions = []
-        for loose in stated.for_search(Noise(noise)):
+        for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            motions.append(search(chain, starts, s.search, budget, places(loose, s.search)))
+            one = search(chain, starts, s.search, budget, places(loose, s.search))
+            motions.append(in_axes_of(stated, loose, one, s.search))
         fits = []
         for one in motions:
-            fits += ladder(stated, with_images(one, stated, s.search), s.ladder, s.search, noise)
+            begin = begun(stated.under(noise), with_images(one, stated, s.search))
+            fits += ladder(stated, begin, s.ladder, s.search, noise)
         return united(fits, s.ladder, s.search)
 
     fits = found(s.search.noise)
@@ -265,7 +300,12 @@ def decide_wheels(
         return with_momentum(seen, momenta[names[0]]), names[0], {}
     longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
     models = [
-        replace(stated, obs=with_momentum(seen, momenta[name]).obs).seeing(passes[k].kept)
+        replace(
+            stated,
+            obs=with_momentum(seen, momenta[name])
+            .obs.of_pass(passes[k].samples)
+            .take(passes[k].places),
+        )
         for name in names
         for k in longest
     ]
@@ -297,15 +337,31 @@ def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> Pass
         return None
 
 
-def stated_noise(vehicle: Vehicle, given: float | None) -> float | None:
+def along_the_sun(environment: Environment | None) -> Environment | None:
+    """Return the environment in axes whose z is the direction to the Sun."""
+    if isinstance(environment, Orbit):
+        return SunAlongZ(environment)
+    if environment is not None and not isinstance(environment, SunAlongZ):
+        sun = environment.at(0.0).sun_N[0]
+        if np.linalg.norm(sun - SUN_N) > ALONG_Z:
+            raise InputError(
+                "rates needs an environment with z of its N to the Sun",
+                got=f"the Sun at {np.round(sun, 3)}",
+            )
+    return environment
+
+
+def stated_noise(
+    vehicle: Vehicle, given: float | None, dipole_modelled: bool = False
+) -> float | None:
     """Return the strength of unknown torques (rad/s^1.5) that is given, else the vehicle's; None if neither states it.
 
-    The torque of a magnetic dipole is not modelled without a measured field: then the vehicle file has another strength.
+    The torque of a magnetic dipole is modelled only in a measured field: else the vehicle file has another strength.
     """
     disturbance = vehicle.sensors.disturbance
     stated = (
         disturbance.acceleration_noise
-        if disturbance.dipole is None
+        if disturbance.dipole is None or dipole_modelled
         else disturbance.noise_without_field
     )
     noise = stated if given is None else given

@@ -10,17 +10,22 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.base.errors import printable
 from sunspin.base.provenance import provenance
-from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment import Environment
+from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
+from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimation.dense import curve
 from sunspin.estimation.images import either_side
 from sunspin.estimation.model import Model
 from sunspin.estimation.observe import Pass, Seen, wheels_untold
 from sunspin.estimation.solutions import Solutions
+from sunspin.estimation.terms.field import FieldDirection, KnownField
 from sunspin.estimation.terms.panels import Panels
 from sunspin.estimation.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
+    OTHER_SENSORS,
     PassRow,
     answers,
     misfit,
@@ -29,6 +34,7 @@ from sunspin.estimation.verdict import (
 )
 from sunspin.solve.rotations import without_sign_jumps
 from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle import Vehicle
 
 ROUNDING = 1e-3
@@ -40,15 +46,8 @@ ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
 OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
 """Where the error of panel readings comes from without a stated noise."""
 
-OTHER_SENSORS = ("gyro", "field", "attitude")
-"""Sensors other than the Sun's; the attributes say which were used."""
-
-NOT_LATE = {
-    "sensors_late_s": np.nan,
-    "sensors_late_sigma_s": np.nan,
-    "sensors_late_from": "taken as read together",
-}
-"""What is said of the clock of sensors other than the Sun's."""
+CLOCK = "late_s"
+"""Name of the estimate of how late sensors other than the Sun's are."""
 
 
 def dataset(
@@ -121,7 +120,9 @@ def _attributes(
         "body": "nearly a sphere (no inertia)"
         if stated.body.sphere
         else "rigid body with the vehicle's inertia and wheels",
-        "earth_light": 0.0,
+        "earth_light": max(
+            (term.earth_share for term in panels if term.earth_share > FAINT), default=0.0
+        ),
         "frame_N": SUN_Z_LOCAL,
         "panels_left_out": ", ".join(name for term in panels for name in term.left_out),
     }
@@ -158,6 +159,76 @@ def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
         "curve_pass_of": ("curve_time", pass_of),
         "curve_time": np.concatenate(times),
     }
+
+
+def lateness(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
+    """Return attributes on the clock of sensors other than the Sun's, by all passes together.
+
+    Each pass knows the lateness from the vehicle file and its own readings. What it adds is weighed with what the others add.
+    """
+    clock = vehicle.sensors.clock
+    if clock is None:
+        late, sigma, words = np.nan, np.nan, "taken as read together"
+    else:
+        late, sigma, words = clock.late_s, clock.sigma_s, "vehicle file"
+    rows = [one.estimates[0][CLOCK] for one in solved if CLOCK in one.estimates[0]]
+    if rows and clock is not None:
+        values, sigmas = (np.array([row[k] for row in rows]) for k in (1, 2))
+        added = np.maximum(sigmas**-2 - sigma**-2, 0.0)
+        # a pass has the mean of what it knew and what it has read, with the precision of both
+        weighted = clock.late_s * sigma**-2 + (values / sigmas**2 - clock.late_s * sigma**-2).sum()
+        sigma = (sigma**-2 + added.sum()) ** -0.5
+        late, words = weighted * sigma**2, "vehicle file and data"
+    return {
+        "sensors_late_s": float(late),
+        "sensors_late_sigma_s": float(sigma),
+        "sensors_late_from": words,
+    }
+
+
+def in_space(
+    result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: Seen
+) -> xr.Dataset:
+    """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
+
+    In an orbit it has the turn about the Sun with its sigma, and if a magnetometer was used attitudes from J2000. A magnetometer alone
+    gives directions of the field in place of the Sun's.
+    """
+    if any(isinstance(term, FieldDirection) for term in seen.obs.terms):
+        about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
+        return result.assign(
+            field_direction_B=result["sun_B"].assign_attrs(about),
+            sun_B=result["sun_B"] * np.nan,
+            sun_sigma_rad=result["sun_sigma_rad"] * np.nan,
+        ).assign_attrs(frame_N=FIELD_Z_LOCAL)
+    if not isinstance(local, SunAlongZ):
+        return result
+    best = [one.track.take(slice(0, 1)) for one in solved]
+    sun = np.concatenate([track.sun_B[0] for track in best])
+    covariance = np.concatenate([track.covariance[0, :, :3, :3] for track in best])
+    sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance, sun), 0.0))
+    about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
+    orbit = local.orbit
+    result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
+        orbit=orbit.elements[0].number,
+        orbit_name=printable(orbit.elements[0].name),
+        orbit_shift_s=orbit.shift_s,
+        orbit_drift_s_day=orbit.drift_s_day,
+        orbit_shift_sigma_s=float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
+    )
+    if not any(isinstance(term, KnownField) for term in seen.obs.terms):
+        return result
+    turned = {}
+    for name, time, pass_of in (
+        ("B_from_N", "time", "pass_of"),
+        ("curve_B_from_N", "curve_time", "curve_pass_of"),
+    ):
+        attitude = Rotation.from_quat(result[name].values).as_matrix()
+        attitude = attitude @ local.N_from_J2000(result[time].values)
+        quaternion = Rotation.from_matrix(attitude).as_quat()
+        quaternion = without_sign_jumps(quaternion, result[pass_of].values)
+        turned[name] = (time, "quaternion"), quaternion
+    return result.assign(turned).assign_attrs(frame_N=J2000)
 
 
 def spread_of(mean: np.ndarray, sigma: np.ndarray, probability: np.ndarray) -> np.ndarray:

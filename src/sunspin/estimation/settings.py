@@ -23,6 +23,18 @@ class PassSettings:
     longest_s: float = 3000.0
     """Longer passes are cut: over half an orbit the wandering of a rate is still small against a turn."""
 
+    longest_field_s: float = 1000.0
+    """The same if a magnetometer is read. Without an orbit, the field turns ever faster or slower for a sixth of one at most: over
+    half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
+
+    many: int = 500
+    """With an orbit passes are that short only if they would have more samples: kept samples 70 s apart, four turns at 21 deg/s, left
+    two of four undecided. Slow bodies, read every 10 s, need the longer pass."""
+
+    longest_dark_s: float = 300.0
+    """A pass goes on while panels show no Sun for less than this and a magnetometer reads on; the shadow of the Earth lasts longer. A
+    body with one panel that turned once in 28 s had a pass for each turn."""
+
     kept: int = 40
     """Samples of a pass that the search keeps, at most."""
 
@@ -236,3 +248,15 @@ LARGEST_TURNS = 1.5
 
 GYRO_ZEROS = tuple(np.radians([3.0, 0.95, 0.3, 0.095, 0.03, 0.003]).tolist())
 """rad/s by which the zero of a gyro may be off if the vehicle file states no sigma: equally likely; the last means not at all."""
+
+FIELD_TURN = 2.2e-3
+"""rad/s; a satellite in low orbit sees the Earth's field turn at about twice its own rate of 1.1e-3 rad/s."""
+
+EARTH_WIDER, EARTH_ZERO, EARTH_KNOWN = 1.5, 0.3, 0.25
+"""Relative to what panels that face away from the Sun read on average: prior sigma of the Earth's light as a vector, and of what a
+panel reads too much all the time. Last, the part of the light that an orbit leaves open in direction and change: clouds and coasts
+are where they are."""
+
+DIPOLE_SHARE, DIPOLE_MOST = 0.3, 1e-4
+"""Prior sigma of the acceleration by a magnetic dipole: s^-0.5, for each rad/s^1.5 of white angular acceleration (the two make a
+rate wander alike in ten seconds); and rad/s2, its limit: 0.005 A m2 on a 1U CubeSat."""

@@ -17,6 +17,9 @@ from sunspin.estimation.settings import SearchSettings, SolutionSettings
 from sunspin.estimation.terms.panels import Panels
 from sunspin.solve.rotations import rotation_between
 
+ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "clock", "panel_zero")
+"""Kinds of unknowns that are reported as they are."""
+
 MEAN_COUNTS = 0.05
 """Members of a solution with less than this share do not count in the sigma of its mean rate."""
 
@@ -215,6 +218,8 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
         share * member.fit.model.noise.hidden_variance(dt)
         for member, share in zip(group, shares, strict=True)
     )
+    # nor are axes of N that follow a field, of which it is not known how they turn
+    hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     residual = residuals_by_sensor(whole, model, fill.track, kept)
     fill.track.covariance[..., 3:, 3:] += hidden * np.eye(3)
 
@@ -252,7 +257,8 @@ def _off(motion: Track, other: Track) -> np.ndarray:
 def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
     """Return what was estimated with a motion: name -> unit, value, one sigma.
 
-    Gains are factors on those of the vehicle file, moments of inertia in units of the mean one.
+    Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
+    the pass in axes of N.
     """
     model: Model = one.model
     u, covariance = one.motions.u[place], one.u_covariance[place]
@@ -263,12 +269,19 @@ def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
         change = body.errors[:, i, j] @ every[model.of_body]
         rows[f"inertia_{'xyz'[i]}{'xyz'[j]}"] = "1", body.inertia[i, j], change
     for k, unknown in enumerate(model.unknowns):
-        if unknown.kind in ("steady_torque", "gyro_zero", "gyro_scale"):
+        if unknown.kind in ESTIMATED:
             rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
     for term, where in zip(model.obs.terms, model.of_terms, strict=True):
         if isinstance(term, Panels) and len(term.gain_errors):
+            errors = every[where][term.of_gains]
             for k, name in enumerate(term.names):
-                rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ every[where]
+                rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
+        if isinstance(term, Panels) and term.earth is not None:
+            earth, light = term.earth, every[where][len(term.gain_errors) :]
+            centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
+            change = earth.light_N.mean(axis=0).T @ light[earth.of_light]
+            for k, axis in enumerate("xyz"):
+                rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]
     return {
         name: (
             unit,

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import than a short pass
 
+from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.estimation.model import AS_STATED
 from sunspin.vehicle.timeline import utc_after
 
@@ -47,6 +48,15 @@ UPPER = 0.95
 """Probability of an upper limit of the speed."""
 
 SUN_ALONE = "only Sun directions were used: rotation about the Sun direction is constrained only by the dynamics"
+
+
+FIELD_ALONE = (
+    "magnetometer only, NO ORBIT: rates are relative to the field direction (itself rotating by about 0.1 deg/s, included in the "
+    "errors); inertial attitude and Sun direction are not available"
+)
+
+OTHER_SENSORS = ("gyro", "field", "attitude")
+"""Sensors other than the Sun's; the attributes say which were used."""
 
 
 class Misfit(NamedTuple):
@@ -357,7 +367,14 @@ def rates_words(result: xr.Dataset) -> str:
             f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
             "remove the wheel if it is at rest"
         )
-    if not attrs["gyro_used"]:
+    late, sigma = attrs["sensors_late_s"], attrs["sensors_late_sigma_s"]
+    if np.isfinite(late):
+        notes.append(
+            f"gyro, magnetometer and attitude are {late:.2f} +- {sigma:.2f} s late ({attrs['sensors_late_from']})"
+        )
+    if attrs["frame_N"] == FIELD_Z_LOCAL:
+        notes.append(FIELD_ALONE)
+    elif not any(attrs[f"{name}_used"] for name in OTHER_SENSORS):
         notes.append(SUN_ALONE)
         if count := attrs["no_sphere"]:
             notes.append(

@@ -1,4 +1,4 @@
-"""Sensors that feel how the body turns: the gyro."""
+"""Sensors of how the body turns in space: the gyro, and an attitude sensor."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
+from scipy.spatial.transform import Rotation
 from scipy.special import gamma
 
 from sunspin.estimation.model import Seen, Unknown
 from sunspin.estimation.settings import GYRO_ZEROS
-from sunspin.estimation.terms.term import FREEDOM, Residual, Starts, Term
+from sunspin.estimation.terms.term import FREEDOM, Residual, Starts, Term, gaussian
+from sunspin.solve.rotations import rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES
+
+WHOLE_TURNS = 20
+"""Whole turns between two attitudes that are tried either way, at most: the largest rate leaves fewer."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +136,78 @@ class Gyro(Term):
         rates = self.rate_B[sample : sample + 2]
         rates = rates[np.isfinite(rates).all(axis=1)]
         return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)
+
+
+@dataclass(frozen=True)
+class AttitudeChange(Term):
+    """Attitudes B_from_N (n, 3, 3) of some inertial frame at times `t_s` (n), NaN where not read, with one sigma (rad).
+
+    Only the turn between neighbours is used: which frame it is does not matter.
+    """
+
+    name: ClassVar[str] = "attitude"
+    label: ClassVar[str] = "attitude"
+    per_sample: ClassVar[tuple[str, ...]] = ("t_s", "B_from_N")
+
+    t_s: np.ndarray
+    B_from_N: np.ndarray
+    sigma_rad: float
+
+    @classmethod
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
+        """Return the attitudes of telemetry; None if it has none."""
+        if VARIABLES["attitude"] not in telemetry:
+            return None
+        quaternion = np.asarray(telemetry[VARIABLES["attitude"]], dtype=np.float64)
+        there = np.isfinite(quaternion).all(axis=1)
+        read = np.full((len(quaternion), 3, 3), np.nan)
+        read[there] = Rotation.from_quat(quaternion[there]).as_matrix().reshape(-1, 3, 3)
+        part = vehicle.sensors.with_columns.get("attitude")
+        t_s = np.asarray(telemetry["time"], dtype=np.float64)
+        return cls(t_s, read, part.sigma_rad if part is not None else np.inf)
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) are compared with the one before: both have a reading."""
+        read = np.isfinite(self.B_from_N[:, 0, 0]) & np.isfinite(self.sigma_rad)
+        return read & np.concatenate([[False], read[:-1]])
+
+    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the turn since the sample before less that of the attitudes: both nearly alike, so that turns add as vectors."""
+        there = self.present()
+        if not there.any():
+            return
+        before = np.concatenate([self.B_from_N[:1], self.B_from_N[:-1]])
+        given = self.B_from_N @ np.swapaxes(before, -1, -2)
+        given = np.where(there[:, None, None], given, np.eye(3))
+        previous = np.concatenate([seen.attitude[:, :1], seen.attitude[:, :-1]], axis=1)
+        relative = seen.attitude @ np.swapaxes(previous, -1, -2)
+        inverse = np.where(there, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
+        value = rotation_between(np.broadcast_to(given, relative.shape), relative) * inverse
+        by_turn = np.broadcast_to(np.eye(3) * inverse[..., None], relative.shape)
+        by_previous = -relative * inverse[..., None]
+        yield Residual(value, by_turn, by_previous=by_previous, law=gaussian)
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the attitudes with the drift of a start added to their errors."""
+        return replace(self, sigma_rad=float(np.hypot(self.sigma_rad, drift_rad.max())))
+
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the attitudes without one, and the log density of its comparisons among all turns, whose measure is 8 pi^2."""
+        there = self.present()
+        lost = int(there[sample]) + int(sample + 1 < len(there) and there[sample + 1])
+        filled = (2 * np.pi * 2 * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
+        read = self.B_from_N.copy()
+        read[sample] = np.nan
+        return replace(self, B_from_N=read), lost * min(float(np.log(filled)), 0.0)
+
+    def starts(self, sample: int) -> Starts:
+        """Return the rates of the turn from a sample to the next, with whole turns more and less."""
+        pair = self.B_from_N[sample : sample + 2]
+        if len(pair) < 2 or not np.isfinite(pair).all():
+            return Starts()
+        dt = self.t_s[sample + 1] - self.t_s[sample]
+        # a turn t of the body takes its attitude to exp(-[t x]) times it
+        angle = -Rotation.from_matrix(pair[1] @ pair[0].T).as_rotvec()
+        size = max(float(np.linalg.norm(angle)), 1e-9)
+        turns = 2 * np.pi * np.arange(-WHOLE_TURNS, WHOLE_TURNS + 1)[:, None]
+        return Starts(rates=angle / dt * (1 + turns / size))

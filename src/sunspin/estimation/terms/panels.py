@@ -9,15 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from sunspin.environment import Surroundings
 from sunspin.estimation.model import Seen, Unknown
 from sunspin.estimation.settings import INERTIA_SIGMAS
+from sunspin.estimation.terms.earth_light import EarthLight, pairs_differing
 from sunspin.estimation.terms.term import Residual, Term, facing
 from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.gains import FAINT
+from sunspin.telemetry.quality import LIMITED_SCALE
 from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
@@ -25,6 +29,14 @@ from sunspin.vehicle.response.planes import sphere
 
 AVERAGED = np.polynomial.legendre.leggauss(3)
 """Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+
+LEAST_LIT, DARK = 0.01, 0.03
+"""Part of the Sun's disc below which it is down; and what panels read in the shadow in addition to their noise, as a share of full
+Sun: zeros of converters."""
+
+UNKNOWN_SHARE = 0.09
+"""Light on a panel that looks at the Earth, in full Suns, if an orbit says where it comes from and the file does not say how much it
+is: what :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` of panels that face away from the Sun means."""
 
 FLAT, LOOKS = 1e-6, 500
 """Normals out of one plane by less than the first may see no difference between a Sun on either side of it; directions in which
@@ -67,12 +79,26 @@ class Panels(Term):
     `gain` (p): factors on the gains of the `response`; `gain_errors` (e, p): one sigma of each independent error of them.
     `scale` (n) with `scale_sigma` (n), relative: the factor of all readings of a sample. `names` (p); `ever_shown` (p): whether a
     panel counts in any sample of the file.
+
+    `earth_share`: the light on sides that look at the Earth, as a share of full Sun; `alone` (n, p): sigmas with that light as noise,
+    which count unless `earth`, the light of one pass, is modelled; `beside` (n, p): those that count then. `known_N` (n, 3): the
+    light that an orbit predicts, None without one. `lit` (n): the part of the Sun that is up; `dark_sigma` (n, p): of readings in
+    the shadow of the Earth.
     """
 
     name: ClassVar[str] = "panels"
     label: ClassVar[str] = "Sun"
     of_sun: ClassVar[bool] = True
-    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma")
+    per_sample: ClassVar[tuple[str, ...]] = (
+        "power",
+        "sigma",
+        "alone",
+        "beside",
+        "dark_sigma",
+        "scale",
+        "scale_sigma",
+        "lit",
+    )
 
     power: np.ndarray
     sigma: np.ndarray
@@ -84,6 +110,13 @@ class Panels(Term):
     names: tuple[str, ...]
     instants: Instants
     ever_shown: np.ndarray
+    alone: np.ndarray
+    beside: np.ndarray
+    dark_sigma: np.ndarray
+    lit: np.ndarray
+    earth_share: float = 0.0
+    known_N: np.ndarray | None = None
+    earth: EarthLight | None = None
 
     @classmethod
     def read(cls, assessment: Assessment) -> tuple[Self, np.ndarray]:
@@ -92,6 +125,8 @@ class Panels(Term):
         # the factor of Cholesky parts the errors of the gains into independent ones
         errors = np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.input_gains
         shown = quality["reading"].values & ~quality["dead"].values
+        zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
+        dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
             signals(assessment.telemetry),
             quality["sigma"].values,
@@ -103,6 +138,11 @@ class Panels(Term):
             vehicle.input_names,
             Instants.of(vehicle),
             shown.any(axis=0),
+            quality["sigma"].values,
+            quality["sigma_beside_earth"].values,
+            np.where(shown, dark, np.inf),
+            np.ones(len(shown)),
+            quality.attrs["earth_light"],
         )
         return panels, quality["why"].values.astype(object)
 
@@ -112,9 +152,48 @@ class Panels(Term):
         silent = np.flatnonzero(~self.ever_shown)
         return tuple(self.names[k] for k in silent) if len(silent) < len(self.names) else ()
 
+    def placed(self, here: Surroundings) -> Self:
+        """Return the panels with the Sun up or down, and the Earth's light where an orbit knows it.
+
+        In the shadow panels must be dark, and say no more. Where the shift of the orbit leaves open whether the Sun is up, the
+        brightness of the sample is free.
+        """
+        placed = self
+        if here.albedo_light_N is not None:
+            # without opposite panels the file does not say how much light there is
+            share = self.earth_share or UNKNOWN_SHARE
+            placed = replace(self, known_N=here.albedo_light_N, earth_share=share)
+        if here.lit is None or here.lit_sigma is None:
+            return placed
+        dark = here.lit + here.lit_sigma < LEAST_LIT
+        open_still = ~dark & (here.lit - here.lit_sigma < 1 - LEAST_LIT)
+        free = np.maximum(self.scale_sigma, LIMITED_SCALE)
+        return replace(
+            placed,
+            lit=np.where(dark, 0.0, 1.0),
+            scale_sigma=np.where(open_still, free, self.scale_sigma),
+            **{
+                name: np.where(dark[:, None], self.dark_sigma, getattr(self, name))
+                for name in ("sigma", "alone", "beside")
+            },
+        )
+
+    def of_pass(self, t_s: np.ndarray) -> Self:
+        """Return the panels with the Earth's light as an unknown, unless it is faint."""
+        if self.earth_share <= FAINT:
+            return self
+        earth = EarthLight.prior(t_s, self.earth_share, self.full, self.known_N)
+        return replace(self, sigma=self.beside, earth=earth)
+
+    def take(self, samples: Any) -> Self:
+        """Return the panels at some samples."""
+        known = None if self.known_N is None else self.known_N[samples]
+        earth = None if self.earth is None else self.earth.take(samples)
+        return replace(super().take(samples), known_N=known, earth=earth)
+
     def present(self) -> np.ndarray:
-        """Return which samples (n) have a reading that counts."""
-        return np.any(np.isfinite(self.sigma), axis=1)
+        """Return which samples (n) have a reading that counts, and the Sun up."""
+        return np.any(np.isfinite(self.sigma), axis=1) & (self.lit > 0)
 
     def freedom(self) -> np.ndarray:
         """Return how many panels of each sample (n) were read."""
@@ -126,18 +205,56 @@ class Panels(Term):
         return self.gain * self.response.power(self.response.facing_B).diagonal()
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the errors of the gains."""
+        """Return the errors of the gains, and those of the Earth's light."""
         sizes = np.linalg.norm(self.gain_errors, axis=1)
-        return tuple(
+        gains = tuple(
             Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, INERTIA_SIGMAS)
             for i, size in enumerate(sizes)
         )
+        return gains if self.earth is None else (*gains, *self.earth.unknowns(self.names))
+
+    @property
+    def of_gains(self) -> slice:
+        """Return where the errors of the gains stand among the unknowns; those of the Earth's light follow."""
+        return slice(0, len(self.gain_errors))
+
+    def begin(self, seen: Seen, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light told from the Sun's."""
+        attitude, u = super().begin(seen, about_sun)
+        if self.earth is None:
+            return attitude, u
+        earth = slice(len(self.gain_errors), None)
+
+        def cost(light: np.ndarray, turned: np.ndarray) -> np.ndarray:
+            trial = u.copy()
+            trial[:, earth] = light
+            (residual,) = self.residuals(Seen(turned, seen.omega), trial)
+            return residual.law(residual.value)[0].sum(axis=1)
+
+        attitude, u[:, earth] = self.earth.begin(attitude, cost, about_sun)
+        return attitude, u
 
     def for_search(self) -> list[Self]:
-        """Return the panels with known gains, whose readings are as uncertain as the gains make them; in one plane also others."""
+        """Return the panels with known gains, whose readings are as uncertain as the gains make them; in one plane also others.
+
+        Under the Earth's light only the differences of opposite panels count, and no panel is brighter than its sample by that light.
+        """
         relative = np.linalg.norm(self.gain_errors, axis=0) / np.maximum(self.gain, 1e-300)
-        sigma = np.hypot(self.sigma, np.nan_to_num(self.power) * relative)
-        loose = replace(self, sigma=sigma, gain_errors=self.gain_errors[:0])
+        power, sigma, scale_sigma = self.power, self.alone, self.scale_sigma
+        if self.earth is not None:
+            power, sigma = pairs_differing(
+                self.response.facing_B, self.full, (self.power, self.beside), self.alone
+            )
+            scale_sigma = np.hypot(scale_sigma, self.earth_share)
+        sigma = np.hypot(sigma, np.nan_to_num(power) * relative)
+        loose = replace(
+            self,
+            power=power,
+            sigma=sigma,
+            scale_sigma=scale_sigma,
+            gain_errors=self.gain_errors[:0],
+            earth=None,
+        )
         if self.blind_axis() is None:
             return [loose]
         # In one plane, panels whose brightest samples do not look like full Sun were never faced by it, or have a wrong full scale.
@@ -149,10 +266,10 @@ class Panels(Term):
         )
 
     def held(self, u: np.ndarray) -> Self:
-        """Return the panels with gains that are known to be off by u (e) sigmas."""
-        return replace(
-            self, gain=self.gain + u @ self.gain_errors, gain_errors=self.gain_errors[:0]
-        )
+        """Return the panels with gains that are known to be off by u (m) sigmas, and the Earth's light as a search has it."""
+        gain = self.gain + u[self.of_gains] @ self.gain_errors
+        known = replace(self, gain=gain, gain_errors=self.gain_errors[:0])
+        return known if self.earth is None else known.for_search()[0]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the panels with what a drift of the start changes at most added to their errors."""
@@ -189,19 +306,31 @@ class Panels(Term):
         """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
         around = facing(sphere(EVERYWHERE))[:, None]
         seen = Seen(around, np.zeros((EVERYWHERE, 1, 3)))
-        alone = replace(self.take(slice(sample, sample + 1)), gain_errors=self.gain_errors[:0])
+        alone = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
         (residual,) = alone.residuals(seen, np.zeros((EVERYWHERE, 0)))
         cost = residual.law(residual.value)[0][:, 0]
-        sigma = self.sigma.copy()
-        sigma[sample] = np.inf
-        return replace(self, sigma=sigma), float(np.log(np.exp(-cost).mean()))
+        names = "sigma", "alone", "beside"
+        sigmas = {name: getattr(self, name).copy() for name in names}
+        for sigma in sigmas.values():
+            sigma[sample] = np.inf
+        return replace(self, **sigmas), float(np.log(np.exp(-cost).mean()))
 
     def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""
-        gain = (self.gain + u @ self.gain_errors)[:, None]
+        if not np.isfinite(self.sigma).any():
+            return
+        gain = (self.gain + u[:, self.of_gains] @ self.gain_errors)[:, None]
         light, by_turn = self._light(seen, gain)
-        by_u = (light / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
-        change = np.concatenate([by_turn, by_u], axis=-1)
+        light, by_turn, parts = light * self.lit[:, None], by_turn * self.lit[:, None, None], []
+        added = 0.0
+        if self.earth is not None:
+            of_earth = u[:, len(self.gain_errors) :]
+            more, by_state = self.earth.on_panels(self.response, gain, seen.attitude, of_earth)
+            light, by_turn = light + more, by_turn + by_state[..., :3]
+            parts, added = [by_state[..., 3:]], self.earth.zero(of_earth)
+        by_gain = (light / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
+        light = light + added
+        change = np.concatenate([by_turn, by_gain, *parts], axis=-1)
 
         # shape: what a factor of one would read, in sigmas; target: what was read
         inverse = np.where(np.isfinite(self.sigma), 1 / self.sigma, 0.0)

@@ -28,16 +28,23 @@ def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM), (FREEDOM + 2) / (FREEDOM + square)
 
 
+def gaussian(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return cost and weight (...) of readings (..., r) with normally distributed errors."""
+    return np.einsum("...r,...r->...", value, value) / 2, np.ones(value.shape[:-1])
+
+
 class Residual(NamedTuple):
     """Differences of predictions from readings in stated sigmas, with derivatives.
 
     `value` (K, n, r), zero where nothing was read; `by_turn` (K, n, r, 3) by a turn of the body at the sample (rad, B); `by_rate`
-    (K, n, r, 3) by its rate; `by_u` (K, n, r, m) by one sigma of each of the term's unknowns. None: it does not depend on that.
+    (K, n, r, 3) by its rate; `by_previous` (K, n, r, 3) by a turn at the sample before, for a term that compares neighbours;
+    `by_u` (K, n, r, m) by one sigma of each of the term's unknowns. None: it does not depend on that.
     """
 
     value: np.ndarray
     by_turn: np.ndarray | None = None
     by_rate: np.ndarray | None = None
+    by_previous: np.ndarray | None = None
     by_u: np.ndarray | None = None
     law: Law = student
 
@@ -64,8 +71,16 @@ class Term:
     """What a person calls it; terms that see the same thing share it."""
     of_sun: ClassVar[bool] = False
     """Whether it shows the direction to the Sun."""
+    about_sun: ClassVar[bool] = False
+    """Whether it shows the turn about the Sun."""
     per_sample: ClassVar[tuple[str, ...]] = ()
     """Its arrays whose first axis are the samples."""
+    axes_rad_s: ClassVar[float] = 0.0
+    """How fast the axes of N turn in space, at most, if they follow what this term reads."""
+
+    def of_pass(self, t_s: np.ndarray) -> Self:
+        """Return the term at the times (n) of one pass, with what is estimated of it there."""
+        return self
 
     def take(self, samples: Any) -> Self:
         """Return the term of some samples."""
@@ -91,6 +106,21 @@ class Term:
         """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds in intervals dt; None if it is no torque."""
         return None
 
+    def pushed(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+        """Return turn and rate (K, n - 1, 6) that a known torque adds in intervals dt; None if there is none."""
+        return None
+
+    def under(self, acceleration: float) -> Self:
+        """Return the term of a body on which unknown torques of this strength act (rad/s^1.5)."""
+        return self
+
+    def begin(self, seen: Seen, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit of motions that a search has found begins.
+
+        `about_sun`: the turn about the Sun is known already.
+        """
+        return seen.attitude, np.zeros((len(seen.omega), len(self.unknowns())))
+
     def for_search(self) -> list[Self]:
         """Return the term without unknowns, trusted no further than they allow; several if its readings may mean several things."""
         return [self]
@@ -113,6 +143,16 @@ class Term:
     def starts(self, sample: int) -> Starts:
         """Return what it knows at a sample and the next one."""
         return Starts()
+
+
+def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
+    """Return one sigma (n, 6, 3) of each unknown of a vector that drifts evenly over a pass at times (n).
+
+    They are its three components at the mean time, and the drift of each, which is as fast as a turn at this rate.
+    """
+    away = rate_rad_s * (t_s - t_s.mean())
+    sizes = sigma * np.stack([np.ones(len(t_s)), away], axis=1)
+    return (sizes[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
 
 
 def facing(sun_B: np.ndarray) -> np.ndarray:

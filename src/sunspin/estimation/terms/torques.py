@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.settings import DIPOLE_MOST, DIPOLE_SHARE
 from sunspin.estimation.terms.term import Term
-from sunspin.solve.rotations import cross_matrix
+from sunspin.solve.rotations import cross, cross_matrix, rotate_attitude
 
 Frame = Literal["B", "N"]
 
 WORDS: dict[Frame, str] = {"B": "body axes", "N": "axes fixed in space"}
 """In which axes a torque is constant, in words."""
+
+INSTANTS = np.polynomial.legendre.leggauss(5)
+"""Instants, from -1 to 1, and weights for a mean over an interval in which a slow body turns by less than a revolution."""
 
 SERIES = 12
 """Terms of the exponential series of matrices of norm a half, whose remainder is 1e-14."""
@@ -82,6 +86,160 @@ class ConstantTorque(Term):
             change[..., 6:, 6:] = -turning
         push = self.sigma * exponential(change * dt[:, None, None])[..., :6, 6:]
         return push if self.frame == "B" else push @ seen.attitude[:, :-1]
+
+
+@dataclass(frozen=True)
+class MagneticTorque(Term):
+    """The torque of a magnetic dipole fixed in the body, in a field fixed in N.
+
+    A CubeSat's residual dipole accelerates it by 1e-6 to 1e-4 rad/s2, the same way for minutes, while white angular acceleration of
+    the same size averages out. `field_N` (n, 3): the field in units of its usual size, if an orbit knows it; then the three components
+    of the dipole are unknown. Else dipole and field are both unknown, and the torque is linear in the nine products of their
+    components. `sigma` (rad/s2): that of the acceleration, zero if none is modelled.
+    """
+
+    name: ClassVar[str] = "magnetic_torque"
+    label: ClassVar[str] = "magnetic torque"
+
+    sigma: float = 0.0
+    field_N: np.ndarray | None = None
+
+    @classmethod
+    def in_field(cls, field_N: np.ndarray | None) -> MagneticTorque:
+        """Return the torque in a field (n, 3) in any unit, or in an unknown one."""
+        if field_N is None:
+            return cls()
+        return cls(field_N=field_N / np.median(np.linalg.norm(field_N, axis=1)))
+
+    def take(self, samples: Any) -> MagneticTorque:
+        """Return the torque at some samples."""
+        return self if self.field_N is None else replace(self, field_N=self.field_N[samples])
+
+    def under(self, acceleration: float) -> MagneticTorque:
+        """Return the torque that goes with white angular acceleration of this strength (rad/s^1.5).
+
+        Stronger white noise than goes with the largest dipole stands for something else.
+        """
+        return replace(self, sigma=min(DIPOLE_SHARE * acceleration, DIPOLE_MOST))
+
+    def for_search(self) -> list[MagneticTorque]:
+        """Return none: a search has strong unknown torques."""
+        return [replace(self, sigma=0.0)]
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the components of the dipole, or their products with those of the field."""
+        if not self.sigma:
+            return ()
+        if self.field_N is not None:
+            # a dipole and a direction at random: m x b has a variance of two
+            size, names = self.sigma / np.sqrt(2), [f"dipole_{axis}" for axis in "xyz"]
+        else:
+            # products of a variance of one give a torque of six
+            size = self.sigma / np.sqrt(6)
+            names = [f"magnetic_{dipole}{axis}" for dipole in "xyz" for axis in "xyz"]
+        return tuple(
+            Unknown(name, "magnetic_torque", "rad/s2", 0.0, size, i) for i, name in enumerate(names)
+        )
+
+    def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+        """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds, by the attitude averaged over each interval.
+
+        The body keeps its first rate: if it turns several times between two samples only the field along the axis is left, and the
+        torque along the axis averages out.
+        """
+        if not self.sigma:
+            return None
+        span, (even, early) = dt[:, None, None], averaged_attitudes(seen, dt)
+        if self.field_N is None:
+            size, each = self.sigma / np.sqrt(6), (_products(early), _products(even))
+        else:
+            first, last = self.field_N[:-1], self.field_N[1:]
+            fields = (early, (2 * first + last) / 3), (even, (first + last) / 2)
+            size = self.sigma / np.sqrt(2)
+            # e_j x b is what the matrix of -b x does to e_j
+            each = tuple(-cross_matrix(np.einsum("knij,nj->kni", *pair)) for pair in fields)
+        return size * np.concatenate([span**2 / 2 * each[0], span * each[1]], axis=2)
+
+
+def averaged_attitudes(seen: Seen, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return attitudes (K, n - 1, 3, 3) averaged over each interval of a body that keeps its first rate.
+
+    Evenly, and with a weight that falls evenly to zero at the end: what happens early turns the body longer. The averages of
+    exp(-[v x] u), v being the turn, over u from 0 to 1 are closed.
+    """
+    angle = seen.omega[:, :-1] * dt[:, None]
+    x = np.linalg.norm(angle, axis=-1)[..., None, None]
+    axis = angle[..., None, :] / np.maximum(x, 1e-300)
+    across, along = cross_matrix(axis[..., 0, :]), np.swapaxes(axis, -1, -2) @ axis
+    whole, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi)) ** 2
+    # mean sine and cosine of the turn under both weights
+    averages = (x / 2 * half, whole), (2 * (1 - whole) / np.maximum(x, 1e-300), half)
+    even, early = (
+        (cosine * np.eye(3) + (1 - cosine) * along - sine * across) @ seen.attitude[:, :-1]
+        for sine, cosine in averages
+    )
+    return even, early
+
+
+def _products(attitude: np.ndarray) -> np.ndarray:
+    """Return e_j x A e_l (..., 3, 9) for all j and l."""
+    pull = np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude)
+    return pull.reshape(*attitude.shape[:-1], 9)
+
+
+@dataclass(frozen=True)
+class StatedDipole(Term):
+    """The torque of a dipole that the vehicle file states, in the field that a magnetometer reads.
+
+    `dipole` (3): the angular acceleration is dipole x field, in rad/s2 per unit of the magnetometer; `field_B` (n, 3), zero where it
+    read nothing. Between two samples the field is linear in the body, which holds to a few percent up to 40 degrees of turn.
+    """
+
+    name: ClassVar[str] = "dipole"
+    label: ClassVar[str] = "dipole"
+    per_sample: ClassVar[tuple[str, ...]] = ("field_B",)
+
+    dipole: np.ndarray
+    field_B: np.ndarray
+
+    def pushed(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+        """Return turn and rate (K, n - 1, 6) that the torque adds in intervals dt."""
+        pull, span = np.cross(self.dipole, self.field_B), dt[:, None]
+        first, last = pull[:-1], pull[1:]
+        added = [span**2 * (2 * first + last) / 6, span * (first + last) / 2]
+        return np.broadcast_to(
+            np.concatenate(added, axis=1), (*seen.omega[:, 1:].shape[:2], 6)
+        )
+
+
+@dataclass(frozen=True)
+class GravityGradient(Term):
+    """The torque 3 n^2 nadir x (I nadir) of the Earth's attraction, equation (23) of docs/model.md.
+
+    `nadir_N` (n, 3); `strength` (n): 3 n^2 in 1/s2; `inertia` (3, 3) in mean moments.
+    """
+
+    name: ClassVar[str] = "gravity_gradient"
+    label: ClassVar[str] = "gravity gradient"
+    about_sun: ClassVar[bool] = True
+    per_sample: ClassVar[tuple[str, ...]] = ("nadir_N", "strength")
+
+    nadir_N: np.ndarray
+    strength: np.ndarray
+    inertia: np.ndarray
+
+    def pushed(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+        """Return turn and rate (K, n - 1, 6) that the torque adds, summed over instants of a body that keeps its first rate."""
+        inverse, added = np.linalg.inv(self.inertia), 0.0
+        for place, weight in zip(*INSTANTS, strict=True):
+            share = (1 + place) / 2
+            attitude = rotate_attitude(seen.attitude[:, :-1], share * dt[:, None] * seen.omega[:, :-1])
+            nadir = (1 - share) * self.nadir_N[:-1] + share * self.nadir_N[1:]
+            nadir_B = np.einsum("knij,nj->kni", attitude, nadir)
+            torque = self.strength[:-1, None] * cross(nadir_B, nadir_B @ self.inertia)
+            change = weight / 2 * dt[:, None] * (torque @ inverse)
+            added = added + np.concatenate([(1 - share) * dt[:, None] * change, change], axis=-1)
+        return np.asarray(added)
 
 
 def exponential(matrix: np.ndarray) -> np.ndarray:

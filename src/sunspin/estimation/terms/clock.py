@@ -1,0 +1,39 @@
+"""How late the sensors other than the Sun's are behind the Sun of their row: one number, estimated with the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+from sunspin.estimation.model import Unknown
+from sunspin.estimation.terms.term import Term
+from sunspin.vehicle.sensors import Clock
+
+
+@dataclass(frozen=True)
+class Lateness(Term):
+    """Gyro, magnetometer and attitude of a row are `late_s` (s) older than its Sun, with the sigma `sigma_s` (s) of that.
+
+    It reads nothing: a fit moves a motion back by so much before it asks these sensors.
+    """
+
+    name: ClassVar[str] = "clock"
+    label: ClassVar[str] = "clock"
+
+    late_s: float
+    sigma_s: float
+
+    @classmethod
+    def of(cls, clock: Clock) -> Self:
+        """Return what the vehicle file states."""
+        return cls(clock.late_s, clock.sigma_s)
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the lateness, unless it is known exactly."""
+        if not self.sigma_s:
+            return ()
+        return (Unknown("late_s", "clock", "s", self.late_s, self.sigma_s),)
+
+    def for_search(self) -> list[Self]:
+        """Return none: a search takes the sensors for prompt, as it takes them for no better than its starts."""
+        return [replace(self, late_s=0.0, sigma_s=0.0)]
