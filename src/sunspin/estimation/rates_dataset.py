@@ -131,7 +131,8 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
-    read = {term.name for term in seen.obs.terms if term.present()[used].any()}
+    sensors = [term for term in seen.obs.terms if term.name in OTHER_SENSORS]
+    read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
     untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
     return attrs | {"wheels_untold": ", ".join(untold)}
