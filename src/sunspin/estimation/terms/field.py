@@ -195,26 +195,30 @@ class FieldChange(Term):
         before = np.concatenate([read[:1], read[:-1]])
         previous = np.concatenate([seen.attitude[:, :1], seen.attitude[:, :-1]], axis=1)
         relative = seen.attitude @ np.swapaxes(previous, -1, -2)
-        carried = np.einsum("knij,nj->kni", relative, before)
-        value = (carried - read) * inverse
+        errors, by_u = np.zeros((len(u), *read.shape)), None
+        drift = np.zeros_like(errors)
+        if u.size:
+            # one sigma of each error of the sensor: zero, and elements of the matrix row by row
+            own = np.broadcast_to(self.zero_B.T, (len(read), 3, len(self.zero_B)))
+            if self.matrix_sigma:
+                rows = np.einsum("ij,nk->nijk", np.eye(3), read).reshape(-1, 3, 9)
+                own = np.concatenate([own, self.matrix_sigma * rows], axis=-1)
+            dt = np.diff(self.t_s, prepend=self.t_s[0])[:, None, None]
+            by_drift = np.concatenate([self.drift_N[:1], self.drift_N[:-1]]) * dt
+            by_drift = np.einsum("knij,nmj->knim", seen.attitude, by_drift)
+            of_drift = slice(0, by_drift.shape[-1])
+            drift = np.einsum("knim,km->kni", by_drift, u[:, of_drift])
+            errors = np.einsum("nim,km->kni", own, u[:, of_drift.stop :])
+            # what a sensor reads too much stays where it is while the field is carried on
+            before_own = np.concatenate([own[:1], own[:-1]])
+            by_u = np.concatenate([by_drift, own - relative @ before_own], axis=-1)
+            by_u = by_u * inverse[..., None]
+        start = before - np.concatenate([errors[:, :1], errors[:, :-1]], axis=1)
+        carried = (relative @ start[..., None])[..., 0] + drift
+        value = (carried - read + errors) * inverse
         # a turn t moves a vector v of space by v x t
         by_turn = cross_matrix(carried) * inverse[..., None]
-        by_previous = -relative @ cross_matrix(before) * inverse[..., None]
-        if not u.size:
-            yield Residual(value, by_turn, by_previous=by_previous, law=gaussian)
-            return
-        dt = np.diff(self.t_s, prepend=self.t_s[0])[:, None, None]
-        drift = np.concatenate([self.drift_N[:1], self.drift_N[:-1]])
-        drift = np.einsum("knij,nmj->knim", seen.attitude, drift) * dt
-        # a zero stays where it is while the field is carried on
-        zero = self.zero_B.T - relative @ self.zero_B.T
-        columns = [drift, zero]
-        if self.matrix_sigma:  # the elements of the matrix, row by row
-            rows = np.einsum("ij,nk->nijk", np.eye(3), read).reshape(-1, 3, 9)
-            rows_before = np.concatenate([rows[:1], rows[:-1]])
-            columns.append(self.matrix_sigma * (rows - relative @ rows_before))
-        by_u = np.concatenate(columns, axis=-1) * inverse[..., None]
-        value = value + np.einsum("knim,km->kni", by_u, u)
+        by_previous = -relative @ cross_matrix(start) * inverse[..., None]
         yield Residual(value, by_turn, by_previous=by_previous, by_u=by_u, law=gaussian)
 
     def for_search(self) -> list[Self]:
