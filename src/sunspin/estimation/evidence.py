@@ -67,8 +67,8 @@ def ladder(
     """
     if not len(motions):
         return []
-    start = _kept(fit(model.under(begin), motions, s.first_steps), s, copies)
-    fits = [start] if begin in s.rungs and len(start) else []
+    start, shared = _fitted(model.under(begin), motions, s.first_steps, s, copies)
+    fits = [shared] if begin in s.rungs and len(start) else []
     above = sorted(rung for rung in s.rungs if rung > begin)
     below = sorted((rung for rung in s.rungs if rung < begin), reverse=True)
     for path in (above, below):
@@ -76,15 +76,28 @@ def ladder(
         for rung in path:
             for level in _levels(last, rung, s.cooling):
                 under = model.under(level)
-                now = _kept(fit(under, _restated(now, under), s.steps), s, copies)
+                now, shared = _fitted(under, _restated(now, under), s.steps, s, copies)
             last = rung
             if not len(now):
                 break
-            fits.append(now)
+            fits.append(shared)
             best = max(rival, *(float(one.log_evidence.max()) for one in fits))
-            if now.log_evidence.max() < best - s.hopeless:
+            if shared.log_evidence.max() < best - s.hopeless:
                 break
-    return [over_shares(one, s.beyond_fit) for one in fits]
+    return fits
+
+
+def _fitted(
+    model: Model, motions: Track, steps: int, s: LadderSettings, copies: SearchSettings
+) -> tuple[Fit, Fit]:
+    """Return the fit of motions without copies and hopeless ones, and the same with the shares of its unknowns' sigmas summed.
+
+    What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
+    """
+    one = fit(model, motions, steps)
+    shared = over_shares(one, s.beyond_fit)
+    which = _distinct(shared, s, copies)
+    return one.take(which), shared.take(which)
 
 
 def _restated(now: Fit, under: Model) -> Track:
@@ -101,13 +114,10 @@ def _levels(last: float, rung: float, cooling: float) -> list[float]:
     return [*np.geomspace(last, rung, count + 1)[1:-1].tolist(), rung]
 
 
-def _kept(one: Fit, s: LadderSettings, copies: SearchSettings) -> Fit:
-    """Return a fit without copies and without hopeless motions, the most probable first."""
-    t_s = one.model.obs.t_s
-    apart = copies.copies_rad, copies.copies_sigmas
-    return one.take(
-        distinct(one.motions, t_s, copies.most, s.hopeless, *apart, order_by=-one.log_evidence)
-    )
+def _distinct(one: Fit, s: LadderSettings, copies: SearchSettings) -> np.ndarray:
+    """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
+    t_s, apart = one.model.obs.t_s, (copies.copies_rad, copies.copies_sigmas)
+    return distinct(one.motions, t_s, copies.most, s.hopeless, *apart, order_by=-one.log_evidence)
 
 
 def over_shares(one: Fit, beyond_fit: float) -> Fit:
@@ -209,7 +219,8 @@ def united(fits: Sequence[Fit], s: LadderSettings, copies: SearchSettings) -> li
     groups: dict[tuple[str, float], list[Fit]] = {}
     for one in fits:
         groups.setdefault((one.model.what, one.model.noise.acceleration), []).append(one)
-    return [_kept(_joined(group), s, copies) for group in groups.values()]
+    joined = [_joined(group) for group in groups.values()]
+    return [one.take(_distinct(one, s, copies)) for one in joined]
 
 
 def _joined(fits: list[Fit]) -> Fit:
