@@ -207,7 +207,7 @@ def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     seen = motions(rng, size=1.0, count=1)
     seen = replace(seen, omega=np.repeat(size * seen.omega[:, :1], N, axis=1))
     direction = np.array([0.3, -0.4, 1.2])
-    term = MagneticTorque.in_field(np.tile(direction, (N, 1)) if known else None).under(1e-4)
+    term = MagneticTorque.in_field(np.tile(direction, (N, 1)) if known else None)
     dt = np.diff(T_S)
     push = term.pushes(seen, dt)[0, 3]
     share = (np.arange(4000) + 0.5) / 4000

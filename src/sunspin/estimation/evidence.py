@@ -20,6 +20,10 @@ from sunspin.estimation.settings import LadderSettings, SearchSettings
 from sunspin.solve.rotations import rotate_attitude
 
 
+TORQUES = ("steady_torque", "magnetic_torque")
+"""Kinds of unknowns that turn the body far, so that its answer is linear only near the fit."""
+
+
 @dataclass(frozen=True)
 class PassFits:
     """All fits of one pass.
@@ -133,47 +137,55 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
             groups.setdefault(unknown.kind, []).append(i)
     if not groups or not len(one):
         return one
-    u, m = one.motions.u, len(one.model.unknowns)
-    precision = np.linalg.pinv(one.u_covariance, hermitian=True)
+    # only these unknowns (g) change: of all others the answer to them is known
+    shared = np.concatenate([*groups.values()])
+    place = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
+    u = one.motions.u[:, shared]
+    precision = np.linalg.pinv(one.u_covariance[:, shared[:, None], shared], hermitian=True)
     slope = (precision @ u[..., None])[..., 0]
-    before = np.linalg.slogdet(precision)[1] - np.einsum("km,km->k", slope, u)
+    before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
 
     gains, means, covariances = [], [], []
     for shares in product(*(one.model.unknowns[group[0]].shares for group in groups.values())):
-        added, log_size, allowed = np.zeros(m), 0.0, np.ones(len(one), dtype=bool)
-        for share, (kind, places) in zip(shares, groups.items(), strict=True):
-            added[places] = 1 / share**2 - 1
-            log_size += len(places) * np.log(share)
-            if kind == "steady_torque":
-                size = np.abs(u[:, places]).max(axis=1)
-                least = min(one.model.unknowns[places[0]].shares)
+        added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(one), dtype=bool)
+        for share, (kind, group) in zip(shares, groups.items(), strict=True):
+            added[place[kind]] = 1 / share**2 - 1
+            log_size += len(group) * np.log(share)
+            if kind in TORQUES:
+                size = np.abs(u[:, place[kind]]).max(axis=1)
+                least = min(one.model.unknowns[group[0]].shares)
                 allowed &= share <= beyond_fit * np.maximum(size, least)
         matrix = precision + np.diag(added)
         covariance = np.linalg.inv(matrix)
         mean = (covariance @ slope[..., None])[..., 0]
-        after = np.linalg.slogdet(matrix)[1] - np.einsum("km,km->k", slope, mean)
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)
         gains.append(np.where(allowed, (before - after) / 2 - log_size, -np.inf))
         means.append(mean)
         covariances.append(covariance)
     gain, mean, covariance = np.array(gains), np.array(means), np.array(covariances)
 
     weight = np.exp(gain - logsumexp(gain, axis=0))
-    centre = np.einsum("ck,ckm->km", weight, mean)
+    centre = np.einsum("ck,ckg->kg", weight, mean)
     off = mean - centre
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
-    # states follow the unknowns by their answer
-    shift = np.einsum("knim,km->kni", one.answer, centre - u)
-    answer_T = np.swapaxes(one.answer, -1, -2)
-    states = one.motions.covariance + one.answer @ (spread - one.u_covariance)[:, None] @ answer_T
+    # all unknowns follow the shared ones by their covariance, and states the unknowns by their answer
+    answer = one.u_covariance[:, :, shared] @ precision
+    moved = (answer @ (centre - u)[..., None])[..., 0]
+    changed = answer @ (spread - one.u_covariance[:, shared[:, None], shared])
+    changed = changed @ np.swapaxes(answer, -1, -2)
+    shift = np.einsum("knim,km->kni", one.answer, moved)
+    states = one.motions.covariance + one.answer @ changed[:, None] @ np.swapaxes(
+        one.answer, -1, -2
+    )
     motions = Track(
         rotate_attitude(one.motions.attitude, shift[..., :3]),
         one.motions.omega + shift[..., 3:],
-        centre,
+        one.motions.u + moved,
         one.motions.cost,
         states,
     )
     log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
-    return Fit(one.model, motions, log_evidence, spread, one.answer)
+    return Fit(one.model, motions, log_evidence, one.u_covariance + changed, one.answer)
 
 
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:

@@ -257,6 +257,5 @@ EARTH_WIDER, EARTH_ZERO, EARTH_KNOWN = 1.5, 0.3, 0.25
 panel reads too much all the time. Last, the part of the light that an orbit leaves open in direction and change: clouds and coasts
 are where they are."""
 
-DIPOLE_SHARE, DIPOLE_MOST = 0.3, 1e-4
-"""Prior sigma of the acceleration by a magnetic dipole: s^-0.5, for each rad/s^1.5 of white angular acceleration (the two make a
-rate wander alike in ten seconds); and rad/s2, its limit: 0.005 A m2 on a 1U CubeSat."""
+DIPOLE_SIZES = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
+"""rad/s2; sigmas of the acceleration by an unknown magnetic dipole, equally likely: 0.005 A m2 on a 1U CubeSat make the first."""

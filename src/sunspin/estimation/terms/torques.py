@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from sunspin.estimation.model import Seen, Unknown
-from sunspin.estimation.settings import DIPOLE_MOST, DIPOLE_SHARE
+from sunspin.estimation.settings import DIPOLE_SIZES
 from sunspin.estimation.terms.term import Term
 from sunspin.solve.rotations import cross, cross_matrix, rotate_attitude
 
@@ -95,14 +95,15 @@ class MagneticTorque(Term):
     A CubeSat's residual dipole accelerates it by 1e-6 to 1e-4 rad/s2, the same way for minutes, while white angular acceleration of
     the same size averages out. `field_N` (n, 3): the field in units of its usual size, if an orbit knows it; then the three components
     of the dipole are unknown. Else dipole and field are both unknown, and the torque is linear in the nine products of their
-    components. `sigma` (rad/s2): that of the acceleration, zero if none is modelled.
+    components. `sigma` (rad/s2): that of the acceleration by the largest dipole, zero if none is modelled; a dipole is not known to a
+    power of ten, so smaller ones are equally likely.
     """
 
     name: ClassVar[str] = "magnetic_torque"
     label: ClassVar[str] = "magnetic torque"
 
-    sigma: float = 0.0
     field_N: np.ndarray | None = None
+    sigma: float = DIPOLE_SIZES[0]
 
     @classmethod
     def in_field(cls, field_N: np.ndarray | None) -> MagneticTorque:
@@ -115,13 +116,6 @@ class MagneticTorque(Term):
         """Return the torque at some samples."""
         return self if self.field_N is None else replace(self, field_N=self.field_N[samples])
 
-    def under(self, acceleration: float) -> MagneticTorque:
-        """Return the torque that goes with white angular acceleration of this strength (rad/s^1.5).
-
-        Stronger white noise than goes with the largest dipole stands for something else.
-        """
-        return replace(self, sigma=min(DIPOLE_SHARE * acceleration, DIPOLE_MOST))
-
     def for_search(self) -> list[MagneticTorque]:
         """Return none: a search has strong unknown torques."""
         return [replace(self, sigma=0.0)]
@@ -130,6 +124,7 @@ class MagneticTorque(Term):
         """Return the components of the dipole, or their products with those of the field."""
         if not self.sigma:
             return ()
+        shares = tuple(size / DIPOLE_SIZES[0] for size in DIPOLE_SIZES)
         if self.field_N is not None:
             # a dipole and a direction at random: m x b has a variance of two
             size, names = self.sigma / np.sqrt(2), [f"dipole_{axis}" for axis in "xyz"]
@@ -138,7 +133,8 @@ class MagneticTorque(Term):
             size = self.sigma / np.sqrt(6)
             names = [f"magnetic_{dipole}{axis}" for dipole in "xyz" for axis in "xyz"]
         return tuple(
-            Unknown(name, "magnetic_torque", "rad/s2", 0.0, size, i) for i, name in enumerate(names)
+            Unknown(name, "magnetic_torque", "rad/s2", 0.0, size, i, shares=shares)
+            for i, name in enumerate(names)
         )
 
     def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
