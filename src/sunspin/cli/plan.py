@@ -12,6 +12,9 @@ from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, shared
 from sunspin.cli.values import parse_numbers
 
+ROUNDS_SHOWN = (1, 3, 10, 30, 100, 300, 1000, 3000)
+"""Rounds after which the table so far is printed."""
+
 
 @click.command(cls=Command)
 @click.argument("vehicle")
@@ -54,9 +57,9 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
     """Find out before launch which beacon decides which rates: simulated passes, estimated as real ones.
 
     A pass has the panels of the vehicle file. Their gains have errors of 5 %, and the Earth lights them too. Readings have the
-    noise that the file states, or 2 %. The body turns freely about a random axis. The table has three classes of speeds for each interval. It
-    counts the decided passes and those that are decided and wrong, and says why most are not decided. A pass takes some 10 s of
-    processor time. The result so far is shown during the work. Ctrl-C keeps the complete rounds.
+    noise that the file states, or 2 %. The body turns freely about a random axis. The table has three classes of speeds for each
+    interval. It counts the decided passes and those that are decided and wrong, and says why most are not decided. A pass takes
+    some 10 s of processor time. The result so far is shown during the work. Ctrl-C keeps the complete rounds.
 
     \b
     Example:
@@ -74,10 +77,10 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
     output.claim()
 
     def report(so_far) -> None:
-        """Print on standard error how far the work is; after rounds 1, 3, 9, ... also the table so far."""
+        """Print on standard error how far the work is; after those of `ROUNDS_SHOWN` also the table so far."""
         done = int(so_far["passes"].sum()) // so_far.sizes["every"]
         lines = [f"sunspin: plan: round {done} of {passes}"]
-        if done < passes and math.log(done, 3).is_integer():
+        if done in ROUNDS_SHOWN and done < passes:
             lines += KINDS["plan"].summary(so_far).lines[1:]
         with suppress(OSError):  # a log that cannot be written does not stop the work
             print("\n".join(lines), file=sys.stderr, flush=True)
