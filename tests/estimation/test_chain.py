@@ -204,3 +204,17 @@ def test_motions_of_several_bodies_are_those_of_each_alone():
         alone = step(inertia[k], omega[k : k + 1], dt, (momentum, momentum), True, ERRORS)
         for one, other in zip(together, alone, strict=True):
             assert np.array_equal(one[k], other[0])
+
+
+def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
+    rng = np.random.default_rng(4)
+    omega, dt = 0.2 * rng.normal(size=(3, 4, 3)), np.array([10.0, -3.0, 0.0, 40.0])
+    still = np.zeros((4, 3)), np.zeros((4, 3))
+    even = step(np.eye(3), omega, dt, still, True)
+    nearly = step(np.eye(3) + np.diag([1e-12, 0.0, 0.0]), omega, dt, still, True)
+    assert np.allclose(even.turned, nearly.turned, atol=1e-3)  # the steps' own error
+    assert np.allclose(even.omega, nearly.omega, atol=1e-9)
+    by_start = even.by_start - nearly.by_start
+    assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2) and np.allclose(
+        by_start[..., 3:, :], 0.0, atol=1e-6
+    )

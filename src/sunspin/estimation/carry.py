@@ -13,7 +13,12 @@ import numpy.typing as npt
 from sunspin.base.errors import InputError
 from sunspin.dynamics.step import carry_bodies
 from sunspin.solve.linear import symmetric_inverse, symmetric_product
-from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
+from sunspin.solve.rotations import (
+    cross_matrix,
+    matrix_from_quaternion,
+    rotate_attitude,
+    rotation_between,
+)
 
 STEP_RAD, LEAST_STEPS, MOST_STEPS = 0.4, 2, 400
 """Turn of the body in one Runge-Kutta step at most: the error over a whole turn is 1e-4 rad, below that of any panel. Steps of one
@@ -101,6 +106,9 @@ def step(
     errors : (e, 3, 3), optional
         Errors of the inertia to which the answers are wanted.
     """
+    bare = errors is None or not len(errors)
+    if bare and _is_sphere(inertia) and not (momenta[0].any() or momenta[1].any()):
+        return _turn_evenly(omega, dt, answers)
     bodies = np.broadcast_to(inertia, (len(omega), 3, 3))
     angle = angle_turned(bodies, omega, dt, momenta)
     counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
@@ -123,6 +131,34 @@ def step(
     by_start[..., :3, :3] = turned[0]
     by_start[..., 3:] = change[..., :3] * size[..., None] / DIFFERENCE
     return Step(turned[0], rate[0], by_start, change[..., 3:] / INERTIA_DIFFERENCE)
+
+
+def _is_sphere(inertia: np.ndarray) -> bool:
+    """Return whether all bodies are spheres."""
+    return inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
+
+
+def _turn_evenly(omega: np.ndarray, dt: np.ndarray, answers: bool) -> Step:
+    """Return motions of a sphere without wheels at rates (K, n, 3), with their answers if asked.
+
+    A change of the rate turns the body by its integral, each part carried on by the turn that is left: the mean over u from 0 to 1
+    of exp(-[v x] u), v being the whole turn, is sinc(x) 1 + (1 - sinc(x)) a a' - (1 - cos x) / x [a x] with v = x a.
+    """
+    angle = omega * np.asarray(dt)[..., None]
+    turned = rotate_attitude(np.broadcast_to(np.eye(3), (*omega.shape, 3)), angle)
+    if not answers:
+        return Step(turned, omega.copy())
+    size = np.linalg.norm(angle, axis=-1)[..., None, None]
+    axis = angle[..., None, :] / np.maximum(size, np.finfo(float).tiny)
+    sinc, half = np.sinc(size / np.pi), np.sinc(size / (2 * np.pi))
+    along = np.swapaxes(axis, -1, -2) @ axis
+    across = cross_matrix(axis[..., 0, :])
+    mean = sinc * np.eye(3) + (1 - sinc) * along - size / 2 * half**2 * across
+    by_start = np.zeros((*omega.shape[:-1], 6, 6))
+    by_start[..., :3, :3] = turned
+    by_start[..., :3, 3:] = np.asarray(dt)[..., None, None] * mean
+    by_start[..., 3:, 3:] = np.eye(3)
+    return Step(turned, omega.copy(), by_start, np.zeros((*omega.shape[:-1], 6, 0)))
 
 
 def _run(

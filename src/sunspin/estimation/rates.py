@@ -31,7 +31,15 @@ from sunspin.estimation.evidence import (
 )
 from sunspin.estimation.field_led import begun, in_axes_of, searched
 from sunspin.estimation.images import images_of, with_images
-from sunspin.estimation.model import AS_STATED, SUN_N, Body, Model, Noise, Observations
+from sunspin.estimation.model import (
+    AS_STATED,
+    SUN_N,
+    Body,
+    Model,
+    Noise,
+    Observations,
+    Track,
+)
 from sunspin.estimation.observe import (
     Pass,
     Seen,
@@ -50,7 +58,13 @@ from sunspin.estimation.rates_dataset import (
     repeats_doubted,
 )
 from sunspin.estimation.search import search
-from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
+from sunspin.estimation.settings import (
+    LARGEST_RATE,
+    LARGEST_TURNS,
+    RATES,
+    RatesSettings,
+    SearchSettings,
+)
 from sunspin.estimation.solutions import Solutions, solutions
 from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
 from sunspin.estimation.swings import swings_by_all_ways
@@ -222,7 +236,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
             one = search(chain, starts, s.search, budget, places(loose, s.search))
-            motions.append(in_axes_of(stated, loose, one, s.search))
+            motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
         fits = []
         for one in motions:
             begin = begun(stated.under(noise), with_images(one, stated, s.search))
@@ -270,6 +284,17 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         fits += swings_by_all_ways(stated, fits, s.alternatives)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+
+
+def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
+    """Return motions without those that turn faster than the largest rate in the mean, if one that does not fits.
+
+    A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
+    """
+    speed = np.linalg.norm(motions.omega, axis=2).mean(axis=1)
+    slow = np.flatnonzero(speed <= 2 * model.rate_sigma)
+    fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
+    return motions.take(slow) if fits else motions
 
 
 def sees_sun_alone(obs: Observations) -> bool:
