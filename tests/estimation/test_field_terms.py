@@ -103,9 +103,7 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
     body = Body(np.diag([1.2, 1.0, 0.8]), np.zeros((0, 3, 3)))
     obs = Observations(T_S, np.zeros((N, 3)), terms)
     model = Model(obs, body, Noise(1e3), 1.0)
-    track = Track(
-        seen.attitude, seen.omega, 0.3 * rng.normal(size=(2, len(model.unknowns)))
-    )
+    track = Track(seen.attitude, seen.omega, 0.3 * rng.normal(size=(2, len(model.unknowns))))
     system = equations(model, track)
 
     def cost(sample, place, h):
@@ -113,7 +111,9 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
         nodes = np.zeros((2, N, 6))
         nodes[:, sample, place] = h
         attitude = rotate_attitude(track.attitude, nodes[..., :3])
-        return equations(model, replace(track, attitude=attitude, omega=track.omega + nodes[..., 3:])).cost
+        return equations(
+            model, replace(track, attitude=attitude, omega=track.omega + nodes[..., 3:])
+        ).cost
 
     for sample in (0, 1, 2, 4, 5):
         # of two late neighbours both are turned by a rate, nearly alike: that is left out
@@ -124,12 +124,16 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
             # by how much a rate turns the body until a late reading is known to first order
             close = 0.02 if late else 2e-4
             scale = np.abs(system.slope).max()
-            assert np.allclose(slope, system.slope[:, sample, place], rtol=close, atol=close * scale)
+            assert np.allclose(
+                slope, system.slope[:, sample, place], rtol=close, atol=close * scale
+            )
     for j in range(track.u.shape[1]):
         h = 1e-5 * np.eye(track.u.shape[1])[j]
         ends = [equations(model, replace(track, u=track.u + sign * h)).cost for sign in (1, -1)]
         slope = (ends[0] - ends[1]) / 2e-5
-        assert np.allclose(slope, system.border_slope[:, j], rtol=1e-3, atol=1e-3 * abs(slope).max())
+        assert np.allclose(
+            slope, system.border_slope[:, j], rtol=1e-3, atol=1e-3 * abs(slope).max()
+        )
 
 
 def test_neighbours_fit_the_field_that_they_read():
@@ -167,9 +171,7 @@ def test_a_reading_left_out_takes_both_its_comparisons():
 def test_the_turn_about_the_sun_is_that_of_the_field():
     rng = np.random.default_rng(7)
     seen = motions(rng, count=1)
-    term = replace(
-        known_field(rng), read_B=np.einsum("nij,nj->ni", seen.attitude[0], field_N())
-    )
+    term = replace(known_field(rng), read_B=np.einsum("nij,nj->ni", seen.attitude[0], field_N()))
     turned = seen.attitude @ Rotation.from_rotvec([0.0, 0.0, 2.1]).as_matrix()
     attitude, _ = term.begin(replace(seen, attitude=turned), about_sun=False)
     assert np.allclose(attitude, seen.attitude, atol=1e-9)
@@ -274,6 +276,7 @@ def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():
 
 
 def test_directions_of_a_field_have_axes_that_turn():
-    assert FieldDirection.axes_rad_s == FIELD_TURN and not known_field(
-        np.random.default_rng(1)
-    ).axes_rad_s
+    assert (
+        FieldDirection.axes_rad_s == FIELD_TURN
+        and not known_field(np.random.default_rng(1)).axes_rad_s
+    )

@@ -223,9 +223,7 @@ class Earlier(NamedTuple):
                 by_rate = moved if by_rate is None else by_rate + moved
             by_turn = by_turn @ self.turned
         if previous is not None:
-            by_late[:, 1:] -= np.einsum(
-                "knri,kni->knr", previous[:, 1:], self.seen.omega[:, :-1]
-            )
+            by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.seen.omega[:, :-1])
             turned = np.concatenate([self.turned[:, :1], self.turned[:, :-1]], axis=1)
             previous = previous @ turned
         return residual._replace(by_turn=by_turn, by_rate=by_rate, by_previous=previous), by_late
@@ -273,9 +271,7 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
     return (white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u
 
 
-def pushed_by_turn(
-    term: Term, motions: Track, dt: np.ndarray, known: np.ndarray
-) -> np.ndarray:
+def pushed_by_turn(term: Term, motions: Track, dt: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the derivative (K, n - 1, 6, 3) of what a known torque adds, `known` (K, n - 1, 6), by a turn at the first sample."""
     columns = [
         term.pushed(replace(motions, attitude=rotate_attitude(motions.attitude, turn)), dt) - known

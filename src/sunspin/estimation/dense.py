@@ -153,7 +153,9 @@ def residuals_by_sensor(
     u = track.u * granted
     residuals: dict[str, np.ndarray] = {}
     late = lateness(model, u)
-    earlier = None if late is None else seen_earlier(replace(model, obs=obs), track, late.late_s).seen
+    earlier = (
+        None if late is None else seen_earlier(replace(model, obs=obs), track, late.late_s).seen
+    )
     for term, place in zip(obs.terms, model.of_terms, strict=False):
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():

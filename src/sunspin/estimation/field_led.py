@@ -72,9 +72,7 @@ def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -
     if known is None:  # all turns fit the Sun alike: the fit with its unknowns decides
         return fitted
     t_s = model.obs.t_s
-    return fitted.take(
-        distinct(fitted, t_s, s.most, s.drop, s.copies_rad, s.copies_sigmas)
-    )
+    return fitted.take(distinct(fitted, t_s, s.most, s.drop, s.copies_rad, s.copies_sigmas))
 
 
 def begun(model: Model, motions: Track) -> Track:

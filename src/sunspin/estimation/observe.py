@@ -299,7 +299,9 @@ def _why_unused(seen: Seen) -> str:
     dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
     down = panels[0].lit == 0 if panels else np.zeros(len(seen.why), dtype=bool)
-    shadow = sum(dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True))
+    shadow = sum(
+        dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
+    )
     if shadow > len(dropped):
         return (
             f"by the orbit {shadow} are in the Earth's shadow: compare clock and elements with `sunspin check`, or leave out "

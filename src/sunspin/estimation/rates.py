@@ -29,7 +29,7 @@ from sunspin.estimation.evidence import (
     share_noise,
     united,
 )
-from sunspin.estimation.field_led import begun, in_axes_of, searched
+from sunspin.estimation.field_led import begun, field_of, in_axes_of, searched
 from sunspin.estimation.images import images_of, with_images
 from sunspin.estimation.model import (
     AS_STATED,
@@ -157,7 +157,9 @@ def rates(
     """
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
-    seen = observe(assessment, source, local, calibration, acting(torques, local))  # all samples, and why each is used or not
+    seen = observe(
+        assessment, source, local, calibration, acting(torques, local)
+    )  # all samples, and why each is used or not
     every = split(seen, gap_s, settings.passes)
     chosen = asked(every, pass_id)
     passes = [every[k] for k in chosen]
@@ -233,9 +235,12 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     def found(noise: float) -> list[Fit]:
         """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
         motions = []
+        # axes that follow the field turn: a motion that misses the limit there is no reason to begin anew elsewhere
+        led = field_of(stated) is not None
+        of_search = replace(s.search, more_places=0) if led else s.search
         for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            one = search(chain, starts, s.search, budget, places(loose, s.search))
+            one = search(chain, starts, of_search, budget, places(loose, s.search))
             motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
         fits = []
         for one in motions:

@@ -187,9 +187,7 @@ def pairs_differing(
 def _rotation_by_sine(across: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) about a vector (3) that is as long as the sine of its angle."""
     size = np.linalg.norm(across)
-    return Rotation.from_rotvec(
-        across * np.arcsin(min(size, 1.0)) / max(size, 1e-300)
-    ).as_matrix()
+    return Rotation.from_rotvec(across * np.arcsin(min(size, 1.0)) / max(size, 1e-300)).as_matrix()
 
 
 def _sun_first(light: np.ndarray) -> np.ndarray:

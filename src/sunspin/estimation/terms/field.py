@@ -149,9 +149,7 @@ class FieldChange(Term):
         if not self.present().any():
             return self
         sigma = FIELD_TURN * np.nanmedian(np.linalg.norm(self.field_B, axis=1)) / np.sqrt(3)
-        return replace(
-            self, drift_N=drifting(t_s, sigma, FIELD_TURN), turn_rate=LEFT * FIELD_TURN
-        )
+        return replace(self, drift_N=drifting(t_s, sigma, FIELD_TURN), turn_rate=LEFT * FIELD_TURN)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) are compared with the one before: both have a reading."""
@@ -363,9 +361,7 @@ class KnownField(Term):
         """Return the readings without errors in common, as uncertain as these make them."""
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, own)
-        return replace(
-            self, sigma_T=sigma, own_B=self.own_B[:, :0], along_N=self.along_N[:, :0]
-        )
+        return replace(self, sigma_T=sigma, own_B=self.own_B[:, :0], along_N=self.along_N[:, :0])
 
     def without(self, sample: int) -> tuple[Self, float]:
         """Return the readings without one, and its log density: a direction to a sigma fills that part of the sphere."""

@@ -203,9 +203,7 @@ class StatedDipole(Term):
         pull, span = np.cross(self.dipole, self.field_B), dt[:, None]
         first, last = pull[:-1], pull[1:]
         added = [span**2 * (2 * first + last) / 6, span * (first + last) / 2]
-        return np.broadcast_to(
-            np.concatenate(added, axis=1), (*seen.omega[:, 1:].shape[:2], 6)
-        )
+        return np.broadcast_to(np.concatenate(added, axis=1), (*seen.omega[:, 1:].shape[:2], 6))
 
 
 @dataclass(frozen=True)
@@ -229,7 +227,9 @@ class GravityGradient(Term):
         inverse, added = np.linalg.inv(self.inertia), 0.0
         for place, weight in zip(*INSTANTS, strict=True):
             share = (1 + place) / 2
-            attitude = rotate_attitude(seen.attitude[:, :-1], share * dt[:, None] * seen.omega[:, :-1])
+            attitude = rotate_attitude(
+                seen.attitude[:, :-1], share * dt[:, None] * seen.omega[:, :-1]
+            )
             nadir = (1 - share) * self.nadir_N[:-1] + share * self.nadir_N[1:]
             nadir_B = np.einsum("knij,nj->kni", attitude, nadir)
             torque = self.strength[:-1, None] * cross(nadir_B, nadir_B @ self.inertia)
