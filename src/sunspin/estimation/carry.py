@@ -141,8 +141,9 @@ def _is_sphere(inertia: np.ndarray) -> bool:
 def _turn_evenly(omega: np.ndarray, dt: np.ndarray, answers: bool) -> Step:
     """Return motions of a sphere without wheels at rates (K, n, 3), with their answers if asked.
 
-    A change of the rate turns the body by its integral, each part carried on by the turn that is left: the mean over u from 0 to 1
-    of exp(-[v x] u), v being the whole turn, is sinc(x) 1 + (1 - sinc(x)) a a' - (1 - cos x) / x [a x] with v = x a.
+    A change of the rate turns the body by its integral, each part of which is carried on by the turn that is left. With the whole
+    turn v = x a that is the mean of exp(-[v x] u) over u from 0 to 1. It is closed: sinc(x) 1 + (1 - sinc(x)) a a' - (1 - cos x) /
+    x [a x].
     """
     angle = omega * np.asarray(dt)[..., None]
     turned = rotate_attitude(np.broadcast_to(np.eye(3), (*omega.shape, 3)), angle)

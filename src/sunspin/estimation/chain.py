@@ -186,7 +186,8 @@ def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarra
 
 
 class Late(NamedTuple):
-    """How late (K) in s the sensors are of motions, the sigma of that (s), and its place among the unknowns, None if it is known."""
+    """How late (K) in s the sensors are of motions, the sigma of that (s), and its place among the unknowns, None if it is
+    known."""
 
     late_s: np.ndarray
     sigma_s: float

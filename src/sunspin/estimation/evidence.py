@@ -19,7 +19,6 @@ from sunspin.estimation.model import AS_STATED, Model, Track
 from sunspin.estimation.settings import LadderSettings, SearchSettings
 from sunspin.solve.rotations import rotate_attitude
 
-
 TORQUES = ("steady_torque", "magnetic_torque")
 """Kinds of unknowns that turn the body far, so that its answer is linear only near the fit."""
 

@@ -1,4 +1,4 @@
-"""Where too few samples see the Sun: a field that is known in space leads the search, and the turn about the Sun is found after it."""
+"""If too few samples see the Sun, a field that is known in space leads the search; the turn about the Sun follows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FEWEST_SUNS = 4
 """Samples that show the Sun; with fewer, a search begins with the field where it is known."""
 
 FIELD_TURNS, SUN_TURNS = 8, 6
-"""Turns about the field, and about the Sun if a torque tells them apart, from which a fit begins."""
+"""Turns about the field, and about the Sun if a torque shows it, from which a fit begins."""
 
 FIT_STEPS = 12
 """Steps of the fits from these turns, of which few are left."""
@@ -44,9 +44,9 @@ def field_of(stated: Model) -> KnownField | None:
 def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -> Track:
     """Return motions of a search in the axes N of the model.
 
-    A search by the field finds them in axes that follow the field, as one by the Sun finds them in axes that follow the Sun: they are
-    fitted with the field as it is known, from several turns about it, of which the field's turning in space leaves few. A search by
-    the Sun leaves the turn about the Sun open: if nothing but a torque shows it, several are tried.
+    A search by the field finds them in axes that follow the field, as one by the Sun finds them in axes that follow the Sun: they
+    are fitted with the field as it is known, from several turns about it, of which the field's turning in space leaves few. A
+    search by the Sun leaves the turn about the Sun open: if nothing but a torque shows it, several are tried.
     """
     known = field_of(stated)
     if known is not None:

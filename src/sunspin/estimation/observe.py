@@ -263,8 +263,8 @@ def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
 def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
     """Return at most `s.kept` places of `count` samples, the first and the last among them.
 
-    Close together where the rate is determined first, at `dense_from`, then ever farther apart: each step is at most `s.growth` times
-    the one before, so that what is known of the rate always predicts the next sample.
+    Close together where the rate is determined first, at `dense_from`, then ever farther apart: each step is at most `s.growth`
+    times the one before, so that what is known of the rate always predicts the next sample.
     """
     if count <= s.kept:
         return np.arange(count)

@@ -235,7 +235,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     def found(noise: float) -> list[Fit]:
         """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
         motions = []
-        # axes that follow the field turn: a motion that misses the limit there is no reason to begin anew elsewhere
+        # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
         led = field_of(stated) is not None
         of_search = replace(s.search, more_places=0) if led else s.search
         for loose in searched(stated, Noise(noise)):

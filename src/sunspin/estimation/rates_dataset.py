@@ -192,8 +192,8 @@ def in_space(
 ) -> xr.Dataset:
     """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
 
-    In an orbit it has the turn about the Sun with its sigma, and if a magnetometer was used attitudes from J2000. A magnetometer alone
-    gives directions of the field in place of the Sun's.
+    In an orbit it has the turn about the Sun with its sigma, and if a magnetometer was used attitudes from J2000. A magnetometer
+    alone gives directions of the field in place of the Sun's.
     """
     if any(isinstance(term, FieldDirection) for term in seen.obs.terms):
         about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}

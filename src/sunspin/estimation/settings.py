@@ -28,12 +28,12 @@ class PassSettings:
     half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
 
     many: int = 500
-    """With an orbit passes are that short only if they would have more samples: kept samples 70 s apart, four turns at 21 deg/s, left
-    two of four undecided. Slow bodies, read every 10 s, need the longer pass."""
+    """With an orbit passes are that short only if they would have more samples: kept samples 70 s apart, four turns at 21 deg/s,
+    left two of four undecided. Slow bodies, read every 10 s, need the longer pass."""
 
     longest_dark_s: float = 300.0
-    """A pass goes on while panels show no Sun for less than this and a magnetometer reads on; the shadow of the Earth lasts longer. A
-    body with one panel that turned once in 28 s had a pass for each turn."""
+    """A pass does not end if panels show no Sun for less than this and a magnetometer is read. The shadow of the Earth lasts
+    longer. A body with one panel that turned once in 28 s had a pass for each turn."""
 
     kept: int = 40
     """Samples of a pass that the search keeps, at most."""

@@ -2,8 +2,8 @@
 
 The light comes from where the Earth is, from a low orbit a wide disk: up to a third of full Sun on a panel that looks there. It
 turns with the orbit. Its three components in N and their drift are estimated with the motion: as noise it would drown weak light.
-Two opposite panels differ by just the component of the light along them, so that the differences of opposite panels follow one
-vector, Sun and Earth's light together, that stays in space too: a search uses those and needs to know nothing of the light. An
+Two opposite panels differ by just the component of the light along them. So the differences of opposite panels follow one vector,
+Sun and Earth's light together, that stays in space too: a search uses those and needs to know nothing of the light. An
 orbit says where the light comes from and how it changes: then the reflectivity of the ground is one unknown, and a free vector of
 a quarter of the size stands for clouds and coasts. Zeros of converters look much the same in the brightness, and are estimated too.
 """
@@ -32,7 +32,7 @@ LEAST_LIGHT = 1e-12
 """Share of full Sun at which light is taken for this weak, so that it has a direction."""
 
 AZIMUTHS = 8
-"""Turns about the Sun from which a fit begins if nothing but the known light tells them apart."""
+"""Turns about the Sun from which a fit begins if nothing but the known light shows it."""
 
 CORNERS = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T / np.sqrt(3)
 FIRST_DIRECTIONS, FIRST_SHARES = np.vstack([np.eye(3), -np.eye(3), CORNERS]), (0.4, 0.8)
@@ -43,8 +43,8 @@ FIRST_DIRECTIONS, FIRST_SHARES = np.vstack([np.eye(3), -np.eye(3), CORNERS]), (0
 class EarthLight:
     """The light of a pass at n samples, in shares of full Sun.
 
-    `light_N` (n, b, 3): one sigma of each unknown of the vector; `zeros` (p), unit of the readings: one sigma of what each panel reads
-    too much; `known_N` (n, 3): the light that an orbit predicts, None without one.
+    `light_N` (n, b, 3): one sigma of each unknown of the vector; `zeros` (p), unit of the readings: one sigma of what each panel
+    reads too much; `known_N` (n, 3): the light that an orbit predicts, None without one.
     """
 
     light_N: np.ndarray

@@ -111,8 +111,9 @@ class FieldChange(Term):
     def with_own_zero(self) -> Self:
         """Return the fields less the zero that their strengths show, and with its errors.
 
-        As a body turns, readings stay on a sphere about the zero, whose radius changes slowly: in each window of time the squares of
-        the readings less twice their product with the zero are a parabola. Only for a zero that the vehicle file states with a sigma.
+        As a body turns, readings stay on a sphere about the zero, whose radius changes slowly: in each window of time the squares
+        of the readings less twice their product with the zero are a parabola. Only for a zero that the vehicle file states with a
+        sigma.
         """
         if not self.zero_B.any():
             return self
@@ -230,7 +231,16 @@ class FieldChange(Term):
             moved = ((change @ self.zero_B.T) ** 2).sum() / square
             moved += self.matrix_sigma**2 * square / len(change)
             sigma = float(np.hypot(sigma, np.sqrt(moved)))
-        return [FieldChange(self.t_s, self.field_B, sigma, drift_N=self.drift_N[:, :0])]
+        return [
+            replace(
+                self,
+                sigma=sigma,
+                turn_rate=FIELD_TURN,
+                zero_B=self.zero_B[:0],
+                matrix_sigma=0.0,
+                drift_N=self.drift_N[:, :0],
+            )
+        ]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the fields with what a drift of the start turns them."""
@@ -257,8 +267,8 @@ class FieldChange(Term):
 class KnownField(Term):
     """Readings `read_B` (n, 3) in T, NaN where none, `sigma_T` (n) of each component, and the field there `field_N` (n, 3).
 
-    `own_B`, `along_N` (n, e, 3): what one sigma of each of e errors changes in both, of the sensor's zero and matrix and, with them,
-    of the place along the track, which moves the field of all samples together. `noise_T`: of a component, for the search.
+    `own_B`, `along_N` (n, e, 3): what one sigma of each of e errors changes in both. They are errors of the sensor's zero and
+    matrix and, with them, of the place along the track, which moves the field of all samples together. `noise_T`: of a component.
     """
 
     name: ClassVar[str] = "field"
@@ -299,7 +309,7 @@ class KnownField(Term):
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading."""
-        return np.isfinite(self.read_B).all(axis=1)
+        return np.all(np.isfinite(self.read_B), axis=1)
 
     def unknowns(self) -> tuple[Unknown, ...]:
         """Return the errors of the calibration."""

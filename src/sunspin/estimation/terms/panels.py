@@ -35,8 +35,8 @@ LEAST_LIT, DARK = 0.01, 0.03
 Sun: zeros of converters."""
 
 UNKNOWN_SHARE = 0.09
-"""Light on a panel that looks at the Earth, in full Suns, if an orbit says where it comes from and the file does not say how much it
-is: what :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` of panels that face away from the Sun means."""
+"""Light on a panel that looks at the Earth, in full Suns, if an orbit says where it comes from and the file does not say how much
+it is: what :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` of panels that face away from the Sun means."""
 
 FLAT, LOOKS = 1e-6, 500
 """Normals out of one plane by less than the first may see no difference between a Sun on either side of it; directions in which
@@ -80,10 +80,10 @@ class Panels(Term):
     `scale` (n) with `scale_sigma` (n), relative: the factor of all readings of a sample. `names` (p); `ever_shown` (p): whether a
     panel counts in any sample of the file.
 
-    `earth_share`: the light on sides that look at the Earth, as a share of full Sun; `alone` (n, p): sigmas with that light as noise,
-    which count unless `earth`, the light of one pass, is modelled; `beside` (n, p): those that count then. `known_N` (n, 3): the
-    light that an orbit predicts, None without one. `lit` (n): the part of the Sun that is up; `dark_sigma` (n, p): of readings in
-    the shadow of the Earth.
+    `earth_share`: the light on sides that look at the Earth, as a share of full Sun; `alone` (n, p): sigmas with that light as
+    noise, which count unless `earth`, the light of one pass, is modelled; `modelled` (n, p): those that count then. `known_N` (n,
+    3): the light that an orbit predicts, None without one. `lit` (n): the part of the Sun that is up; `dark_sigma` (n, p): of
+    readings in the shadow of the Earth.
     """
 
     name: ClassVar[str] = "panels"
@@ -93,7 +93,7 @@ class Panels(Term):
         "power",
         "sigma",
         "alone",
-        "beside",
+        "modelled",
         "dark_sigma",
         "scale",
         "scale_sigma",
@@ -111,7 +111,7 @@ class Panels(Term):
     instants: Instants
     ever_shown: np.ndarray
     alone: np.ndarray
-    beside: np.ndarray
+    modelled: np.ndarray
     dark_sigma: np.ndarray
     lit: np.ndarray
     earth_share: float = 0.0
@@ -174,7 +174,7 @@ class Panels(Term):
             scale_sigma=np.where(open_still, free, self.scale_sigma),
             **{
                 name: np.where(dark[:, None], self.dark_sigma, getattr(self, name))
-                for name in ("sigma", "alone", "beside")
+                for name in ("sigma", "alone", "modelled")
             },
         )
 
@@ -183,7 +183,7 @@ class Panels(Term):
         if self.earth_share <= FAINT:
             return self
         earth = EarthLight.prior(t_s, self.earth_share, self.full, self.known_N)
-        return replace(self, sigma=self.beside, earth=earth)
+        return replace(self, sigma=self.modelled, earth=earth)
 
     def take(self, samples: Any) -> Self:
         """Return the panels at some samples."""
@@ -219,7 +219,7 @@ class Panels(Term):
         return slice(0, len(self.gain_errors))
 
     def begin(self, seen: Seen, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light told from the Sun's."""
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's."""
         attitude, u = super().begin(seen, about_sun)
         if self.earth is None:
             return attitude, u
@@ -237,13 +237,14 @@ class Panels(Term):
     def for_search(self) -> list[Self]:
         """Return the panels with known gains, whose readings are as uncertain as the gains make them; in one plane also others.
 
-        Under the Earth's light only the differences of opposite panels count, and no panel is brighter than its sample by that light.
+        Under the Earth's light only the differences of opposite panels count, and no panel is brighter than its sample by that
+        light.
         """
         relative = np.linalg.norm(self.gain_errors, axis=0) / np.maximum(self.gain, 1e-300)
         power, sigma, scale_sigma = self.power, self.alone, self.scale_sigma
         if self.earth is not None:
             power, sigma = pairs_differing(
-                self.response.facing_B, self.full, (self.power, self.beside), self.alone
+                self.response.facing_B, self.full, (self.power, self.modelled), self.alone
             )
             scale_sigma = np.hypot(scale_sigma, self.earth_share)
         sigma = np.hypot(sigma, np.nan_to_num(power) * relative)
@@ -309,7 +310,7 @@ class Panels(Term):
         alone = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
         (residual,) = alone.residuals(seen, np.zeros((EVERYWHERE, 0)))
         cost = residual.law(residual.value)[0][:, 0]
-        names = "sigma", "alone", "beside"
+        names = "sigma", "alone", "modelled"
         sigmas = {name: getattr(self, name).copy() for name in names}
         for sigma in sigmas.values():
             sigma[sample] = np.inf

@@ -6,7 +6,7 @@ depends it says by the derivatives that it returns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -121,7 +121,7 @@ class Term:
         """
         return seen.attitude, np.zeros((len(seen.omega), len(self.unknowns())))
 
-    def for_search(self) -> list[Self]:
+    def for_search(self) -> Sequence[Term]:
         """Return the term without unknowns, trusted no further than they allow; several if its readings may mean several things."""
         return [self]
 

@@ -93,10 +93,10 @@ class MagneticTorque(Term):
     """The torque of a magnetic dipole fixed in the body, in a field fixed in N.
 
     A CubeSat's residual dipole accelerates it by 1e-6 to 1e-4 rad/s2, the same way for minutes, while white angular acceleration of
-    the same size averages out. `field_N` (n, 3): the field in units of its usual size, if an orbit knows it; then the three components
-    of the dipole are unknown. Else dipole and field are both unknown, and the torque is linear in the nine products of their
-    components. `sigma` (rad/s2): that of the acceleration by the largest dipole, zero if none is modelled; a dipole is not known to a
-    power of ten, so smaller ones are equally likely.
+    the same size averages out. `field_N` (n, 3): the field in units of its usual size, if an orbit knows it; then the three
+    components of the dipole are unknown. Else dipole and field are both unknown, and the torque is linear in the nine products of
+    their components. `sigma` (rad/s2): that of the acceleration by the largest dipole, zero if none is modelled; a dipole is not
+    known to a power of ten, so smaller ones are equally likely.
     """
 
     name: ClassVar[str] = "magnetic_torque"
@@ -187,8 +187,8 @@ def _products(attitude: np.ndarray) -> np.ndarray:
 class StatedDipole(Term):
     """The torque of a dipole that the vehicle file states, in the field that a magnetometer reads.
 
-    `dipole` (3): the angular acceleration is dipole x field, in rad/s2 per unit of the magnetometer; `field_B` (n, 3), zero where it
-    read nothing. Between two samples the field is linear in the body, which holds to a few percent up to 40 degrees of turn.
+    `dipole` (3): the angular acceleration is dipole x field, in rad/s2 per unit of the magnetometer; `field_B` (n, 3), zero where
+    it read nothing. Between two samples the field is linear in the body, which holds to a few percent up to 40 degrees of turn.
     """
 
     name: ClassVar[str] = "dipole"
