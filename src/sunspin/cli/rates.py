@@ -143,6 +143,9 @@ def rates(
         progress=progress,
     )
     # imported late, because the import takes a third of a second
+    from sunspin.output.pointing import with_track
+
+    result = with_track(result, chosen_orbit.orbit)
     from sunspin.output.check.repeats import describe_repeats
     from sunspin.output.check.samples import describe_mismatches
 

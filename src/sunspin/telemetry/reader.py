@@ -41,6 +41,12 @@ NEAR = 0.75
 """Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
 
 
+ELEVATION_BEYOND_DEG, COSINE_BEYOND = 10.0, 0.2
+"""Elevations of the Sun above 90 deg, and cosines above 1, by at most so much are noise."""
+
+LEAST_LARGEST_DEG = 2.0
+"""The highest Sun of a file above any panel is higher than this: panels at right angles to each other have it above 35 deg."""
+
 LEAST_FACTOR = 0.2
 """A temperature correction below this is not applied, because the linear law does not hold."""
 
@@ -50,7 +56,7 @@ class MissingColumn(TelemetryError):
 
 
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
-    """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
+    """Read panel powers, currents or Sun elevations, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
 
     Parameters
     ----------
@@ -130,7 +136,10 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     readings: dict[str, Any] = {}
     if values.shape[1]:
         coords["panel"] = list(vehicle.input_names)
-        readings[form.quantity] = (("time", "panel"), values, {"units": UNITS[form.quantity]})
+        about = {"units": UNITS[form.quantity]}
+        if form.has_angles:
+            about = {"units": "1", "long_name": "gain times sine of the Sun's elevation above the panel"}
+        readings[form.variable] = (("time", "panel"), values, about)
     if "phase" in table.header:
         phase = [cell.strip() for cell in table.cells["phase"]]
         coords["phase"] = ("time", np.array(phase, dtype=np.str_))
@@ -201,6 +210,8 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
     letter, unit = ("P", "W") if has_powers else ("I", "A")
     names = {}
     default_names = {panel: (panel, f"{letter}{panel}_{unit}") for panel in vehicle.input_names}
+    if form.has_angles:
+        default_names = {panel: (panel, panel) for panel in vehicle.input_names}
     for panel, (short, long) in default_names.items():
         names[panel] = form.columns.get(panel) or (short if short in table.header else long)
     known_names = {*names.values(), *(name for pair in default_names.values() for name in pair)}
@@ -252,10 +263,42 @@ def _read_panels(
         what = "a voltage is a number, zero or above"
         _refuse_bad_cells(form, what, ~np.isfinite(volts), table, names)
         values = values * volts
+    if form.has_angles and columns:
+        values = _signals_of_angles(vehicle, table, columns, values)
     missing, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
     _refuse_bad_cells(form, "a finite number is expected", missing, table, columns)
     _refuse_bad_cells(form, "a panel cannot give a negative value", negative, table, columns)
     return values, NOT_A_NUMBER * missing.any(axis=1) | NEGATIVE * negative.any(axis=1)
+
+
+def _signals_of_angles(
+    vehicle: Vehicle, table: Table, columns: list[str], values: np.ndarray
+) -> np.ndarray:
+    """Return the readings (n, n_panel) of flat panels that have the Sun at these elevations (deg) or with these cosines.
+
+    A reading is the panel's gain times the sine of the elevation. Below the plane of the panel it is zero, as in the dark.
+
+    Raises
+    ------
+    TelemetryError
+        A value is no elevation or cosine (with ``bad_rows = "refuse"``), or all elevations are so small that they are in rad.
+    """
+    form = vehicle.telemetry
+    is_elevation = form.quantity == "elevation_deg"
+    limit = 90.0 + ELEVATION_BEYOND_DEG if is_elevation else 1.0 + COSINE_BEYOND
+    beyond = np.abs(values) > limit
+    what = "an elevation lies between -90 and 90 deg" if is_elevation else "a cosine lies between -1 and 1"
+    what += ", after scale and zero under [telemetry]" + ("" if is_elevation else " (scale = 0.01 for percent)")
+    _refuse_bad_cells(form, what, beyond, table, columns)
+    known = np.where(beyond, np.nan, values)
+    largest = float(np.nanmax(known, initial=0.0))
+    if is_elevation and 0 < largest < LEAST_LARGEST_DEG:
+        what = "the elevations of the Sun do not look like degrees"
+        do = "set scale = 57.29578 under [telemetry] for rad, or quantity = \"cosine\""
+        got = f"{largest:.3g} as the largest one"
+        raise TelemetryError(what, got=got, do=do, where=table.where)
+    sine = np.sin(np.radians(np.clip(known, -90.0, 90.0))) if is_elevation else known
+    return vehicle.input_gains * np.maximum(sine, 0.0)
 
 
 def _correct_for_temperature(

@@ -123,6 +123,12 @@ def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFin
         lines.append(
             f"  sampling interval: {least:.6g} s min, {median:.6g} s median, {largest:.6g} s max"
         )
+    if craft.telemetry.has_angles and assessment.has_panels:
+        what = "elevations of the Sun (deg)" if craft.telemetry.quantity == "elevation_deg" else "cosines"
+        summary["panels_read"] = craft.telemetry.quantity
+        lines.append(
+            f"  panels: {what} are read as signals of flat panels, gain * sin(elevation); below zero a panel is dark"
+        )
     if notes := clock_notes(samples):
         summary["clock_notes"] = notes
         lines += [f"  {note}" for note in notes]
