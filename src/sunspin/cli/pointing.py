@@ -46,8 +46,9 @@ def pointing(folder: Path, axes: tuple, stations: tuple, output: Output) -> None
     """Compute the angles of body axes to the Sun, nadir, ram (orbital velocity) and ground stations.
 
     RESULT is a folder that `rates --out` wrote. If it was estimated with an orbit and a magnetometer, all angles are known; else
-    the rotation about the Sun direction is free, and only the angle to the Sun is given. Each angle has an error of one sigma. Passes
-    that are not decided have no angles. With --out, writes pointing.csv (a row for each sample and axis), pointing.nc and a figure.
+    the rotation about the Sun direction is free, and only the angle to the Sun is given. Each angle has an error of one sigma.
+    Passes that are not decided have no angles. With --out, writes pointing.csv (a row for each sample and axis), pointing.nc and a
+    figure.
 
     \b
     Examples (the second for rates that were estimated with an orbit and a magnetometer):

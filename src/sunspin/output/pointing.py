@@ -132,7 +132,7 @@ def pointing(
     stations: Sequence[Station | tuple[str, float, float, float]] = (),
     orbit: Any = None,
 ) -> xr.Dataset:
-    """Return the angles of body axes to the Sun, nadir, ram and ground stations, with errors, at the samples of a result of `rates`.
+    """Return the angles of body axes to the Sun, nadir, ram and ground stations, with errors, at the samples of `rates`.
 
     Parameters
     ----------
@@ -148,9 +148,9 @@ def pointing(
     Returns
     -------
     xarray.Dataset
-        Over `body_axis`, `target` and `time` (s): `pointing_angle` in rad with one sigma `pointing_sigma`. The angle is NaN in passes
-        that are not decided, and where its error exceeds 30 degrees. Over `station` and `time`: `station_elevation` (rad) of the
-        spacecraft above the horizon, and `station_range` (m). Over `curve_time`: `curve_pointing_angle` between the samples.
+        Over `body_axis`, `target` and `time` (s): `pointing_angle` in rad with one sigma `pointing_sigma`. The angle is NaN in
+        passes that are not decided, and if its error exceeds 30 degrees. Over `station` and `time`: `station_elevation` (rad) of
+        the spacecraft above the horizon, and `station_range` (m). Over `curve_time`: `curve_pointing_angle` between the samples.
         `pass_of`, and of each pass `decided` and `why_not_decided`.
 
         The only target is the Sun if the result has no orbit, or if its attitude is not known in J2000.
@@ -204,7 +204,9 @@ def pointing(
         variables["station_range"] = (("station", "time"), seen[:, 1])
     coords = {"body_axis": list(vectors), "target": list(targets), "pass_id": data["pass_id"]}
     coords |= {"station": [station.name for station in ground]} if ground else {}
-    attrs = {name: data.attrs[name] for name in ("vehicle", "orbit", "orbit_name") if name in data.attrs}
+    attrs = {
+        name: data.attrs[name] for name in ("vehicle", "orbit", "orbit_name") if name in data.attrs
+    }
     attrs |= {"sun_only": missing, "stations": "; ".join(map(_station_text, ground))}
     return xr.Dataset(variables, coords, provenance("pointing", data, **attrs))
 
@@ -279,7 +281,9 @@ def _targets(
     if prefix:
         # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
         at_samples = Rotation.from_quat(data["B_from_N"].values)
-        first = np.array([np.argmax(data["pass_of"].values == k) for k in range(data.sizes["pass_id"])])
+        first = np.array(
+            [np.argmax(data["pass_of"].values == k) for k in range(data.sizes["pass_id"])]
+        )
         sun = attitude.apply(at_samples[first].inv().apply(sun[first])[pass_of])
     targets = {SUN: Directions(sun, np.zeros_like(sun))}
     if not in_space:

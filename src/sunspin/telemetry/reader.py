@@ -56,7 +56,7 @@ class MissingColumn(TelemetryError):
 
 
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
-    """Read panel powers, currents or Sun elevations, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
+    """Read panel readings, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
 
     Parameters
     ----------
@@ -69,7 +69,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        `power_W` (or `current_A`) over (time, panel); `flag (time)`: bits, 0 is good; coordinate `time` in s from
+        `power_W` (or `current_A`) over (time, panel); for elevations of the Sun `power_W` holds gain times sine.
+        `flag (time)`: bits, 0 is good; coordinate `time` in s from
         ``attrs["epoch_utc"]``. `phase (time)` and `received_s (time)` if the file has such columns. The variables of
         :func:`sunspin.telemetry.sensors.read_sensors`.
 
@@ -138,7 +139,10 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         coords["panel"] = list(vehicle.input_names)
         about = {"units": UNITS[form.quantity]}
         if form.has_angles:
-            about = {"units": "1", "long_name": "gain times sine of the Sun's elevation above the panel"}
+            about = {
+                "units": "1",
+                "long_name": "gain times sine of the Sun's elevation above the panel",
+            }
         readings[form.variable] = (("time", "panel"), values, about)
     if "phase" in table.header:
         phase = [cell.strip() for cell in table.cells["phase"]]
@@ -287,14 +291,20 @@ def _signals_of_angles(
     is_elevation = form.quantity == "elevation_deg"
     limit = 90.0 + ELEVATION_BEYOND_DEG if is_elevation else 1.0 + COSINE_BEYOND
     beyond = np.abs(values) > limit
-    what = "an elevation lies between -90 and 90 deg" if is_elevation else "a cosine lies between -1 and 1"
-    what += ", after scale and zero under [telemetry]" + ("" if is_elevation else " (scale = 0.01 for percent)")
+    what = (
+        "an elevation lies between -90 and 90 deg"
+        if is_elevation
+        else "a cosine lies between -1 and 1"
+    )
+    what += ", after scale and zero under [telemetry]" + (
+        "" if is_elevation else " (scale = 0.01 for percent)"
+    )
     _refuse_bad_cells(form, what, beyond, table, columns)
     known = np.where(beyond, np.nan, values)
     largest = float(np.nanmax(known, initial=0.0))
     if is_elevation and 0 < largest < LEAST_LARGEST_DEG:
         what = "the elevations of the Sun do not look like degrees"
-        do = "set scale = 57.29578 under [telemetry] for rad, or quantity = \"cosine\""
+        do = 'set scale = 57.29578 under [telemetry] for rad, or quantity = "cosine"'
         got = f"{largest:.3g} as the largest one"
         raise TelemetryError(what, got=got, do=do, where=table.where)
     sine = np.sin(np.radians(np.clip(known, -90.0, 90.0))) if is_elevation else known

@@ -366,7 +366,9 @@ class Vehicle(Part):
         noise = [own_noise[name] or self.telemetry.noise for name in self.input_names]
         if None in noise:
             return None
-        factor = self.telemetry.noise_per_gain * self.input_gains if self.telemetry.has_angles else 1.0
+        factor = (
+            self.telemetry.noise_per_gain * self.input_gains if self.telemetry.has_angles else 1.0
+        )
         return np.array(noise, dtype=np.float64) * factor
 
     @property

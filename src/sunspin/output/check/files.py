@@ -124,7 +124,11 @@ def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFin
             f"  sampling interval: {least:.6g} s min, {median:.6g} s median, {largest:.6g} s max"
         )
     if craft.telemetry.has_angles and assessment.has_panels:
-        what = "elevations of the Sun (deg)" if craft.telemetry.quantity == "elevation_deg" else "cosines"
+        what = (
+            "elevations of the Sun (deg)"
+            if craft.telemetry.quantity == "elevation_deg"
+            else "cosines"
+        )
         summary["panels_read"] = craft.telemetry.quantity
         lines.append(
             f"  panels: {what} are read as signals of flat panels, gain * sin(elevation); below zero a panel is dark"

@@ -23,7 +23,9 @@ def pointing_summary(data: Any) -> Summary:
     decided, pass_of = data["decided"].values.astype(bool), data["pass_of"].values
     axes, targets = (data[name].values.astype(str).tolist() for name in ("body_axis", "target"))
     count = f"{int(decided.sum())} of {decided.size} passes decided"
-    lines = [f"angles of {', '.join(axes)} to {', '.join(targets)}, deg: range over the pass; {count}"]
+    lines = [
+        f"angles of {', '.join(axes)} to {', '.join(targets)}, deg: range over the pass; {count}"
+    ]
     begins = [float(data["time"].values[pass_of == k][0]) for k in range(decided.size)]
     passes = []
     for k, start in enumerate(start_texts(data, begins)):
@@ -59,7 +61,11 @@ def pointing_summary(data: Any) -> Summary:
         "synthetic_telemetry": bool(data.attrs.get("synthetic")),
     }
     printed = 1 + MOST_LINES * (1 + len(axes))
-    notes = [f"  and {len(lines) - printed} more lines: give --out for the table"] if len(lines) > printed else []
+    notes = (
+        [f"  and {len(lines) - printed} more lines: give --out for the table"]
+        if len(lines) > printed
+        else []
+    )
     if data.attrs["sun_only"]:
         notes.append(f"only the angle to the Sun is given: {data.attrs['sun_only']}")
     return Summary(numbers, lines[:printed], notes)
@@ -68,12 +74,16 @@ def pointing_summary(data: Any) -> Summary:
 def _angle_numbers(of_pass: Any, axis: int, target: int) -> tuple[dict[str, Any], str]:
     """Return range and median sigma (deg) of an angle in one pass, and the same in words."""
     angle, sigma = (
-        np.degrees(of_pass[name].values[axis, target]) for name in ("pointing_angle", "pointing_sigma")
+        np.degrees(of_pass[name].values[axis, target])
+        for name in ("pointing_angle", "pointing_sigma")
     )
     given, median = np.isfinite(angle), float(np.median(sigma))
     numbers: dict[str, Any] = {"samples": int(given.sum()), "sigma_deg": median}
     if not given.any():
-        return numbers | {"low_deg": None, "high_deg": None}, f"not known (± {size_text(median, 2)})"
+        return numbers | {
+            "low_deg": None,
+            "high_deg": None,
+        }, f"not known (± {size_text(median, 2)})"
     low, high = float(angle[given].min()), float(angle[given].max())
     text = f"{range_text(low, high, median)} (± {size_text(median, 2)})"
     if not given.all():
@@ -84,12 +94,16 @@ def _angle_numbers(of_pass: Any, axis: int, target: int) -> tuple[dict[str, Any]
 def _visibility_lines(of_pass: Any, entries: dict[str, Any]) -> list[str]:
     """Return a line for each station on the spacecraft's elevation; add the numbers to `entries`."""
     lines = []
-    for k, name in enumerate(of_pass["station"].values.astype(str) if "station" in of_pass.coords else ()):
+    for k, name in enumerate(
+        of_pass["station"].values.astype(str) if "station" in of_pass.coords else ()
+    ):
         elevation = np.degrees(of_pass["station_elevation"].values[k])
         above = int((elevation > 0).sum())
         entries.setdefault("elevation_deg", {})[name] = float(elevation.max())
         text = f"highest {elevation.max():.0f} deg" if above else "always below the horizon"
-        lines.append(f"  {name}: {above} of {count_text(elevation.size, 'sample')} above the horizon, {text}")
+        lines.append(
+            f"  {name}: {above} of {count_text(elevation.size, 'sample')} above the horizon, {text}"
+        )
     return lines
 
 
@@ -121,7 +135,9 @@ def pointing_figure(data: Any) -> Any:
         for i, axes in enumerate(column):
             _draw_angles(axes, data, number, i, t[0])
             if not data["decided"].values[number]:
-                axes.text(0.5, 0.5, "not decided", ha="center", color=GREY, transform=axes.transAxes)
+                axes.text(
+                    0.5, 0.5, "not decided", ha="center", color=GREY, transform=axes.transAxes
+                )
     for name, row in zip(axes_names, grid, strict=True):
         row[0].set(ylabel=f"angle of {name} (deg)", ylim=(0, 180), yticks=range(0, 181, 45))
     handles = {}
@@ -138,7 +154,8 @@ def _draw_angles(axes: Any, data: Any, number: int, i: int, begin: float) -> Non
     for j, target in enumerate(data["target"].values.astype(str)):
         colour = COLOURS[j % 6]
         angle, sigma = (
-            np.degrees(data[name].values[i, j, inside]) for name in ("pointing_angle", "pointing_sigma")
+            np.degrees(data[name].values[i, j, inside])
+            for name in ("pointing_angle", "pointing_sigma")
         )
         known = np.isfinite(angle)
         if known.any():
@@ -147,7 +164,12 @@ def _draw_angles(axes: Any, data: Any, number: int, i: int, begin: float) -> Non
         if "curve_pointing_angle" in data and known.all():
             on_curve = data["curve_pass_of"].values == number
             t = (data["curve_time"].values[on_curve] - begin) / 60
-            axes.plot(t, np.degrees(data["curve_pointing_angle"].values[i, j, on_curve]), lw=0.8, color=colour)
+            axes.plot(
+                t,
+                np.degrees(data["curve_pointing_angle"].values[i, j, on_curve]),
+                lw=0.8,
+                color=colour,
+            )
 
 
 def pointing_tables(data: Any) -> Iterator[Table]:
@@ -166,7 +188,9 @@ def pointing_tables(data: Any) -> Iterator[Table]:
         for j, target in enumerate(data["target"].values.astype(str)):
             columns[f"{target}_angle_deg"] = np.degrees(data["pointing_angle"].values[i, j])
             columns[f"{target}_angle_sigma_deg"] = np.degrees(data["pointing_sigma"].values[i, j])
-        for k, name in enumerate(data["station"].values.astype(str) if "station" in data.coords else ()):
+        for k, name in enumerate(
+            data["station"].values.astype(str) if "station" in data.coords else ()
+        ):
             columns[f"{name}_elevation_deg"] = np.degrees(data["station_elevation"].values[k])
             columns[f"{name}_range_km"] = data["station_range"].values[k] / 1e3
         columns["why_no_angle"] = why[pass_of]
@@ -179,7 +203,7 @@ def pointing_tables(data: Any) -> Iterator[Table]:
         headings |= {f"{name}_elevation_deg": f"elevation at {name}, deg"}
     limit = np.degrees(LARGEST_SIGMA_RAD)
     comment = (
-        f"angles between body axis and direction to the target; one sigma; empty where the pass is not decided or the error exceeds "
+        f"angles between body axis and direction to the target; one sigma; empty if the pass is not decided or the error exceeds "
         f"{limit:.0f} deg"
     )
     yield Table("pointing", frame, "Angles at the samples", headings, comment=comment)
