@@ -100,10 +100,11 @@ def _visibility_lines(of_pass: Any, entries: dict[str, Any]) -> list[str]:
         elevation = np.degrees(of_pass["station_elevation"].values[k])
         above = int((elevation > 0).sum())
         entries.setdefault("elevation_deg", {})[name] = float(elevation.max())
-        text = f"highest {elevation.max():.0f} deg" if above else "always below the horizon"
-        lines.append(
-            f"  {name}: {above} of {count_text(elevation.size, 'sample')} above the horizon, {text}"
-        )
+        text = "always below the horizon"
+        if above:
+            count = count_text(elevation.size, "sample")
+            text = f"above the horizon in {above} of {count}, highest {elevation.max():.0f} deg"
+        lines.append(f"  {name}: {text}")
     return lines
 
 
