@@ -258,3 +258,47 @@ def test_the_command_reads_the_results_folder_of_rates(tmp_path, undrawn, monkey
     ):
         refused = run.invoke(cli, arguments)
         assert isinstance(refused.exception, InputError) and says in str(refused.exception)
+
+
+def spinner(rate_sigma: float) -> xr.Dataset:
+    """Return rates of a body that spins at 1 deg/s about an axis fixed in J2000, two passes, with curves."""
+    spin, t = np.radians(1.0) * np.array([0.6, 0.0, 0.8]), np.arange(0.0, 600.0, 20.0)
+    attitude = Rotation.from_rotvec(-t[:, None] * spin)
+    rates = rates_with(attitude, t, (0.01, 0.02))
+    rates = rates.assign(
+        omega_B=(("time", "axis"), np.tile(spin, (len(t), 1))),
+        omega_cov_B=(("time", "axis", "axis2"), np.tile(rate_sigma**2 * np.eye(3), (len(t), 1, 1))),
+    )
+    # the Sun's own motion in ten minutes is 0.007 deg
+    sun_N = attitude[0].inv().apply(rates["sun_B"].values[0])
+    return rates.assign(sun_B=(("time", "axis"), attitude.apply(sun_N)))
+
+
+def test_angles_between_the_samples_are_those_of_the_motion_with_growing_errors():
+    rates = spinner(1e-3)
+    found = ss.pointing(rates, stations=[STATION], step_s=4.0)
+    at_samples = ss.pointing(rates, stations=[STATION])
+    t = found["time"].values
+    attitude = Rotation.from_rotvec(-t[:, None] * rates["omega_B"].values[0])
+    orbit = in_orbit(tuple(parse_elements(ELEMENTS, "test")), EPOCH, t)
+    position, _ = orbit.states(orbit.instants(t))
+    nadir = attitude.apply(-position / np.linalg.norm(position, axis=1, keepdims=True))
+    angle = found["pointing_angle"].sel(body_axis="+z", target="nadir").values
+    np.testing.assert_allclose(np.degrees(angle), np.degrees(np.arccos(nadir[:, 2])), atol=0.02)
+    same = np.flatnonzero(np.isin(t, at_samples["time"].values))
+    assert len(same) == at_samples.sizes["time"]
+    for name in ("pointing_angle", "pointing_sigma", "station_elevation"):
+        np.testing.assert_allclose(found[name].values[..., same], at_samples[name], atol=2e-5)
+    # 8 s from a sample: the errors of attitude and rate together
+    sigma = found["pointing_sigma"].sel(body_axis="+z", target="sun").values
+    np.testing.assert_allclose(sigma[2], np.sqrt(0.01**2 / 2 + 0.008**2), rtol=1e-3)
+    # no time lies between the passes
+    assert not ((t > 280.0) & (t < 300.0)).any()
+
+
+@pytest.mark.parametrize(
+    ("step", "says"), [(0.0, "must be positive"), (1e-3, "at most 200000 times")]
+)
+def test_a_step_that_is_no_step_or_too_small_is_refused(step, says):
+    with pytest.raises(InputError, match=says):
+        ss.pointing(spinner(1e-3), step_s=step)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from sunspin.cli.changes import Command
-from sunspin.cli.common import PATH, Output, shared
+from sunspin.cli.common import PATH, POSITIVE, Output, shared
 from sunspin.cli.values import Parsed, parse_numbers
 
 
@@ -41,8 +41,15 @@ def parse_station(text: str, name: str) -> tuple[str, float, float, float]:
     type=Parsed(parse_station, "[NAME=]LAT,LON,ALT"),
     help="Ground station: geodetic latitude and longitude (deg, north and east positive) and altitude (m). Repeatable.",
 )
+@click.option(
+    "--step",
+    type=POSITIVE,
+    help="Interval of the angles in s, along the estimated motion. Default: at the samples.",
+)
 @shared()
-def pointing(folder: Path, axes: tuple, stations: tuple, output: Output) -> None:
+def pointing(
+    folder: Path, axes: tuple, stations: tuple, step: float | None, output: Output
+) -> None:
     """Compute the angles of body axes to the Sun, nadir, ram (orbital velocity) and ground stations.
 
     RESULT is a folder that `rates --out` wrote. If it was estimated with an orbit and a magnetometer, all angles are known; else
@@ -53,10 +60,10 @@ def pointing(folder: Path, axes: tuple, stations: tuple, output: Output) -> None
     \b
     Examples (the second for rates that were estimated with an orbit and a magnetometer):
       sunspin rates vehicle.toml telemetry.csv --out rates
-      sunspin pointing rates --axis +z --axis -x
+      sunspin pointing rates --axis +z --axis -x --step 5
       sunspin pointing rates --axis +z --station graz=47.07,15.49,490 --out pointing
     """
     from sunspin.output.pointing import pointing as angles
 
     output.claim()
-    output.deliver(angles(folder, axes, stations), main="pointing.csv")
+    output.deliver(angles(folder, axes, stations, step_s=step), main="pointing.csv")

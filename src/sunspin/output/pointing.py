@@ -25,6 +25,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.earth import Instants, earth_from_J2000, rotate_vectors
 from sunspin.environment.frames import J2000
 from sunspin.environment.orbit import Orbit
+from sunspin.output.export import motion_at
 from sunspin.output.report.read import read_results
 from sunspin.vehicle.timeline import utc_after
 
@@ -40,6 +41,9 @@ AXES = {
     for name, vector in zip("xyz", np.eye(3), strict=True)
 }
 """Body axes with names -> unit vectors."""
+
+MOST_TIMES = 200_000
+"""Largest number of times of one result: a table of some 50 MB."""
 
 MOST_AXES, MOST_STATIONS = 12, 12
 """Largest numbers of axes and stations of one result."""
@@ -131,6 +135,7 @@ def pointing(
     axes: Sequence[str | npt.ArrayLike] = ("+z",),
     stations: Sequence[Station | tuple[str, float, float, float]] = (),
     orbit: Any = None,
+    step_s: float | None = None,
 ) -> xr.Dataset:
     """Return the angles of body axes to the Sun, nadir, ram and ground stations, with errors, at the samples of `rates`.
 
@@ -144,6 +149,9 @@ def pointing(
         Ground stations: geodetic latitude and longitude in deg, altitude in m above the WGS 84 ellipsoid.
     orbit : Orbit, optional
         The orbit that `rates` used, for a Dataset of the Python function; a folder holds it.
+    step_s : float, optional
+        Interval (s) of the times in each pass, along the estimated motion; default: at the samples. Between samples the error grows
+        with the distance in time to the nearest sample times the error of the rate.
 
     Returns
     -------
@@ -168,6 +176,8 @@ def pointing(
     if not np.isfinite(data["sun_B"].values).any():
         what = "this result knows no Sun direction, and so no pointing"
         raise InputError(what, do="give `rates` panels, Sun sensors or an orbit")
+    if step_s is not None:
+        data = _on_grid(data, step_s)
     vectors = _read_axes(axes)
     ground = [Station(*station).checked() for station in stations]
     if len({station.name for station in ground}) < len(ground) or len(ground) > MOST_STATIONS:
@@ -207,6 +217,8 @@ def pointing(
     attrs = {
         name: data.attrs[name] for name in ("vehicle", "orbit", "orbit_name") if name in data.attrs
     }
+    unchecked = decided & (_columns_checked(data) != "as_stated")
+    attrs |= {"columns_unchecked": int(unchecked.any())}
     attrs |= {"sun_only": missing, "stations": "; ".join(map(_station_text, ground))}
     return xr.Dataset(variables, coords, provenance("pointing", data, **attrs))
 
@@ -219,6 +231,62 @@ def _read_rates(folder: Path) -> xr.Dataset:
         do = "run `sunspin rates ... --out DIR` first"
         raise InputError(what, got=f"results of {results.command}", do=do, where=str(folder))
     return results.data["rates"]
+
+
+def _on_grid(data: xr.Dataset, step_s: float) -> xr.Dataset:
+    """Return a result of `rates` at times `step_s` (s) apart in each pass: attitude, Sun, track, and their errors.
+
+    The variance at a time dt from a sample is that at the sample plus dt^2 times that of the rate, which neglects that both errors
+    are correlated; of the two samples around it, the one with the smaller sum counts.
+    """
+    if not 0 < step_s < np.inf:
+        raise InputError("the step of pointing must be positive, in s", got=step_s)
+    time, pass_of = data["time"].values, data["pass_of"].values
+    spans = [time[pass_of == k][[0, -1]] for k in range(data.sizes["pass_id"])]
+    if sum(np.ptp(span) / step_s + 1 for span in spans) > MOST_TIMES:
+        what, do = f"pointing takes at most {MOST_TIMES} times", "give a larger step"
+        raise InputError(what, got=f"a step of {step_s:g} s", do=do)
+    # rounding may put the last time of a pass beyond its end
+    grids = [np.minimum(np.arange(begin, end + 1e-6 * step_s, step_s), end) for begin, end in spans]
+    grid = np.concatenate(grids)
+    motion = motion_at(data, grid)
+    attitude, number = Rotation.from_quat(motion["B_from_N"].values), motion["pass_of"].values
+    # the sample before each time and the one after it, in the same pass
+    after = np.clip(np.searchsorted(time, grid, side="right"), 1, len(time) - 1)
+    neighbours = np.stack([after - 1, after])
+    apart = (grid - time[neighbours]) ** 2
+    apart[pass_of[neighbours] != number] = np.inf
+    rate, sun = data["omega_cov_B"].values, data["sun_B"].values
+    about = np.einsum("ni,nij,nj->n", sun, rate, sun)
+    across = np.maximum(np.einsum("nii->n", rate) - about, 0.0)
+    grown = data["sun_sigma_rad"].values[neighbours] ** 2 + _times(apart, across[neighbours])
+    values = {"sun_sigma_rad": ("time", np.sqrt(grown.min(axis=0)))}
+    if "turn_sigma_rad" in data:
+        grown = data["turn_sigma_rad"].values[neighbours] ** 2 + _times(apart, about[neighbours])
+        values["turn_sigma_rad"] = ("time", np.sqrt(grown.min(axis=0)))
+    first = np.array([np.argmax(pass_of == k) for k in range(data.sizes["pass_id"])])
+    sun_N = Rotation.from_quat(data["B_from_N"].values[first]).inv().apply(sun[first])
+    values |= {
+        "B_from_N": (("time", "quaternion"), attitude.as_quat()),
+        "sun_B": (("time", "axis"), attitude.apply(sun_N[number])),
+        "pass_of": ("time", number),
+    }
+    if all(name in data for name in TRACK):
+        track = _track(data, grid, "grid")
+        parts = (
+            (("time", "axis"), track.position),
+            (("time", "axis"), track.velocity),
+            ("time", track.sigma_s),
+        )
+        values |= dict(zip(TRACK, parts, strict=True))
+    return data.drop_dims("time").assign(values).assign_coords(time=grid)
+
+
+def _times(square: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return squares of times (...) times variances (...) of rates; an infinite time gives infinity, even without an error."""
+    return np.where(
+        np.isfinite(square), np.where(np.isfinite(square), square, 0.0) * variance, np.inf
+    )
 
 
 def _read_axes(axes: Sequence[str | npt.ArrayLike]) -> dict[str, np.ndarray]:
@@ -243,6 +311,13 @@ def _read_axes(axes: Sequence[str | npt.ArrayLike]) -> dict[str, np.ndarray]:
     return vectors
 
 
+def _columns_checked(data: xr.Dataset) -> np.ndarray:
+    """Return of each time (n) whether `rates` could check columns and signs of the vehicle file, in its words."""
+    if "columns_checked" not in data:
+        return np.full(data.sizes["time"], "as_stated")
+    return data["columns_checked"].values.astype(str)[data["pass_of"].values]
+
+
 def _why_sun_only(data: xr.Dataset) -> str:
     """Return in words why only the angle to the Sun is known; an empty text if the attitude is known in J2000 and the orbit too."""
     if "orbit" not in data.attrs:
@@ -257,7 +332,7 @@ def _why_sun_only(data: xr.Dataset) -> str:
 def _track(data: xr.Dataset, t_s: np.ndarray, prefix: str) -> Track:
     """Return the track at times `t_s` (n) of samples (prefix "") or of the curve ("curve_"), where it is interpolated by cubics.
 
-    Samples are minutes apart at most: at 10 minutes the error of the cubic is 4 km, or 0.03 deg of nadir.
+    Any other prefix than "" interpolates. At samples 10 minutes apart the error of the cubic is 4 km, or 0.03 deg of nadir.
     """
     time = data["time"].values
     position, velocity, sigma = (data[name].values for name in TRACK)
@@ -359,7 +434,7 @@ def _station_text(station: Station) -> str:
     return f"{station.name}: {place}, altitude {station.altitude_m:g} m"
 
 
-def sample_times(data: xr.Dataset) -> list[str]:
-    """Return the times of the samples in UTC; empty texts without an epoch."""
+def times_text(data: xr.Dataset) -> list[str]:
+    """Return the times of a result in UTC; empty texts without an epoch."""
     epoch = str(data.attrs.get("epoch_utc") or "")
     return [utc_after(t, epoch, 3) if epoch else "" for t in data["time"].values.tolist()]

@@ -41,11 +41,15 @@ NEAR = 0.75
 """Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
 
 
-ELEVATION_BEYOND_DEG, COSINE_BEYOND = 10.0, 0.2
-"""Elevations of the Sun above 90 deg, and cosines above 1, by at most so much are noise."""
+ANGLES = {
+    "elevation_deg": (-90.0, 90.0, 10.0, "an elevation (deg)"),
+    "incidence_deg": (0.0, 180.0, 10.0, "an angle from the normal (deg)"),
+    "cosine": (-1.0, 1.0, 0.2, "a cosine"),
+}
+"""Quantity of angles of the Sun -> smallest and largest value, how far noise may go beyond them, and its name in messages."""
 
-LEAST_LARGEST_DEG = 2.0
-"""The highest Sun of a file above any panel is higher than this: panels at right angles to each other have it above 35 deg."""
+LEAST_LARGEST_DEG = 4.0
+"""The largest angle (deg) of a file is larger, and the largest one in rad (pi) is smaller: cubes have the Sun above 35 deg."""
 
 LEAST_FACTOR = 0.2
 """A temperature correction below this is not applied, because the linear law does not hold."""
@@ -69,7 +73,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        `power_W` (or `current_A`) over (time, panel); for elevations of the Sun `power_W` holds gain times sine.
+        `power_W` (or `current_A`) over (time, panel); for angles of the Sun `power_W` holds gain times cosine.
         `flag (time)`: bits, 0 is good; coordinate `time` in s from
         ``attrs["epoch_utc"]``. `phase (time)` and `received_s (time)` if the file has such columns. The variables of
         :func:`sunspin.telemetry.sensors.read_sensors`.
@@ -141,7 +145,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         if form.has_angles:
             about = {
                 "units": "1",
-                "long_name": "gain times sine of the Sun's elevation above the panel",
+                "long_name": "gain times cosine of the Sun's angle from the panel's normal",
             }
         readings[form.variable] = (("time", "panel"), values, about)
     if "phase" in table.header:
@@ -278,36 +282,32 @@ def _read_panels(
 def _signals_of_angles(
     vehicle: Vehicle, table: Table, columns: list[str], values: np.ndarray
 ) -> np.ndarray:
-    """Return the readings (n, n_panel) of flat panels that have the Sun at these elevations (deg) or with these cosines.
+    """Return the readings (n, n_panel) of flat panels that have the Sun at these angles (deg), or with these cosines.
 
-    A reading is the panel's gain times the sine of the elevation. Below the plane of the panel it is zero, as in the dark.
+    A reading is the panel's gain times the cosine of the angle of incidence. If the Sun is below the plane of the panel it is
+    zero, as in the dark.
 
     Raises
     ------
     TelemetryError
-        A value is no elevation or cosine (with ``bad_rows = "refuse"``), or all elevations are so small that they are in rad.
+        A value is no such angle (with ``bad_rows = "refuse"``), or all angles are so small that they must be in rad.
     """
-    form = vehicle.telemetry
-    is_elevation = form.quantity == "elevation_deg"
-    limit = 90.0 + ELEVATION_BEYOND_DEG if is_elevation else 1.0 + COSINE_BEYOND
-    beyond = np.abs(values) > limit
-    what = (
-        "an elevation lies between -90 and 90 deg"
-        if is_elevation
-        else "a cosine lies between -1 and 1"
-    )
-    what += ", after scale and zero under [telemetry]" + (
-        "" if is_elevation else " (scale = 0.01 for percent)"
-    )
-    _refuse_bad_cells(form, what, beyond, table, columns)
-    known = np.where(beyond, np.nan, values)
-    largest = float(np.nanmax(known, initial=0.0))
-    if is_elevation and 0 < largest < LEAST_LARGEST_DEG:
-        what = "the elevations of the Sun do not look like degrees"
+    quantity = vehicle.telemetry.quantity
+    low, high, beyond, text = ANGLES[quantity]
+    outside = (values < low - beyond) | (values > high + beyond)
+    what = f"{text} lies between {low:g} and {high:g}, after scale and zero under [telemetry]"
+    _refuse_bad_cells(vehicle.telemetry, what, outside, table, columns)
+    known = np.where(outside, np.nan, values)
+    largest = float(np.nanmax(np.abs(known), initial=0.0))
+    if quantity == "cosine":
+        return vehicle.input_gains * np.maximum(known, 0.0)
+    if 0 < largest < LEAST_LARGEST_DEG:
+        what = "the angles of the Sun do not look like degrees"
         do = 'set scale = 57.29578 under [telemetry] for rad, or quantity = "cosine"'
         got = f"{largest:.3g} as the largest one"
         raise TelemetryError(what, got=got, do=do, where=table.where)
-    sine = np.sin(np.radians(np.clip(known, -90.0, 90.0))) if is_elevation else known
+    elevation = known if quantity == "elevation_deg" else 90.0 - known
+    sine = np.sin(np.radians(np.clip(elevation, -90.0, 90.0)))
     return vehicle.input_gains * np.maximum(sine, 0.0)
 
 

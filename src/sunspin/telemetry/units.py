@@ -19,7 +19,13 @@ from sunspin.vehicle.parts import Wheel
 from sunspin.vehicle.response.panels import brightness
 from sunspin.vehicle.sensors import Gyro, Magnetometer, SunSensor
 
-UNITS = {"power_W": "W", "current_A": "A", "elevation_deg": "W", "cosine": "W"}
+UNITS = {
+    "power_W": "W",
+    "current_A": "A",
+    "elevation_deg": "W",
+    "incidence_deg": "W",
+    "cosine": "W",
+}
 """Quantity of panel readings -> its unit. Angles of the Sun are read as powers of flat panels."""
 
 LARGEST = {"W": 2000.0, "A": 100.0}

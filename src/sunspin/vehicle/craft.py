@@ -94,12 +94,14 @@ class TelemetryForm(Part):
     full, all readings of a sample are reduced by one unknown factor. `sample_span_s`: rows within so many seconds, each with some
     of the columns, are one sample.
 
-    `quantity` "elevation_deg" or "cosine": a column has the elevation of the Sun above the plane of the panel, or its sine (the
-    cosine of the angle of incidence). The reader makes of it the reading of a flat panel, gain times sine, and zero below zero;
-    `noise` is in deg, or of the sine.
+    `quantity` "elevation_deg", "incidence_deg" or "cosine": a column has the elevation of the Sun above the plane of the panel,
+    its angle from the normal, or the cosine of that angle. The reader makes of it the reading of a flat panel, gain times
+    cosine, and zero below zero; `noise` is in deg, or of the cosine.
     """
 
-    quantity: Literal["power_W", "current_A", "elevation_deg", "cosine"] = "power_W"
+    quantity: Literal["power_W", "current_A", "elevation_deg", "incidence_deg", "cosine"] = (
+        "power_W"
+    )
     time_column: Name = "time"
     time_format: Literal["utc", "unix", "gps", "tai", "elapsed"] = "utc"
     epoch_utc: str | None = None
@@ -171,7 +173,7 @@ class TelemetryForm(Part):
     @property
     def has_angles(self) -> bool:
         """True if the columns are angles of the Sun, which the reader turns into readings of flat panels."""
-        return self.quantity in ("elevation_deg", "cosine")
+        return self.quantity in ("elevation_deg", "incidence_deg", "cosine")
 
     @property
     def variable(self) -> str:
@@ -180,8 +182,8 @@ class TelemetryForm(Part):
 
     @property
     def noise_per_gain(self) -> float:
-        """Factor from the noise in the file, times the gain, to that of the readings: rad per deg for elevations, else 1."""
-        return float(np.radians(1.0)) if self.quantity == "elevation_deg" else 1.0
+        """Factor from the noise in the file, times the gain, to that of the readings: rad per deg for angles in deg, else 1."""
+        return 1.0 if self.quantity == "cosine" else float(np.radians(1.0))
 
     def _require_plain_angles(self) -> None:
         """Raise `VehicleError` for keys that belong to electrical readings."""
@@ -359,8 +361,8 @@ class Vehicle(Part):
     def input_noise(self) -> FloatArray | None:
         """Standard deviation of each input's readings (n_input) in the telemetry's unit; None if the file does not state it.
 
-        For angles of the Sun it is that of the readings that are made of them. A noise of the elevation is taken as that of
-        its sine: so it is for angles that were computed from currents, and near the normal it is too large for others.
+        For angles of the Sun it is that of the readings that are made of them. A noise of the angle is taken as that of the
+        cosine: so it is for angles that were computed from currents, and near the normal it is too large for others.
         """
         own_noise = {each.name: each.noise for each in (*self.panels, *self.channels)}
         noise = [own_noise[name] or self.telemetry.noise for name in self.input_names]

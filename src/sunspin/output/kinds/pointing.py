@@ -11,7 +11,7 @@ import pandas as pd
 from sunspin.output.figures import COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.figures.rates import largest_passes
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.pointing import LARGEST_SIGMA_RAD, sample_times
+from sunspin.output.pointing import LARGEST_SIGMA_RAD, times_text
 from sunspin.output.text import clock_text, count_text, range_text, size_text, start_texts
 
 MOST_LINES = 30
@@ -66,6 +66,11 @@ def pointing_summary(data: Any) -> Summary:
         if len(lines) > printed
         else []
     )
+    if data.attrs["columns_unchecked"]:
+        notes.append(
+            "columns unchecked: the angles hold if columns and signs of the vehicle file are right; `rates` names those that it "
+            "cannot check"
+        )
     if data.attrs["sun_only"]:
         notes.append(f"only the angle to the Sun is given: {data.attrs['sun_only']}")
     return Summary(numbers, lines[:printed], notes)
@@ -181,7 +186,7 @@ def pointing_tables(data: Any) -> Iterator[Table]:
     for i, axis in enumerate(data["body_axis"].values.astype(str)):
         columns: dict[str, Any] = {
             "time_s": data["time"].values,
-            "utc": sample_times(data),
+            "utc": times_text(data),
             "pass_id": data["pass_id"].values[pass_of],
             "decided": decided[pass_of],
             "axis": axis,
