@@ -177,7 +177,7 @@ def test_a_pass_that_is_not_decided_has_no_angles_and_says_why(tmp_path):
     assert set(table[~table["decided"]]["why_no_angle"]) == {"several solutions"}
     assert table[~table["decided"]]["nadir_angle_deg"].isna().all()
     page = write_report(folder).read_text("utf-8")
-    assert "not decided (several solutions)" in page and "Angles at the samples" in page
+    assert "not decided (several solutions)" in page and "Angles of body axes" in page
 
 
 def test_an_angle_whose_error_is_too_large_is_not_given():
@@ -292,6 +292,15 @@ def test_angles_between_the_samples_are_those_of_the_motion_with_growing_errors(
     # 8 s from a sample: the errors of attitude and rate together
     sigma = found["pointing_sigma"].sel(body_axis="+z", target="sun").values
     np.testing.assert_allclose(sigma[2], np.sqrt(0.01**2 / 2 + 0.008**2), rtol=1e-3)
+    curves = rates.assign({f"curve_{n}": ("curve_time", rates[n].values) for n in ("pass_of",)})
+    curves["curve_B_from_N"] = (("curve_time", "quaternion"), rates["B_from_N"].values)
+    curves["curve_omega_B"] = (("curve_time", "axis"), rates["omega_B"].values)
+    curves = curves.assign_coords(curve_time=rates["time"].values)
+    between = ss.pointing(curves, stations=[STATION])
+    assert np.allclose(between["curve_pointing_angle"], at_samples["pointing_angle"], atol=1e-4)
+    undecided = curves.assign(decided=("pass_id", np.array([True, False])))
+    left_out = np.isnan(ss.pointing(undecided)["curve_pointing_angle"].values[0, 0])
+    np.testing.assert_array_equal(left_out, rates["pass_of"] == 1)
     # no time lies between the passes
     assert not ((t > 280.0) & (t < 300.0)).any()
 

@@ -20,8 +20,8 @@ def parse_axis(text: str, name: str) -> Any:
 def parse_station(text: str, name: str) -> tuple[str, float, float, float]:
     """Return a ground station from NAME=LATITUDE,LONGITUDE,ALTITUDE (deg, deg, m); without a name it is called station."""
     called, equals, place = text.rpartition("=")
-    numbers = parse_numbers(place, name, 3)
-    return (called if equals else "station", *numbers)  # ty: ignore[invalid-return-type]
+    latitude, longitude, altitude = parse_numbers(place, name, 3)
+    return called if equals else "station", latitude, longitude, altitude
 
 
 @click.command(cls=Command)

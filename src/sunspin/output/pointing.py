@@ -133,7 +133,7 @@ def with_track(result: xr.Dataset, orbit: Orbit | None) -> xr.Dataset:
 def pointing(
     rates: xr.Dataset | str | Path,
     axes: Sequence[str | npt.ArrayLike] = ("+z",),
-    stations: Sequence[Station | tuple[str, float, float, float]] = (),
+    stations: Sequence[tuple[str, float, float, float]] = (),
     orbit: Any = None,
     step_s: float | None = None,
 ) -> xr.Dataset:
@@ -179,32 +179,33 @@ def pointing(
     if step_s is not None:
         data = _on_grid(data, step_s)
     vectors = _read_axes(axes)
-    ground = [Station(*station).checked() for station in stations]
-    if len({station.name for station in ground}) < len(ground) or len(ground) > MOST_STATIONS:
-        what = f"there are at most {MOST_STATIONS} stations, each with a name of its own"
-        raise InputError(what, got=", ".join(station.name for station in ground))
+    ground = _read_stations(stations)
     missing = _why_sun_only(data)
     if missing and ground:
         do = "give `rates` an orbit (--tle) and a magnetometer, or leave the stations out"
         raise InputError(f"the angle to a station is not known: {missing}", do=do)
     targets = _targets(data, "", ground, not missing)
-    at_samples = _angles(vectors, targets, _attitude_covariance(data))
+    angle = _angles(vectors, targets)
+    sigma = _sigmas(vectors, targets, _attitude_covariance(data))
     decided = data["decided"].values[data["pass_of"].values].astype(bool)
-    given = decided & (at_samples[1] <= LARGEST_SIGMA_RAD)
+    given = decided & (sigma <= LARGEST_SIGMA_RAD)
     dims = ("body_axis", "target", "time")
     variables: dict[str, Any] = {
-        "pointing_angle": (dims, np.where(given, at_samples[0], np.nan)),
-        "pointing_sigma": (dims, np.where(decided, at_samples[1], np.nan)),
+        "pointing_angle": (dims, np.where(given, angle, np.nan)),
+        "pointing_sigma": (dims, np.where(decided, sigma, np.nan)),
         "pass_of": data["pass_of"],
         "decided": data["decided"],
         "why_not_decided": data["why_not_decided"],
     }
     if "curve_time" in data.coords and "curve_B_from_N" in data:
-        between = _angles(vectors, _targets(data, "curve_", ground, not missing), None)[0]
-        decided_on_curve = data["decided"].values[data["curve_pass_of"].values].astype(bool)
+        between = _angles(vectors, _targets(data, "curve_", ground, not missing))
+        # a curve is shown in passes in which the angle is given at all times
+        passes = range(data.sizes["pass_id"])
+        known = np.array([given[..., data["pass_of"].values == k].all(axis=-1) for k in passes])
+        on_curve = np.moveaxis(known, 0, -1)[..., data["curve_pass_of"].values]
         variables["curve_pointing_angle"] = (
             ("body_axis", "target", "curve_time"),
-            np.where(decided_on_curve, between, np.nan),
+            np.where(on_curve, between, np.nan),
         )
         variables["curve_pass_of"] = data["curve_pass_of"]
     if ground:
@@ -260,7 +261,7 @@ def _on_grid(data: xr.Dataset, step_s: float) -> xr.Dataset:
     about = np.einsum("ni,nij,nj->n", sun, rate, sun)
     across = np.maximum(np.einsum("nii->n", rate) - about, 0.0)
     grown = data["sun_sigma_rad"].values[neighbours] ** 2 + _times(apart, across[neighbours])
-    values = {"sun_sigma_rad": ("time", np.sqrt(grown.min(axis=0)))}
+    values: dict[str, Any] = {"sun_sigma_rad": ("time", np.sqrt(grown.min(axis=0)))}
     if "turn_sigma_rad" in data:
         grown = data["turn_sigma_rad"].values[neighbours] ** 2 + _times(apart, about[neighbours])
         values["turn_sigma_rad"] = ("time", np.sqrt(grown.min(axis=0)))
@@ -309,6 +310,15 @@ def _read_axes(axes: Sequence[str | npt.ArrayLike]) -> dict[str, np.ndarray]:
     if not 0 < len(vectors) <= MOST_AXES:
         raise InputError(f"pointing takes 1 to {MOST_AXES} body axes", got=len(vectors))
     return vectors
+
+
+def _read_stations(stations: Sequence[tuple[str, float, float, float]]) -> list[Station]:
+    """Return checked stations; raise `InputError` if one is not valid, or if two have the same name."""
+    ground = [Station(*station).checked() for station in stations]
+    if len({station.name for station in ground}) < len(ground) or len(ground) > MOST_STATIONS:
+        what = f"there are at most {MOST_STATIONS} stations, each with a name of its own"
+        raise InputError(what, got=", ".join(station.name for station in ground))
+    return ground
 
 
 def _columns_checked(data: xr.Dataset) -> np.ndarray:
@@ -394,30 +404,39 @@ def _attitude_covariance(data: xr.Dataset) -> np.ndarray:
     return across + data["turn_sigma_rad"].values[:, None, None] ** 2 * along
 
 
-def _angles(
-    vectors: dict[str, np.ndarray], targets: dict[str, Directions], covariance: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles of axes to targets and their sigmas (n_axis, n_target, n), rad; sigmas are zero without a covariance."""
-    shape = len(vectors), len(targets), len(next(iter(targets.values())).direction)
-    angle, sigma = np.empty(shape), np.zeros(shape)
+def _angles(vectors: dict[str, np.ndarray], targets: dict[str, Directions]) -> np.ndarray:
+    """Return the angles (n_axis, n_target, n) of axes to targets, rad."""
+    direction = np.array([target.direction for target in targets.values()])
+    angles = []
+    for axis in vectors.values():
+        # from sine and cosine: the arc cosine alone would lose digits near 0 and 180 degrees
+        sine = np.linalg.norm(np.cross(direction, axis), axis=-1)
+        angles.append(np.arctan2(sine, direction @ axis))
+    return np.array(angles)
+
+
+def _sigmas(
+    vectors: dict[str, np.ndarray], targets: dict[str, Directions], covariance: np.ndarray
+) -> np.ndarray:
+    """Return one sigma (n_axis, n_target, n) of the angles, rad, from the covariance (n, 3, 3) of the attitude and the track.
+
+    If the axis is near the direction or the opposite one, the side on which it lies is not known, and the largest error counts.
+    """
+    sigma = np.empty((len(vectors), len(targets), len(covariance)))
     for k, (direction, along_track) in enumerate(targets.values()):
-        if covariance is not None:
-            # change of the direction for each component of the rotation: e x d = cross @ e
-            cross = -np.cross(np.eye(3), direction[:, None, :]).swapaxes(1, 2)
-            spread = cross @ covariance @ np.swapaxes(cross, 1, 2)
-            spread = spread + along_track[:, :, None] * along_track[:, None, :]
-            largest = np.linalg.eigvalsh(np.nan_to_num(spread))[:, -1]
+        # change of the direction for each component of the rotation: e x d = cross @ e
+        cross = -np.cross(np.eye(3), direction[:, None, :]).swapaxes(1, 2)
+        spread = cross @ covariance @ np.swapaxes(cross, 1, 2)
+        spread = spread + along_track[:, :, None] * along_track[:, None, :]
+        largest = np.linalg.eigvalsh(np.nan_to_num(spread))[:, -1]
         for i, axis in enumerate(vectors.values()):
-            cosine, sine = direction @ axis, np.linalg.norm(np.cross(direction, axis), axis=1)
-            angle[i, k] = np.arctan2(sine, cosine)
-            if covariance is None:
-                continue
-            towards = axis - cosine[:, None] * direction
+            towards = axis - (direction @ axis)[:, None] * direction
+            sine = np.linalg.norm(towards, axis=1)
             towards /= np.maximum(sine, 1e-12)[:, None]
             variance = np.einsum("ni,nij,nj->n", towards, spread, towards)
             near = sine < NEAR_SIGMAS * np.sqrt(largest)
             sigma[i, k] = np.sqrt(np.maximum(np.where(near, largest, variance), 0.0))
-    return angle, sigma
+    return sigma
 
 
 def _seen_from(station: Station, track: Track) -> tuple[np.ndarray, np.ndarray]:

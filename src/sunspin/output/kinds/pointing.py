@@ -167,7 +167,7 @@ def _draw_angles(axes: Any, data: Any, number: int, i: int, begin: float) -> Non
         if known.any():
             style = {"fmt": ".", "ms": 4, "lw": 0.8, "color": colour, "label": target}
             axes.errorbar(minutes[known], angle[known], sigma[known], **style)
-        if "curve_pointing_angle" in data and known.all():
+        if "curve_pointing_angle" in data:
             on_curve = data["curve_pass_of"].values == number
             t = (data["curve_time"].values[on_curve] - begin) / 60
             axes.plot(
@@ -212,7 +212,7 @@ def pointing_tables(data: Any) -> Iterator[Table]:
         f"angles between body axis and direction to the target; one sigma; empty if the pass is not decided or the error exceeds "
         f"{limit:.0f} deg"
     )
-    yield Table("pointing", frame, "Angles at the samples", headings, comment=comment)
+    yield Table("pointing", frame, "Angles of body axes", headings, comment=comment)
 
 
 _pointing = (pointing_summary, pointing_drawings, pointing_tables)
