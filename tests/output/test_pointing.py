@@ -311,3 +311,25 @@ def test_angles_between_the_samples_are_those_of_the_motion_with_growing_errors(
 def test_a_step_that_is_no_step_or_too_small_is_refused(step, says):
     with pytest.raises(InputError, match=says):
         ss.pointing(spinner(1e-3), step_s=step)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda rates: rates.assign_attrs(kind="scan"), "needs a result of `rates`"),
+        (lambda rates: rates.drop_vars("sun_sigma_rad"), "needs a result of `rates`"),
+        (lambda rates: rates.assign(sun_B=rates["sun_B"] * np.nan), "knows no Sun direction"),
+        (
+            lambda rates: rates.assign(pass_of=rates["pass_of"] + 7),
+            "something else than `rates` writes",
+        ),
+        (lambda rates: rates.assign_attrs(epoch_utc="noon"), "something else than `rates` writes"),
+        (
+            lambda rates: rates.assign(B_from_N=rates["B_from_N"] * 0),
+            "something else than `rates` writes",
+        ),
+    ],
+)
+def test_a_result_that_is_none_of_rates_is_refused(change, says):
+    with pytest.raises(InputError, match=says):
+        ss.pointing(change(rates_with(random_attitudes(), TIMES, (0.01, 0.02))), stations=[STATION])

@@ -21,12 +21,13 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, printable
+from sunspin.base.netcdf import read_groups
 from sunspin.base.provenance import provenance
 from sunspin.environment.earth import Instants, earth_from_J2000, rotate_vectors
 from sunspin.environment.frames import J2000
 from sunspin.environment.orbit import Orbit
 from sunspin.output.export import motion_at
-from sunspin.output.report.read import read_results
+from sunspin.output.folder import MARKER, read_command, read_manifest, verify_file
 from sunspin.vehicle.timeline import utc_after
 
 LARGEST_SIGMA_RAD = float(np.radians(30.0))
@@ -53,6 +54,9 @@ LOWEST_M, HIGHEST_M = -500.0, 9000.0
 
 SUN, NADIR, RAM = "sun", "nadir", "ram"
 """Names of the targets that are not stations."""
+
+NEEDED = {"sun_B", "sun_sigma_rad", "B_from_N", "pass_of", "decided", "why_not_decided"}
+"""Variables of a result of `rates` without which there is no pointing."""
 
 TRACK = ("position_J2000", "velocity_J2000", "along_track_sigma_s")
 """Variables of a result of `rates` that hold the orbit at the samples."""
@@ -169,17 +173,31 @@ def pointing(
         The result is not one of `rates`, or knows no Sun direction; an axis or a station is not valid; or there are stations
         and no attitude in J2000.
     """
+    vectors, ground = _read_axes(axes), _read_stations(stations)
     data = rates if isinstance(rates, xr.Dataset) else _read_rates(Path(rates))
-    if data.attrs.get("kind") != "rates" or not {"sun_B", "pass_of", "B_from_N"} <= set(data):
+    if data.attrs.get("kind") != "rates" or not NEEDED <= set(data):
         raise InputError("pointing needs a result of `rates`", got=str(data.attrs.get("kind")))
-    data = with_track(data, orbit)
+    try:
+        with np.errstate(all="ignore"):
+            return _pointing(with_track(data, orbit), vectors, ground, step_s)
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError, OverflowError, np.linalg.LinAlgError) as error:
+        what = (
+            f"the result holds something else than `rates` writes ({type(error).__name__}: {error})"
+        )
+        raise InputError(printable(what), do="run `sunspin rates` again") from None
+
+
+def _pointing(
+    data: xr.Dataset, vectors: dict[str, np.ndarray], ground: list[Station], step_s: float | None
+) -> xr.Dataset:
+    """Return the Dataset of :func:`pointing` from a result of `rates` with its track, for checked axes and stations."""
     if not np.isfinite(data["sun_B"].values).any():
         what = "this result knows no Sun direction, and so no pointing"
         raise InputError(what, do="give `rates` panels, Sun sensors or an orbit")
     if step_s is not None:
         data = _on_grid(data, step_s)
-    vectors = _read_axes(axes)
-    ground = _read_stations(stations)
     missing = _why_sun_only(data)
     if missing and ground:
         do = "give `rates` an orbit (--tle) and a magnetometer, or leave the stations out"
@@ -225,13 +243,14 @@ def pointing(
 
 
 def _read_rates(folder: Path) -> xr.Dataset:
-    """Return the Dataset of a results folder of `rates`."""
-    results = read_results(folder)
-    if results.command != "rates" or "rates" not in results.data:
+    """Return the Dataset of a results folder of `rates`; raise `InputError` for another folder, or if the file is damaged."""
+    manifest = read_manifest(folder)
+    if (command := read_command(folder / MARKER)) != "rates":
         what = "pointing needs a results folder of `sunspin rates`"
         do = "run `sunspin rates ... --out DIR` first"
-        raise InputError(what, got=f"results of {results.command}", do=do, where=str(folder))
-    return results.data["rates"]
+        raise InputError(what, got=f"results of {command}", do=do, where=str(folder))
+    path = verify_file(folder, manifest, "rates.nc")
+    return read_groups(path, str(path), InputError, probe=False)["/"]
 
 
 def _on_grid(data: xr.Dataset, step_s: float) -> xr.Dataset:
@@ -252,18 +271,17 @@ def _on_grid(data: xr.Dataset, step_s: float) -> xr.Dataset:
     grid = np.concatenate(grids)
     motion = motion_at(data, grid)
     attitude, number = Rotation.from_quat(motion["B_from_N"].values), motion["pass_of"].values
-    # the sample before each time and the one after it, in the same pass
+    # the sample before each time and the one after it; at the last sample of a pass the latter is of the next pass, and farther
     after = np.clip(np.searchsorted(time, grid, side="right"), 1, len(time) - 1)
     neighbours = np.stack([after - 1, after])
     apart = (grid - time[neighbours]) ** 2
-    apart[pass_of[neighbours] != number] = np.inf
     rate, sun = data["omega_cov_B"].values, data["sun_B"].values
     about = np.einsum("ni,nij,nj->n", sun, rate, sun)
     across = np.maximum(np.einsum("nii->n", rate) - about, 0.0)
-    grown = data["sun_sigma_rad"].values[neighbours] ** 2 + _times(apart, across[neighbours])
+    grown = data["sun_sigma_rad"].values[neighbours] ** 2 + apart * across[neighbours]
     values: dict[str, Any] = {"sun_sigma_rad": ("time", np.sqrt(grown.min(axis=0)))}
     if "turn_sigma_rad" in data:
-        grown = data["turn_sigma_rad"].values[neighbours] ** 2 + _times(apart, about[neighbours])
+        grown = data["turn_sigma_rad"].values[neighbours] ** 2 + apart * about[neighbours]
         values["turn_sigma_rad"] = ("time", np.sqrt(grown.min(axis=0)))
     first = np.array([np.argmax(pass_of == k) for k in range(data.sizes["pass_id"])])
     sun_N = Rotation.from_quat(data["B_from_N"].values[first]).inv().apply(sun[first])
@@ -281,13 +299,6 @@ def _on_grid(data: xr.Dataset, step_s: float) -> xr.Dataset:
         )
         values |= dict(zip(TRACK, parts, strict=True))
     return data.drop_dims("time").assign(values).assign_coords(time=grid)
-
-
-def _times(square: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return squares of times (...) times variances (...) of rates; an infinite time gives infinity, even without an error."""
-    return np.where(
-        np.isfinite(square), np.where(np.isfinite(square), square, 0.0) * variance, np.inf
-    )
 
 
 def _read_axes(axes: Sequence[str | npt.ArrayLike]) -> dict[str, np.ndarray]:
