@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from sunspin.output.compare import compare as compare
     from sunspin.output.history import history as history
     from sunspin.output.pointing import pointing as pointing
+    from sunspin.planning import plan as plan
     from sunspin.philae.simulation import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
     from sunspin.vehicle import (
@@ -107,6 +108,7 @@ _MODULES = {
     "compare": "sunspin.output.compare",
     "history": "sunspin.output.history",
     "pointing": "sunspin.output.pointing",
+    "plan": "sunspin.planning",
     "reproduce": "sunspin.philae.reproduction",
     "SunspinError": "sunspin.base.errors",
     "VehicleError": "sunspin.base.errors",

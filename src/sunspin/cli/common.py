@@ -46,6 +46,7 @@ COMMANDS = {
     "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
     "pointing": (YOURS, "Compute angles of body axes to Sun, nadir, ram and ground stations."),
     "history": (YOURS, "Collect the passes of many results: trend and jumps of the speed."),
+    "plan": (YOURS, "Find out before launch which beacon decides which rates."),
     "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),
     "simulate": (MOTIONS, "Propagate one motion."),
     "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),
