@@ -261,6 +261,17 @@ def test_opposite_panels_see_sun_and_earth_as_one_vector():
     assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
 
 
+def test_a_search_uses_differences_of_opposite_panels():
+    term = panels(np.random.default_rng(12), known=False)
+    (loose,) = term.for_search()
+    share = term.power / term.full
+    brighter = np.maximum(share - np.roll(share, 3, axis=1), 0.0)
+    assert np.allclose(loose.power / term.full, brighter) and loose.earth is None
+    error = 0.03 / term.full
+    assert (loose.sigma / term.full >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
+    assert not loose.unknowns()
+
+
 def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():
     rng = np.random.default_rng(13)
     term = replace(panels(rng, known=False), earth=None)

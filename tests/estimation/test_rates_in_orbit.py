@@ -13,9 +13,9 @@ from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimation.field_led import field_of
-from sunspin.estimation.model import Body, Model, Noise
-from sunspin.estimation.observe import FIELD_ALONE, observe, split
-from sunspin.estimation.rates import along_the_sun, rates
+from sunspin.estimation.model import Body, Model, Noise, Track
+from sunspin.estimation.observe import FIELD_ALONE, observe, split, thinned
+from sunspin.estimation.rates import along_the_sun, no_faster, rates
 from sunspin.estimation.settings import FIELD_TURN, RATES
 from sunspin.estimation.terms.field import KnownField
 from sunspin.estimation.terms.panels import Panels
@@ -76,6 +76,25 @@ def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
         len(split(observe(assess(vehicle, each)), None, RATES.passes)) for each in (alone, field)
     ]
     assert counts == [2, 1]
+
+
+def test_a_pass_that_begins_in_the_dark_keeps_its_samples_close_where_the_sun_is_seen():
+    settings = RATES.passes
+    places = thinned(400, settings, 200)
+    steps = np.diff(places)
+    assert len(places) <= settings.kept and places[0] == 0 and places[-1] == 399
+    assert steps[np.searchsorted(places, 200)] == 1 and steps[0] > 5 and steps[-1] > 5
+
+
+def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(case):
+    vehicle, data, *_ = case
+    obs = observe(assess(vehicle, data)).obs.take(np.arange(4))
+    model = Model(obs, Body.of(vehicle), Noise(1e-4), rate_sigma=0.5)
+    omega = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]])[:, None] * np.ones((4, 1))
+    motions = Track.free(np.tile(np.eye(3), (2, 4, 1, 1)), omega)
+    fitting = replace(motions, cost=np.array([1.0, 0.5]))
+    assert len(no_faster(model, fitting, RATES.search)) == 1
+    assert len(no_faster(model, replace(motions, cost=np.array([1e3, 0.5])), RATES.search)) == 2
 
 
 @pytest.mark.long
