@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sunspin.base.errors import InputError, printable
+from sunspin.base.extras import install_command, missing_packages
 from sunspin.cli.values import Parsed, parse_numbers
 
 if TYPE_CHECKING:
@@ -163,7 +164,11 @@ class Output:
             inputs = {"vehicle": vehicle, "telemetry": telemetry, "command": command}
             folder = result.sunspin.save(self.folder, **inputs, also=also, lines=lines)
             lines_shown.append(f"Results: {folder / main}")
-            lines_shown.append(f"View as HTML: sunspin report {folder}")
+            if missing_packages("pictures"):
+                how = install_command("pictures")
+                lines_shown.append(f"No figures. For figures and the HTML page: {how}")
+            else:
+                lines_shown.append(f"View as HTML: sunspin report {folder}")
         self.report({**summary, **(also or {})}, lines_shown)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.base.extras import missing_packages, require_extra
 from sunspin.base.provenance import clock_notes
 
 if TYPE_CHECKING:
@@ -73,10 +74,11 @@ class Result:
         Raises
         ------
         InputError
-            This kind of result has no figure, or none of this name.
+            This kind of result has no figure, or none of this name, or the packages that draw are not installed.
         """
         from sunspin.output.kind import Context
 
+        require_extra("pictures", "a figure")
         context = Context(telemetry)
         drawings = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
         if not drawings:
@@ -122,6 +124,8 @@ class Result:
     ) -> Path:
         """Write a results folder: NetCDF, tables, figures as PNG and SVG, `summary.json`; `sunspin report` makes a page of it.
 
+        Without the packages of ``sunspin[pictures]`` the folder has no figures.
+
         Parameters
         ----------
         folder : path
@@ -160,11 +164,12 @@ class Result:
             data = data.to_dataset().assign_attrs(attrs)
         synthetic = bool(data.attrs.get("synthetic"))
         main = {kind.main: data} if kind.main else {}
+        drawings = [] if missing_packages("pictures") else kind.drawings(self._data, context)
         contents = Contents(
             data=main | dict(kind.datasets(data, context)),
             figures=[
                 drawing._replace(caption=drawing.caption + synthetic_words(synthetic))
-                for drawing in kind.drawings(self._data, context)
+                for drawing in drawings
             ],
             tables=list(kind.tables(self._data)),
             vehicle=vehicle,
