@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,15 +31,17 @@ class Result:
 
     @property
     def _kind(self) -> Kind:
-        """Kind of the result; raises `InputError` if it has none."""
-        from sunspin.output.kinds import KINDS
+        """Kind of the result, whose module is imported at its first use; raises `InputError` if it has none."""
+        from sunspin.output.kind import KINDS
+        from sunspin.output.kinds import MODULES
 
         name = self._data.attrs.get("kind")
-        if not isinstance(name, str) or name not in KINDS:
+        if not isinstance(name, str) or name not in MODULES:
             why = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
             what = f"this {type(self._data).__name__} is no result of sunspin: {why}"
-            do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
+            do = f"use a result as sunspin returns it, of kind {', '.join(MODULES)}"
             raise InputError(what, do=do)
+        import_module(f"sunspin.output.kinds.{MODULES[name]}")
         return KINDS[name]
 
     def summary(self) -> Summary:
