@@ -15,6 +15,7 @@ MODULES = {
     "outcomes": "outcomes",
     "panel_quality": "panels",
     "panel_health": "panels",
+    "plan": "plan",
     "posterior": "posterior",
     "predictions": "predictions",
     "rates": "rates",
