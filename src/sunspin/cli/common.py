@@ -52,7 +52,7 @@ COMMANDS = {
     "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),
     "outcomes": (MOTIONS, "Simulate collision and landing outcomes (Monte Carlo)."),
     "reproduce": (PHILAE, "Reproduce the Philae study (figures, tables, report)."),
-    "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
+    "decode": (OTHERS, "Decode raw frames to CSV: skCUBE, or any decoder of satnogs-decoders."),
 }
 """Command -> heading and line in --help, in the order of --help. The module of the command has its name."""
 
