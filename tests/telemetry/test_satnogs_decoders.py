@@ -183,7 +183,7 @@ PUBLIC = {
 """Names by which the public decoder prints our fields in the order of `KINDS`; - for those that it does not print.
 
 It is asked for with a capital letter, as `skcube` is our own. Its layout of PWR is longer than ours, which ends with `endofdata`.
-Its layout of ADCS has one byte for each of the three coils, the field list of the satellite's team two, so that the later fields are
+Its layout of ADCS has one byte for each of the three coils, the field list of the team two, so that the later fields are
 shifted. With two bytes Sun sensors and gyro agree with the panels.
 """
 
