@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -73,7 +74,7 @@ def _decode_by_program(raw: Path, decoder: str, folder: Path, output: Output) ->
     frames = len(decoded.rows)
     lines = [f"{frames:6d}  frames: {table}"]
     lines += [f"{n:6d}  not read: {why}" for why, n in decoded.unread.items()]
-    summary = {"frames": frames, "unread": decoded.unread, "file": str(table)}
+    summary: dict[str, Any] = {"frames": frames, "unread": decoded.unread, "file": str(table)}
     summary |= {"decoder": decoder, "satnogs_decoders": decoded.version, "columns": None}
     suggestion = suggest_section(read_table(table))
     if suggestion is None:

@@ -124,6 +124,7 @@ def _run(program: str, decoder: str, frames: list[Frame]) -> tuple[list[dict[str
             what = f"{PROGRAM} cannot be started ({error.strerror or error})"
             raise InputError(what, do="install satnogs-decoders again", where=program) from None
     errors = done.stderr.decode("utf-8", "replace")
+    points: list[dict[str, Any]] = []
     try:
         points = json.loads(done.stdout)
         numbers = [int(point["time"]) for point in points]
