@@ -49,14 +49,25 @@ HIDDEN = {
 """Names that are hidden while the commands run: those without which Python itself runs on this machine."""
 
 SITE = f"""
-import os, signal, sys
+import errno, fcntl, os, signal, sys
+
+flush, flags = os.fsync, fcntl.fcntl
+def fsync(file):
+    if flags(file, 3) & os.O_ACCMODE == os.O_RDONLY:
+        raise OSError(errno.EBADF, "Bad file descriptor")
+    flush(file)
+os.fsync = fsync
+
 for name in {sorted(POSIX_MODULES)}:
     sys.modules[name] = None
 for module, names in {HIDDEN}.items():
     for name in names.split():
         delattr(sys.modules[module], name)
 """
-"""Module sitecustomize, which Python imports when any process of the commands starts."""
+"""Module sitecustomize, which Python imports when any process of the commands starts.
+
+It also refuses to flush a file that is open for reading only, as Windows does.
+"""
 
 RUN = """
 import atexit, sys

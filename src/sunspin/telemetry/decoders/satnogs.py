@@ -2,8 +2,8 @@
 
 The package has the licence AGPL-3.0. It is run as a separate program if the user has installed it, and is neither imported nor
 distributed with sunspin. Call and output are those of version 1.131: `decode_multiple NAME --filename FILE --format csv -v`, where
-FILE has lines `time|frame in hexadecimal digits`. It prints a JSON list of objects with `time`, as in the file, and `fields`. With
--v it also prints, on standard error, why a frame is not valid.
+FILE has lines `time|frame in hexadecimal digits`. It prints a JSON list of objects with `time`, as in the file, `fields` and
+`tags`. With -v it also prints, on standard error, why a frame is not valid.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def decode_by_program(decoder: str, path: Path) -> Decoded:
     if not frames:
         raise unread_error(unread, path)
     points, errors = _run(program, decoder, frames)
-    if f"has no attribute {decoder.capitalize()!r}" in errors:
+    if not points and f"has no attribute {decoder.capitalize()!r}" in errors:
         what, do = "satnogs-decoders has no decoder of this name", "check the name or update it"
         raise InputError(what, got=decoder, do=do)
     messages = errors.splitlines()
@@ -98,7 +98,7 @@ def decode_by_program(decoder: str, path: Path) -> Decoded:
     for point in points:
         frame = frames[int(point["time"])]
         rows.append((frame.time, frame.station, dict(point["fields"])))
-        version = str(point.get("tags", {}).get("version", ""))
+        version = str(point["tags"].get("version", ""))
     if not rows:
         raise unread_error(unread, path)
     return Decoded(sorted(rows, key=lambda row: row[:2]), dict(unread), version)
@@ -128,7 +128,10 @@ def _run(program: str, decoder: str, frames: list[Frame]) -> tuple[list[dict[str
     try:
         points = json.loads(done.stdout)
         numbers = [int(point["time"]) for point in points]
-        is_expected = all(isinstance(point["fields"], dict) for point in points)
+        is_expected = isinstance(points, list) and all(
+            isinstance(point["fields"], dict) and isinstance(point["tags"], dict)
+            for point in points
+        )
     except (ValueError, LookupError, TypeError, RecursionError):
         numbers, is_expected = [], False
     if done.returncode or not is_expected or not set(numbers) <= set(range(len(frames))):
