@@ -92,6 +92,7 @@ COMMANDS = [
     ["rates", "vehicle.toml", "telemetry.csv", "--workers", "2", "--out", "rates"],
     ["export", "rates", "--format", "aem", "--out", "aem"],
     ["export", "rates", "--format", "netcdf", "--out", "netcdf"],
+    ["check", "vehicle.toml", "rates/telemetry.nc"],  # which a separate process reads first
 ]
 
 
