@@ -96,15 +96,12 @@ def rates(
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
+    from sunspin.compute.pool import worker_count
+    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.estimate.rates.estimate import rates as estimate_rates
+    from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
 
-    def announce(line: str) -> None:
-        """Print a line of progress on standard error."""
-        with suppress(OSError):  # a log that cannot be written does not stop the work
-            print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
-
-    # a terminal shows a progress bar instead of these lines
-    progress = output.progress if output.quiet or output.progress else announce
     craft, samples = read_inputs(vehicle, telemetry)
     # The orbit is judged from the whole file, the rates are estimated from the part that is used.
     whole_file = assess(craft, samples)
@@ -118,18 +115,18 @@ def rates(
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit contradicts the elements or their shift that are given"
         raise InputError(what, do="give one")
-    if progress is announce:
-        announce(f"{samples.sizes['time']} samples read")
-    # imported after the first line, because the estimator takes as long to import as the files to read
-    from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.estimate.rates.estimate import rates as estimate_rates
-    from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
 
+    def announce(line: str) -> None:
+        """Print a line of progress on standard error."""
+        with suppress(OSError):  # a log that cannot be written does not stop the work
+            print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
+
+    # a terminal shows a progress bar instead of these lines
+    progress = output.progress if output.quiet or output.progress else announce
     chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
         if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
-            announce("the elements are checked first")
+            announce(f"{samples.sizes['time']} samples; the elements are checked first")
         chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
         if chosen_orbit.orbit is None and chosen_orbit.summary and progress is announce:
             announce("the elements do not fit the telemetry; continuing without the orbit")
