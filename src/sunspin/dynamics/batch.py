@@ -375,8 +375,8 @@ class Problem:
         return np.ascontiguousarray(speeds.reshape(len(self.initial), len(self.vehicle.wheels)))
 
     @cached_property
-    def held(self) -> np.ndarray:
-        """Whether a motor holds each wheel (n_wheel)."""
+    def driven(self) -> np.ndarray:
+        """Whether a motor holds the speed of each wheel (n_wheel)."""
         return np.array([command == "hold" for command in self.commands], dtype=bool)
 
     @cached_property
@@ -390,7 +390,7 @@ class Problem:
     @property
     def at_rest(self) -> np.ndarray:
         """Whether a wheel of each motion begins at rest where friction may hold it (n)."""
-        return ((self.speeds == 0) & (self.dry > 0) & ~self.held).any(axis=-1)
+        return ((self.speeds == 0) & (self.dry > 0) & ~self.driven).any(axis=-1)
 
     @cached_property
     def modes(self) -> np.ndarray:
@@ -438,7 +438,7 @@ class Problem:
             plain(bodies.inertia_kg_m2),
             plain(wheels),
             plain(bodies.axes_B),
-            self.held,
+            self.driven,
             plain(self.modes),
             plain(self.acting.steady(bodies)),
             plain(self.nadir()),
