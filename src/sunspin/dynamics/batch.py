@@ -363,6 +363,14 @@ class Problem:
     commands: tuple[str, ...]
     acting: Acting = NOTHING
 
+    def __post_init__(self) -> None:
+        """Refuse more wheels than the kernels have room for."""
+        n_wheels = len(self.vehicle.wheels)
+        if n_wheels > rows.WHEELS:
+            raise MotionError(
+                f"a vehicle may have {rows.WHEELS} wheels at most", got=f"{n_wheels} wheels"
+            )
+
     @cached_property
     def bodies(self) -> Bodies:
         """Numbers of the bodies, leading shape (n,) or (1,)."""
@@ -427,11 +435,7 @@ class Problem:
 
     def in_arrays(self) -> rows.Motions:
         """Return the arrays of the kernels."""
-        bodies, n_wheels = self.bodies, len(self.vehicle.wheels)
-        if n_wheels > rows.WHEELS:
-            raise MotionError(
-                f"a vehicle may have {rows.WHEELS} wheels at most", got=f"{n_wheels} wheels"
-            )
+        bodies = self.bodies
         wheels = np.stack([bodies.wheel_inertia_kg_m2, self.dry, bodies.viscous_N_m_s], axis=-1)
         return rows.Motions(
             *map(plain, (self.initial.omega_B, self.initial.sun_B, self.speeds)),

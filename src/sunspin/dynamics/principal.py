@@ -24,8 +24,8 @@ LAW = 7e-4
 """Of the law of errors: measured on Philae, where the wheel's part counts, and on random bodies of very unequal moments."""
 
 OBLIQUE_LAW = 0.3
-"""Of the part of the law that oblique wheels cause. With constant wheels 0.02 keeps the phase (99 of 100 of 3,000 random bodies), but
-a wheel that stops turns an error of phase into one of rate. With 0.3 one EMD in 100 of such bodies errs by more than 2e-3."""
+"""Of the part of the law that oblique wheels cause. While wheels turn steadily 0.02 keeps the phase (99 of 100 among 3,000 random
+bodies), but a wheel that stops turns an error of phase into one of rate. With 0.3 at most one EMD in 100 errs by more than 2e-3."""
 
 MOST_MAIN_ANGLE, MOST_SIDE_ANGLE = 1.2, 0.6
 """rad by which the parts may rotate in a step."""

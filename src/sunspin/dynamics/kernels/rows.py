@@ -102,10 +102,10 @@ class Motions(NamedTuple):
 
     `omega_B` (n, 3) rad/s, `sun_B` (n, 3), `speeds` (n, n_wheel) rad/s; `inertia` (1 or n, 3, 3) kg m2; `wheels` (1 or n, n_wheel,
     3): J in kg m2, limit of dry friction with the brake in N m, viscous friction in N m s; `axes` (n_wheel, 3); `driven`
-    (n_wheel): whether a motor holds the speed of the wheel; `modes` (1 or n, 2^n_wheel, 7): share of H left out of omega, and A^-1 for each set of free
-    wheels, bit i of its number standing for wheel i; `steady` (1 or n, 2, 3) N m: torques in body axes and in space, the second
-    in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of turning in rad/s, in body axes at the start;
-    `pull`: 3 n^2 in 1/s2.
+    (n_wheel): whether a motor holds the speed of the wheel; `modes` (1 or n, 2^n_wheel, 7): share of H left out of omega, and
+    A^-1 for each set of free wheels, bit i of its number standing for wheel i; `steady` (1 or n, 2, 3) N m: torques in body axes
+    and in space, the second in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of turning in rad/s, in
+    body axes at the start; `pull`: 3 n^2 in 1/s2.
     """
 
     omega_B: np.ndarray

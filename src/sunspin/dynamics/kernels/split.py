@@ -1,10 +1,11 @@
 """Histograms of r_z for many motions by a product of rotations: single precision, for all lanes at once.
 
 In the principal axes (p, q, m) of A^-1 (m: the axis whose moment differs most from the others'), with inverse moments l and what
-the wheels add, w = l (K + sum_free h u) with K that of driven ones, the body rate is omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with
-it (dv/dt = v x omega). The part l_q H of omega turns r about H and leaves H alone. It commutes with all that is left, which turns
-H and r alike, so that it is done exactly, once a step (`write_node`). What is left has three parts, each a rotation about an axis
-at a rate that it does not change (:mod:`sunspin.dynamics.principal`):
+the wheels add, w = l (K + sum_free h u), the body rate is omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with
+it (dv/dt = v x omega). K is the momentum of the driven wheels, h that of a free one along its axis u. The part l_q H of omega turns
+r about H and leaves H alone. It commutes with all that is left, which turns H and r alike, so that it is done exactly, once a step
+(`write_node`). What is left has three parts, each a rotation about an axis at a rate that it does not change
+(:mod:`sunspin.dynamics.principal`):
 
     main   (l_m - l_q) H_m - w_m  about m
     P      (l_p - l_q) H_p - w_p  about p
