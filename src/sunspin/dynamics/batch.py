@@ -116,7 +116,8 @@ class Motion:
     """States of n motions at n_out times, in body axes; NaN after a motion whose `outcome` is not FINE has ended.
 
     `outcome` (n); `events` (n, most, 3): time (s), number of the wheel and what it does (codes in :mod:`kernels.rows`), the first
-    `n_events` (n) of each; `steps` (n); `last` (n, size): state where the motion ended.
+    `n_events` (n) of each; `steps` (n); `last` (n, size): state where the motion ended; `seconds` (n, bins): how long the Sun stood
+    at each height, (n, 0) unless this was counted.
     """
 
     states: np.ndarray
@@ -125,6 +126,7 @@ class Motion:
     events: np.ndarray
     n_events: np.ndarray
     steps: np.ndarray
+    seconds: np.ndarray
     n_wheels: int
 
     def at_end(self) -> Motion:
@@ -284,8 +286,8 @@ def sun_heights(
         again = _split(problem, duration_s, nodes, seconds)
     if again.size:
         some = replace(problem, initial=initial.take(again))
-        motion, seconds[again] = _advance(some, np.array([duration_s]), SAFETY * wanted, nodes)
-        outcome[again] = motion.outcome
+        motion = advance(some, np.array([duration_s]), SAFETY * wanted, nodes=nodes)
+        seconds[again], outcome[again] = motion.seconds, motion.outcome
     if duration_s < 0:
         outcome[problem.at_rest] = Outcome.PAST_UNKNOWN
     return Heights(seconds, outcome)
@@ -461,23 +463,13 @@ def advance(
     error: float,
     attitude: bool = False,
     room: int = 0,
+    nodes: histogram.Nodes | None = None,
 ) -> Motion:
     """Run the Taylor kernel over motions to the times `ends`, with `error` in units of |H| and of a direction over the run.
 
-    If there is `room` for events, they are kept, and a motion with more ends there. Nothing is checked; `run` does.
+    If there is `room` for events, they are kept, and a motion with more ends there; with `nodes`, heights of the Sun are counted.
+    Nothing is checked; `run` does.
     """
-    return _advance(problem, ends, error, None, attitude, room)[0]
-
-
-def _advance(
-    problem: Problem,
-    ends: np.ndarray,
-    error: float,
-    nodes: histogram.Nodes | None,
-    attitude: bool = False,
-    room: int = 0,
-) -> tuple[Motion, np.ndarray]:
-    """Return what :func:`advance` does, and histograms (n, bins) in seconds if `nodes` has the room for them."""
     n, n_wheels = len(problem.initial), len(problem.vehicle.wheels)
     size = 9 + 2 * n_wheels + (6 if attitude else 0)
     arrays = problem.in_arrays()
@@ -502,7 +494,7 @@ def _advance(
     )
     work = new_nodes(*half_spaces(None), 1.0, 0) if nodes is None else nodes
     motions.run(longest_first(arrays.omega_B), arrays, task, answer, work)
-    return Motion(*answer[:-1], n_wheels), answer.hist
+    return Motion(*answer, n_wheels)
 
 
 def order_for(error: float) -> int:

@@ -6,7 +6,7 @@ The equations are quadratic, so that the coefficient of order k + 1 follows from
         A: inertia less J u u^T of the free wheels; K: momentum of the held ones
     dH/dt = H x omega + torque,   dv/dt = v x omega                   `write_turned`, `write_turned_pair`
     dh/dt = -(sign(W) dry + viscous W),   W = h / J - u.omega         `write_series` (sign(W) dry is the row COULOMB)
-    torque = 3 n^2 d x (I d),   dd/dt = d x (omega - turn)            `add_gravity_gradient`, `subtract_turn`
+    torque = 3 n^2 d x (I d),   dd/dt = d x (omega - turn)            `add_gravity_gradient`, `write_series`
 
 for every vector v that stands in space. Coefficients are scaled by the step: c[k] holds (dt^k / k!) d^k y / dt^k, and the state
 after the share x of the step is the sum of c[k] x^k.
@@ -100,18 +100,25 @@ def write_rates(lanes, n_wheels, k):
 
 
 @compiled
-def write_turned(c, k, V, slope):
-    """Write coefficient k of v x (omega - SPIN H), v being the vector in the rows from V, into `slope` (3 L)."""
-    for l in range(3 * L):
-        slope[l] = 0.0
+def add_turned(c, k, V, rate, slope):
+    """Add coefficient k of v x w to `slope` (3 L), v and w being the vectors in the rows from V and from `rate`."""
     for i in range(k + 1):
         j = k - i
         for l in range(L):
-            x, y, z = c[j, OMEGA + l], c[j, OMEGA + L + l], c[j, OMEGA + 2 * L + l]
+            x, y, z = c[j, rate + l], c[j, rate + L + l], c[j, rate + 2 * L + l]
             a, b, d = c[i, V + l], c[i, V + L + l], c[i, V + 2 * L + l]
             slope[l] = slope[l] + b * z - d * y
             slope[L + l] = slope[L + l] + d * x - a * z
             slope[2 * L + l] = slope[2 * L + l] + a * y - b * x
+
+
+@compiled
+def write_turned(c, p, k, V, slope):
+    """Write coefficient k + 1 of a vector v that stands in space, in the rows from V: of dv/dt = v x (omega - SPIN H)."""
+    for l in range(3 * L):
+        slope[l] = 0.0
+    add_turned(c, k, V, OMEGA, slope)
+    write_next(c, p, k, V, slope)
 
 
 @compiled
@@ -172,19 +179,6 @@ def add_gravity_gradient(c, p, k, slope):
 
 
 @compiled
-def subtract_turn(c, k, slope):
-    """Subtract coefficient k of d x turn from `slope`: the nadir d turns in space."""
-    for i in range(k + 1):
-        j = k - i
-        for l in range(L):
-            x, y, z = c[j, TURN + l], c[j, TURN + L + l], c[j, TURN + 2 * L + l]
-            a, b, d = c[i, NADIR + l], c[i, NADIR + L + l], c[i, NADIR + 2 * L + l]
-            slope[l] -= b * z - d * y
-            slope[L + l] -= d * x - a * z
-            slope[2 * L + l] -= a * y - b * x
-
-
-@compiled
 def write_next(c, p, k, V, slope):
     """Write coefficient k + 1 of the vector in the rows from V from coefficient k of its derivative, `slope` (3 L)."""
     part = 1.0 / (k + 1)
@@ -209,28 +203,23 @@ def write_series(lanes, n_wheels, order, torques, attitude):
             if torques == GRADIENT:
                 add_gravity_gradient(c, p, k, slope)
         part = 1.0 / (k + 1)
-        for l in range(L):
-            d = part * p[DT + l]
-            c[k + 1, H + l] = d * slope[l]
-            c[k + 1, H + L + l] = d * slope[L + l]
-            c[k + 1, H + 2 * L + l] = d * slope[2 * L + l]
-            c[k + 1, SUN + l] = d * slope[3 * L + l]
-            c[k + 1, SUN + L + l] = d * slope[4 * L + l]
-            c[k + 1, SUN + 2 * L + l] = d * slope[5 * L + l]
+        for j in range(6):  # H and the Sun lie next to each other
+            for l in range(L):
+                c[k + 1, H + j * L + l] = part * p[DT + l] * slope[j * L + l]
         if torques:
-            write_turned(c, k, TORQUE, slope)
-            write_next(c, p, k, TORQUE, slope)
+            write_turned(c, p, k, TORQUE, slope)
             if torques == GRADIENT:
-                write_turned(c, k, TURN, slope)
-                write_next(c, p, k, TURN, slope)
-                write_turned(c, k, NADIR, slope)
-                subtract_turn(c, k, slope)
+                write_turned(c, p, k, TURN, slope)
+                for l in range(
+                    3 * L
+                ):  # the nadir d turns in space: d x (omega - turn) = turn x d + d x omega
+                    slope[l] = 0.0
+                add_turned(c, k, TURN, NADIR, slope)
+                add_turned(c, k, NADIR, OMEGA, slope)
                 write_next(c, p, k, NADIR, slope)
         if attitude:
-            write_turned(c, k, NX, slope)
-            write_next(c, p, k, NX, slope)
-            write_turned(c, k, NY, slope)
-            write_next(c, p, k, NY, slope)
+            write_turned(c, p, k, NX, slope)
+            write_turned(c, p, k, NY, slope)
         dry = 1.0 if k == 0 else 0.0  # dry friction is constant between events
         for i in range(n_wheels):
             w = i * PER_WHEEL
