@@ -99,7 +99,8 @@ def scan(
     mask : "reconstructible" or None
         Count only directions that the panels allow to reconstruct, or all. Only for EMD.
     emd_error : float, optional
-        Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
+        Error wanted of the EMD; 1e-3 unless given, which at most one motion in 100 exceeds twofold: wheels across the principal
+        axes, starts near an unstable spin. Anything tighter is much slower, and keeps the error in these motions too.
     propagation : Propagation
         Wheel modes, torques, and the error wanted of directions.
     workers : int, optional
