@@ -79,13 +79,13 @@ OLD_SPEED, OLD_AXIAL, OLD_LOW = 13 * L, 14 * L, 15 * L
 PER_WHEEL = 16 * L
 
 REST_SPEED = 1e-4
-"""rad/s at which a wheel counts as at rest: some times the rounding of the speed, 1e-7 of what the wheel had at the start."""
+"""rad/s at which a wheel counts as at rest: 1e-7 of Philae's 865 rad/s, the resolution of single precision."""
 
 WAYS = 2
 """Ways of the histogram in a step: from its begin to its middle, and on to its end."""
 
 MOST_SHORTENED = 0.02
-"""Smallest share to which a step is cut, so that a lane does not stand still; the step that ends past rest is cut again."""
+"""Smallest share to which a step is cut, so that a lane does not stand still: a choice. A step that ends past rest is cut again."""
 
 UNEVEN = 3e-5
 """If the smallest square of the speed of H in body axes is below this share of the largest, a motion came near an unstable spin.
@@ -97,7 +97,7 @@ LAST_SHARE = 1e-3
 """What is left of a run within this share of a step is rounding: the last step is a whole one, or nothing is left to do."""
 
 NEAR_LIMIT = 0.9
-"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at."""
+"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at: a choice."""
 
 MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
 SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 / 2)
@@ -206,14 +206,8 @@ def turn_sides(w, l, fraction, time, v):
 @compiled
 def state_of(w, l):
     """Return H and r of lane l (6), principal axes."""
-    return (
-        w[H + l],
-        w[H + L + l],
-        w[H + 2 * L + l],
-        w[SUN + l],
-        w[SUN + L + l],
-        w[SUN + 2 * L + l],
-    )
+    p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
+    return p, q, m, w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
 
 
 @compiled
@@ -226,12 +220,8 @@ def set_state(w, l, v):
 @compiled
 def go_forward(w, part, k):
     """Apply main, then Q P Q, for the fractions k of the step."""
-    main, main_time, side, side_time = (
-        part.main[k],
-        part.main_time[k],
-        part.side[k],
-        part.side_time[k],
-    )
+    main, side = part.main[k], part.side[k]
+    main_time, side_time = part.main_time[k], part.side_time[k]
     for l in range(L):
         v = turn_main(w, l, main, main_time, state_of(w, l))
         set_state(w, l, turn_sides(w, l, side, side_time, v))
