@@ -16,6 +16,7 @@ MODULES = {
     "panel_quality": "panels",
     "panel_health": "panels",
     "plan": "plan",
+    "pointing": "pointing",
     "posterior": "posterior",
     "predictions": "predictions",
     "rates": "rates",
