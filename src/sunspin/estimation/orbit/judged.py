@@ -13,6 +13,7 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import OrbitFile, read_orbit
 from sunspin.environment.orbit import Orbit, Source, in_orbit
 from sunspin.estimation.orbit.check import OrbitCheck, Verdict, check_orbit
+from sunspin.estimation.settings import ORBIT, OrbitSettings
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import Orbit as Stated
@@ -80,14 +81,18 @@ def clock_off(check: OrbitCheck) -> str:
 
 
 def judged_orbit(
-    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset | Assessment
+    orbit: Orbit,
+    vehicle: Vehicle,
+    telemetry: xr.Dataset | Assessment,
+    *,
+    settings: OrbitSettings = ORBIT,
 ) -> tuple[Orbit | None, OrbitCheck, str]:
     """Return an orbit as the telemetry leaves it, the check of it, and what follows, in words.
 
     Elements that fit get the estimated offset with its sigma. If the telemetry cannot judge them they stay as they were. Refused
     ones are None: no result may depend on them.
     """
-    check = check_orbit(orbit, vehicle, telemetry)
+    check = check_orbit(orbit, vehicle, telemetry, settings=settings)
     if check.verdict is Verdict.REFUSED:
         why, _, _ = check.verdict.value.partition(";")
         reasons = [why, str(check.sun_in_shadow), clock_off(check)]
