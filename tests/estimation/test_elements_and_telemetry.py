@@ -71,9 +71,7 @@ def test_a_clock_off_by_an_hour_is_named(case):
 
 def test_a_magnetometer_of_the_opposite_sign_is_named(case, judged):
     vehicle, data, _, _ = case
-    check = check_orbit(
-        orbit(case), vehicle, data.assign(field_B=-data["field_B"]), settings=FEW
-    )
+    check = check_orbit(orbit(case), vehicle, data.assign(field_B=-data["field_B"]), settings=FEW)
     assert check.sign_turned and not judged[1].sign_turned
 
 

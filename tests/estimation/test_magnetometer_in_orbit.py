@@ -43,9 +43,7 @@ def shown(field, sun, sun_sigma=0.1):
     t_s, no_angle = np.arange(n) * 30.0, np.full((n, 0, 2), np.nan)
     no_turn, sigma = np.zeros((n, 0), dtype=bool), np.full(n, sun_sigma)
     pass_of = np.arange(n) // 20
-    return Readings(
-        t_s, field, sun, covariance, np.ones(n), no_angle, no_turn, sun, sigma, pass_of
-    )
+    return Readings(t_s, field, sun, covariance, np.ones(n), no_angle, no_turn, sun, sigma, pass_of)
 
 
 def unit(vectors):

@@ -19,7 +19,6 @@ from sunspin.estimation.orbit.calibration import (
     MOST_SAMPLES,
     SUN_KEYS,
     Calibration,
-    conditions_on_unknowns,
     fit_along,
     priors,
 )
@@ -313,9 +312,7 @@ def _sun_sensors(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> I
         stated = [getattr(sensor, key) for key in SUN_KEYS]
         numbers = np.array([0.0 if one is None else one for one in stated])
 
-        def keys_of(
-            fit: Calibration, k: int = k, numbers: np.ndarray = numbers
-        ) -> np.ndarray:
+        def keys_of(fit: Calibration, k: int = k, numbers: np.ndarray = numbers) -> np.ndarray:
             bias = (numbers[:2] + fit.bias[k]) / fit.scale[k, :2]
             return np.concatenate([bias, numbers[2:] / fit.scale[k]])
 

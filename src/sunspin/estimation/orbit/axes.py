@@ -37,9 +37,7 @@ class Axes(NamedTuple):
 
 
 WAYS = [
-    Axes(order, sign)
-    for order in permutations(range(3))
-    for sign in product((1.0, -1.0), repeat=3)
+    Axes(order, sign) for order in permutations(range(3)) for sign in product((1.0, -1.0), repeat=3)
 ]
 """All 48 ways; the first is that of the file."""
 
@@ -73,9 +71,7 @@ def turned_axes(readings: Readings, predicted: Predicted) -> Axes | None:
 
 def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
     """Return whether `FEWEST` samples or more show an angle between field and Sun that is not the predicted one (first place)."""
-    off = np.abs(
-        angles(field_of(readings.field, calibration), readings.sun) - predicted.angles()
-    )
+    off = np.abs(angles(field_of(readings.field, calibration), readings.sun) - predicted.angles())
     known = np.isfinite(off)
     if known.sum() < FEWEST:
         return False

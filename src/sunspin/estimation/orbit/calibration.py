@@ -22,9 +22,6 @@ from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimation.orbit.axes import axes_matrix, turned_axes
 from sunspin.estimation.orbit.invariants import (
-    FEWEST as FEWEST_ANGLES,
-)
-from sunspin.estimation.orbit.invariants import (
     ISOTROPIC,
     MATRIX,
     MATRIX_SIGMA,
@@ -510,7 +507,7 @@ class AttitudeLaw:
         matrix = np.eye(3) + unknown[MATRIX].reshape(3, 3)
         _, by_shift = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
         along = np.einsum("ij,njk,nk->ni", matrix, attitude, by_shift / self.unit_T)
-        of_field = slope[:, -3:] # a view
+        of_field = slope[:, -3:]  # a view
         for i in range(3):
             of_field[:, i, 3 * i : 3 * i + 3] = field
             of_field[:, i, ZERO.start + i] = 1.0
@@ -522,7 +519,9 @@ class AttitudeLaw:
         """Return the attitudes that fit best near these (n, 3, 3), and what is left there: Gauss-Newton, each sample by itself."""
         for _ in range(INNER):
             value, by_turn = self.residuals(unknown, attitude)
-            turn = np.linalg.solve(_information(by_turn), np.einsum("nri,nr->ni", by_turn, value)[..., None])
+            turn = np.linalg.solve(
+                _information(by_turn), np.einsum("nri,nr->ni", by_turn, value)[..., None]
+            )
             attitude = rotate_attitude(attitude, np.clip(-turn[..., 0], -0.5, 0.5))
         value, by_turn = self.residuals(unknown, attitude)
         transposed = np.swapaxes(by_turn, -1, -2)

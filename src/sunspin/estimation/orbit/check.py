@@ -253,9 +253,7 @@ class Trial:
         if count < FEWEST:
             return 0.0, 1.0
         nodes = np.radians(self.s.nodes_deg)
-        costs = np.array(
-            [self.fits(self.predicted(orbit, node)).cost.min() for node in nodes]
-        )
+        costs = np.array([self.fits(self.predicted(orbit, node)).cost.min() for node in nodes])
         gain = (own.cost.min() - costs.min()) / (count + self.readings.has_angle.sum())
         return (float(nodes[costs.argmin()]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 

@@ -106,9 +106,7 @@ class Sky(NamedTuple):
         powers = np.vander(place - first, 4, increasing=True)  # 1, x, x^2, x^3, from the first
         slopes = np.column_stack([np.zeros(len(place)), powers[:, :3] * [1.0, 2.0, 3.0]])
         nodes = self.field[first[:, None] + np.arange(4), np.arange(len(place))[:, None]]
-        value, slope = (
-            np.einsum("nk,nki->ni", part @ CUBIC.T, nodes) for part in (powers, slopes)
-        )
+        value, slope = (np.einsum("nk,nki->ni", part @ CUBIC.T, nodes) for part in (powers, slopes))
         return value, slope / step
 
     def invariants(self) -> Predicted:
@@ -252,9 +250,7 @@ def calibrated(
     return law, law.better(state, law.settled(state._replace(**again), free)), scales
 
 
-def sphere(
-    reading: np.ndarray, strength: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the zero (K, 3) of readings (n, 3), one scale for all axes (K) and the mean misfit (K), by field strengths (K, n).
 
     |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2:
@@ -411,9 +407,7 @@ def field_of(reading: np.ndarray, calibration: np.ndarray) -> np.ndarray:
     return reading @ calibration[MATRIX].reshape(3, 3).T - calibration[ZERO]
 
 
-def residuals_left(
-    field: np.ndarray, sun: np.ndarray, predicted: Predicted
-) -> tuple[float, float]:
+def residuals_left(field: np.ndarray, sun: np.ndarray, predicted: Predicted) -> tuple[float, float]:
     """Return the median residuals of fields (n, 3) in T at the first place: of the strength (T), and of the angle to the Sun (rad).
 
     `sun` (n, 3): NaN where it was not read; the second is NaN if no sample shows both.

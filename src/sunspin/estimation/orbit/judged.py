@@ -97,7 +97,9 @@ def judged_orbit(
         why, _, _ = check.verdict.value.partition(";")
         reasons = [why, str(check.sun_in_shadow), clock_off(check)]
         text = "; ".join(reason for reason in reasons if reason)
-        text = f"the orbit is NOT USED: {text}; the result is without it (`sunspin check` says more)"
+        text = (
+            f"the orbit is NOT USED: {text}; the result is without it (`sunspin check` says more)"
+        )
         return None, check, text
     remarks = ""
     if check.sign_turned:
@@ -107,7 +109,9 @@ def judged_orbit(
     if check.verdict is Verdict.UNDECIDED:
         sigma_s = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         offset = f"{orbit.shift_s:+z.0f} +- {sigma_s:.0f} s along the track"
-        text = f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
+        text = (
+            f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
+        )
         return orbit, check, text
     # The offset is that of place and clock together, of which the data determine the sum.
     of_place = float(np.sqrt(max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
@@ -119,5 +123,7 @@ def judged_orbit(
         drift_s_day=check.drift_s_day,
         drift_sigma_s_day=check.drift_sigma_s_day,
     )
-    offset = f"{check.shift_s:+z.0f} +- {check.shift_sigma_s:.0f} s along the track{drifting(check)}"
+    offset = (
+        f"{check.shift_s:+z.0f} +- {check.shift_sigma_s:.0f} s along the track{drifting(check)}"
+    )
     return known, check, f"the orbit is used: its elements fit, {offset}{remarks}"

@@ -117,7 +117,8 @@ def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInS
     consistent = offsets_s[~counts(offsets_s)[2]]
     # a satellite ahead of its place has a clock that is behind; the contradiction may end one step earlier
     behind_s, ahead_s = (
-        float(sizes[sizes > 0].min(initial=np.inf)) - COARSE_S for sizes in (consistent, -consistent)
+        float(sizes[sizes > 0].min(initial=np.inf)) - COARSE_S
+        for sizes in (consistent, -consistent)
     )
     behind_s, ahead_s = (size if np.isfinite(size) else np.nan for size in (behind_s, ahead_s))
     fewest = int(sunny.argmin())
