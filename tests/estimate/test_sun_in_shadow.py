@@ -32,6 +32,7 @@ from tests.support.vehicles import CUBE_NORMALS
 SEEDS = (0, 1, 5)
 """Orbits whose shadows last 10, 35 and 15 minutes."""
 
+
 class Flight(Simulated):
     """A flight that the check of the shadow judges."""
 

@@ -47,8 +47,8 @@ GYRO_ROUNDS, NOISE_STEP = 8, (0.5, 3.0)
 """Alternations of a gyro's zero and scale with the size of the errors, and the factors by which that changes at a time."""
 
 FEWEST_PASSES = 3
-"""With fewer passes nothing shows the errors of their rates: a torque fitted to one pass of five samples, where there was none, made
-its gyro's scale 2.6 times as large as it was, with a sigma of 0.6."""
+"""With fewer passes nothing shows the errors of their rates: a torque fitted to one pass of five samples, where there was none,
+made its gyro's scale 2.6 times as large as it was, with a sigma of 0.6."""
 
 DOUBTFUL = "doubtful"
 """Other columns than the stated ones explain a pass."""
@@ -176,8 +176,9 @@ def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicl
     count = int((quality["use"].values == 0).sum())
     keys = []
     for k, panel in enumerate(vehicle.panels):
-        numbers = (part[k : k + 1] for part in (stated, gain, sigma, prior))
-        keys.append(Key(("panel", panel.name), name, *numbers, vehicle.gain_unit or "1", count))
+        old, new, error, before = (part[k : k + 1] for part in (stated, gain, sigma, prior))
+        where, unit = ("panel", panel.name), vehicle.gain_unit or "1"
+        keys.append(Key(where, name, old, new, error, before, unit, count))
     return keys, scale_gains(vehicle, gain / stated)
 
 
@@ -323,10 +324,11 @@ def _sun_sensors(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> I
                 continue
             unit = "rad" if key.endswith("bias_rad") else "rad/reading"
             where = ("sun_sensor", sensor.name)
-            yield Key(where, key, *columns[i][:, None], unit, int(counts[i]))
+            old, new, error, before = columns[i][:, None]
+            yield Key(where, key, old, new, error, before, unit, int(counts[i]))
 
 
-# ------------------------------------------------------------------------------------------------------------------------------ gyro
+# ----------------------------------------------------------------------------------------------------------------------------- gyro
 
 
 class GyroFit(NamedTuple):
@@ -398,8 +400,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
 def rate_known(result: xr.Dataset) -> np.ndarray:
     """Return whether the rate vector of each pass (n_pass) is known well enough to calibrate a gyro with it.
 
-    It is if the pass is decided, or if only the check of the speed fails: a body that hardly rotates has known components near zero,
-    but a speed smaller than its error. Such a pass must not have doubtful columns.
+    It is if the pass is decided, or if only the check of the speed fails: a body that hardly rotates has known components near
+    zero, but a speed smaller than its error. Such a pass must not have doubtful columns.
     """
     decided = np.asarray(result["decided"].values)
     if "constrained_speed" not in result:
@@ -442,7 +444,7 @@ def gyro_keys(gyro: Gyro, fit: GyroFit) -> list[Key]:
     ]
 
 
-# ---------------------------------------------------------------------------------------------------------------------------- result
+# --------------------------------------------------------------------------------------------------------------------------- result
 
 
 def _dataset(

@@ -48,7 +48,7 @@ def axes_matrix(way: Axes) -> np.ndarray:
 
 
 def turned_axes(readings: Readings, predicted: Predicted) -> Axes | None:
-    """Return the axes with which a magnetometer's angle to the Sun is the predicted one (first place), if it is not as stated.
+    """Return the axes with which a magnetometer's angle to the Sun is the predicted one (first place), if those of the file do not.
 
     None also if other axes fit as well. The strength of the field determines zero and matrix but for a rotation or a mirror, so the
     angle alone compares the ways. If all axes point the other way, this is for the check of the orbit to say.

@@ -1,10 +1,10 @@
 """Is an orbit consistent with telemetry? A check that needs no attitude.
 
 Three things that a rotating body sees do not depend on its attitude: the strength of the magnetic field, its angle to the Sun, and
-whether the Sun is up. The orbit predicts them but for its along-track offset. Zero and matrix of the magnetometer are fitted with the
-offset, so that a poor calibration is no reason to refuse an orbit. The same is fitted to copies of the orbit with random node and
-phase. Right elements fit better than nearly all copies: their rank is the answer, and how clearly copies can differ from the orbit
-in these data says whether there is one. Clear Sun in the Earth's shadow refuses elements without a rank (:mod:`.shadow`).
+whether the Sun is up. The orbit predicts them but for its along-track offset. Zero and matrix of the magnetometer are fitted with
+the offset, so that a poor calibration is no reason to refuse an orbit. The same is fitted to copies of the orbit with random node
+and phase. Right elements fit better than nearly all copies: their rank is the answer, and how clearly copies can differ from the
+orbit in these data says whether there is one. Clear Sun in the Earth's shadow refuses elements without a rank (:mod:`.shadow`).
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ class OrbitCheck:
     """The answer of :func:`check_orbit`.
 
     `shift_s` at mid-file and its drift, with their sigmas; Sun sensors determine the drift, else it stays as it was. `better` of
-    `copies` comparison orbits fit better, and `mistaken` are expected to by chance. With the node rotated by `turn_rad` residuals are
-    `turn_times` smaller. `samples`: numbers that show something. Residuals are medians. `eclipse`: samples that show the Sun in the
-    predicted shadow, and all there. `matrix`, `zero`: field in T = matrix reading - zero, None without a magnetometer. `border`:
-    the shift is at the border of what was tried. `clock_behind_s`: the clock error with which the elements would fit, else 0.
-    `sign_turned`: the field with the opposite sign fits the Sun clearly better. `turned_axes`: other axes of the magnetometer
-    with which its angle to the Sun fits, in words. `made`: the fit of all sensors, if there are Sun sensors. `sun_in_shadow`:
-    samples with clear Sun that contradict the orbit at any offset within the prior.
+    `copies` comparison orbits fit better, and `mistaken` are expected to by chance. With the node rotated by `turn_rad` residuals
+    are `turn_times` smaller. `samples`: numbers that show something. Residuals are medians. `eclipse`: samples that show the Sun in
+    the predicted shadow, and all there. `matrix`, `zero`: field in T = matrix reading - zero, None without a magnetometer.
+    `border`: the shift is at the border of what was tried. `clock_behind_s`: the clock error with which the elements would fit,
+    else 0. `sign_turned`: the field with the opposite sign fits the Sun clearly better. `turned_axes`: other axes of the
+    magnetometer with which its angle to the Sun fits, in words. `made`: the fit of all sensors, if there are Sun sensors.
+    `sun_in_shadow`: samples with clear Sun that contradict the orbit at any offset within the prior.
     """
 
     shift_s: float
@@ -258,9 +258,9 @@ class Trial:
         return (float(nodes[costs.argmin()]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 
     def clock_behind_s(self, orbit: Orbit, lowest: float) -> float:
-        """Return by how many s the clock is behind UTC if it is off by whole hours and the elements are right.
+        """Return how far the clock is behind UTC, in s, if it is off by whole hours and the elements are right.
 
-        0 unless this fits clearly better than the lowest cost of the orbit and all copies.
+        It is 0 unless this fits clearly better than the lowest cost of the orbit and all copies.
         """
         clocks = 3600.0 * np.array(self.s.hours)
         other = [replace(orbit, clock_s=orbit.clock_s + clock) for clock in clocks]

@@ -51,7 +51,8 @@ FEWEST = 20
 """Fewer readings of field or light, or of the angle between field and Sun, are not compared."""
 
 ROUNDS, STEPS, TOLERANCE = 2, 10, 0.05
-"""Alternations of unknowns and scatters, steps of a fit, and the gain in log likelihood that ends it: another verdict needs more."""
+"""Alternations of unknowns and scatters, steps of a fit, and the gain in log likelihood that ends it: another verdict needs
+more."""
 
 MATRIX, ZERO = slice(0, 9), slice(9, 12)
 """Places of the matrix, by rows, and of the zero among the unknowns."""
@@ -120,7 +121,8 @@ CUBIC = np.linalg.inv(np.vander(np.arange(4.0), 4, increasing=True)).T
 
 
 class Predicted(NamedTuple):
-    """Predictions for K places: field strength (K, n) in T, its component toward the Sun (K, n) in T, visible part of the Sun (K, n)."""
+    """Predictions for K places: field strength (K, n) in T, its component toward the Sun (K, n) in T, visible part of the Sun (K,
+    n)."""
 
     strength: np.ndarray
     toward: np.ndarray
@@ -140,8 +142,8 @@ class Predicted(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """Fits at K places: `cost` (K); `calibration` (K, 12), matrix and zero, NaN without a magnetometer; `scatter` (K, 2) of strength,
-    over the field, and of the component toward the Sun, in sigmas of the Sun."""
+    """Fits at K places: `cost` (K); `calibration` (K, 12), matrix and zero, NaN without a magnetometer; `scatter` (K, 2) of
+    strength, over the field, and of the component toward the Sun, in sigmas of the Sun."""
 
     cost: np.ndarray
     calibration: np.ndarray
@@ -149,7 +151,7 @@ class Fits(NamedTuple):
 
     @property
     def best(self) -> int:
-        """The place with the lowest cost."""
+        """Number of the place with the lowest cost."""
         return int(self.cost.argmin())
 
 
@@ -253,9 +255,8 @@ def calibrated(
 def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the zero (K, 3) of readings (n, 3), one scale for all axes (K) and the mean misfit (K), by field strengths (K, n).
 
-    |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2:
-    |reading|^2 = 2 reading . zero - |zero|^2 + (strength / scale)^2. Where no scale is positive the zero is 0, the scale 1, the
-    misfit infinite.
+    The condition |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2. It reads
+    |reading|^2 = 2 reading . zero - |zero|^2 + (strength / scale)^2. If no scale is positive, the zero is 0 and the scale 1.
     """
     design = np.empty((*strength.shape, 5))
     design[..., :3], design[..., 3], design[..., 4] = 2 * reading, 1.0, strength**2
@@ -264,8 +265,7 @@ def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.nd
     normal = transposed @ design
     weak = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(5)
     best = np.linalg.solve(normal + weak, transposed @ square[:, None])[..., 0]
-    inverse_square = best[:, 4]
-    real = inverse_square > 0
+    inverse_square, real = best[:, 4], best[:, 4] > 0
     scale = np.where(real, np.maximum(inverse_square, 1e-12) ** -0.5, 1.0)
     left = np.abs((design @ best[..., None])[..., 0] - square).mean(axis=1)
     misfit = np.where(real, left / np.where(real, inverse_square, 1.0), np.inf)
@@ -303,11 +303,10 @@ class MagnetometerLaw:
         length = np.maximum(np.linalg.norm(field, axis=2), 1e-9)
         unit = field / length[..., None]
         off, slope = length - state.strength, unit
-        steep = np.ones(length.shape)
+        steep, by_reading = np.ones(length.shape), unit @ matrix
         if self.of_readings:
             # A reading changes the strength by matrix^T unit: divided by its size, the residual is a distance of readings. The
             # Jacobian has the slope of that size, by the direction of the field here and by the matrix below.
-            by_reading = unit @ matrix
             steep = np.maximum(np.linalg.norm(by_reading, axis=2), 1e-9)
             bent = by_reading @ np.swapaxes(matrix, 1, 2) - (steep**2)[..., None] * unit
             slope = unit - (off / length / steep**2)[..., None] * bent

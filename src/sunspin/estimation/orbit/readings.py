@@ -17,10 +17,10 @@ WITH_BOTH = 0.5
 """Share of the samples that is kept for those with field and Sun. The night shows the strength of the field and the shadow."""
 
 EARTH_SHARE, EARTH_RAD, EARTH_ALIKE = 0.3, 0.1, 10
-"""Nothing in a file separates the Sun from the Earth's light on a panel without an opposite one. Such a panel counts as sunlit above
-this share of full Sun. A direction that rests on it is off by this angle (rad), and the errors of at most so many samples average
-out, as a spinner shows the same side in all of them. On 10 simulated spinners with three to five such panels the angle between
-field and Sun rotated the calibration by 4 to 130 deg without these limits, and by 0.3 to 4 deg with them."""
+"""Nothing in a file separates the Sun from the Earth's light on a panel without an opposite one. Such a panel counts as sunlit
+above this share of full Sun. A direction that rests on it is off by this angle (rad). As a spinner shows the same side all the
+time, the errors of at most so many samples average out. Simulated spinners with three to five such panels (10): without these
+limits the angle between field and Sun rotated the calibration by 4 to 130 deg, with them by 0.3 to 4 deg."""
 
 PANEL_RAD = 0.03
 """Error of a direction from panels in addition to their noise, rad: the Earth's light, panel normals."""
@@ -30,8 +30,8 @@ class Readings(NamedTuple):
     """Readings of n samples, NaN if there are none.
 
     `field` (n, 3): magnetometer, in any unit. `sun` (n, 3) and its `covariance` (n, 3, 3): direction to the Sun by panels or by Sun
-    sensors as the vehicle file states them. `light` (n): 1 if the Sun is up, 0 if it is dark. `angle` (n, F, 2): angles of each of F
-    Sun sensors, rad; `y_turned` (n, F): they are of a sensor that is rotated. `panel_sun` (n, 3): direction by panels, or of a
+    sensors as the vehicle file states them. `light` (n): 1 if the Sun is up, 0 if it is dark. `angle` (n, F, 2): angles of each of
+    F Sun sensors, rad; `y_turned` (n, F): they are of a sensor that is rotated. `panel_sun` (n, 3): direction by panels, or of a
     Sun vector; `panel_sigma` (n): its error about each axis, rad. `pass_of` (n): number of the pass.
     """
 
@@ -49,18 +49,18 @@ class Readings(NamedTuple):
     @property
     def has_field(self) -> np.ndarray:
         """True (n) where the magnetometer was read."""
-        return np.isfinite(self.field).all(axis=1)
+        return _whole(self.field)
 
     @property
     def has_sun(self) -> np.ndarray:
         """True (n) where some reading shows the direction to the Sun, or one angle of it."""
-        known = np.isfinite(self.sun).all(axis=1) | np.isfinite(self.panel_sun).all(axis=1)
-        return known | np.isfinite(self.angle[..., 0]).any(axis=1)
+        by_sensors = np.asarray(np.isfinite(self.angle[..., 0]).any(axis=1))
+        return _whole(self.sun) | _whole(self.panel_sun) | by_sensors
 
     @property
     def has_angle(self) -> np.ndarray:
         """True (n) where a sample shows the angle between field and Sun."""
-        return np.isfinite(self.field + self.sun).all(axis=1)
+        return _whole(self.field + self.sun)
 
     def take(self, which: np.ndarray) -> Readings:
         """Return some of the samples."""
@@ -76,13 +76,18 @@ class Readings(NamedTuple):
 
     def with_stated_sun(self) -> Readings:
         """Return the readings with directions in place of the Sun sensors' angles: the sensors are as the vehicle file states."""
-        by_sensors = np.isfinite(self.angle[..., 0]).any(axis=1) & np.isfinite(self.sun).all(axis=1)
+        by_sensors = np.isfinite(self.angle[..., 0]).any(axis=1) & _whole(self.sun)
         sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)
         return self._replace(
             angle=np.full_like(self.angle, np.nan),
             panel_sun=np.where(by_sensors[:, None], self.sun, self.panel_sun),
             panel_sigma=np.where(by_sensors, sigma, self.panel_sigma),
         )
+
+
+def _whole(vectors: np.ndarray) -> np.ndarray:
+    """Return which vectors (n, d) have no NaN."""
+    return np.asarray(np.isfinite(vectors).all(axis=1))
 
 
 def read(assessment: Assessment, most: int) -> Readings:
@@ -109,7 +114,7 @@ def read(assessment: Assessment, most: int) -> Readings:
     panel_sun, of_panels = sun, by_earth
     if "sun_sensor_B" in telemetry:
         stated = telemetry["sun_sensor_B"].values
-        known = np.isfinite(stated).all(axis=1)
+        known = _whole(stated)
         sun = np.where(known[:, None], stated, sun)
         own = telemetry["sun_sensor_cov_B"].values
         covariance = np.where(known[:, None, None], own, covariance)
@@ -119,7 +124,7 @@ def read(assessment: Assessment, most: int) -> Readings:
             panel_sun = stated
             panel_variance = np.full(n, vehicle.sensors.sun_vector.sigma_rad**2)
     # a direction without an error is no reading
-    sun = np.where(np.isfinite(covariance).all(axis=(1, 2))[:, None], sun, np.nan)
+    sun = np.where(_whole(covariance.reshape(n, 9))[:, None], sun, np.nan)
     panel_sun = np.where(np.isfinite(panel_variance)[:, None], panel_sun, np.nan)
 
     usual = np.median(np.diff(time)) if n > 1 else 1.0

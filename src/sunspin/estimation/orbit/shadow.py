@@ -1,7 +1,7 @@
 """Clear Sun where elements predict the Earth's shadow: then the elements or the times of the telemetry are wrong.
 
-In the full shadow there is neither sunlight nor light from the Earth. A bright panel there contradicts the orbit at any attitude and
-without a magnetometer. The along-track offset is free within its prior, and the edge of the shadow is left out.
+In the full shadow there is neither sunlight nor light from the Earth. A bright panel there contradicts the orbit at any attitude
+and without a magnetometer. The along-track offset is free within its prior, and the edge of the shadow is left out.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ CLEAR_SHARE, CLEAR_SIGMAS = 0.4, 8.0
 0.3; the brightest panel of a cube has 0.58 or more."""
 
 MISFIT, ALIKE, SCATTER = 0.35, 0.6, 0.3
-"""A sample is of sunlight if its misfit Delta to the best direction is smaller than the first. Light of the Earth up to 30 % of full
-Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the second
-share of the bright samples must be so, and their brightness must scatter by less than the third. On simulated cubes with three to
-six panels it scatters by 0.25 in sunlight and by 0.34 to 0.43 in noise alone."""
+"""A sample is of sunlight if its misfit Delta to the best direction is smaller than the first. Light of the Earth up to 30 % of
+full Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the
+second share of the bright samples must be so, and their brightness must scatter by less than the third. On simulated cubes with
+three to six panels it scatters by 0.25 in sunlight and by 0.34 to 0.43 in noise alone."""
 
 DEPTH_M, LEEWAY_S = 20e3, 10.0
 """The full shadow is that of an Earth smaller by the first, and the prior of the offset is wider by the second on both sides. Bent
@@ -37,8 +37,8 @@ sunlight reaches a low orbit 20 km deep from rays 5 km high, spread over five ti
 `CLEAR_SHARE`. A clock may be off by seconds: a satellite at 500 km crosses the 20 km in 7 s or more."""
 
 FEW, CHANCE_SIGMAS = 3, 2.0
-"""More samples than the first contradict the orbit if they are also more than `SEEN_IN_SHADOW` makes by chance: its mean and so many
-sigma."""
+"""More samples than the first contradict the orbit if they are also more than `SEEN_IN_SHADOW` makes by chance: its mean and so
+many sigma."""
 
 MOST_SAMPLES = 600
 """Samples of the file that are compared, spread evenly."""
@@ -61,7 +61,7 @@ class SunInShadow(NamedTuple):
 
     @property
     def beyond_s(self) -> float:
-        """The smaller of the two errors, s; NaN if no error of the clock removes the contradiction."""
+        """Return the smaller of the two errors, s; NaN if no error of the clock removes the contradiction."""
         return min((s for s in (self.behind_s, self.ahead_s) if np.isfinite(s)), default=np.nan)
 
     def __str__(self) -> str:
