@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import SunAlongZ, in_orbit
+from sunspin.estimation.orbit.attitudes import SENSORS, AttitudeLaw, OrbitState
 from sunspin.estimation.orbit.calibration import (
-    SENSORS,
     Calibration,
     FieldCalibration,
     along_orbit,
@@ -28,7 +28,7 @@ from sunspin.estimation.orbit.invariants import (
     calibrated,
     sphere,
 )
-from sunspin.estimation.orbit.readings import Readings
+from sunspin.estimation.orbit.readings import Readings, read
 from sunspin.telemetry.assess import assess
 from tests.support.calibration_cases import calibration_case
 from tests.support.orbit_cases import check_case, orbit_of
@@ -113,6 +113,39 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         np.testing.assert_allclose(fitted.matrix_T, 4e-5 * matrix, atol=4e-8)
         np.testing.assert_allclose(fitted.zero, zero, atol=1e-3)
         assert fitted.strength[1] < 1e-8 and fitted.angle[1] < 1e-3
+
+
+def test_the_gradient_with_attitudes_projected_out_is_that_of_the_cost():
+    """Of every unknown: matrix, zero, offset, drift, and biases and scales of two Sun sensors, one of them with a rotated y."""
+    case = calibration_case(2, 1, gyro=False)
+    elements, epoch = parse_elements("\n".join(case.elements), "case"), case.telemetry.epoch_utc
+    data = case.telemetry.isel(time=slice(0, None, 4))
+    orbit = in_orbit(elements, epoch, data["time"].values, shift_sigma_s=case.shift_sigma_s)
+    sensors = replace(case.vehicle.sensors, sun_sensors=case.vehicle.sensors.sun_sensors[:2])
+    vehicle = replace(case.vehicle, sensors=sensors)
+    readings = read(assess(case.vehicle, data), 100)
+    readings = readings._replace(
+        field=readings.field / 4e4,
+        angle=readings.angle[:, :2],
+        y_turned=readings.t_s[:, None] % 50 < [0, 25],
+    )
+    sky = Sky.along(orbit, readings.t_s, np.arange(-60.0, 61.0, 20.0))
+    rng = np.random.default_rng(0)
+    unknown = 0.05 * rng.normal(size=24)
+    law = AttitudeLaw(vehicle, readings, sky, 4e-5, np.eye(24))
+    attitude = law.triads(unknown)
+    for _ in range(20):  # to the attitudes that fit best
+        attitude = law.settle(unknown, attitude).attitude
+    state = OrbitState(unknown[None], attitude[None])
+    gradient = law.linearise(state).slope[0]
+    for k, step in enumerate(1e-5 * np.eye(24)):
+        ahead, behind = (
+            law.linearise(state._replace(unknown=state.unknown + sign * step)).cost[0]
+            for sign in (1, -1)
+        )
+        slope = (ahead - behind) / 2e-5
+        assert abs(slope - gradient[k]) < 1e-3 * abs(gradient).max(), k
+    assert (np.abs(gradient) > 0.01).all()
 
 
 def test_noise_of_the_magnetometer_does_not_shrink_its_matrix():
