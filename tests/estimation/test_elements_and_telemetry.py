@@ -55,6 +55,12 @@ def test_right_elements_fit_and_their_offset_is_within_its_errors(case, judged):
     np.testing.assert_allclose(np.linalg.norm(check.matrix, axis=1), 1e-9, rtol=0.1)  # nT
 
 
+def test_elements_of_a_plane_that_is_near_are_refused_by_their_residuals(case):
+    check = check_orbit(orbit(case, by_deg=12.0), *case[:2], settings=FEW)
+    assert check.verdict is Verdict.REFUSED and not check.sun_in_shadow.samples
+    assert check.turn_times > 1.3 and abs(np.degrees(check.turn_rad) + 12.0) < 1e-9
+
+
 def test_elements_of_another_plane_are_refused(case):
     used, check, words = judged_orbit(orbit(case, by_deg=70.0), *case[:2], settings=FEW)
     assert used is None and check.verdict is Verdict.REFUSED and check.turn_times > 1.3

@@ -12,7 +12,7 @@ from sunspin.estimation.orbit.calibration import along_orbit
 from sunspin.estimation.orbit.check import Verdict, check_orbit
 from sunspin.estimation.orbit.invariants import FEWEST
 from sunspin.estimation.orbit.judged import judged_orbit, orbit_of
-from sunspin.estimation.orbit.readings import read
+from sunspin.estimation.orbit.readings import EARTH_RAD, read
 from sunspin.estimation.settings import ORBIT
 from sunspin.telemetry.assess import assess
 from validation.spinners import AS_MOUNTED, Case, make
@@ -66,6 +66,9 @@ def test_samples_that_show_field_and_sun_come_first(folder):
     readings = read(assessment, ORBIT.samples)
     assert len(readings.t_s) == ORBIT.samples and FEWEST < both < ORBIT.samples / 2
     assert readings.has_angle.sum() == both
+    # of three panels none has an opposite one, and the Earth may light all alike
+    alone = np.isfinite(readings.panel_sun).all(axis=1)
+    assert readings.panel_sigma[alone].min() > EARTH_RAD > readings.panel_sigma[~alone].min()
     assert (readings.light == 0).sum() > 30 and (np.diff(readings.t_s) > 0).all()
 
 
