@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -131,31 +132,22 @@ def check_orbit(
         trial = replace(trial, readings=judging.with_axes(axes_matrix(way)))
         own = trial.fits(here)
 
-    rng = np.random.default_rng(seed)
-    nodes = rng.uniform(0, 2 * np.pi, s.copies)
-    phases = rng.uniform(0, orbit.elements[0].period_s, s.copies)
-    copies = [trial.predicted(orbit, *pair) for pair in zip(nodes, phases, strict=True)]
-    ranked = [trial.fits(copy, reach=float(own.cost.min())) for copy in copies]
-    better = int(sum(one.cost.min() <= own.cost.min() for one in ranked))
-    winner = min([own, *ranked], key=lambda one: one.cost.min())
-    mistaken = trial.mistaken(here.at([own.best]), copies, winner)
-    turn_rad, turn_times = trial.other_node(orbit, own)
-
+    rank = trial.rank(orbit, own, here, seed)
     readings, at_best = trial.readings, here.at([own.best])
     calibration = own.calibration[own.best]
     enough = max(readings.has_field.sum(), np.isfinite(readings.light).sum()) >= FEWEST
     verdict = Verdict.FITS
-    if better > s.better or turn_times > s.times:
+    if rank.better > s.better or rank.turn_times > s.times:
         verdict = Verdict.REFUSED
     elif contradicted(readings, at_best, calibration):
         verdict = Verdict.UNDECIDED
-    if not enough or mistaken > s.mistaken:
+    if not enough or rank.mistaken > s.mistaken:
         verdict = Verdict.UNDECIDED
     shadow = sun_in_shadow(orbit, assessment, s.span)
     if shadow.samples:  # no other orbit need fit better: this one is wrong, or the clock is
         verdict = Verdict.REFUSED
     # what a field of the opposite sign, or another clock, must be clearly below to be named
-    lowest = float((winner if verdict is Verdict.REFUSED else own).cost.min())
+    lowest = rank.lowest if verdict is Verdict.REFUSED else float(own.cost.min())
     lowest -= float(trial.prior(trial.shifts)[own.best])
 
     shift_s, shift_sigma_s, border = trial.shift(orbit, own)
@@ -165,11 +157,11 @@ def check_orbit(
         shift_s=orbit.shift_s + shift_s,
         shift_sigma_s=shift_sigma_s,
         verdict=verdict,
-        better=better,
+        better=rank.better,
         copies=s.copies,
-        mistaken=mistaken,
-        turn_rad=turn_rad,
-        turn_times=turn_times,
+        mistaken=rank.mistaken,
+        turn_rad=rank.turn_rad,
+        turn_times=rank.turn_times,
         samples=_counts(readings),
         eclipse=(int((in_shadow & (readings.light != 0)).sum()), int(in_shadow.sum())),
         border=border,
@@ -185,7 +177,21 @@ def check_orbit(
         answer = replace(answer, matrix=answer.matrix @ axes_matrix(way), turned_axes=words)
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, assessment)
-    return replace(answer, clock_behind_s=trial.clock_behind_s(orbit, float(winner.cost.min())))
+    return replace(answer, clock_behind_s=trial.clock_behind_s(orbit, rank.lowest))
+
+
+class Rank(NamedTuple):
+    """How an orbit compares with others.
+
+    `better` comparison orbits fit better, and `mistaken` would by chance; with the node rotated by `turn_rad` residuals are
+    `turn_times` smaller. `lowest`: the cost of the best of the orbit and its copies.
+    """
+
+    better: int
+    mistaken: float
+    turn_rad: float
+    turn_times: float
+    lowest: float
 
 
 @dataclass(frozen=True)
@@ -230,6 +236,21 @@ class Trial:
             if coarse.cost.min() > reach + self.s.near:
                 return coarse
         return fit(readings, predicted, prior, scatter)
+
+    def rank(self, orbit: Orbit, own: Fits, predicted: Predicted, seed: int) -> Rank:
+        """Return how an orbit compares with copies of random node and phase, and with other nodes.
+
+        `own`, `predicted`: its fits, and what it predicts at every offset.
+        """
+        rng, count = np.random.default_rng(seed), self.s.copies
+        nodes = rng.uniform(0, 2 * np.pi, count)
+        phases = rng.uniform(0, orbit.elements[0].period_s, count)
+        copies = [self.predicted(orbit, *pair) for pair in zip(nodes, phases, strict=True)]
+        ranked = [self.fits(copy, reach=float(own.cost.min())) for copy in copies]
+        better = sum(int(copy.cost.min() <= own.cost.min()) for copy in ranked)
+        winner = min([own, *ranked], key=lambda fits: fits.cost.min())
+        mistaken = self.mistaken(predicted.at([own.best]), copies, winner)
+        return Rank(better, mistaken, *self.other_node(orbit, own), float(winner.cost.min()))
 
     def mistaken(self, right: Predicted, copies: list[Predicted], winner: Fits) -> float:
         """Return how many copies would fit better by chance if the orbit were right, by the noise of the best of all orbits.
