@@ -80,11 +80,9 @@ def test_the_jacobian_of_strength_and_angle_is_that_of_their_residuals(of_readin
 
 def test_the_sphere_through_exact_readings_has_their_zero_and_scale():
     rng = np.random.default_rng(4)
-    strength = rng.uniform(2.0, 5.0, (3, 60))
-    strength[1] = 3.0 * strength[0] ** 2  # of another orbit
+    strength = rng.uniform(2.0, 5.0, (1, 60))
     field = strength[0][:, None] * unit(rng.normal(size=(60, 3)))
-    zero, scale, misfit = sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
-    assert misfit.argmin() == 0
+    zero, scale = sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
     np.testing.assert_allclose(zero[0], [4.0, -2.0, 9.0], rtol=1e-5)
     np.testing.assert_allclose(scale[0], 0.7, rtol=1e-5)
 

@@ -237,7 +237,7 @@ def calibrated(
         np.ones(count),
     )
     # A search that begins without a zero may miss one that is several times the field.
-    zero, scale, _ = sphere(readings.field / scales.reading, state.strength)
+    zero, scale = sphere(readings.field / scales.reading, state.strength)
     unknown = np.column_stack([(scale - 1)[:, None] * np.eye(3).ravel(), scale[:, None] * zero])
     round_start = state._replace(unknown=unknown, scale=scale)
     state = law.settled(law.better(state, round_start), free)
@@ -252,8 +252,8 @@ def calibrated(
     return law, law.better(state, law.settled(state._replace(**again), free)), scales
 
 
-def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the zero (K, 3) of readings (n, 3), one scale for all axes (K) and the mean misfit (K), by field strengths (K, n).
+def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the zero (K, 3) of readings (n, 3) and one scale for all axes (K), by field strengths (K, n).
 
     The condition |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2. It reads
     |reading|^2 = 2 reading . zero - |zero|^2 + (strength / scale)^2. If no scale is positive, the zero is 0 and the scale 1.
@@ -267,10 +267,8 @@ def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.nd
     best = np.linalg.solve(normal + weak, transposed @ square[:, None])[..., 0]
     inverse_square, real = best[:, 4], best[:, 4] > 0
     scale = np.where(real, np.maximum(inverse_square, 1e-12) ** -0.5, 1.0)
-    left = np.abs((design @ best[..., None])[..., 0] - square).mean(axis=1)
-    misfit = np.where(real, left / np.where(real, inverse_square, 1.0), np.inf)
     zero = np.where(real[:, None], best[:, :3], 0.0)
-    return zero, scale.clip(LEAST_SCALE, 1 / LEAST_SCALE), misfit
+    return zero, scale.clip(LEAST_SCALE, 1 / LEAST_SCALE)
 
 
 class MagnetometerLaw:
