@@ -199,7 +199,8 @@ def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, in
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
     """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
 
-    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. The outcomes are the keys of `validation.areas._EXCHANGES`.
+    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. Outcomes are the keys
+    of `validation.areas._EXCHANGES`.
     """
     seed, i, which = case
     craft = draw_satellite(seed, i)
@@ -302,8 +303,9 @@ def _classify(
 def equivalents(craft: Satellite, order: np.ndarray, momenta: np.ndarray) -> list[np.ndarray]:
     """Return rotations and mirrors (3, 3) that make the true satellite look like the one that the file describes.
 
-    Column k reads panel `order[k]`, and the file takes it for panel k; it has wheels of these `momenta` (n_wheel, 3). Only panels that are lit at some sample count. Each matrix
-    takes the true normals, inertia and wheels to those of the file within `ALIKE` (3 % for the inertia, 15 % for gains).
+    Column k reads panel `order[k]`, and the file takes it for panel k; it has wheels of these `momenta` (n_wheel, 3). Only panels
+    that are lit at some sample count. Each matrix takes the true normals, inertia and wheels to those of the file within `ALIKE`
+    (3 % for the inertia, 15 % for gains).
     """
     lit = (craft.readings[:, order] > LIT * craft.gains[order]).any(axis=0)
     true, stated = craft.normals[order][lit], craft.normals[lit]
