@@ -1,9 +1,9 @@
 """Which changes of columns, panels, wheel signs and sensor axes look the same in the telemetry.
 
-Two changes of a vehicle file are equivalent if a rotation or a mirror M of the body maps what the telemetry has read under the one
-onto what it has read under the other. That is s' = M s for directions, omega' = det(M) M omega for rates and momenta, and
-M Theta M^T for the inertia. Then no data distinguish them. One function decides it (`equivalence`); advice, and what is said of
-columns that cannot be checked, use it.
+Two changes of a vehicle file are equivalent if a rotation or a mirror M of the body maps the readings under the one onto those
+under the other. That is s' = M s for directions, omega' = det(M) M omega for rates and momenta, and M Theta M^T for the inertia.
+Then no data distinguish them. One function decides it (`equivalence`); advice, and what is said of columns that cannot be checked,
+use it.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def wheel_changes(vehicle: Vehicle) -> list[Change]:
 
 @dataclass(frozen=True)
 class Observed:
-    """What a telemetry file has read, as far as it tells changes apart.
+    """What a telemetry file has read, as far as that distinguishes changes.
 
     `lit` (n_input): columns that were in sunlight. `momenta` (n_wheel, n, 3): of each wheel in the file, in mean moments of inertia
     times rad/s. `span_s`: length of the file; `sensors`: variables of other sensors that were read. `in_orbit`: elements make the

@@ -78,7 +78,7 @@ def weigh_by_periods(
 
     If no solution of a pass has its periods, the samples contradict them, or too few draws have them, its probabilities stay. JSON
     has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws; `carried`,
-    the probability without it of the solutions that have it; `told`, whether it counts; and `without`, the probability without it
+    the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
     of the solution that is the likeliest now, and of the one that was then.
     """
     if not seen:
@@ -239,10 +239,10 @@ def own_axis(inertia: np.ndarray) -> np.ndarray:
 
 
 def euler_rates(omega_B: np.ndarray, momentum_B: np.ndarray, axis_B: np.ndarray) -> np.ndarray:
-    """Return precession, spin and their sum (..., 3), rad/s, of rates omega_B (..., 3) with momentum (..., 3), about an axis (3).
+    """Return precession, spin and their sum (..., 3), rad/s.
 
-    omega = precession h + spin e + (nutation across both), h along the momentum, e the axis; NaN for the first two if h and e are
-    parallel.
+    Of rates omega_B (..., 3) with momentum (..., 3), about an axis (3) of the body: omega = precession h + spin e + (nutation
+    across both), h along the momentum, e the axis; NaN for the first two if h and e are parallel.
     """
     along = momentum_B / np.linalg.norm(momentum_B, axis=-1, keepdims=True)
     cosine, about_h, about_e = along @ axis_B, np.sum(omega_B * along, axis=-1), omega_B @ axis_B
