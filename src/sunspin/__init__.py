@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sunspin.landing.scenario import Scenario as Scenario
     from sunspin.output.compare import compare as compare
     from sunspin.output.history import history as history
+    from sunspin.planning import plan as plan
     from sunspin.philae.simulation import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
     from sunspin.vehicle import (
@@ -105,6 +106,7 @@ _MODULES = {
     "Scenario": "sunspin.landing.scenario",
     "compare": "sunspin.output.compare",
     "history": "sunspin.output.history",
+    "plan": "sunspin.planning",
     "reproduce": "sunspin.philae.reproduction",
     "SunspinError": "sunspin.base.errors",
     "VehicleError": "sunspin.base.errors",

@@ -45,6 +45,7 @@ COMMANDS = {
     "report": (YOURS, "Make an HTML report from a results folder."),
     "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
     "history": (YOURS, "Collect the passes of many results: trend and jumps of the speed."),
+    "plan": (YOURS, "Find out before launch which beacon decides which rates."),
     "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),
     "simulate": (MOTIONS, "Propagate one motion."),
     "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),

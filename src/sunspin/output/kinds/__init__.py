@@ -9,6 +9,7 @@ from sunspin.output.kinds import (  # noqa: F401
     motion,
     outcomes,
     panels,
+    plan,
     posterior,
     predictions,
     rates,
