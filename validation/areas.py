@@ -18,6 +18,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
+from validation import subject
 from validation.scoreboard import Task
 from validation.truths import WRONG_SIGMAS
 
@@ -316,11 +317,15 @@ def spinners(level: str, seed: int) -> Iterator[Task]:
 
 
 def _spinner(seed: int, number: int, elements: str) -> Row:
-    """Run and judge `check` on a spinner with right or wrong elements."""
-    from validation.spinners import cases, run
+    """Judge the check of right or wrong elements on a spinner; that of the first one as the command has it."""
+    from validation.spinners import cases, check_elements, run
 
+    case = cases(seed, number + 1, whole=True)[number]
     with tempfile.TemporaryDirectory() as folder:
-        row = run(cases(seed, number + 1, whole=True)[number], Path(folder), f"check {elements}")
+        if number == 0 and subject.room() == subject.OF_COMMANDS:
+            row = run(case, Path(folder), f"check {elements}")
+        else:
+            row = check_elements(case, Path(folder), elements)
     if row["defect"] or "orbit" not in row:
         return {"outcome": "defect", "says": row.get("error", "")}
     return {
