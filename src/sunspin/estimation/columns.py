@@ -57,8 +57,8 @@ of nine files with two columns exchanged that fit six wanted as much, of their r
 change must lower it."""
 
 COLUMN_SHARE = 8.0
-"""Budget of the column tests, in budgets of a pass. A quick search takes 2 to 8 % of one, and up to 21 changes of a cube are tried; a
-whole estimate takes a tenth."""
+"""Budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and up to 21
+changes of a cube are tried."""
 
 Again = Callable[[Vehicle, xr.Dataset], xr.Dataset]
 """Function that estimates a vehicle and its telemetry again, without column tests."""
