@@ -15,6 +15,7 @@ from sunspin.output.template import write_templates
 
 STORED = json.loads(Path(__file__).with_name("schema_rates.json").read_text("utf-8"))
 
+
 def schema(result):
     """Return dimensions, kind and attributes of each variable, and the kind of each attribute of a result."""
     variables = {

@@ -75,10 +75,24 @@ def test_a_clock_off_by_an_hour_is_named(case):
     assert "they would fit if the telemetry's clock were 1 h behind UTC" in words
 
 
+def test_an_offset_at_the_border_of_what_was_tried_is_named(case):
+    ahead_s = abs(case[3]["ahead_s"])
+    for sigma_s in (ahead_s / 6, ahead_s):
+        check = check_orbit(orbit(case, shift_sigma_s=sigma_s), *case[:2], settings=FEW)
+        assert check.border == (sigma_s < ahead_s)
+
+
 def test_a_magnetometer_of_the_opposite_sign_is_named(case, judged):
     vehicle, data, _, _ = case
     check = check_orbit(orbit(case), vehicle, data.assign(field_B=-data["field_B"]), settings=FEW)
     assert check.sign_turned and not judged[1].sign_turned
+    # what the words say to do makes the elements fit without a remark
+    part = vehicle.sensors.magnetometer
+    sensors = replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
+    used, _, words = judged_orbit(
+        orbit(case), replace(vehicle, sensors=sensors), data, settings=FEW
+    )
+    assert used is not None and "SIGN" not in words
 
 
 def test_a_calibration_that_reverses_the_readings_fits_the_sun_only_if_they_are_reversed():

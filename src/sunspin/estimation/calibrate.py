@@ -26,7 +26,7 @@ from sunspin.estimation.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimation.orbit.invariants import STUDENT
 from sunspin.estimation.orbit.readings import Readings, read
 from sunspin.estimation.rates import rates
-from sunspin.estimation.verdict import NARROWER
+from sunspin.estimation.verdict import COLUMNS_DOUBTED, NARROWER
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.gains import prior_sigmas, scale_gains
 from sunspin.vehicle import Vehicle
@@ -49,9 +49,6 @@ GYRO_ROUNDS, NOISE_STEP = 8, (0.5, 3.0)
 FEWEST_PASSES = 3
 """With fewer passes nothing shows the errors of their rates: a torque fitted to one pass of five samples, where there was none,
 made its gyro's scale 2.6 times as large as it was, with a sigma of 0.6."""
-
-DOUBTFUL = "doubtful"
-"""Other columns than the stated ones explain a pass."""
 
 NUMBERS = ("stated", "value", "sigma", "prior_sigma")
 """Variables of the result that are numbers of the vehicle file."""
@@ -408,7 +405,7 @@ def rate_known(result: xr.Dataset) -> np.ndarray:
         return decided
     checks = ("unique", "fits", "search_complete", *(f"constrained_{axis}" for axis in "xyz"))
     all_but_speed = np.all([result[name].values for name in checks], axis=0)
-    return decided | (all_but_speed & (result["columns_checked"].values != DOUBTFUL))
+    return decided | (all_but_speed & (result["columns_checked"].values != COLUMNS_DOUBTED))
 
 
 def _gyro(

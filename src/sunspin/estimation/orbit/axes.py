@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import permutations, product
-from typing import NamedTuple
-
 import numpy as np
-import tomlkit
 
+from sunspin.estimation.column_tests import changes_of_sensor
+from sunspin.estimation.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimation.orbit.invariants import (
     FEWEST,
     Predicted,
@@ -17,6 +15,7 @@ from sunspin.estimation.orbit.invariants import (
 )
 from sunspin.estimation.orbit.readings import Readings
 from sunspin.telemetry.assess import Assessment
+from sunspin.vehicle import Vehicle
 
 LARGEST_ANGLE_RAD, CLEARER = 0.15, 0.5
 """Right elements leave no larger median of the angle between field and Sun, in addition to the error of the Sun's direction: 0.01
@@ -24,49 +23,33 @@ to 0.07 rad on simulated spinners whose panels get 10 to 30 % of the Earth's lig
 second as a share of what the stated axes, and any others, leave."""
 
 
-class Axes(NamedTuple):
-    """One way to read three columns as axes: axis k is column `order[k]` times `sign[k]`."""
+def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> Change | None:
+    """Return the change of axes with which a magnetometer's angle to the Sun is the predicted one, if with those of the file it is
+    not.
 
-    order: tuple[int, ...]
-    sign: tuple[float, ...]
-
-    def __str__(self) -> str:
-        """Return the way in words."""
-        columns = ("-+"[s > 0] + "xyz"[k] for k, s in zip(self.order, self.sign, strict=True))
-        return f"read as ({', '.join(columns)}) of its columns"
-
-
-WAYS = [
-    Axes(order, sign) for order in permutations(range(3)) for sign in product((1.0, -1.0), repeat=3)
-]
-"""All 48 ways; the first is that of the file."""
-
-
-def axes_matrix(way: Axes) -> np.ndarray:
-    """Return the matrix (3, 3) that turns readings into those of another way."""
-    return np.eye(3)[list(way.order)] * np.array(way.sign)[:, None]
-
-
-def turned_axes(readings: Readings, predicted: Predicted) -> Axes | None:
-    """Return the axes with which a magnetometer's angle to the Sun is the predicted one (first place), if those of the file do not.
-
-    None also if other axes fit as well. The strength of the field determines zero and matrix but for a rotation or a mirror, so the
-    angle alone compares the ways. If all axes point the other way, this is for the check of the orbit to say.
+    Of the predictions the first place counts. None also if other axes fit as well. The strength of the field determines zero and
+    matrix but for a rotation or a mirror, so the angle alone compares the ways. If all axes point the other way, this is for the
+    check of the orbit to say.
     """
     use = readings.has_field
-    if readings.has_angle.sum() < FEWEST:
+    if readings.has_angle.sum() < FEWEST or vehicle.sensors.magnetometer is None:
         return None
     readings, predicted = readings.take(use), predicted.take(use).at([0])
     _, state, scales = calibrated(readings.without_sun(), predicted)
-    field = field_of(readings.field, scales.in_T(state.unknown)[0])
-    known = predicted.angles()
-    off = [angles(field @ axes_matrix(way).T, readings.sun) - known for way in WAYS]
+    field, known = field_of(readings.field, scales.in_T(state.unknown)[0]), predicted.angles()
+    ways = changes_of_sensor(vehicle, "field_B")  # that of the file comes first
+    off = [angles(field @ axes_matrix(way).T, readings.sun) - known for way in ways]
     left = np.nanmedian(np.abs(off), axis=1)
     best, second = np.argsort(left)[:2]
-    if np.array_equal(axes_matrix(WAYS[best]), -np.eye(3)):
+    if np.array_equal(axes_matrix(ways[best]), -np.eye(3)):
         return None
     clear = left[best] < min(CLEARER * min(left[0], left[second]), LARGEST_ANGLE_RAD)
-    return WAYS[best] if clear else None
+    return ways[best] if clear else None
+
+
+def axes_matrix(way: Change) -> np.ndarray:
+    """Return the matrix (3, 3) that turns readings of the field into those after a change of axes."""
+    return way.axes["field_B"]
 
 
 def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
@@ -80,15 +63,13 @@ def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarr
     return bool(np.median(off[known]) > allowed)
 
 
-def axes_words(way: Axes, assessment: Assessment) -> str:
-    """Return what :func:`turned_axes` means, and what to write into the vehicle file."""
-    magnetometer = assessment.vehicle.sensors.magnetometer
-    do = ""
-    if magnetometer is not None:
-        keys = magnetometer.keys_for_axes(way.order, way.sign)
-        lines = " and ".join(tomlkit.dumps(keys).splitlines())
-        do = f"; set {lines} under [magnetometer] of the vehicle file"
+def axes_words(way: Change, assessment: Assessment) -> str:
+    """Return what :func:`turned_axes` means, what to write into the vehicle file, and what else looks the same."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    columns = column_changes(vehicle, telemetry)
+    same = [change.what for change, _ in alike(Observed.of(vehicle, telemetry), way, columns)]
+    others = f", or, which looks the same, {' or '.join(same)}: find out which before you set it"
     return (
-        f"the magnetometer {way} has the angle to the Sun that the orbit predicts, and with the columns of the file it does not"
-        f"{do}"
+        f"{way.what} has the angle to the Sun that the orbit predicts, and with the columns of the file it does not"
+        f"; {way.do}{others if same else ''}"
     )

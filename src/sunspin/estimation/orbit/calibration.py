@@ -255,7 +255,7 @@ def along_orbit(
     predicted = Sky.along(orbit, readings.t_s, np.zeros(1)).invariants()
     way = None
     if "sun_sensor_angle" not in assessment.telemetry:
-        way = turned_axes(readings, predicted)
+        way = turned_axes(readings, predicted, assessment.vehicle)
     axes = np.eye(3) if way is None else axes_matrix(way)
     readings = readings.with_axes(axes)
     _, state, scales = calibrated(readings.take(use), predicted.take(use))

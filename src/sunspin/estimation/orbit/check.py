@@ -127,7 +127,7 @@ def check_orbit(
     own = trial.fits(here)
     way = None
     if "sun_sensor_angle" not in assessment.telemetry:
-        way = turned_axes(judging, here.at([own.best]))
+        way = turned_axes(judging, here.at([own.best]), vehicle)
     if way is not None:  # from here on as if the vehicle file named the axes rightly
         trial = replace(trial, readings=judging.with_axes(axes_matrix(way)))
         own = trial.fits(here)
