@@ -267,3 +267,19 @@ def test_the_calibration_along_an_orbit_is_within_its_errors_of_the_true_sensor(
     assert max(squares) < 4 and np.mean(squares) < 2
     assert along_orbit(None, assessment) is None
     assert along_orbit(orbit, assess(case.vehicle, data.drop_vars("field_B"))) is None
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_few_readings_leave_the_calibration_wide_and_finite(count):
+    vehicle, data, given, about = check_case(0, 1)
+    data = data.isel(time=slice(0, count))
+    calibration = along_orbit(orbit_of(given, data, about), assess(vehicle, data))
+    reading = data["field_B"].values
+    field, columns = calibration.field(reading), calibration.columns(reading)
+    size = np.linalg.norm(field, axis=1)
+    assert np.isfinite(calibration.errors).all()
+    # the strength is known as well as it was read, the direction is not
+    strength = np.sqrt((np.einsum("nei,ni->ne", columns, field / size[:, None]) ** 2).sum(axis=1))
+    assert (strength < 2e-6).all()
+    spread = np.sqrt((columns**2).sum(axis=(1, 2)) / 2) / size
+    assert (np.degrees(spread) > 8.0).all()
