@@ -77,7 +77,7 @@ test-all: test
 
 long: $(READY)
 	$(TESTS) $(SPREAD) -m "long and not slow"
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py tests/dynamics/test_split_kernel.py
 
 other-pythons: $(READY)
 	$(BIN)/python tests/support/other_pythons.py

@@ -269,7 +269,7 @@ def judge_readings(
     variables: dict[str, Any] = {
         "sigma": (errors.sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
         "sigma_beside_earth": (errors.sigma_modelled, {"long_name": modelled_name}),
-        "reading": (was_read, {"long_name": "the panel was read"}),
+        "reading": (was_read, {"units": "1", "long_name": "the panel was read"}),
         "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
         "scale": (scale, {"units": "1"}),
         "scale_sigma": (scale_sigma, {"units": "1"}),
