@@ -173,7 +173,7 @@ CRAFT = ss.Vehicle("v", np.diag([1.0, 2.0, 2.5]), 10.0, panels=[PANEL], wheels=[
         ),
         (
             lambda: replace(CRAFT.telemetry, quantity="power"),
-            "TelemetryForm, quantity: should be 'power_W' or 'current_A'",
+            "TelemetryForm, quantity: should be 'power_W', 'current_A', 'elevation_deg', 'incidence_deg' or 'cosine'",
         ),
         (lambda: ss.Panel("a", [1, 0, 0]), "Panel, gain: this key is missing"),
         (lambda: SunRule([], "r"), "SunRule, all_dark: List should have at least 1 item"),

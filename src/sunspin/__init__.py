@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sunspin.landing.scenario import Scenario as Scenario
     from sunspin.output.compare import compare as compare
     from sunspin.output.history import history as history
+    from sunspin.output.pointing import pointing as pointing
     from sunspin.planning import plan as plan
     from sunspin.philae.simulation import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
@@ -106,6 +107,7 @@ _MODULES = {
     "Scenario": "sunspin.landing.scenario",
     "compare": "sunspin.output.compare",
     "history": "sunspin.output.history",
+    "pointing": "sunspin.output.pointing",
     "plan": "sunspin.planning",
     "reproduce": "sunspin.philae.reproduction",
     "SunspinError": "sunspin.base.errors",

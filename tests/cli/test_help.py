@@ -16,6 +16,7 @@ ELSEWHERE = {
     "compare": "other people's kernels",
     "reproduce": "minutes; it has tests of its own",
     "posterior": "minutes; it has tests of its own",
+    "pointing": "the rates of its example take seconds; it has tests of its own",
     "plan": "a minute; it has tests of its own",
     "history": "the rates of its example take seconds; it has tests of its own",
     "report": "needs the results of another command; it has tests of its own",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
@@ -86,3 +88,29 @@ def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_th
     done = CliRunner().invoke(cli, [*words[:3], "--json"], catch_exceptions=False)
     orbit = json.loads(done.output)["orbit"]
     assert orbit["satellite"] == 25544 and orbit["verdict"] == "undecided" and orbit["copies"] == 10
+
+
+def test_rates_with_an_orbit_hold_its_positions_for_pointing(satellite, monkeypatch, undrawn):
+    """Without a magnetometer the attitude about the Sun is free, and pointing says so; with one it would use the positions."""
+    monkeypatch.setattr(orbit_check, "COPIES", 3)
+    few = [
+        "--to",
+        "120",
+        "--no-column-tests",
+        "--effort",
+        "0.1",
+        "--tle",
+        "my.tle",
+        "--out",
+        "rates",
+    ]
+    done = CliRunner().invoke(cli, ["rates", "vehicle.toml", "telemetry.csv", *few])
+    assert done.exit_code == 0, done.output
+    with xr.open_dataset("rates/rates.nc") as rates:
+        radius = np.linalg.norm(rates["position_J2000"], axis=1)
+        speed = np.linalg.norm(rates["velocity_J2000"], axis=1)
+        assert rates["position_J2000"].attrs["units"] == "m" and rates.attrs["orbit"]
+    np.testing.assert_allclose(radius, 6.79e6, rtol=0.01)  # 15.49 revolutions a day
+    np.testing.assert_allclose(speed, np.sqrt(3.986e14 / radius), rtol=0.01)
+    done = CliRunner().invoke(cli, ["pointing", "rates"])
+    assert done.exit_code == 0 and "no magnetometer was used" in done.output, done.output

@@ -26,6 +26,7 @@ RUNS = {
     "export": "run --epoch 2026-01-01T00:00:00Z",
     "compare": "run run",
     "history": "run",
+    "pointing": "run",
     "plan": "vehicle.toml --every 10 --samples 6 --passes 1",
     "simulate": f"vehicle.toml {RATE}",
     "scan": f"{PLAIN} --to 160 --omega-x-deg-s=-6:6:6 --omega-y-deg-s=-6:6:6 --omega-z-deg-s=0:6:6",

@@ -91,6 +91,7 @@ MADE = {
     ),
     "calibration": lambda: ss.calibrate_sensors(vehicle(), telemetry()),
     "rates": rates,
+    "pointing": lambda: ss.pointing(rates()),
     "trajectory": motion,
     "impact": impact,
     "scan": scan,

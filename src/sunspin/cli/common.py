@@ -44,6 +44,7 @@ COMMANDS = {
     "explain": (YOURS, "Explain a verdict or a warning."),
     "report": (YOURS, "Make an HTML report from a results folder."),
     "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
+    "pointing": (YOURS, "Compute angles of body axes to Sun, nadir, ram and ground stations."),
     "history": (YOURS, "Collect the passes of many results: trend and jumps of the speed."),
     "plan": (YOURS, "Find out before launch which beacon decides which rates."),
     "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),

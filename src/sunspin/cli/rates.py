@@ -62,6 +62,15 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     type=click.Choice(list(SENSOR_VARIABLES)),
     help="Sensor not used. Repeatable.",
 )
+@click.option(
+    "--compare",
+    "compared",
+    multiple=True,
+    metavar="SENSOR|COLUMNS",
+    help="Compare the result with a sensor that is not used: gyro or attitude of the vehicle file, which is then withheld. Or give "
+    "columns such as wx,wy,wz:deg/s+-0.05 or q0,q1,q2,q3:first,N_to_B+-1 (scalar first or last; sigma in deg). Once for rates and "
+    "once for an attitude.",
+)
 @shared("--from", "--to", "--tle", "--tle-shift-sigma", "--period", "--workers", "--data")
 def rates(
     vehicle,
@@ -76,6 +85,7 @@ def rates(
     workers,
     periods,
     without,
+    compared,
     output,
     **settings,
 ) -> None:
@@ -94,22 +104,38 @@ def rates(
     \b
     Examples (the second with the built-in vehicle skcube, and telemetry in the folder DIR):
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
-      sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
+      sunspin rates skcube skcube/skcube_adcs.csv --compare gyro --data DIR --out skcube-rates
     """
     from sunspin.compute.pool import worker_count
     from sunspin.estimate.orbit.judged import elements_of
     from sunspin.estimate.rates.estimate import rates as estimate_rates
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
+    from sunspin.telemetry.withheld import parse_withheld, read_withheld
 
     craft, samples = read_inputs(vehicle, telemetry)
+    withheld = [parse_withheld(text, craft, without) for text in compared]
+    if len({sensor.variable for sensor in withheld}) < len(withheld):
+        what, do = "--compare is given twice for rates or for an attitude", "give it once for each"
+        raise InputError(what, got=" ".join(compared), do=do)
+    readings = [
+        samples[sensor.variable]
+        if text in VARIABLES and sensor.variable in samples
+        else read_withheld(sensor, craft, telemetry)
+        for text, sensor in zip(compared, withheld, strict=True)
+    ]
+    # neither the orbit nor the rates may depend on a sensor with which they are compared
+    declared = [VARIABLES[name] for name in compared if name in VARIABLES]
+    samples_used = samples.drop_vars(declared, errors="ignore")
     # The orbit is judged from the whole file, the rates are estimated from the part that is used.
-    whole_file = assess(craft, samples)
-    left_out = [SENSOR_VARIABLES[name] for name in without if SENSOR_VARIABLES[name] in samples]
+    whole_file = assess(craft, samples_used)
+    left_out = [
+        SENSOR_VARIABLES[name] for name in without if SENSOR_VARIABLES[name] in samples_used
+    ]
     if begin is None and end is None and not left_out:
         used = whole_file
     else:
-        used = assess(craft, select_interval(samples, begin, end).drop_vars(left_out))
+        used = assess(craft, select_interval(samples_used, begin, end).drop_vars(left_out))
     observed_periods = [parse_period(text, samples.attrs.get("epoch_utc")) for text in periods]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
@@ -145,6 +171,12 @@ def rates(
     # imported late, because the import takes a third of a second
     from sunspin.output.check.repeats import describe_repeats
     from sunspin.output.check.samples import describe_mismatches
+    from sunspin.output.compared import compare_with
+    from sunspin.output.pointing import with_track
+
+    result = with_track(result, chosen_orbit.orbit)
+    for sensor, values in zip(withheld, readings, strict=True):
+        result = compare_with(result, sensor, values)
 
     mismatches, repeats = describe_mismatches(used, vehicle), describe_repeats(used)
     keys = [key for key in ("wrong_units", "wrong_axes") if mismatches.summary[key]]

@@ -41,6 +41,16 @@ NEAR = 0.75
 """Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
 
 
+ANGLES = {
+    "elevation_deg": (-90.0, 90.0, 10.0, "an elevation (deg)"),
+    "incidence_deg": (0.0, 180.0, 10.0, "an angle from the normal (deg)"),
+    "cosine": (-1.0, 1.0, 0.2, "a cosine"),
+}
+"""Quantity of angles of the Sun -> smallest and largest value, how far noise may go beyond them, and its name in messages."""
+
+LEAST_LARGEST_DEG = 4.0
+"""The largest angle (deg) of a file is larger, and the largest one in rad (pi) is smaller: cubes have the Sun above 35 deg."""
+
 LEAST_FACTOR = 0.2
 """A temperature correction below this is not applied, because the linear law does not hold."""
 
@@ -50,7 +60,7 @@ class MissingColumn(TelemetryError):
 
 
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
-    """Read panel powers or currents, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
+    """Read panel readings, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
 
     Parameters
     ----------
@@ -63,7 +73,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        `power_W` (or `current_A`) over (time, panel); `flag (time)`: bits, 0 is good; coordinate `time` in s from
+        `power_W` (or `current_A`) over (time, panel); for angles of the Sun `power_W` holds gain times cosine.
+        `flag (time)`: bits, 0 is good; coordinate `time` in s from
         ``attrs["epoch_utc"]``. `phase (time)` and `received_s (time)` if the file has such columns. The variables of
         :func:`sunspin.telemetry.sensors.read_sensors`.
 
@@ -130,7 +141,13 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     readings: dict[str, Any] = {}
     if values.shape[1]:
         coords["panel"] = list(vehicle.input_names)
-        readings[form.quantity] = (("time", "panel"), values, {"units": UNITS[form.quantity]})
+        about = {"units": UNITS[form.quantity]}
+        if form.has_angles:
+            about = {
+                "units": "1",
+                "long_name": "gain times cosine of the Sun's angle from the panel's normal",
+            }
+        readings[form.variable] = (("time", "panel"), values, about)
     if "phase" in table.header:
         phase = [cell.strip() for cell in table.cells["phase"]]
         coords["phase"] = ("time", np.array(phase, dtype=np.str_))
@@ -201,6 +218,8 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
     letter, unit = ("P", "W") if has_powers else ("I", "A")
     names = {}
     default_names = {panel: (panel, f"{letter}{panel}_{unit}") for panel in vehicle.input_names}
+    if form.has_angles:
+        default_names = {panel: (panel, panel) for panel in vehicle.input_names}
     for panel, (short, long) in default_names.items():
         names[panel] = form.columns.get(panel) or (short if short in table.header else long)
     known_names = {*names.values(), *(name for pair in default_names.values() for name in pair)}
@@ -252,10 +271,44 @@ def _read_panels(
         what = "a voltage is a number, zero or above"
         _refuse_bad_cells(form, what, ~np.isfinite(volts), table, names)
         values = values * volts
+    if form.has_angles and columns:
+        values = _signals_of_angles(vehicle, table, columns, values)
     missing, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
     _refuse_bad_cells(form, "a finite number is expected", missing, table, columns)
     _refuse_bad_cells(form, "a panel cannot give a negative value", negative, table, columns)
     return values, NOT_A_NUMBER * missing.any(axis=1) | NEGATIVE * negative.any(axis=1)
+
+
+def _signals_of_angles(
+    vehicle: Vehicle, table: Table, columns: list[str], values: np.ndarray
+) -> np.ndarray:
+    """Return the readings (n, n_panel) of flat panels that have the Sun at these angles (deg), or with these cosines.
+
+    A reading is the panel's gain times the cosine of the angle of incidence. If the Sun is below the plane of the panel it is
+    zero, as in the dark.
+
+    Raises
+    ------
+    TelemetryError
+        A value is no such angle (with ``bad_rows = "refuse"``), or all angles are so small that they must be in rad.
+    """
+    quantity = vehicle.telemetry.quantity
+    low, high, beyond, text = ANGLES[quantity]
+    outside = (values < low - beyond) | (values > high + beyond)
+    what = f"{text} lies between {low:g} and {high:g}, after scale and zero under [telemetry]"
+    _refuse_bad_cells(vehicle.telemetry, what, outside, table, columns)
+    known = np.where(outside, np.nan, values)
+    largest = float(np.nanmax(np.abs(known), initial=0.0))
+    if quantity == "cosine":
+        return vehicle.input_gains * np.maximum(known, 0.0)
+    if 0 < largest < LEAST_LARGEST_DEG:
+        what = "the angles of the Sun do not look like degrees"
+        do = 'set scale = 57.29578 under [telemetry] for rad, or quantity = "cosine"'
+        got = f"{largest:.3g} as the largest one"
+        raise TelemetryError(what, got=got, do=do, where=table.where)
+    elevation = known if quantity == "elevation_deg" else 90.0 - known
+    sine = np.sin(np.radians(np.clip(elevation, -90.0, 90.0)))
+    return vehicle.input_gains * np.maximum(sine, 0.0)
 
 
 def _correct_for_temperature(

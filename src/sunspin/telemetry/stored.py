@@ -61,7 +61,7 @@ def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
     variables = {
         "flag": ("time", np.zeros(1, dtype=np.uint8)),
         "received_s": ("time", np.zeros(1)),
-        vehicle.telemetry.quantity: panels,
+        vehicle.telemetry.variable: panels,
         "panel_temperature_C": panels,
         **sensor_variables,
     }

@@ -100,7 +100,7 @@ def telemetry_dataset(
     phase : (n), optional
         Name of the phase of each sample.
     """
-    quantity = vehicle.telemetry.quantity
+    quantity = vehicle.telemetry.variable
     coords: dict[str, Any] = {
         "time": ("time", t_s, {"units": "s", "long_name": "time since the epoch"}),
         "panel": list(vehicle.input_names),
@@ -132,7 +132,7 @@ def csv_text(vehicle: Vehicle, telemetry: xr.Dataset, comments: list[str]) -> st
     """Return the telemetry as CSV text: comment lines, UTC to the millisecond, values to 1e-6, and the phase if there is one."""
     form, epoch = vehicle.telemetry, datetime.fromisoformat(telemetry.attrs["epoch_utc"])
     columns = [form.columns.get(name, f"P{name}_W") for name in vehicle.input_names]
-    table = pd.DataFrame(telemetry[form.quantity].values, columns=columns)
+    table = pd.DataFrame(telemetry[form.variable].values, columns=columns)
     moments = [epoch + timedelta(milliseconds=round(1000 * t)) for t in telemetry["time"].values]
     table.insert(
         0, form.time_column, [f"{t.astimezone(UTC):%Y-%m-%dT%T.%f}"[:-3] + "Z" for t in moments]

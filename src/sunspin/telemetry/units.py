@@ -19,8 +19,14 @@ from sunspin.vehicle.parts import Wheel
 from sunspin.vehicle.response.panels import brightness
 from sunspin.vehicle.sensors import Gyro, Magnetometer, SunSensor
 
-UNITS = {"power_W": "W", "current_A": "A"}
-"""Quantity of panel readings -> its unit."""
+UNITS = {
+    "power_W": "W",
+    "current_A": "A",
+    "elevation_deg": "W",
+    "incidence_deg": "W",
+    "cosine": "W",
+}
+"""Quantity of panel readings -> its unit. Angles of the Sun are read as powers of flat panels."""
 
 LARGEST = {"W": 2000.0, "A": 100.0}
 """No panel of a spacecraft gives more: readings above are counts, although the file states a scale."""
@@ -78,12 +84,14 @@ class WrongUnit(NamedTuple):
 
 
 def reading_unit(vehicle: Vehicle, value: np.ndarray) -> str:
-    """Return the unit of panel readings (n, n_panel), "W" or "A"; an empty text if the vehicle file does not determine it.
+    """Return the unit of panel readings (n, n_panel), "W" or "A"; an empty text for angles, and if the file does not determine it.
 
     Gains in W or A determine the unit. With relative gains a stated scale does, unless the readings are too large for the unit: the
     scale may be left over from an example file.
     """
     form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
+    if form.has_angles:
+        return ""
     if vehicle.gain_unit == unit or form.has_voltages:
         return unit
     largest = np.where(np.isfinite(value), value, 0.0).max(axis=1, initial=0.0)

@@ -93,9 +93,15 @@ class TelemetryForm(Part):
     `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times include leap seconds. `throttled`: if the battery is
     full, all readings of a sample are reduced by one unknown factor. `sample_span_s`: rows within so many seconds, each with some
     of the columns, are one sample.
+
+    `quantity` "elevation_deg", "incidence_deg" or "cosine": a column has the elevation of the Sun above the plane of the panel,
+    its angle from the normal, or the cosine of that angle. The reader makes of it the reading of a flat panel, gain times
+    cosine, and zero below zero; `noise` is in deg, or of the cosine.
     """
 
-    quantity: Literal["power_W", "current_A"] = "power_W"
+    quantity: Literal["power_W", "current_A", "elevation_deg", "incidence_deg", "cosine"] = (
+        "power_W"
+    )
     time_column: Name = "time"
     time_format: Literal["utc", "unix", "gps", "tai", "elapsed"] = "utc"
     epoch_utc: str | None = None
@@ -136,8 +142,10 @@ class TelemetryForm(Part):
         if repeated := [name for name in columns if columns.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
             raise VehicleError(what, got=repeated[0], do=f"give each panel its own{CHANNEL_HINT}")
+        if self.has_angles:
+            self._require_plain_angles()
         if self.has_voltages and self.quantity != "power_W":
-            what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
+            what = f"telemetry has voltages, with which currents become powers, but telemetry.quantity is {self.quantity}"
             raise VehicleError(what, do='set quantity = "power_W", or leave the voltages out')
         if (
             self.time_format == "elapsed"
@@ -161,6 +169,34 @@ class TelemetryForm(Part):
             raise VehicleError(what, do="add the UTC of time zero, or leave the key out")
         if self.time_zone is not None:
             parse_zone(self.time_zone)
+
+    @property
+    def has_angles(self) -> bool:
+        """True if the columns are angles of the Sun, which the reader turns into readings of flat panels."""
+        return self.quantity in ("elevation_deg", "incidence_deg", "cosine")
+
+    @property
+    def variable(self) -> str:
+        """Name of the variable with the readings in a telemetry Dataset."""
+        return "power_W" if self.has_angles else self.quantity
+
+    @property
+    def noise_per_gain(self) -> float:
+        """Factor from the noise in the file, times the gain, to that of the readings: rad per deg for angles in deg, else 1."""
+        return 1.0 if self.quantity == "cosine" else float(np.radians(1.0))
+
+    def _require_plain_angles(self) -> None:
+        """Raise `VehicleError` for keys that belong to electrical readings."""
+        electrical = {
+            "voltage_column": self.voltage_column is not None,
+            "voltage_columns": bool(self.voltage_columns),
+            "temperature_columns": bool(self.temperature_columns),
+            "lit_threshold": self.lit_threshold is not None,
+            "throttled": self.throttled,
+        }
+        if wrong := [key for key, given in electrical.items() if given]:
+            what = f"telemetry.{wrong[0]} is for powers and currents, but telemetry.quantity is {self.quantity}"
+            raise VehicleError(what, do="leave it out")
 
     @property
     def has_voltages(self) -> bool:
@@ -323,10 +359,19 @@ class Vehicle(Part):
 
     @property
     def input_noise(self) -> FloatArray | None:
-        """Standard deviation of each input's readings (n_input) in the telemetry's unit; None if the file does not state it."""
+        """Standard deviation of each input's readings (n_input) in the telemetry's unit; None if the file does not state it.
+
+        For angles of the Sun it is that of the readings that are made of them. A noise of the angle is taken as that of the
+        cosine: so it is for angles that were computed from currents, and near the normal it is too large for others.
+        """
         own_noise = {each.name: each.noise for each in (*self.panels, *self.channels)}
         noise = [own_noise[name] or self.telemetry.noise for name in self.input_names]
-        return None if None in noise else np.array(noise, dtype=np.float64)
+        if None in noise:
+            return None
+        factor = (
+            self.telemetry.noise_per_gain * self.input_gains if self.telemetry.has_angles else 1.0
+        )
+        return np.array(noise, dtype=np.float64) * factor
 
     @property
     def throttled(self) -> bool:
@@ -490,6 +535,9 @@ def _require_known_panels(vehicle: Vehicle) -> None:
 def _require_data_of_all_inputs(vehicle: Vehicle) -> None:
     """Raise `VehicleError` if some inputs have a voltage column or a noise and others have none, not even a common one."""
     form = vehicle.telemetry
+    if form.has_angles and vehicle.channels:
+        what = f"a channel reads powers or currents, but telemetry.quantity is {form.quantity}"
+        raise VehicleError(what, got=vehicle.channels[0].name, do="leave out [[channel]]")
     without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
         what, where = "a panel has no voltage and others have", "telemetry.voltage_columns"

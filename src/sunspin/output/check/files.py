@@ -123,6 +123,17 @@ def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFin
         lines.append(
             f"  sampling interval: {least:.6g} s min, {median:.6g} s median, {largest:.6g} s max"
         )
+    if craft.telemetry.has_angles and assessment.has_panels:
+        quantity = craft.telemetry.quantity
+        what = {
+            "elevation_deg": "elevations of the Sun (deg)",
+            "incidence_deg": "angles of the Sun from the normal (deg)",
+            "cosine": "cosines of the angle of incidence",
+        }[quantity]
+        summary["panels_read"] = quantity
+        lines.append(
+            f"  panels: {what} are read as signals of flat panels, gain * cosine; a panel that faces away is dark"
+        )
     if notes := clock_notes(samples):
         summary["clock_notes"] = notes
         lines += [f"  {note}" for note in notes]

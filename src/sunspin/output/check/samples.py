@@ -72,7 +72,8 @@ def noise_lines(assessment: Assessment) -> list[str]:
     sun = assessment.sun
     noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
     noise_of_panel = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
-    if not np.isfinite(noise) or (source == "given" and len({*noise_of_panel.values()}) == 1):
+    one_noise = len({*noise_of_panel.values()}) == 1 or assessment.vehicle.telemetry.has_angles
+    if not np.isfinite(noise) or (source == "given" and one_noise):
         return []
     unit_name = reading_unit(assessment.vehicle, signals(assessment.telemetry))
     unit = f" {unit_name}" if unit_name else " (in the unit of the readings)"

@@ -85,7 +85,8 @@ def panel_signals_figure(
         heading = f"{escape_name(motion_title)}\n{clock_text(motion, start_s)}"
         column[0].set_title(heading, fontsize=8)
         column[-1].set_xlabel("time (min)")
-    unit = "W" if "power_W" in telemetry else "A"
+    quantity = "power_W" if "power_W" in telemetry else "current_A"
+    unit = telemetry[quantity].attrs.get("units", quantity[-1])  # 1 for angles of the Sun
     for panel, row in enumerate(grid):
         remark = "\nnever lit" if dead[panel] else ""
         separator = " " if len(names[panel]) < 10 else "\n"  # a long name takes a line of its own

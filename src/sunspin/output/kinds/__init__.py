@@ -10,6 +10,7 @@ from sunspin.output.kinds import (  # noqa: F401
     outcomes,
     panels,
     plan,
+    pointing,
     posterior,
     predictions,
     rates,

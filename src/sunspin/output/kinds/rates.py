@@ -13,6 +13,7 @@ from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.estimate.rates.hypotheses import AS_STATED
 from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.estimate.verdict import upper_text
+from sunspin.output.compared import compared_drawings, compared_summary, compared_tables
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import (
     pass_numbers,
@@ -144,6 +145,9 @@ def rates_summary(result: Any) -> Summary:
             f"  {in_passes} samples used in passes; the search keeps {searched} of them, the others refine what it finds"
         )
     lines += [f"  {count:6d} samples  {reason}" for reason, count in numbers["samples"].items()]
+    compared, compared_lines = compared_summary(result)
+    numbers |= compared
+    lines += compared_lines
     return Summary(numbers, lines, table=table, in_words=sentences[:PASSES_IN_WORDS])
 
 
@@ -284,6 +288,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "in sigmas of what was assumed: noise, and of panels also other light. Farther out than six: at the edge. A wave, or "
             "many readings beyond three sigma, mean that the solution is wrong.",
         )
+    yield from compared_drawings(result)
     if context.telemetry is None or context.vehicle is None:
         return
     samples, vehicle = context.telemetry, context.craft()
@@ -328,6 +333,7 @@ def rates_tables(result: Any) -> Iterator[Table]:
     N_in_words = "z to the Sun, local" if frame_N == SUN_Z_LOCAL else frame_N
     comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {N_in_words}"
     yield passes_table(result)
+    yield from compared_tables(result)
     if result.sizes.get("estimate"):
         names = ["estimate_value", "estimate_sigma", "estimate_unit"]
         # a pass without an estimate has NaN

@@ -77,7 +77,8 @@ def _draw_signals(axes: Any, telemetry: xr.Dataset, time_axis: TimeAxis) -> None
         signal = np.insert(telemetry[name].sel(panel=panel).values, gaps, np.nan)
         label = f"panel {labels[k]}"
         axes.plot(x, signal, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=label)
-    axes.set_ylabel(axis_titles[name])
+    is_angle = telemetry[name].attrs.get("units") == "1"
+    axes.set_ylabel("gain × cosine" if is_angle else axis_titles[name])
     # about 120 characters fit side by side; each entry has a line sample and a space besides its name
     columns = int(np.clip(120 // (max(map(len, labels), default=1) + 9), 1, 8))
     axes.legend(ncols=columns, columnspacing=0.8, handletextpad=0.2, **ABOVE)
