@@ -234,7 +234,9 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     )
     row: dict[str, Any] = {"pair": None if pair is None else [craft.names[k] for k in pair]}
     try:
-        result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
+        # column tests try reversed wheels too: without them the set sees whether each wheel's sign is tried by itself
+        tested = which != WHEEL_REVERSED
+        result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=tested)
     except SunspinError as error:
         return row | {"outcome": "refused", "verdict": str(error)}
     row |= {
