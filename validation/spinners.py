@@ -22,8 +22,11 @@ from sgp4.api import Satrec, jday
 
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
+from sunspin.telemetry.reader import read_telemetry
+from sunspin.vehicle import load_vehicle
 from tests.support.orbits import with_check_digit, with_node_turned
 from tests.support.vehicles import FACES
+from validation import subject
 from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
@@ -372,6 +375,17 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     if command == "rates":
         row["passes"] = [_pass(truth, result) for result in summary["passes"]]
     return row
+
+
+def check_elements(case: Case, folder: Path, which: str) -> dict[str, Any]:
+    """Compare "right" or "wrong" elements with the telemetry of a case, by the package that is judged; a row as :func:`run`'s."""
+    make(case, folder)
+    vehicle = load_vehicle(folder / "vehicle.toml")
+    telemetry = read_telemetry(folder / "telemetry.csv", vehicle)
+    orbit = subject.orbit_of(vehicle, telemetry, folder / f"{which}.tle")
+    found = subject.check_orbit(orbit, vehicle, telemetry)
+    shift = {"shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s}
+    return {"defect": False, "orbit": {"verdict": found.verdict.name.lower()} | shift}
 
 
 def _pass(truth: dict[str, Any], summary: dict[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
 
 import numpy as np
@@ -17,6 +18,7 @@ from sunspin.estimation.between import link_passes
 from sunspin.estimation.budget import USUAL, Budget
 from sunspin.estimation.carry import require_followed
 from sunspin.estimation.chain import Chain, Fit
+from sunspin.estimation.columns import check_columns, name_of_wheels
 from sunspin.estimation.evidence import (
     PassFits,
     ladder,
@@ -38,6 +40,7 @@ from sunspin.estimation.observe import (
     why_not_used,
     with_momentum,
 )
+from sunspin.estimation.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimation.rates_dataset import NOT_LATE, believed, dataset, repeats_doubted
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
@@ -45,6 +48,12 @@ from sunspin.estimation.solutions import Solutions, solutions
 from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.verdict import more_effort, rates_words, slower
+from sunspin.estimation.wheel_signs import (
+    Reversed,
+    doubted_signs,
+    momentum_of_each,
+    reversed_momenta,
+)
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
@@ -67,6 +76,8 @@ def rates(
     acceleration_noise: float | None = None,
     gap_s: float | None = None,
     pass_id: int | None = None,
+    periods: Sequence[PeriodSeen] = (),
+    column_tests: bool = False,
     effort: float = 1.0,
     workers: int = 1,
     progress: bool | Callable[[str], None] = False,
@@ -91,6 +102,13 @@ def rates(
         A longer gap parts two passes; default: six usual intervals.
     pass_id : int, optional
         Only this pass, counted from zero as in the result; default: all.
+    periods : list of Period, optional
+        Periods seen from outside, of the precession, the spin or their sum: the solutions are weighted by them
+        (:mod:`sunspin.estimation.periods`). `probability_without_periods (pass_id, solution)` has the probabilities without, and
+        attrs["periods"], in JSON, what each decided.
+    column_tests : bool
+        If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
+        (:mod:`sunspin.estimation.column_tests`), and name what fits; this takes up to minutes.
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -111,7 +129,7 @@ def rates(
     Raises
     ------
     InputError
-        Too few samples, or no rate below the largest fits.
+        Too few samples, no rate below the largest fits, or a period was seen at a time of no pass.
     """
     assessment = assess(vehicle, telemetry)
     seen = observe(assessment, source)  # all samples, and why each is used or not
@@ -120,6 +138,15 @@ def rates(
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
     noise = stated_noise(vehicle, acceleration_noise)
+    # the same estimate of another vehicle or another file, of one pass: to try other columns
+    again = partial(
+        rates,
+        source=None if seen.source == "directions" else seen.source,
+        max_rate_rad_s=largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes),
+        gap_s=np.inf,
+        effort=effort,
+        settings=settings,
+    )
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
     body = Body.of(vehicle, torques_stated=noise is not None)
@@ -140,6 +167,9 @@ def rates(
         fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
         done |= dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
+        doubt = doubted_wheels(
+            assessment, seen, wheels, passes, models, fits, settings, budget, run
+        )
 
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
@@ -147,6 +177,7 @@ def rates(
         solutions(one, seen.obs.take(p.samples), p.places, settings.solutions, settings.search)
         for one, p in zip(fits, passes, strict=True)
     ]
+    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
     middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
     solved, walk = link_passes(solved, middles, stated.rate_sigma)
     solved = [
@@ -160,10 +191,12 @@ def rates(
     doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
+    result = result.assign(without_periods(solved))
     result = repeats_doubted(result, assessment)
     result = result.assign_attrs(
         NOT_LATE
         | coarse
+        | of_periods
         | {
             "wheels": wheels,
             "walk_between_passes": walk,
@@ -172,6 +205,8 @@ def rates(
             "symmetric_unlisted": 0,
         }
     )
+    tested = again if column_tests else None
+    result = check_columns(result, assessment, doubt, tested, False, settings, budget)
     return with_units(result.assign_attrs(verdict=rates_words(result)))
 
 
@@ -287,6 +322,34 @@ def decide_wheels(
     of_best = zip(longest, fits[best * len(longest) :], strict=False)
     done = {k: one for k, one in of_best if one is not None}
     return with_momentum(seen, momenta[names[best]]), words, done
+
+
+def doubted_wheels(
+    assessment: Assessment,
+    seen: Seen,
+    wheels: str,
+    passes: Sequence[Pass],
+    models: Sequence[Model],
+    fits: Sequence[PassFits],
+    settings: RatesSettings,
+    budget: Budget,
+    run: Callable,
+) -> Reversed | None:
+    """Return the wheels that may turn the other way, by the longest passes; `wheels`: what they do, in words."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    each = momentum_of_each(vehicle, telemetry, name_of_wheels(wheels))
+    momenta = reversed_momenta(vehicle, each, models[0].body.inertia, seen.obs.t_s)
+    longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
+    return doubted_signs(
+        seen.obs,
+        momenta,
+        [passes[k] for k in longest],
+        [models[k] for k in longest],
+        [fits[k] for k in longest],
+        lambda turned: list(run(_pass_if_any, turned, repeat(settings), repeat(budget))),
+        settings,
+        budget,
+    )
 
 
 def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits | None:
