@@ -77,7 +77,7 @@ test-all: test
 
 long: $(READY)
 	$(TESTS) $(SPREAD) -m "long and not slow"
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py tests/dynamics/test_split_kernel.py
 
 other-pythons: $(READY)
 	$(BIN)/python tests/support/other_pythons.py
@@ -113,7 +113,7 @@ validate-real: $(READY)
 
 lock:
 	rm -rf .lock-env && "$(PYTHON)" -m venv .lock-env
-	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[test,bench,parquet,spice,docs]" hatchling editables
+	.lock-env/bin/python -m pip install --quiet --disable-pip-version-check ".[study,test,bench,parquet,spice,docs]" hatchling editables
 	{ echo "# Exact versions for the make targets; written by make lock from the ranges in pyproject.toml."; \
 	  .lock-env/bin/python -m pip freeze --exclude sunspin; } > requirements.lock.part
 	mv requirements.lock.part requirements.lock

@@ -14,6 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from sunspin.base import extras
 from tests.support.other_pythons import VERSIONS
 
 ROOT = Path(__file__).parents[1]
@@ -44,8 +45,17 @@ def names(requirements: list[str]) -> set[str]:
     }
 
 
+def requirements_of(extra: str) -> list[str]:
+    """Requirements of an extra; one that names another extra of this package stands for the requirements of that one."""
+    expanded: list[str] = []
+    for text in PROJECT["optional-dependencies"][extra]:
+        own = re.fullmatch(r"sunspin\[(\w+)\]", text)
+        expanded += requirements_of(own[1]) if own else [text]
+    return expanded
+
+
 CORE = names(PROJECT["dependencies"])
-EXTRAS = {extra: names(wanted) for extra, wanted in PROJECT["optional-dependencies"].items()}
+EXTRAS = {extra: names(requirements_of(extra)) for extra in PROJECT["optional-dependencies"]}
 
 
 @cache
@@ -67,7 +77,7 @@ def test_every_imported_package_is_declared():
     assert len(imported()) > 10
     for module, parent in BROUGHT.items():
         needs = [text for text in metadata.requires(parent) or [] if "extra ==" not in text]
-        assert module in imported() and parent in CORE and module in names(needs)
+        assert module in imported() and parent in runtime and module in names(needs)
     declared = {module_of(name) for name in runtime} | set(BROUGHT)
     assert not imported() - declared
 
@@ -75,6 +85,12 @@ def test_every_imported_package_is_declared():
 def test_every_declared_package_is_imported():
     missing = {name for name in CORE if module_of(name) not in imported()} - set(NOT_IMPORTED)
     assert not missing
+
+
+def test_an_error_that_names_an_extra_names_the_packages_that_it_brings():
+    assert {extra: set(modules) for extra, modules in extras.EXTRAS.items()} == {
+        extra: {module_of(name) for name in EXTRAS[extra]} for extra in extras.EXTRAS
+    }
 
 
 def closure(wanted: set[str]) -> set[str]:
@@ -132,8 +148,8 @@ def test_the_lock_is_within_the_ranges_and_names_no_host():
     locked = {
         canonicalize_name(name): version for name, version in (line.split("==") for line in lines)
     }
-    extras = PROJECT["optional-dependencies"]
-    wanted = [*PROJECT["dependencies"], *sum(extras.values(), [])]
+    optional = [text for extra in EXTRAS for text in requirements_of(extra)]
+    wanted = [*PROJECT["dependencies"], *optional]
     for requirement in map(Requirement, [*wanted, *PYPROJECT["build-system"]["requires"]]):
         assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), (
             requirement

@@ -79,3 +79,28 @@ def test_rates_wait_for_no_module_that_they_do_not_use():
     )
     assert "sunspin.estimate.rates.estimate" in loaded
     assert not loaded & {"scipy.stats", "scipy.optimize", "matplotlib"}
+
+
+@pytest.mark.parametrize("command", ["check", "sun"])
+def test_check_and_sun_wait_for_neither_the_compiler_nor_linear_algebra(command, tmp_path):
+    """numba and the parts of SciPy take a quarter of the time in which these commands run on the example files."""
+    code = """
+import sys
+from sunspin.cli import cli
+cli(["init", ".", "--quiet"], standalone_mode=False)
+cli([sys.argv[1], "vehicle.toml", "telemetry.csv", "--quiet"], standalone_mode=False)
+print(*sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, command],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = set(done.stdout.split())
+    assert "sunspin.telemetry.assess" in loaded
+    unused = (
+        "numba llvmlite scipy.linalg scipy.spatial scipy.optimize scipy.stats matplotlib plotly"
+    )
+    assert not loaded & set(unused.split())

@@ -86,6 +86,8 @@ def test_citation_and_changelog_have_the_version_of_the_package():
 
 def test_heavy_dependencies_are_extras():
     core = " ".join(PROJECT["dependencies"])
-    assert {"cluster", "spice", "parquet", "docs", "test"} <= set(PROJECT["optional-dependencies"])
-    for heavy in ("pyarrow", "distributed", "spiceypy", "sphinx"):
+    assert {"cluster", "spice", "parquet", "pictures", "study", "docs", "test"} <= set(
+        PROJECT["optional-dependencies"]
+    )
+    for heavy in ("pyarrow", "distributed", "spiceypy", "sphinx", "matplotlib", "plotly"):
         assert heavy not in core

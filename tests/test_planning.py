@@ -10,7 +10,7 @@ from sunspin import planning
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.environment.elements import parse_elements
-from sunspin.output.kinds import KINDS
+from sunspin.output.kinds.plan import plan_summary
 from sunspin.output.template import write_templates
 from sunspin.planning import PassSetup, SimulatedPass, plan, simulate_pass
 from sunspin.telemetry.synthetic import generator
@@ -146,7 +146,7 @@ def test_interrupted_plan_keeps_the_complete_rounds(monkeypatch):
     result = plan(CUBE, [10.0, 60.0], samples=3, max_rate_rad_s=0.05, passes=5)
     assert int(result["passes"].sum()) == 4
     assert result.attrs["interrupted"] == 1
-    assert "Interrupted" in str(KINDS["plan"].summary(result))
+    assert "Interrupted" in str(plan_summary(result))
 
 
 def test_pass_that_rates_refuses_is_not_decided_for_that_reason(monkeypatch):

@@ -18,6 +18,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
+from validation import subject
 from validation.scoreboard import Task
 from validation.truths import WRONG_SIGMAS
 
@@ -36,6 +37,13 @@ def passes(level: str, seed: int) -> Iterator[Task]:
             yield Task("rates", kind, f"{seed}/{i}", partial(_pass, kind, seed, i))
     for i in range(4 if level == "quick" else 24):
         yield Task("rates", "any vehicle", f"{seed}/{i}", partial(_any_vehicle, seed, i))
+    for kind in ("several passes", "period"):
+        for i in range(4 if level == "quick" else 12):
+            yield Task("rates", kind, f"{seed}/{i}", partial(_several, kind, seed, i))
+
+
+EXCHANGED = ("columns exchanged", "exchanged, six panels")
+"""Kinds of passes whose file has two columns exchanged."""
 
 
 def _pass(kind: str, seed: int, i: int) -> Row:
@@ -46,7 +54,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     if "pull" not in row:
         return {"outcome": "open", "says": row["why"], "listed": False}
     # a mirrored motion is the right reading of a file whose columns are exchanged
-    wrong = row["wrong"] or row["empty"] or (row["mirrored"] and kind != "columns exchanged")
+    wrong = row["wrong"] or row["empty"] or (row["mirrored"] and kind not in EXCHANGED)
     if row["decided"] and wrong:
         outcome = "wrong"
     elif row["mirrored"]:
@@ -86,6 +94,13 @@ def _any_vehicle(seed: int, i: int) -> Row:
         "off": error.tolist(),
         "sigma": (error / row["pulls"]).tolist(),  # a normalised error is error / sigma
     }
+
+
+def _several(kind: str, seed: int, i: int) -> Row:
+    """Run and judge `rates` on file `i` with several sparse passes, or with one and a period that was seen."""
+    from validation.many_passes import judge
+
+    return _of_passes(judge(kind, seed, i), "off_deg_s", "sigma_deg_s")
 
 
 def orbiting(level: str, seed: int) -> Iterator[Task]:
@@ -302,11 +317,15 @@ def spinners(level: str, seed: int) -> Iterator[Task]:
 
 
 def _spinner(seed: int, number: int, elements: str) -> Row:
-    """Run and judge `check` on a spinner with right or wrong elements."""
-    from validation.spinners import cases, run
+    """Judge the check of right or wrong elements on a spinner; that of the first one as the command has it."""
+    from validation.spinners import cases, check_elements, run
 
+    case = cases(seed, number + 1, whole=True)[number]
     with tempfile.TemporaryDirectory() as folder:
-        row = run(cases(seed, number + 1, whole=True)[number], Path(folder), f"check {elements}")
+        if number == 0 and subject.room() == subject.OF_COMMANDS:
+            row = run(case, Path(folder), f"check {elements}")
+        else:
+            row = check_elements(case, Path(folder), elements)
     if row["defect"] or "orbit" not in row:
         return {"outcome": "defect", "says": row.get("error", "")}
     return {
@@ -388,7 +407,7 @@ def _calibration(seed: int, i: int) -> Row:
 
 def exchanges(level: str, seed: int) -> Iterator[Task]:
     """Yield tasks of `rates` on satellites with wings and wheels: two panel columns exchanged, and the right files."""
-    from validation.exchanges import QUICK
+    from validation.exchanges import QUICK, WHEEL_REVERSED
 
     for satellite in QUICK[:2] if level == "quick" else QUICK:
         for which in (-1, 0):
@@ -397,6 +416,22 @@ def exchanges(level: str, seed: int) -> Iterator[Task]:
             )
             yield Task(
                 "wiring", kind, f"{seed}/{satellite}", partial(_exchange, seed, satellite, which)
+            )
+    # satellites with one wheel, that have odd numbers; every second one also with the right file
+    for i in range(4 if level == "quick" else 24):
+        satellite = 2 * i + 1
+        yield Task(
+            "wiring",
+            "wheel the other way",
+            f"{seed}/{satellite}",
+            partial(_exchange, seed, satellite, WHEEL_REVERSED),
+        )
+        if i % 2 == 0:
+            yield Task(
+                "wiring",
+                "right file of a satellite with a wheel",
+                f"{seed}/{satellite}",
+                partial(_exchange, seed, satellite, -1),
             )
 
 

@@ -1,4 +1,4 @@
-"""Verdicts of `rates` on satellites with wings, cants and wheels whose file has two panel columns exchanged.
+"""Verdicts of `rates` on satellites with wings, cants and wheels whose file has two panel columns exchanged, or a wheel reversed.
 
 The simulator shares no code with the package: it has its own Runge-Kutta integration of a rigid body with wheels of constant speed,
 and flat panels of cosine response. Each satellite is also estimated with its right columns; then nothing may be accused.
@@ -16,10 +16,14 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.vehicle import TelemetryForm
+from validation.subject import rates
 from validation.truths import is_wrong
 
 EXCHANGES, SAMPLES = 2, 32
 """Number of exchanges drawn for each satellite, and of samples in each file."""
+
+WHEEL_REVERSED = -2
+"""Number of the exchange that stands for a first wheel whose axis the file has the other way round."""
 
 QUICK = tuple(range(0, 60, 5))
 """A dozen satellites for a quick run."""
@@ -195,7 +199,8 @@ def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, in
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
     """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
 
-    Exchange -1 is the right file. The outcomes are the keys of `validation.areas._EXCHANGES`.
+    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. Outcomes are the keys
+    of `validation.areas._EXCHANGES`.
     """
     seed, i, which = case
     craft = draw_satellite(seed, i)
@@ -203,6 +208,9 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     order = np.arange(len(craft.names))
     if pair is not None:
         order[list(pair)] = order[list(pair)][::-1]
+    momenta = craft.momenta.copy()  # as the file states them
+    if which == WHEEL_REVERSED:
+        momenta[0] *= -1
     vehicle = ss.Vehicle(
         f"satellite {i}",
         inertia_kg_m2=craft.inertia,
@@ -212,7 +220,7 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
         ],
         wheels=[
             ss.Wheel(f"wheel {k}", _unit(h), 1e-4, float(np.linalg.norm(h)) / 1e-4)
-            for k, h in enumerate(craft.momenta)
+            for k, h in enumerate(momenta)
         ],
         telemetry=TelemetryForm(noise=NOISE),
     )
@@ -226,7 +234,9 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     )
     row: dict[str, Any] = {"pair": None if pair is None else [craft.names[k] for k in pair]}
     try:
-        result = ss.rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
+        # column tests try reversed wheels too: without them the set sees whether each wheel's sign is tried by itself
+        tested = which != WHEEL_REVERSED
+        result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=tested)
     except SunspinError as error:
         return row | {"outcome": "refused", "verdict": str(error)}
     row |= {
@@ -236,15 +246,27 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     }
     changes = json.loads(result.attrs.get("columns_changes", "[]"))
     row["named"] = [change["what"] for change in changes]
-    return row | _classify(craft, order, pair, result, row)
+    truth = None
+    if which == WHEEL_REVERSED:
+        truth = "wheel wheel 0 turning the other way"
+    elif pair is not None:
+        a, b = (craft.names[k] for k in pair)
+        truth = f"the columns of panels {a} and {b} exchanged"
+    return row | _classify(craft, order, momenta, truth, result, row)
 
 
 def _classify(
-    craft: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]
+    craft: Satellite,
+    order: np.ndarray,
+    momenta: np.ndarray,
+    truth: str | None,
+    result: Any,
+    row: dict[str, Any],
 ) -> dict[str, Any]:
     """Return the outcome, and "pull", the least normalised error of the rate against the truth and equivalent motions.
 
-    `order`: panel that each column reads; `pair`: the exchanged panels, None for a right file; `row`: verdict and named changes.
+    `order`: panel that each column reads; `momenta` (n_wheel, 3) of the wheels in the file; `truth`: what is wrong with the file,
+    None for a right one; `row`: verdict and named changes.
     """
     omega, sigma = (
         np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
@@ -254,16 +276,11 @@ def _classify(
     t = result["time"].values[result["pass_of"].values == 0]
     middle_s = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
     true_rate = craft.omega[int(np.argmin(np.abs(craft.t_s - middle_s)))]
-    alike = equivalents(craft, order)
+    alike = equivalents(craft, order, momenta)
     # rates are an axial vector: a mirror also changes their sign
     motions = [true_rate, *(np.linalg.det(m) * m @ true_rate for m in alike)]
     wrong = [is_wrong(omega, sigma, motion) for motion in motions]
     pulls = [float((np.abs(omega - motion) / sigma).max()) for motion in motions]
-    truth = (
-        None
-        if pair is None
-        else f"the columns of panels {craft.names[pair[0]]} and {craft.names[pair[1]]} exchanged"
-    )
     named, accused = row["named"], "CHECK" in row["verdict"]
     if row["decided"] and all(wrong):
         outcome = "decided wrongly"
@@ -285,11 +302,12 @@ def _classify(
     return {"outcome": outcome, "pull": min(pulls)}
 
 
-def equivalents(craft: Satellite, order: np.ndarray) -> list[np.ndarray]:
+def equivalents(craft: Satellite, order: np.ndarray, momenta: np.ndarray) -> list[np.ndarray]:
     """Return rotations and mirrors (3, 3) that make the true satellite look like the one that the file describes.
 
-    Column k reads panel `order[k]`, and the file takes it for panel k. Only panels that are lit at some sample count. Each matrix
-    takes the true normals, inertia and wheels to those of the file within `ALIKE` (3 % for the inertia, 15 % for gains).
+    Column k reads panel `order[k]`, and the file takes it for panel k; it has wheels of these `momenta` (n_wheel, 3). Only panels
+    that are lit at some sample count. Each matrix takes the true normals, inertia and wheels to those of the file within `ALIKE`
+    (3 % for the inertia, 15 % for gains).
     """
     lit = (craft.readings[:, order] > LIT * craft.gains[order]).any(axis=0)
     true, stated = craft.normals[order][lit], craft.normals[lit]
@@ -312,7 +330,9 @@ def equivalents(craft: Satellite, order: np.ndarray) -> list[np.ndarray]:
             > 0.03 * np.trace(craft.inertia) / 3
         ):
             continue
-        if np.linalg.norm(handedness * m @ h - h) > ALIKE * max(np.linalg.norm(h), 1e-12):
+        if np.linalg.norm(handedness * m @ h - momenta.sum(axis=0)) > ALIKE * max(
+            np.linalg.norm(h), 1e-12
+        ):
             continue
         result.append(m)
     return result

@@ -51,8 +51,19 @@ KINDS = {
     "60 s apart": 12,
     "even, sampled as jitter": 12,
     "slow, wide range": 120,
+    "exchanged, six panels": 48,
+    "four sides": 24,
+    "inertia unknown": 24,
+    **{f"fault: {name}": 12 for name in ("albedo", "power limited", "dead string", "quantised")},
+    "fault: gyro zero off": 12,
 }
 """Number of passes of each kind."""
+
+WITH_COLUMN_TESTS = ("exchanged, six panels",)
+"""Kinds whose passes are also estimated with other columns, axes and signs."""
+
+ZERO_OFF = np.radians(0.5)
+"""Error in rad/s of each axis of a gyro whose zero the vehicle file takes for known."""
 
 Push = Callable[[float, np.ndarray], np.ndarray]
 """Function from time and attitude B_from_N to an angular acceleration (3) in body axes."""
@@ -282,6 +293,51 @@ def make_slow(rng: np.random.Generator) -> SimulatedPass:
     return simulated._replace(vehicle=replace(simulated.vehicle, inertia_kg_m2=stated))
 
 
+def make_six_panels(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of a body at 0.5 to 4 deg/s without a wheel: 24 samples 10 to 30 s apart, six panels of 1 to 7 % noise.
+
+    Principal moments are 0.7 to 1.3 of their mean and are stated to 1 %.
+    """
+    t = draw_times(rng, 24, rng.uniform(10.0, 30.0))
+    moments = MOMENTS.mean() * rng.uniform(0.7, 1.3, 3)
+    start = np.radians(rng.uniform(0.5, 4.0)) * unit(rng)
+    simulated = observe(
+        FACES, *spin(start, t, moments=moments), t, rng.uniform(0.01, 0.07), rng, False
+    )
+    stated = np.diag(moments * (1 + 0.01 * rng.normal(size=3)))
+    return simulated._replace(vehicle=replace(simulated.vehicle, inertia_kg_m2=stated))
+
+
+def make_without_inertia(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of a body of which the vehicle file states no inertia."""
+    simulated = make_tumbling(rng)
+    return simulated._replace(vehicle=replace(simulated.vehicle, inertia_kg_m2=None))
+
+
+def make_four_sides(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of panels on four sides with a dead string, albedo, a full battery and coarse readings."""
+    from tests.support.simulate import FAULTS_OF_FOUR_SIDES, FOUR_SIDES, cube_with_faults
+
+    telemetry, run = cube_with_faults(FAULTS_OF_FOUR_SIDES, rng, FOUR_SIDES)
+    return SimulatedPass(FOUR_SIDES, telemetry, run["omega_B"].values, 0.15)
+
+
+def make_faulty(rng: np.random.Generator, name: str) -> SimulatedPass:
+    """Make a pass of the cube with one fault of its panels, or with a gyro whose zero is off though it is stated as known."""
+    from tests.support import simulate
+
+    if name != "gyro zero off":
+        fault = getattr(simulate, name.replace(" ", "_"))
+        telemetry, run = simulate.cube_with_faults((fault,), rng)
+        return SimulatedPass(simulate.CUBE, telemetry, run["omega_B"].values, 0.15)
+    telemetry, run = simulate.cube_with_faults((), rng)
+    omega = run["omega_B"].values
+    read = omega + ZERO_OFF * unit(rng) + GYRO.noise_rad_s * rng.normal(size=omega.shape)
+    known = replace(GYRO, zero_sigma=np.full(3, 1e-4))
+    vehicle = replace(simulate.CUBE, sensors=Sensors(gyro=known))
+    return SimulatedPass(vehicle, telemetry.assign(gyro_B=(("time", "axis"), read)), omega, 0.15)
+
+
 def make_few_samples(rng: np.random.Generator) -> SimulatedPass:
     """Make a pass of three to six directions of a Sun sensor, good to 2 to 10 degrees, 10 to 45 s apart.
 
@@ -379,10 +435,16 @@ def make(kind: str, seed: int, i: int) -> SimulatedPass:
         "slow": lambda r: make_tumbling(r, deg_s=(0.02, 0.3)),
         "60 s apart": lambda r: make_tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
         "slow, wide range": make_slow,
+        "exchanged, six panels": make_six_panels,
+        "four sides": make_four_sides,
+        "inertia unknown": make_without_inertia,
     }
+    if base.startswith("fault: "):
+        return make_faulty(rng, base.removeprefix("fault: "))
     simulated = makers[base](rng)
     changes = {
         "columns exchanged": exchange_columns,
+        "exchanged, six panels": exchange_columns,
         "time tags": shift_time_tags,
         "few samples, bad readings": rotate_sun_directions,
     }
@@ -397,7 +459,10 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
     simulated = make(kind, seed, i)
     try:
         result = rates(
-            simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s
+            simulated.vehicle,
+            simulated.telemetry,
+            max_rate_rad_s=simulated.max_rate_rad_s,
+            column_tests=kind in WITH_COLUMN_TESTS,
         )
     except SunspinError as error:
         return {

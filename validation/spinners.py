@@ -29,7 +29,7 @@ from sunspin.output.check.orbit import choose_orbit
 from sunspin.telemetry.assess import assess
 from tests.support.orbits import with_check_digit, with_node_turned
 from tests.support.vehicles import FACES
-from validation.subject import rates
+from validation import subject
 from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
@@ -376,6 +376,17 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     return {"defect": False} | ({"orbit": summary["orbit"]} if "orbit" in summary else {})
 
 
+def check_elements(case: Case, folder: Path, which: str) -> dict[str, Any]:
+    """Compare "right" or "wrong" elements with the telemetry of a case, by the package that is judged; a row as :func:`run`'s."""
+    make(case, folder)
+    vehicle = ss.load_vehicle(folder / "vehicle.toml")
+    telemetry = ss.read_telemetry(folder / "telemetry.csv", vehicle)
+    orbit = subject.orbit_of(vehicle, telemetry, folder / f"{which}.tle")
+    found = subject.check_orbit(orbit, vehicle, telemetry)
+    shift = {"shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s}
+    return {"defect": False, "orbit": {"verdict": found.verdict.name.lower()} | shift}
+
+
 def _estimate(folder: Path, which: str, truth: dict[str, Any]) -> dict[str, Any]:
     """Return the row of `rates` on the files of a case; elements that do not fit the telemetry are not used."""
     craft = ss.load_vehicle(folder / "vehicle.toml")
@@ -385,7 +396,7 @@ def _estimate(folder: Path, which: str, truth: dict[str, Any]) -> dict[str, Any]
         if which != "none":
             chosen = choose_orbit(assessment, OrbitFile(folder / f"{which}.tle"), None)
             orbit, calibration = chosen.orbit, chosen.calibration
-        result = rates(craft, assessment, environment=orbit, calibration=calibration)
+        result = subject.rates(craft, assessment, environment=orbit, calibration=calibration)
     except SunspinError as error:
         return {"defect": False, "error": str(error)[-300:]}
     passes = [_pass(truth, result.isel(pass_id=k)) for k in range(result.sizes["pass_id"])]

@@ -12,7 +12,24 @@ from typing import Any
 ROOMS = {"estimate": "sunspin.estimate.rates.estimate", "estimation": "sunspin.estimation.rates"}
 """Packages that can be judged -> the module of each that has the function `rates`."""
 
-_judged = ["estimate"]
+ORBIT = {
+    "estimate": {
+        "check_orbit": "sunspin.estimate.orbit.check",
+        "orbit_of": "sunspin.estimate.orbit.judged",
+        "calibrate_sensors": "sunspin.estimate.calibrate.sensors",
+    },
+    "estimation": {
+        "check_orbit": "sunspin.estimation.orbit.check",
+        "orbit_of": "sunspin.estimation.orbit.judged",
+        "calibrate_sensors": "sunspin.estimation.calibrate",
+    },
+}
+"""Packages that can be judged -> functions of orbits and sensors -> their modules."""
+
+OF_COMMANDS = "estimate"
+"""The package that the commands use."""
+
+_judged = [OF_COMMANDS]
 """The package that this process judges."""
 
 
@@ -32,3 +49,23 @@ def rates(*arguments: Any, **options: Any) -> Any:
     """Estimate rates with the package that is judged."""
     run: Callable[..., Any] = import_module(ROOMS[room()]).rates
     return run(*arguments, **options)
+
+
+def check_orbit(*arguments: Any, **options: Any) -> Any:
+    """Check an orbit against telemetry with the package that is judged."""
+    return _of_orbit("check_orbit")(*arguments, **options)
+
+
+def orbit_of(*arguments: Any, **options: Any) -> Any:
+    """Return the orbit of a telemetry file as the package that is judged makes it."""
+    return _of_orbit("orbit_of")(*arguments, **options)
+
+
+def calibrate_sensors(*arguments: Any, **options: Any) -> Any:
+    """Calibrate sensors with the package that is judged."""
+    return _of_orbit("calibrate_sensors")(*arguments, **options)
+
+
+def _of_orbit(name: str) -> Callable[..., Any]:
+    """Return a function of orbits and sensors of the package that is judged."""
+    return getattr(import_module(ORBIT[room()][name]), name)

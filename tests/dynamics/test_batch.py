@@ -122,51 +122,6 @@ def test_bits_of_a_distribution_do_not_depend_on_neighbours_or_on_the_method_of_
     assert np.array_equal(together[7], alone[0])
 
 
-def run_by_split(monkeypatch, vehicle, rows, duration, command):
-    """Histograms by both methods, and which motions the split kernel left to the other."""
-    left = []
-
-    def note(*given):
-        left.append(split(*given))
-        return left[0]
-
-    split = batch._split
-    monkeypatch.setattr(batch, "_split", note)
-    fast = batch.sun_heights(vehicle, rows, duration, command=command).seconds
-    exact = batch.sun_heights(vehicle, rows, duration, command=command, error=1e-6).seconds
-    return fast, exact, left[0]
-
-
-@pytest.mark.parametrize("command", ["coast", "hold"])
-@pytest.mark.parametrize("n_wheels", [0, 1, 2, 3])
-def test_the_split_kernel_agrees_with_the_series_for_wheels_at_rest_held_and_stopping(
-    n_wheels, command, monkeypatch
-):
-    """Bodies like Philae, wheels on any axes; a third of them begins at rest, where friction may not hold them."""
-    rng = np.random.default_rng(n_wheels)
-    (wheel,) = philae_body().wheels
-    axes = rng.normal(size=(n_wheels, 3))
-    wheels = tuple(
-        replace(wheel, name=f"w{i}", axis_B=axis / np.linalg.norm(axis))
-        for i, axis in enumerate(axes)
-    )
-    vehicle = replace(philae_body(), wheels=wheels)
-    n = 48
-    speeds = rng.uniform(-40, 40, (n, n_wheels)) * (np.arange(n) % 3 > 0)[:, None]
-    rows = batch.Rows(0.3 * rng.normal(size=(n, 3)), np.tile(FIRST_SUN, (n, 1)), speeds)
-    fast, exact, left = run_by_split(monkeypatch, vehicle, rows, 1500.0, command)
-    away = np.abs(np.cumsum(fast - exact, axis=1)).mean(axis=1) / 1500.0
-    assert len(left) < n / 2 and np.median(away) < 1.5e-3 and away.max() < 6e-3
-    np.testing.assert_allclose(fast.sum(axis=1), 1500.0, rtol=1e-4)
-
-
-def test_a_held_wheel_that_breaks_away_is_left_to_the_series(monkeypatch):
-    vehicle = philae_body(ss.Friction(1e-4, 1e-6))
-    rows = rows_of([[0.8, 0.5, -0.6], [0.05, 0.02, 0.01]], 0.0)
-    fast, exact, left = run_by_split(monkeypatch, vehicle, rows, 600.0, "coast")
-    assert 0 in left and 1 not in left and np.array_equal(fast.shape, exact.shape)
-
-
 def test_a_histogram_counts_time_and_is_the_same_forward_and_backward():
     vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
     forward = batch.sun_heights(vehicle, rows, 700.0).seconds
@@ -192,6 +147,6 @@ def test_absurd_rates_and_too_many_wheels_are_refused_in_a_sentence():
     vehicle = random_vehicle(np.random.default_rng(8), 0)
     with pytest.raises(ss.MotionError, match="needs .* steps; shorten the window"):
         batch.run(vehicle, rows_of([[1e6, 0.0, 0.0]], []), 2700.0)
-    many = random_vehicle(np.random.default_rng(8), 5)
-    with pytest.raises(ss.MotionError, match="may have 4 wheels at most .found 5 wheels"):
-        batch.run(many, rows_of([[0.3, -0.4, 0.5]], np.ones(5)), 10.0)
+    many = random_vehicle(np.random.default_rng(8), 8)
+    with pytest.raises(ss.MotionError, match="may have 4 wheels at most .found 8 wheels"):
+        batch.run(many, rows_of([[0.3, -0.4, 0.5]], np.ones(8)), 10.0)

@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import sunspin as ss
 from sunspin.dynamics import batch, gyrostat
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.kernels import rows
 from sunspin.dynamics.torques import Acting, Steady, acting
+from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.environment import circular
 from sunspin.solve.linear import symmetric_inverse
+from sunspin.vehicle import Friction
 from tests.support.heyoka_witness import Torques, witness
 from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
@@ -138,43 +141,108 @@ STEP, WEIGHTS = 0.02, (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 """Central differences of order eight."""
 
 
-@pytest.mark.parametrize("commands", [("coast",) * 3, ("hold", "coast", "hold")])
-def test_the_motion_satisfies_the_plain_equations_to_1e_10(commands):
-    rng = np.random.default_rng(3)
-    vehicle = random_vehicle(rng, 3, dry=1e-4, viscous=2e-4)
-    omega, speeds = 0.3 * rng.normal(size=3), np.array([12.0, -8.0, 15.0])
-    torque = 1e-3 * rng.normal(size=3)
-    forces = Acting((Steady([torque, np.zeros(3)]),))
-    problem = problem_of(vehicle, omega, speeds, commands, forces)
-    y = batch.advance(problem, 1.0 + STEP * np.arange(-4, 5), 1e-13).states[0]
-    slope = sum(w * (y[4 + k] - y[4 - k]) for k, w in enumerate(WEIGHTS, 1)) / STEP
-    free = np.array([command == "coast" for command in commands])
+def plain_parameters(vehicle, commands, speeds) -> gyrostat.Parameters:
+    """The numbers of the plain equations for wheels in these modes: "stuck", or under a command."""
+    free = np.array([command in ("coast", "brake") for command in commands])
     J = np.array([wheel.inertia_kg_m2 for wheel in vehicle.wheels])
     axes = np.array([wheel.axis_B for wheel in vehicle.wheels])
     wheels = [
         gyrostat.WheelParameters(
             tuple(wheel.axis_B),
-            1 / j,
+            1 / wheel.inertia_kg_m2,
             float(is_free),
-            sign * wheel.friction.coulomb_N_m,
+            np.sign(speed) * friction_limit(wheel, command),
             wheel.friction.viscous_N_m_s,
         )
-        for wheel, j, is_free, sign in zip(vehicle.wheels, J, free, np.sign(speeds), strict=True)
+        for wheel, command, is_free, speed in zip(
+            vehicle.wheels, commands, free, speeds, strict=True
+        )
     ]
-    p = gyrostat.Parameters(
-        tuple(symmetric_inverse(gyrostat.free_inertia(vehicle, free))),
-        tuple((J * speeds * ~free) @ axes),
-        tuple(wheels),
+    inverse = symmetric_inverse(gyrostat.free_inertia(vehicle, free))
+    return gyrostat.Parameters(tuple(inverse), tuple((J * speeds * ~free) @ axes), tuple(wheels))
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0], ids=["forward", "backward"])
+@pytest.mark.parametrize(
+    "commands",
+    [
+        ("coast",),
+        ("hold",),
+        ("brake", "coast"),
+        ("coast",) * 3,
+        ("hold", "coast", "stuck"),
+        ("stuck", "brake", "hold"),
+    ],
+    ids="-".join,
+)
+def test_the_motion_satisfies_the_plain_equations_to_1e_10(commands, sense):
+    """Random bodies, oblique wheels in all modes, and steady torques in body axes and in space."""
+    rng, n = np.random.default_rng(3), len(commands)
+    for _ in range(4):
+        vehicle = random_vehicle(rng, n, dry=1e-4, viscous=2e-4)
+        wheels = tuple(
+            replace(
+                wheel,
+                brake_torque_N_m=3e-4,
+                friction=Friction(1.0, 0.0) if command == "stuck" else wheel.friction,
+            )
+            for wheel, command in zip(vehicle.wheels, commands, strict=True)
+        )
+        vehicle = replace(vehicle, wheels=wheels)
+        speeds = rng.uniform(8, 15, n) * rng.choice([-1, 1], n) * (np.array(commands) != "stuck")
+        torques = 1e-3 * rng.normal(size=(2, 3))
+        asked = ["coast" if command == "stuck" else command for command in commands]
+        problem = problem_of(
+            vehicle, 0.3 * rng.normal(size=3), speeds, asked, Acting((Steady(torques),))
+        )
+        times = sense * (1.0 + STEP * np.arange(-4, 5))
+        motion = batch.advance(problem, times, 1e-13, attitude=True)
+        y = motion.states[0]
+        slope = sum(w * (y[4 + k] - y[4 - k]) for k, w in enumerate(WEIGHTS, 1)) / (sense * STEP)
+        torque = torques[0] + motion.attitude[0, 4] @ torques[1]
+        p = plain_parameters(vehicle, commands, speeds)
+        free = np.array([wheel.free > 0 for wheel in p.wheels])
+        H, h, r = y[4, :3], y[4, 3 : 3 + n], y[4, 3 + n : 6 + n]
+        dH, dh, dr = gyrostat.rhs(H, h, r, p, torque)
+        np.testing.assert_allclose(slope[:3], dH, atol=1e-10)
+        np.testing.assert_allclose(slope[3 + n : 6 + n], dr, atol=1e-10)
+        np.testing.assert_allclose(slope[3 : 3 + n][free], np.array(dh)[free], atol=1e-10)
+        # h of a wheel that is held changes by the torque that this takes
+        holding = np.array([gyrostat.holding_torque(H, h, p, i, torque) for i in range(n)])
+        np.testing.assert_allclose(slope[3 : 3 + n][~free], holding[~free], atol=1e-10)
+        np.testing.assert_allclose(y[4, 6 + n : 9 + n], gyrostat.body_rate(H, h, p), atol=1e-12)
+
+
+def test_a_schedule_and_a_run_back_through_a_stop_are_those_of_heyoka():
+    """Two wheels coast, are braked to a stop, and one is held: legs of one command each by the witness, with all events."""
+    rng = np.random.default_rng(8)
+    vehicle = random_vehicle(rng, 2, dry=2e-3, viscous=2e-4)
+    wheels = tuple(replace(wheel, brake_torque_N_m=0.02) for wheel in vehicle.wheels)
+    vehicle = replace(vehicle, wheels=wheels)
+    omega, speeds = np.array([0.05, -0.03, 0.08]), np.array([9.0, 12.0])
+    legs = [(0.0, "coast"), (20.0, "brake"), (60.0, "coast")]
+    track = ss.propagate(vehicle, omega, SUN, speeds, [0.0, 20.0, 60.0, 90.0], wheel_mode=legs)
+    sun, events = SUN, []
+    for k, (begin, command) in enumerate(legs):
+        end = track["time"].values[k + 1]
+        expected = witness(vehicle, omega, sun, speeds, [begin, end], command)
+        omega, sun, speeds = expected.omega_B[-1], expected.sun_B[-1], expected.speeds[-1]
+        events += expected.events
+        np.testing.assert_allclose(track["omega_B"].values[k + 1], omega, atol=1e-11)
+        np.testing.assert_allclose(track["sun_B"].values[k + 1], sun, atol=3e-11)
+        np.testing.assert_allclose(track["wheel_speed_rad_s"].values[k + 1], speeds, atol=1e-9)
+    assert [what for _, _, what in events] == ["stops", "stops"]
+    assert track["event_wheel"].values.tolist() == [f"w{i}" for _, i, _ in events]
+    np.testing.assert_allclose(track["event_time_s"].values, [t for t, _, _ in events], atol=1e-9)
+    # backward, the stops have to be given
+    stopped = [next(t for t, i, _ in events if i == wheel) for wheel in range(2)]
+    first = replace(vehicle, wheels=tuple(replace(wheel, speed_rad_s=9.0) for wheel in wheels))
+    back = ss.propagate(
+        first, omega, sun, speeds, [90.0, 0.0], wheel_mode=legs, stopped_at_s=stopped
     )
-    H, h, r = y[4, :3], y[4, 3:6], y[4, 6:9]
-    dH, dh, dr = gyrostat.rhs(H, h, r, p, torque)
-    np.testing.assert_allclose(slope[:3], dH, atol=1e-10)
-    np.testing.assert_allclose(slope[6:9], dr, atol=1e-10)
-    np.testing.assert_allclose(slope[3:6][free], np.array(dh)[free], atol=1e-10)
-    # h of a wheel that a motor holds changes by the torque that this takes
-    held = [gyrostat.holding_torque(H, h, p, i, torque) for i in range(3)]
-    np.testing.assert_allclose(slope[3:6][~free], np.array(held)[~free], atol=1e-10)
-    np.testing.assert_allclose(y[4, 9:12], gyrostat.body_rate(H, h, p), atol=1e-12)
+    np.testing.assert_allclose(back["omega_B"].values[-1], [0.05, -0.03, 0.08], atol=1e-9)
+    np.testing.assert_allclose(back["wheel_speed_rad_s"].values[-1], [9.0, 12.0], atol=1e-7)
+    np.testing.assert_allclose(back["event_time_s"].values, sorted(stopped)[::-1], atol=1e-9)
 
 
 def test_bodies_of_their_own_move_as_such_vehicles_and_neighbours_do_not_matter_to_a_bit():

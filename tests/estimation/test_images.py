@@ -10,8 +10,8 @@ from sunspin.estimation.rates import rates
 from sunspin.estimation.settings import SearchSettings
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.telemetry.assess import assess
-from tests.estimate.test_rates_four_sides import FOUR_SIDES, nearest
-from tests.support.simulate import simulated_pass, uneven_times
+from tests.estimation.test_four_sides import nearest
+from tests.support.simulate import FOUR_SIDES, simulated_pass, uneven_times
 
 OMEGA = np.array([0.02, -0.03, 0.04])
 

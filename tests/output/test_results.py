@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from importlib import import_module
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import sunspin as ss
-from sunspin.output.kinds import KINDS
+from sunspin.output.kind import KINDS
+from sunspin.output.kinds import MODULES
 from sunspin.output.text import rate_text
 
 NO_FIGURE = {"impact", "lines", "calibration"}
@@ -240,3 +242,12 @@ def test_the_accessor_registers_with_xarray_without_importing_matplotlib():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[] True []"
+
+
+def test_each_kind_of_result_is_registered_by_the_module_that_is_imported_for_it():
+    modules = set(MODULES.values())
+    for module in modules:
+        import_module(f"sunspin.output.kinds.{module}")
+    assert set(KINDS) == set(MODULES)
+    for name, kind in KINDS.items():
+        assert kind.summary.__module__ == f"sunspin.output.kinds.{MODULES[name]}", name

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import SunspinError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.judged import judged_orbit
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -34,7 +33,7 @@ from tests.support.orbits import (
 )
 from tests.support.simulate import telemetry_of
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
-from validation.subject import rates
+from validation import subject
 from validation.truths import is_listed, is_wrong
 
 WRONG_DEG = 20.0
@@ -133,7 +132,7 @@ def judge_check(seed: int, i: int) -> dict[str, Any]:
         ("clock", 0.0, late),
     ):
         orbit = orbit_of(elements, samples, about, by_deg)
-        checks[name] = check_orbit(orbit, vehicle, samples, seed=i)
+        checks[name] = subject.check_orbit(orbit, vehicle, samples, seed=i)
     return checks
 
 
@@ -269,7 +268,7 @@ def judge_rates(seed: int, i: int) -> dict[str, Any]:
         about[name] = {"passes": []}
         for begin in about["begin_s"][: 1 if dropped else None]:
             try:
-                result = rates(
+                result = subject.rates(
                     vehicle,
                     one_pass(data, begin).drop_vars(dropped),
                     environment=orbit,

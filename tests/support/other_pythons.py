@@ -16,7 +16,7 @@ VERSIONS = ("3.11", "3.12", "3.13")
 """Those tried here; a classifier in pyproject.toml waits until the whole suite has passed on its version."""
 
 TOOLS = ("hatchling", "editables", "pytest", "hypothesis")
-EXTRAS = "cluster,spice,parquet"
+EXTRAS = "study,cluster,spice,parquet"
 """What modules of the package import beside the core."""
 
 SMOKE = (

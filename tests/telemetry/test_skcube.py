@@ -12,7 +12,8 @@ from click.testing import CliRunner
 import sunspin as ss
 from studies.skcube_gyro import fit, neighbouring_beacons
 from sunspin.cli.decode import decode
-from sunspin.telemetry.decoders.skcube import KINDS, beacons_csv, decode_beacons, unescape
+from sunspin.telemetry.decoders.frames import unescape
+from sunspin.telemetry.decoders.skcube import KINDS, beacons_csv, decode_beacons
 
 FREE_S, LAST_S = 219_600, 476_000
 """The coils were off from the pass of 25 June 20:13 UTC on, the last two passes begin on 28 June 19:18: seconds after the first

@@ -40,7 +40,8 @@ def write_atomically(target: Path, write: Callable[[Path], Any]) -> Path:
     try:
         write(part)
         # on disk before the renaming: a power failure must not leave an empty file
-        with open(part, "rb") as file:
+        # open for writing too: Windows refuses to flush a file that is open for reading only
+        with open(part, "r+b") as file:
             os.fsync(file.fileno())
         os.replace(part, target)
     finally:

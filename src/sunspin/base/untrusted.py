@@ -121,8 +121,16 @@ MAX_MEMORY_BYTES = 6_000_000_000
 """Address space of a separate process that reads a file from outside."""
 
 LIMITED_RUN = """
-import resource, runpy, sys
-for kind, wanted in ((resource.RLIMIT_CPU, int(sys.argv[1])), (resource.RLIMIT_AS, int(sys.argv[2]))):
+import runpy, sys
+try:
+    import resource
+except ModuleNotFoundError:  # Windows
+    limits = []
+else:
+    limits = [(resource.RLIMIT_CPU, int(sys.argv[1]))]
+    if sys.platform != "darwin":  # which refuses limits of the address space
+        limits.append((resource.RLIMIT_AS, int(sys.argv[2])))
+for kind, wanted in limits:
     given = [limit for limit in resource.getrlimit(kind) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(kind, (min([wanted, *given]),) * 2)
 sys.argv = sys.argv[3:]
@@ -133,7 +141,8 @@ except Exception as error:
 """
 """Program of the separate process: set the limits of CPU time (s) and memory (bytes), then run the script.
 
-Its arguments are both limits, the script and the script's own arguments."""
+Its arguments are both limits, the script and the script's own arguments. macOS has no limit of memory, and Windows has neither: the
+elapsed time, which :func:`run_isolated` limits, is the only limit there."""
 
 
 class IsolatedRunError(Exception):

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sunspin.base.errors import InputError, printable
+from sunspin.base.extras import install_command, missing_packages
 from sunspin.cli.values import Parsed, parse_numbers
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ COMMANDS = {
     "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),
     "outcomes": (MOTIONS, "Simulate collision and landing outcomes (Monte Carlo)."),
     "reproduce": (PHILAE, "Reproduce the Philae study (figures, tables, report)."),
-    "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
+    "decode": (OTHERS, "Decode raw frames to CSV: skCUBE, or any decoder of satnogs-decoders."),
 }
 """Command -> heading and line in --help, in the order of --help. The module of the command has its name."""
 
@@ -165,7 +166,11 @@ class Output:
             inputs = {"vehicle": vehicle, "telemetry": telemetry, "command": command}
             folder = result.sunspin.save(self.folder, **inputs, also=also, lines=lines)
             lines_shown.append(f"Results: {folder / main}")
-            lines_shown.append(f"View as HTML: sunspin report {folder}")
+            if missing_packages("pictures"):
+                how = install_command("pictures")
+                lines_shown.append(f"No figures. For figures and the HTML page: {how}")
+            else:
+                lines_shown.append(f"View as HTML: sunspin report {folder}")
         self.report({**summary, **(also or {})}, lines_shown)
 
 

@@ -68,7 +68,7 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
     """
     from sunspin.compute.pool import worker_count
     from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.output.kinds import KINDS
+    from sunspin.output.kinds.plan import plan_summary
     from sunspin.planning import plan as plan_beacons
     from sunspin.vehicle import load_vehicle
 
@@ -81,7 +81,7 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
         done = int(so_far["passes"].sum()) // so_far.sizes["every"]
         lines = [f"sunspin: plan: round {done} of {passes}"]
         if done in ROUNDS_SHOWN and done < passes:
-            lines += KINDS["plan"].summary(so_far).lines[1:]
+            lines += plan_summary(so_far).lines[1:]
         with suppress(OSError):  # a log that cannot be written does not stop the work
             print("\n".join(lines), file=sys.stderr, flush=True)
 

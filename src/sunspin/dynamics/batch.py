@@ -116,7 +116,8 @@ class Motion:
     """States of n motions at n_out times, in body axes; NaN after a motion whose `outcome` is not FINE has ended.
 
     `outcome` (n); `events` (n, most, 3): time (s), number of the wheel and what it does (codes in :mod:`kernels.rows`), the first
-    `n_events` (n) of each; `steps` (n); `last` (n, size): state where the motion ended.
+    `n_events` (n) of each; `steps` (n); `last` (n, size): state where the motion ended; `seconds` (n, bins): how long the Sun stood
+    at each height, (n, 0) unless this was counted.
     """
 
     states: np.ndarray
@@ -125,6 +126,7 @@ class Motion:
     events: np.ndarray
     n_events: np.ndarray
     steps: np.ndarray
+    seconds: np.ndarray
     n_wheels: int
 
     def at_end(self) -> Motion:
@@ -284,8 +286,8 @@ def sun_heights(
         again = _split(problem, duration_s, nodes, seconds)
     if again.size:
         some = replace(problem, initial=initial.take(again))
-        motion, seconds[again] = _advance(some, np.array([duration_s]), SAFETY * wanted, nodes)
-        outcome[again] = motion.outcome
+        motion = advance(some, np.array([duration_s]), SAFETY * wanted, nodes=nodes)
+        seconds[again], outcome[again] = motion.seconds, motion.outcome
     if duration_s < 0:
         outcome[problem.at_rest] = Outcome.PAST_UNKNOWN
     return Heights(seconds, outcome)
@@ -363,6 +365,14 @@ class Problem:
     commands: tuple[str, ...]
     acting: Acting = NOTHING
 
+    def __post_init__(self) -> None:
+        """Refuse more wheels than the kernels have room for."""
+        n_wheels = len(self.vehicle.wheels)
+        if n_wheels > rows.WHEELS:
+            raise MotionError(
+                f"a vehicle may have {rows.WHEELS} wheels at most", got=f"{n_wheels} wheels"
+            )
+
     @cached_property
     def bodies(self) -> Bodies:
         """Numbers of the bodies, leading shape (n,) or (1,)."""
@@ -375,8 +385,8 @@ class Problem:
         return np.ascontiguousarray(speeds.reshape(len(self.initial), len(self.vehicle.wheels)))
 
     @cached_property
-    def held(self) -> np.ndarray:
-        """Whether a motor holds each wheel (n_wheel)."""
+    def driven(self) -> np.ndarray:
+        """Whether a motor holds the speed of each wheel (n_wheel)."""
         return np.array([command == "hold" for command in self.commands], dtype=bool)
 
     @cached_property
@@ -390,7 +400,7 @@ class Problem:
     @property
     def at_rest(self) -> np.ndarray:
         """Whether a wheel of each motion begins at rest where friction may hold it (n)."""
-        return ((self.speeds == 0) & (self.dry > 0) & ~self.held).any(axis=-1)
+        return ((self.speeds == 0) & (self.dry > 0) & ~self.driven).any(axis=-1)
 
     @cached_property
     def modes(self) -> np.ndarray:
@@ -427,18 +437,14 @@ class Problem:
 
     def in_arrays(self) -> rows.Motions:
         """Return the arrays of the kernels."""
-        bodies, n_wheels = self.bodies, len(self.vehicle.wheels)
-        if n_wheels > rows.WHEELS:
-            raise MotionError(
-                f"a vehicle may have {rows.WHEELS} wheels at most", got=f"{n_wheels} wheels"
-            )
+        bodies = self.bodies
         wheels = np.stack([bodies.wheel_inertia_kg_m2, self.dry, bodies.viscous_N_m_s], axis=-1)
         return rows.Motions(
             *map(plain, (self.initial.omega_B, self.initial.sun_B, self.speeds)),
             plain(bodies.inertia_kg_m2),
             plain(wheels),
             plain(bodies.axes_B),
-            self.held,
+            self.driven,
             plain(self.modes),
             plain(self.acting.steady(bodies)),
             plain(self.nadir()),
@@ -457,23 +463,13 @@ def advance(
     error: float,
     attitude: bool = False,
     room: int = 0,
+    nodes: histogram.Nodes | None = None,
 ) -> Motion:
     """Run the Taylor kernel over motions to the times `ends`, with `error` in units of |H| and of a direction over the run.
 
-    If there is `room` for events, they are kept, and a motion with more ends there. Nothing is checked; `run` does.
+    If there is `room` for events, they are kept, and a motion with more ends there; with `nodes`, heights of the Sun are counted.
+    Nothing is checked; `run` does.
     """
-    return _advance(problem, ends, error, None, attitude, room)[0]
-
-
-def _advance(
-    problem: Problem,
-    ends: np.ndarray,
-    error: float,
-    nodes: histogram.Nodes | None,
-    attitude: bool = False,
-    room: int = 0,
-) -> tuple[Motion, np.ndarray]:
-    """Return what :func:`advance` does, and histograms (n, bins) in seconds if `nodes` has the room for them."""
     n, n_wheels = len(problem.initial), len(problem.vehicle.wheels)
     size = 9 + 2 * n_wheels + (6 if attitude else 0)
     arrays = problem.in_arrays()
@@ -498,7 +494,7 @@ def _advance(
     )
     work = new_nodes(*half_spaces(None), 1.0, 0) if nodes is None else nodes
     motions.run(longest_first(arrays.omega_B), arrays, task, answer, work)
-    return Motion(*answer[:-1], n_wheels), answer.hist
+    return Motion(*answer, n_wheels)
 
 
 def order_for(error: float) -> int:

@@ -23,6 +23,10 @@ TYPICAL_RATE = 0.3
 LAW = 7e-4
 """Of the law of errors: measured on Philae, where the wheel's part counts, and on random bodies of very unequal moments."""
 
+OBLIQUE_LAW = 0.3
+"""Of the part of the law that oblique wheels cause. While wheels turn steadily 0.02 keeps the phase (99 of 100 among 3,000 random
+bodies), but a wheel that stops turns an error of phase into one of rate. With 0.3 at most one EMD in 100 errs by more than 2e-3."""
+
 MOST_MAIN_ANGLE, MOST_SIDE_ANGLE = 1.2, 0.6
 """rad by which the parts may rotate in a step."""
 
@@ -90,7 +94,7 @@ def split_steps(
 
     With a and b the rates of main and of the others, and a' and b' those without wheels, the phase errs by about
     LAW (b' (a' + b')^4 + b^2 a^3) h^4 T: what the wheels add is constant in body axes, and errors of first order in b average out
-    over its turns.
+    over its turns. With p and q the rates of P and Q, their commutators add OBLIQUE_LAW p q (p + q) h^2 T, the error of Q P Q.
 
     momenta : (n), (n, n_wheel)
         |H| and |h| in N m s.
@@ -103,5 +107,8 @@ def split_steps(
     law = (plain * (plain_main + plain) ** 4 + others**2 * main**3).max(axis=0)
     duration = abs(duration_s)
     steps = duration * (LAW * law * duration / phase_error) ** 0.25
+    side, oblique = rates[..., 0], rates[..., 1]
+    law = (side * oblique * (side + oblique)).max(axis=0)
+    steps = np.maximum(steps, duration * (OBLIQUE_LAW * law * duration / phase_error) ** 0.5)
     steps = np.maximum(steps, main.max(axis=0) * duration / MOST_MAIN_ANGLE)
     return np.maximum(steps, rates[..., :2].max(axis=(0, 2)) * duration / MOST_SIDE_ANGLE)

@@ -230,13 +230,6 @@ class _Run:
         self.sun_N = self.matrix.T @ sun_B
         self.torque_B, space_B = self.acting.steady(bodies)
         self.torque_N = self.matrix.T @ space_B
-        self.outputs = {
-            "omega_B": np.empty((n, 3)),
-            "sun_B": np.empty((n, 3)),
-            "wheel_speed_rad_s": np.empty((n, len(speeds))),
-            "momentum_B": np.empty((n, 3)),
-            "matrix": np.empty((n, 3, 3)),
-        }
         first = {
             "omega_B": omega,
             "sun_B": sun_B,
@@ -245,6 +238,7 @@ class _Run:
             "matrix": self.matrix,
         }
         for name, value in first.items():
+            self.outputs[name] = np.empty((n, *value.shape))
             self.outputs[name][0] = value
         self.filled = 1
 
@@ -314,10 +308,8 @@ class _Run:
     def _write(self, motion: Motion, count: int) -> None:
         """Write the first `count` outputs of a leg after those of the legs before."""
         to = slice(self.filled, self.filled + count)
-        self.outputs["omega_B"][to] = motion.omega_B[0, :count]
-        self.outputs["sun_B"][to] = motion.sun_B[0, :count]
-        self.outputs["wheel_speed_rad_s"][to] = motion.wheel_speed_rad_s[0, :count]
-        self.outputs["momentum_B"][to] = motion.momentum_B[0, :count]
+        for name in ("omega_B", "sun_B", "wheel_speed_rad_s", "momentum_B"):
+            self.outputs[name][to] = getattr(motion, name)[0, :count]
         self.outputs["matrix"][to] = motion.attitude[0, :count] @ self.matrix
         self.filled += count
 

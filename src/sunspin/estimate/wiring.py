@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.equivalence import (
@@ -422,6 +421,8 @@ def _of_exchanged(
 
 def _mapped(motion: xr.Dataset, matrix: np.ndarray) -> xr.Dataset:
     """The motion that a body shows which a rotation or mirror (3, 3) has mapped."""
+    from scipy.spatial.transform import Rotation
+
     attitude = matrix @ Rotation.from_quat(motion["B_from_N"].values).as_matrix() @ matrix.T
     return motion.assign(
         omega_B=(motion["omega_B"].dims, rate_under(matrix, motion["omega_B"].values)),
@@ -433,6 +434,8 @@ def _squares(
     motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle, field_turn_rate: float
 ) -> np.ndarray:
     """Squared distances, in sigmas, of a sensor's readings (n, 3 or 4) from a motion, where both are known."""
+    from scipy.spatial.transform import Rotation
+
     sensors, inside = vehicle.sensors, motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
     known = np.asarray(np.isfinite(value).all(axis=1))
     pairs = inside & known[1:] & known[:-1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
 
 import numpy as np
@@ -20,6 +21,7 @@ from sunspin.estimation.between import link_passes
 from sunspin.estimation.budget import USUAL, Budget
 from sunspin.estimation.carry import require_followed
 from sunspin.estimation.chain import Chain, Fit
+from sunspin.estimation.columns import check_columns, name_of_wheels
 from sunspin.estimation.evidence import (
     PassFits,
     ladder,
@@ -50,6 +52,8 @@ from sunspin.estimation.observe import (
     why_not_used,
     with_momentum,
 )
+from sunspin.estimation.orbit.calibration import along_orbit
+from sunspin.estimation.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimation.rates_dataset import (
     believed,
     dataset,
@@ -70,6 +74,12 @@ from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
 from sunspin.estimation.verdict import more_effort, rates_words, slower
+from sunspin.estimation.wheel_signs import (
+    Reversed,
+    doubted_signs,
+    momentum_of_each,
+    reversed_momenta,
+)
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
@@ -98,6 +108,8 @@ def rates(
     environment: Environment | None = None,
     calibration: FieldCalibration | None = None,
     torques: Sequence[str] = (),
+    periods: Sequence[PeriodSeen] = (),
+    column_tests: bool = False,
     effort: float = 1.0,
     workers: int = 1,
     progress: bool | Callable[[str], None] = False,
@@ -127,9 +139,16 @@ def rates(
         to the Sun (:func:`sunspin.environment.circular`). In an orbit field, shadow and Earth's light are known: a calibrated
         magnetometer gives directions, and samples without a Sun count. The orbit is believed.
     calibration : FieldCalibration, optional
-        Of the magnetometer along the orbit; without one its readings are compared with their neighbours only.
+        Of the magnetometer along the orbit, by a longer file for example; default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`).
+    periods : list of Period, optional
+        Periods seen from outside, of the precession, the spin or their sum: the solutions are weighted by them
+        (:mod:`sunspin.estimation.periods`). `probability_without_periods (pass_id, solution)` has the probabilities without, and
+        attrs["periods"], in JSON, what each decided.
+    column_tests : bool
+        If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
+        (:mod:`sunspin.estimation.column_tests`), and name what fits; this takes up to minutes.
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -151,12 +170,13 @@ def rates(
     Raises
     ------
     InputError
-        Too few samples, or no rate below the largest fits.
+        Too few samples, no rate below the largest fits, or a period was seen at a time of no pass.
     MotionError
         A torque without the environment that it needs.
     """
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
+    calibration = along_orbit(local, assessment) if calibration is None else calibration
     seen = observe(
         assessment, source, local, calibration, acting(torques, local)
     )  # all samples, and why each is used or not
@@ -165,6 +185,18 @@ def rates(
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
+    # the same estimate of another vehicle or another file, of one pass: to try other columns
+    again = partial(
+        rates,
+        source=None if seen.source == "directions" else seen.source,
+        max_rate_rad_s=largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes),
+        gap_s=np.inf,
+        environment=environment,
+        calibration=calibration,
+        torques=torques,
+        effort=effort,
+        settings=settings,
+    )
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
     body = Body.of(vehicle, torques_stated=noise is not None)
@@ -189,6 +221,9 @@ def rates(
         fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
         done |= dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
+        doubt = doubted_wheels(
+            assessment, seen, wheels, passes, models, fits, settings, budget, run
+        )
 
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
@@ -196,6 +231,7 @@ def rates(
         solutions(one, obs, p.places, settings.solutions, settings.search)
         for one, obs, p in zip(fits, whole, passes, strict=True)
     ]
+    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
     middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
     solved, walk = link_passes(solved, middles, stated.rate_sigma)
     solved = [
@@ -209,10 +245,12 @@ def rates(
     doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
+    result = result.assign(without_periods(solved))
     result = in_space(repeats_doubted(result, assessment), local, solved, seen)
     result = result.assign_attrs(
         lateness(vehicle, solved)
         | coarse
+        | of_periods
         | {
             "wheels": wheels,
             "walk_between_passes": walk,
@@ -221,6 +259,8 @@ def rates(
             "symmetric_unlisted": 0,
         }
     )
+    tested = again if column_tests else None
+    result = check_columns(result, assessment, doubt, tested, False, settings, budget)
     return with_units(result.assign_attrs(verdict=rates_words(result)))
 
 
@@ -357,6 +397,34 @@ def decide_wheels(
     of_best = zip(longest, fits[best * len(longest) :], strict=False)
     done = {k: one for k, one in of_best if one is not None}
     return with_momentum(seen, momenta[names[best]]), words, done
+
+
+def doubted_wheels(
+    assessment: Assessment,
+    seen: Seen,
+    wheels: str,
+    passes: Sequence[Pass],
+    models: Sequence[Model],
+    fits: Sequence[PassFits],
+    settings: RatesSettings,
+    budget: Budget,
+    run: Callable,
+) -> Reversed | None:
+    """Return the wheels that may turn the other way, by the longest passes; `wheels`: what they do, in words."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    each = momentum_of_each(vehicle, telemetry, name_of_wheels(wheels))
+    momenta = reversed_momenta(vehicle, each, models[0].body.inertia, seen.obs.t_s)
+    longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
+    return doubted_signs(
+        seen.obs,
+        momenta,
+        [passes[k] for k in longest],
+        [models[k] for k in longest],
+        [fits[k] for k in longest],
+        lambda turned: list(run(_pass_if_any, turned, repeat(settings), repeat(budget))),
+        settings,
+        budget,
+    )
 
 
 def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits | None:

@@ -228,6 +228,74 @@ RATES = RatesSettings()
 """What `rates` uses by default."""
 
 
+@dataclass(frozen=True)
+class OrbitSettings:
+    """How an orbit is compared with telemetry. The first six are the error rates of the verdict."""
+
+    copies: int = 50
+    """Comparison orbits of random node and phase."""
+
+    better: int = 1
+    """Comparison orbits that may fit better: right elements are refused once in 50 times at most."""
+
+    times: float = 1.3
+    """Elements are refused if another node makes the residuals smaller by this factor. On skCUBE, whose plane is known, some
+    nodes do by 1.05: a sensor's own errors."""
+
+    mistaken: float = 0.2
+    """If more comparison orbits than this are expected to win by chance against right elements, the data cannot rank."""
+
+    clearly: float = 12.0
+    """Log likelihood by which another clock, or a field of the opposite sign, must fit better to be named."""
+
+    mirrored: float = 0.5
+    """A field of the wrong sign is named if, reversed, its angle to the Sun is off by less than this share."""
+
+    nodes_deg: tuple[float, ...] = (-24.0, -12.0, -6.0, -3.0, 3.0, 6.0, 12.0, 24.0)
+    """Other nodes that are tried, relative to that of the elements."""
+
+    hours: tuple[int, ...] = (*range(-12, 0), *range(1, 15))
+    """Errors of a clock that are tried: those of time zones."""
+
+    samples: int = 200
+    """Samples of the file that are compared."""
+
+    span: float = 3.0
+    """The along-track offset is sought within so many of its sigmas."""
+
+    step_s: float = 20.0
+    """Steps of the offset, s; they are wider if `most_steps` do not cover the span."""
+
+    most_steps: int = 37
+    """Offsets that are tried, at most."""
+
+    near: float = 60.0
+    """A comparison orbit is fitted at a third of the offsets, and at all if its cost comes so near to the one that counts."""
+
+    most_scatter: tuple[float, float] = (0.1, 3.0)
+    """Noise that is believed where no orbit fits: of the strength, over the field, and of the Sun, in its sigmas."""
+
+    fine: int = 33
+    """Steps among which the offset is estimated."""
+
+    deep: float = 10.0
+    """They cover all offsets whose cost is at most so much above the least: every minimum counts."""
+
+    blocks: int = 8
+    """Parts of the file that are left out in turn for the sigma of the offset."""
+
+    around: int = 9
+    """Offsets that are tried for each of them, within three sigmas."""
+
+    few: float = 1.15
+    """Factor by which a sigma from so few parts is too small for 90 % to lie within 1.645 of it: Student's law, 7 degrees of
+    freedom."""
+
+
+ORBIT = OrbitSettings()
+"""What the check of an orbit uses by default."""
+
+
 # What is believed before the data, about satellites.
 
 INERTIA = 0.01

@@ -31,7 +31,7 @@ class Solutions:
     `kept`: places of the samples that were fitted. `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged
     over the pass. `residual`: by sensor (K, n), in sigmas. `model`: the most probable model and its probability. `noise` (K):
     strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `cost_limit`: beyond it no
-    motion fits.
+    motion fits. `without_periods` (K): the probability before periods that were seen are counted in.
     """
 
     obs: Observations
@@ -45,6 +45,7 @@ class Solutions:
     noise: np.ndarray
     estimates: tuple[dict[str, tuple[str, float, float]], ...]
     cost_limit: float
+    without_periods: np.ndarray | None = None
 
     @staticmethod
     def joined(every: Sequence[Solutions]) -> Solutions:
@@ -71,6 +72,7 @@ class Solutions:
             mean_sigma=self.mean_sigma[which],
             residual={name: part[which] for name, part in self.residual.items()},
             noise=self.noise[which],
+            without_periods=None if self.without_periods is None else self.without_periods[which],
             estimates=tuple(self.estimates[k] for k in which),
         )
 

@@ -15,6 +15,7 @@ from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import tha
 
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.estimation.model import AS_STATED
+from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
 DECIDED = 0.9
@@ -35,8 +36,8 @@ FEW_BEYOND, LEAST_BEYOND = 0.04, 4
 IN_RUNS = 1e-2
 """Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
 
-COLUMNS_STATED, COLUMNS_UNCHECKED = "as_stated", "unchecked"
-"""Whether the data confirm which column is which: they do; they cannot."""
+COLUMNS_STATED, COLUMNS_UNCHECKED, COLUMNS_DOUBTED = "as_stated", "unchecked", "doubtful"
+"""Whether the data confirm which column is which: they do; they cannot; another order, sign or axis fits better."""
 
 SPEEDS = (0.05, 0.5, 0.95)
 """Quantiles of the angular speed that are reported."""
@@ -332,6 +333,8 @@ def rates_words(result: xr.Dataset) -> str:
         notes.append(
             f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, faulty data"
         )
+    if "columns_doubt" in attrs:
+        notes.append(attrs["columns_doubt"])
     if count := int((fits & unique & ~constrained).sum()):
         notes.append(
             f"{count_of_passes(count)}: single solution, but not all rate components are constrained"
@@ -348,7 +351,15 @@ def rates_words(result: xr.Dataset) -> str:
         notes.append(
             f"{count_of_passes(count)}: the sign of the Sun direction is ambiguous; rates are unaffected, attitude is unknown"
         )
-    if count := int((fits & ~unique).sum()):
+    unlisted = attrs["symmetric_unlisted"]
+    if unlisted:
+        notes.append(
+            f"{count_of_passes(unlisted)}: a rotation or mirror of the body gives the same readings; that solution is not listed"
+        )
+    count = int((fits & ~unique).sum()) - unlisted
+    if count and "alike" in attrs:
+        notes.append(f"{count_of_passes(count)} with several solutions: {attrs['alike']}")
+    elif count:
         notes.append(
             f"{count_of_passes(count)} with several solutions, which mostly differ by whole revolutions between samples: see "
             "passes.csv"
@@ -358,6 +369,9 @@ def rates_words(result: xr.Dataset) -> str:
             f"{count_of_passes(count)}: SEARCH STOPPED at the computing budget, best solution so far is shown: "
             f"{more_effort(attrs['effort_given'])}"
         )
+    if attrs.get("column_tests_cut"):
+        cure = more_effort(attrs["effort_given"])
+        notes.append(f"not every other order of columns was tried: {cure}")
     if count := attrs["coarse_passes"]:
         notes.append(
             f"{count_of_passes(count)}: coarse search, a solution may be missing: {slower(attrs['fine_up_to_rad_s'])}"
@@ -382,6 +396,20 @@ def rates_words(result: xr.Dataset) -> str:
                 "(inertia_kg_m2)"
             )
     return "\n".join(notes)
+
+
+def alike_motions(vehicle: Vehicle) -> str:
+    """Return which motions panels on shared inputs cannot distinguish, in words; empty if they distinguish all."""
+    count = len(vehicle.response_in().symmetries)
+    if count == 1:
+        return ""
+    shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]
+    which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
+    copies = "a mirror solution" if count == 2 else f"{count - 1} symmetric solutions"
+    return (
+        f"{which} do not show which panel is lit, so each solution has {copies} with some signs reversed. A gyro, magnetometer or "
+        "Sun sensor resolves this; inertia or wheels sometimes do"
+    )
 
 
 def count_of_passes(count: int) -> str:

@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.base.extras import missing_packages, require_extra
 from sunspin.base.provenance import clock_notes
 
 if TYPE_CHECKING:
@@ -29,15 +31,17 @@ class Result:
 
     @property
     def _kind(self) -> Kind:
-        """Kind of the result; raises `InputError` if it has none."""
-        from sunspin.output.kinds import KINDS
+        """Kind of the result, whose module is imported at its first use; raises `InputError` if it has none."""
+        from sunspin.output.kind import KINDS
+        from sunspin.output.kinds import MODULES
 
         name = self._data.attrs.get("kind")
-        if not isinstance(name, str) or name not in KINDS:
+        if not isinstance(name, str) or name not in MODULES:
             why = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
             what = f"this {type(self._data).__name__} is no result of sunspin: {why}"
-            do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
+            do = f"use a result as sunspin returns it, of kind {', '.join(MODULES)}"
             raise InputError(what, do=do)
+        import_module(f"sunspin.output.kinds.{MODULES[name]}")
         return KINDS[name]
 
     def summary(self) -> Summary:
@@ -73,10 +77,11 @@ class Result:
         Raises
         ------
         InputError
-            This kind of result has no figure, or none of this name.
+            This kind of result has no figure, or none of this name, or the packages that draw are not installed.
         """
         from sunspin.output.kind import Context
 
+        require_extra("pictures", "a figure")
         context = Context(telemetry)
         drawings = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
         if not drawings:
@@ -122,6 +127,8 @@ class Result:
     ) -> Path:
         """Write a results folder: NetCDF, tables, figures as PNG and SVG, `summary.json`; `sunspin report` makes a page of it.
 
+        Without the packages of ``sunspin[pictures]`` the folder has no figures.
+
         Parameters
         ----------
         folder : path
@@ -160,11 +167,12 @@ class Result:
             data = data.to_dataset().assign_attrs(attrs)
         synthetic = bool(data.attrs.get("synthetic"))
         main = {kind.main: data} if kind.main else {}
+        drawings = [] if missing_packages("pictures") else kind.drawings(self._data, context)
         contents = Contents(
             data=main | dict(kind.datasets(data, context)),
             figures=[
                 drawing._replace(caption=drawing.caption + synthetic_words(synthetic))
-                for drawing in kind.drawings(self._data, context)
+                for drawing in drawings
             ],
             tables=list(kind.tables(self._data)),
             vehicle=vehicle,

@@ -7,21 +7,23 @@ time span, or at the touchdown if that comes first.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 from numpy.polynomial.polynomial import polyval
 
 from sunspin.base.errors import TelemetryError
 from sunspin.cases import Case
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
-from sunspin.output.figures import COLOURS, titled
+from sunspin.output.figures import COLOURS, empty_figure, titled
 from sunspin.philae.rebound import event_seconds
 from sunspin.philae.row import Row, make_row
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DELTA_SIGMAS = 4.0
 """A sample is an outlier if its Delta exceeds this many robust sigma of all Deltas. For Philae this limit lies between the values
@@ -194,7 +196,7 @@ def errors_near_fit(descent: Descent) -> tuple[np.ndarray, np.ndarray]:
 
 def descent_figure(descent: Descent) -> Figure:
     """Draw measured and fitted directions (Fig. 10), E over all aliases and near its minimum (Fig. 11)."""
-    figure = Figure(figsize=(13.5, 4.4), layout="constrained")
+    figure = empty_figure(13.5, 4.4)
     sphere, wide, near = figure.subplots(1, 3)
     cubic, flown_E = (
         descent.case.published[f"descent_{name}"].value for name in ("rate_cubic", "E")

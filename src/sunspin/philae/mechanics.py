@@ -9,12 +9,11 @@ alpha). The paper takes the second for the first.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +25,7 @@ from sunspin.dynamics.friction import (
     spin_down_time,
 )
 from sunspin.dynamics.propagate import propagate
-from sunspin.output.figures import COLOURS
+from sunspin.output.figures import COLOURS, empty_figure
 from sunspin.philae.rebound import (
     LINE_RANGE,
     first_sun,
@@ -38,6 +37,9 @@ from sunspin.philae.rebound import (
 from sunspin.philae.row import Row, make_row, read_tables
 from sunspin.philae.sun_directions import sphere_axes
 from sunspin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # ---- Wheel and example motions -----------------------------------------------------------------------------------------------
 
@@ -116,7 +118,7 @@ def rows(result: Mechanics) -> list[Row]:
 
 def sun_tracks_figure(motions: list[xr.Dataset]) -> Figure:
     """Draw the Sun's track on the sphere and its components for several initial rates (paper, Fig. 6)."""
-    figure = Figure(figsize=(11, 7.5), layout="constrained")
+    figure = empty_figure(11, 7.5)
     upper, lower = figure.subfigures(2, 1, height_ratios=(1.2, 1), squeeze=False)[:, 0]
     components = lower.subplots(3, len(motions), sharex=True, sharey=True, squeeze=False)
     for k, motion in enumerate(motions):
@@ -133,7 +135,7 @@ def sun_tracks_figure(motions: list[xr.Dataset]) -> Figure:
 
 def rz_histograms_figure(motions: list[xr.Dataset]) -> Figure:
     """Draw the distribution of r_z over each motion, as densities of area 1 (paper, Fig. 7)."""
-    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    figure = empty_figure(10, 3.2)
     for axes, motion in zip(figure.subplots(1, len(motions)), motions, strict=True):
         z = motion["sun_B"].values[:, 2]
         axes.hist(z, bins=60, range=(-1, 1), density=True, color=COLOURS[0])

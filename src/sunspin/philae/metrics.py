@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
 from sunspin.base.errors import InputError
@@ -29,7 +28,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.parameters import nominal
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.estimate.scan.volume import near_minimum, scan
-from sunspin.output.figures import COLOURS, titled
+from sunspin.output.figures import COLOURS, empty_figure, titled
 from sunspin.philae.rebound import (
     LINE_RANGE,
     Options,
@@ -49,6 +48,9 @@ from sunspin.philae.rebound import (
     select_rebound,
 )
 from sunspin.philae.row import Row, make_row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NEAR_RAD_S = 0.03
 """Largest mean distance (rad/s) of a fitted line from a published one that counts as recovered: two grid steps."""
@@ -229,7 +231,7 @@ def input_symbol(name: str) -> str:
 
 def maps_figure(result: Sensitivity) -> Figure:
     """Draw E over (omega_x, omega_y) and over (mu_0, theta_xx), the axes of the paper's Fig. 8."""
-    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    figure = empty_figure(11, 4.4)
     omega = ", ".join(f"{x:g}" for x in result.case.published["E_study_omega"].value)
     omega_z = float(result.rates["omega_z"])
     panels = (
@@ -253,7 +255,7 @@ def maps_figure(result: Sensitivity) -> Figure:
 
 def growth_figure(result: Sensitivity) -> Figure:
     """Draw why the direct fit fails: errors grow with the window, and EMD does not follow E."""
-    figure = Figure(figsize=(9.5, 5.2), layout="constrained")
+    figure = empty_figure(9.5, 5.2)
     grow, changes = figure.subplots(1, 2)
     motions, emd_min = result.motions, result.case.published["emd_min"].value
     names, inputs = (motions[dim].values.tolist() for dim in ("motion", "input"))
@@ -495,7 +497,7 @@ def near_minimum_figure(
 
     A fitted line is drawn from the first to the last of its points, and only if they make a line (`line_stretch`).
     """
-    figure = Figure(figsize=(11, 5.6), layout="constrained")
+    figure = empty_figure(11, 5.6)
     points, lines = near.points, near.lines
     member = np.zeros(len(points), int) if lines is None else lines["member"].values
     step = float(np.diff(near.emd["omega_x"].values[:2])[0])
@@ -525,7 +527,7 @@ def distributions_figure(z: np.ndarray, label: str, motions: dict[str, np.ndarra
 
     A name that begins with "truth" gives a thin dotted line, as its curve lies on that of the measured directions.
     """
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    figure = empty_figure(7, 4.2)
     axes, level = figure.subplots(), np.arange(1, len(z) + 1) / len(z)
     axes.step(np.sort(z), level, where="post", color=COLOURS[6], label=label)
     for k, (name, values) in enumerate(motions.items()):

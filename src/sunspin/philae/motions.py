@@ -8,12 +8,10 @@ differ. The collision of the truth is that of the telemetry.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.dates import DateFormatter
-from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from sunspin.cases import Case
@@ -21,7 +19,7 @@ from sunspin.dynamics import gyrostat
 from sunspin.dynamics.batch import Rows, run
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
-from sunspin.output.figures import COLOURS, titled
+from sunspin.output.figures import COLOURS, empty_figure, titled
 from sunspin.philae.candidates import CandidateSets
 from sunspin.philae.collision import AfterCollision
 from sunspin.philae.descent import Descent
@@ -30,6 +28,9 @@ from sunspin.philae.rebound import Rebound, event_seconds, nominal_wheel_speeds,
 from sunspin.philae.simulation import State, simulate_collision
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SPREAD_MOTIONS = 150
 """Number of motions drawn from the chosen candidates. The slowest, the fastest and those of least and largest momentum are added.
@@ -261,6 +262,8 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     ----------
     speed : Dataset of :func:`compute_speeds`
     """
+    from matplotlib.dates import DateFormatter
+
     timeline, published = case.require_timeline(), case.published
     event_s = {event.name: event.t_s for event in timeline.events}
     epoch = np.datetime64(timeline.epoch_utc.removesuffix("Z"), "ms")
@@ -269,7 +272,7 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
         """Return UTC times for seconds from the case's epoch."""
         return epoch + np.round(1000 * np.asarray(seconds)).astype("timedelta64[ms]")
 
-    figure = Figure(figsize=(11, 5), layout="constrained")
+    figure = empty_figure(11, 5)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 2.6))
     if "descent_speed" in speed:
         t, spin = clock(speed["descent_time"].values), speed["descent_speed"].values

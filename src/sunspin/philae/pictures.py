@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from sunspin.output import figures
 from sunspin.output.figures.panel_signals import panel_signals_figure
@@ -28,6 +27,9 @@ from sunspin.philae import (
 from sunspin.philae.motions import speed_figure
 from sunspin.philae.rebound import event_seconds
 from sunspin.philae.study import Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Drawn = dict[str, dict[str, bytes]]
 """File name of each picture that was drawn -> the content of its files by suffix."""

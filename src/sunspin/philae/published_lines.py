@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
@@ -20,7 +19,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, paper_scenario
 from sunspin.landing.tally import lowest_rz, tally
-from sunspin.output.figures import COLOURS
+from sunspin.output.figures import COLOURS, empty_figure
 from sunspin.philae.collision import RARELY, rz_range
 from sunspin.philae.metrics import (
     NearMinimum,
@@ -45,6 +44,9 @@ from sunspin.philae.rebound import (
     wheel_speed_at_first_sample,
 )
 from sunspin.philae.row import Row, interval_90, make_row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LINE_POINTS = 41
 """Number of motions on each line that are propagated back to the touchdown."""
@@ -229,7 +231,7 @@ def rows(lines: PublishedLines) -> list[Row]:
 
 def lines_touchdown_figure(lines: PublishedLines) -> Figure:
     """Draw body rates at the first touchdown of the near-minimum set and of the lines (paper, Fig. 12)."""
-    figure = Figure(figsize=(6.5, 5.4), layout="constrained")
+    figure = empty_figure(6.5, 5.4)
     axes = rate_axes(figure)
     target = "against the printed lines' distribution, run back"
     label = f"EMD < {lines.clean.factor:g} EMD_min {target} ({len(lines.near_touchdown)} motions)"

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.base.extras import require_extra
 from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
 from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
@@ -107,6 +108,7 @@ def reproduce(
     on_page : callable, optional
         Called with the result as written before the posterior is added.
     """
+    require_extra("study", "the Philae study")
     began = time.perf_counter()
     requested = parse_changes(changes)
     case, source = _load_inputs(telemetry, vehicle, requested)

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 from scipy.special import ndtri
 from scipy.stats import chi2
 
 from sunspin.cases import Case
-from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
+from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, empty_figure, titled
 from sunspin.philae.rebound import event_seconds, with_telemetry
 from sunspin.philae.row import Row, interval_90, make_row
 from sunspin.telemetry.health import PanelHealth, find_explanations, panel_health
@@ -26,6 +25,9 @@ from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_dire
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns
 from sunspin.vehicle.timeline import utc_seconds
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHADOWED_PHASES = ("deployment", "settling", "rest")
 """Phases in which parts of the lander or the ground shadow the panels: the paper leaves them out of its statistics of Delta."""
@@ -338,7 +340,7 @@ def directions_figure(landing: Phases) -> Figure:
         }
         phase = landing.sun["phase"].values
         samples = {name: np.flatnonzero(np.isin(phase, of)) for name, of in groups.items()}
-    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    figure = empty_figure(11, 3.4)
     for k, (name, chosen) in enumerate(samples.items()):
         axes, sun = sphere_axes(figure, len(samples), k), landing.sun.isel(time=chosen)
         n = sun["sun_B"].values
@@ -375,7 +377,7 @@ def sphere_axes(figure: Any, columns: int, k: int) -> Any:
 
 def lit_panels_figure(landing: Phases) -> Figure:
     """Draw the lit panels of each sample, impossible patterns in another colour (paper, section 4)."""
-    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    figure = empty_figure(9, 4.2)
     axes, lit, names = figure.subplots(), landing.sun["lit"].values, landing.sun["panel"].values
     number = np.arange(1, len(lit) + 1)
     for colour, label, chosen in (

@@ -8,16 +8,15 @@ touchdown, up to the collision, and, with simulated collisions, after it. For th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from sunspin.dynamics.batch import Rows, run
 from sunspin.estimate.posterior.predict import predict
 from sunspin.landing.outcomes import outcomes
-from sunspin.output.figures import ABOVE, COLOURS, titled
+from sunspin.output.figures import ABOVE, COLOURS, empty_figure, titled
 from sunspin.philae.candidates import (
     draws_of_posterior,
     sample_posterior,
@@ -27,6 +26,9 @@ from sunspin.philae.candidates import (
 from sunspin.philae.metrics import NearMinimum, draw_published_lines, rate_space_views
 from sunspin.philae.rebound import Options, Rebound, read_truth, start_states
 from sunspin.philae.row import Row, make_row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Ends and middle of the shown intervals, which contain 90 % of the probability."""
@@ -185,7 +187,7 @@ def describe(timing: Timing) -> str:
 def posterior_figure(timing: Timing, near: NearMinimum, synthetic: bool) -> Figure:
     """Draw the published lines, the near-minimum set and the posterior in the space of initial rates, in two views."""
     case, truth = timing.rebound.case, timing.truth
-    figure = Figure(figsize=(11, 5.4), layout="constrained")
+    figure = empty_figure(11, 5.4)
     draws = timing.motions["omega_B"].values
     draws = draws[:: max(len(draws) // 1000, 1)]
     for axes in rate_space_views(figure, case):
@@ -212,7 +214,7 @@ def speeds_figure(timing: Timing, near_minimum: np.ndarray, synthetic: bool) -> 
     `near_minimum` (n): angular speeds in rad/s just after the touchdown of the motions of the paper's recipe, drawn too.
     """
     truth = timing.truth
-    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    figure = empty_figure(11, 4.4)
     first, middle, last = figure.subplots(1, 3)
     touchdown, after = "just after the first touchdown", "after the collision"
     for axes, speeds, of_lines, true, when in (

@@ -8,16 +8,18 @@ smaller and the larger angle. It also gives a lower bound on the angular speed, 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from sunspin.landing.tally import estimate
-from sunspin.output.figures import ABOVE, COLOURS, titled
+from sunspin.output.figures import ABOVE, COLOURS, empty_figure, titled
 from sunspin.output.text import count_text
 from sunspin.philae.candidates import CandidateSets
 from sunspin.philae.row import Row, judge_range, judge_share, make_row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def has_lower_bound(candidate_sets: CandidateSets) -> bool:
@@ -163,7 +165,7 @@ def describe_motion(candidate_sets: CandidateSets) -> list[str]:
 
 def touchdown_figure(candidate_sets: CandidateSets, synthetic: bool) -> Figure:
     """Draw the angular speed at the touchdown and the two angles of the angular momentum over the sets of motions (Fig. 12)."""
-    picture = Figure(figsize=(11, 4.6), layout="constrained")
+    picture = empty_figure(11, 4.6)
     speed, angles = picture.subplots(1, 2)
     scan_range, chosen, near_minimum = (
         candidate_sets.scan_range,

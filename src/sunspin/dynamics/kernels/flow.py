@@ -4,9 +4,9 @@ The equations are quadratic, so that the coefficient of order k + 1 follows from
 
     omega = A^-1 (H - K - sum_free h u)                               `write_rates`
         A: inertia less J u u^T of the free wheels; K: momentum of the held ones
-    dH/dt = H x omega + torque,   dv/dt = v x omega                   `write_turned`, `write_turned_pair`
+    dH/dt = H x omega + torque,   dv/dt = v x omega                   `pair_writer`, `write_turned`
     dh/dt = -(sign(W) dry + viscous W),   W = h / J - u.omega         `write_series` (sign(W) dry is the row COULOMB)
-    torque = 3 n^2 d x (I d),   dd/dt = d x (omega - turn)            `add_gravity_gradient`, `subtract_turn`
+    torque = 3 n^2 d x (I d),   dd/dt = d x (omega - turn)            `add_gravity_gradient`, `write_series`
 
 for every vector v that stands in space. Coefficients are scaled by the step: c[k] holds (dt^k / k!) d^k y / dt^k, and the state
 after the share x of the step is the sum of c[k] x^k.
@@ -28,6 +28,7 @@ What decides the speed, each found by measuring (`python -m bench kernels` keeps
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from sunspin.dynamics.kernels.rows import (
     ALLOWED,
@@ -45,7 +46,6 @@ from sunspin.dynamics.kernels.rows import (
     LIFT,
     NADIR,
     NX,
-    NY,
     OMEGA,
     PER_WHEEL,
     PULL,
@@ -100,14 +100,12 @@ def write_rates(lanes, n_wheels, k):
 
 
 @compiled
-def write_turned(c, k, V, slope):
-    """Write coefficient k of v x (omega - SPIN H), v being the vector in the rows from V, into `slope` (3 L)."""
-    for l in range(3 * L):
-        slope[l] = 0.0
+def add_turned(c, k, V, rate, slope):
+    """Add coefficient k of v x w to `slope` (3 L), v and w being the vectors in the rows from V and from `rate`."""
     for i in range(k + 1):
         j = k - i
         for l in range(L):
-            x, y, z = c[j, OMEGA + l], c[j, OMEGA + L + l], c[j, OMEGA + 2 * L + l]
+            x, y, z = c[j, rate + l], c[j, rate + L + l], c[j, rate + 2 * L + l]
             a, b, d = c[i, V + l], c[i, V + L + l], c[i, V + 2 * L + l]
             slope[l] = slope[l] + b * z - d * y
             slope[L + l] = slope[L + l] + d * x - a * z
@@ -115,41 +113,74 @@ def write_turned(c, k, V, slope):
 
 
 @compiled
-def write_turned_pair(c, k, slope):
-    """Write coefficient k of H x omega and of r x (omega - SPIN H), r being the direction to the Sun, into `slope` (6 L).
-
-    Half of all time is spent here. The products (i, j) and (j, i), j = k - i, are added together, and omega is read once for
-    both vectors.
-    """
-    for l in range(6 * L):
+def write_turned(c, p, k, V, slope):
+    """Write coefficient k + 1 of a vector v that stands in space, in the rows from V: of dv/dt = v x (omega - SPIN H)."""
+    for l in range(3 * L):
         slope[l] = 0.0
-    for i in range((k + 1) // 2):
-        j = k - i
-        for l in range(L):
-            x, y, z = c[j, OMEGA + l], c[j, OMEGA + L + l], c[j, OMEGA + 2 * L + l]
-            p, q, r = c[i, OMEGA + l], c[i, OMEGA + L + l], c[i, OMEGA + 2 * L + l]
-            a, b, d = c[i, H + l], c[i, H + L + l], c[i, H + 2 * L + l]
-            e, f, g = c[j, H + l], c[j, H + L + l], c[j, H + 2 * L + l]
-            slope[l] = slope[l] + b * z - d * y + f * r - g * q
-            slope[L + l] = slope[L + l] + d * x - a * z + g * p - e * r
-            slope[2 * L + l] = slope[2 * L + l] + a * y - b * x + e * q - f * p
-            a, b, d = c[i, SUN + l], c[i, SUN + L + l], c[i, SUN + 2 * L + l]
-            e, f, g = c[j, SUN + l], c[j, SUN + L + l], c[j, SUN + 2 * L + l]
-            slope[3 * L + l] = slope[3 * L + l] + b * z - d * y + f * r - g * q
-            slope[4 * L + l] = slope[4 * L + l] + d * x - a * z + g * p - e * r
-            slope[5 * L + l] = slope[5 * L + l] + a * y - b * x + e * q - f * p
-    if k % 2 == 0:  # the product in the middle is its own partner
-        i = k // 2
-        for l in range(L):
-            x, y, z = c[i, OMEGA + l], c[i, OMEGA + L + l], c[i, OMEGA + 2 * L + l]
-            a, b, d = c[i, H + l], c[i, H + L + l], c[i, H + 2 * L + l]
-            slope[l] = slope[l] + b * z - d * y
-            slope[L + l] = slope[L + l] + d * x - a * z
-            slope[2 * L + l] = slope[2 * L + l] + a * y - b * x
-            a, b, d = c[i, SUN + l], c[i, SUN + L + l], c[i, SUN + 2 * L + l]
-            slope[3 * L + l] = slope[3 * L + l] + b * z - d * y
-            slope[4 * L + l] = slope[4 * L + l] + d * x - a * z
-            slope[5 * L + l] = slope[5 * L + l] + a * y - b * x
+    add_turned(c, k, V, OMEGA, slope)
+    write_next(c, p, k, V, slope)
+
+
+def pair_writer(V: int) -> Any:
+    """Return the function that writes coefficient k of v x (omega - SPIN H) for two vectors into `slope` (6 L).
+
+    They lie in the rows from V, a constant of its machine code (rule 1). The products (i, j) and (j, i), j = k - i, are added
+    together, and omega is read once for both vectors: 0.4 of the time of two calls of `write_turned`.
+    """
+    U = V + 3 * L
+
+    @compiled
+    def write_turned_pair(c, k, slope):
+        """Write coefficient k of both derivatives."""
+        for l in range(6 * L):
+            slope[l] = 0.0
+        for i in range((k + 1) // 2):
+            j = k - i
+            for l in range(L):
+                x, y, z = c[j, OMEGA + l], c[j, OMEGA + L + l], c[j, OMEGA + 2 * L + l]
+                p, q, r = c[i, OMEGA + l], c[i, OMEGA + L + l], c[i, OMEGA + 2 * L + l]
+                a, b, d = c[i, V + l], c[i, V + L + l], c[i, V + 2 * L + l]
+                e, f, g = c[j, V + l], c[j, V + L + l], c[j, V + 2 * L + l]
+                slope[l] = slope[l] + b * z - d * y + f * r - g * q
+                slope[L + l] = slope[L + l] + d * x - a * z + g * p - e * r
+                slope[2 * L + l] = slope[2 * L + l] + a * y - b * x + e * q - f * p
+                a, b, d = c[i, U + l], c[i, U + L + l], c[i, U + 2 * L + l]
+                e, f, g = c[j, U + l], c[j, U + L + l], c[j, U + 2 * L + l]
+                slope[3 * L + l] = slope[3 * L + l] + b * z - d * y + f * r - g * q
+                slope[4 * L + l] = slope[4 * L + l] + d * x - a * z + g * p - e * r
+                slope[5 * L + l] = slope[5 * L + l] + a * y - b * x + e * q - f * p
+        if k % 2 == 0:  # the product in the middle is its own partner
+            i = k // 2
+            for l in range(L):
+                x, y, z = c[i, OMEGA + l], c[i, OMEGA + L + l], c[i, OMEGA + 2 * L + l]
+                a, b, d = c[i, V + l], c[i, V + L + l], c[i, V + 2 * L + l]
+                slope[l] = slope[l] + b * z - d * y
+                slope[L + l] = slope[L + l] + d * x - a * z
+                slope[2 * L + l] = slope[2 * L + l] + a * y - b * x
+                a, b, d = c[i, U + l], c[i, U + L + l], c[i, U + 2 * L + l]
+                slope[3 * L + l] = slope[3 * L + l] + b * z - d * y
+                slope[4 * L + l] = slope[4 * L + l] + d * x - a * z
+                slope[5 * L + l] = slope[5 * L + l] + a * y - b * x
+
+    return write_turned_pair
+
+
+write_H_and_sun, write_attitude = pair_writer(H), pair_writer(NX)
+"""Half of all time is spent in the first. H x omega is H x (omega - SPIN H)."""
+
+
+@compiled
+def write_next_pair(c, p, k, V, slope):
+    """Write coefficient k + 1 of two vectors in the rows from V from coefficient k of their derivatives, `slope` (6 L)."""
+    part = 1.0 / (k + 1)
+    for l in range(L):
+        d = part * p[DT + l]
+        c[k + 1, V + l] = d * slope[l]
+        c[k + 1, V + L + l] = d * slope[L + l]
+        c[k + 1, V + 2 * L + l] = d * slope[2 * L + l]
+        c[k + 1, V + 3 * L + l] = d * slope[3 * L + l]
+        c[k + 1, V + 4 * L + l] = d * slope[4 * L + l]
+        c[k + 1, V + 5 * L + l] = d * slope[5 * L + l]
 
 
 @compiled
@@ -172,19 +203,6 @@ def add_gravity_gradient(c, p, k, slope):
 
 
 @compiled
-def subtract_turn(c, k, slope):
-    """Subtract coefficient k of d x turn from `slope`: the nadir d turns in space."""
-    for i in range(k + 1):
-        j = k - i
-        for l in range(L):
-            x, y, z = c[j, TURN + l], c[j, TURN + L + l], c[j, TURN + 2 * L + l]
-            a, b, d = c[i, NADIR + l], c[i, NADIR + L + l], c[i, NADIR + 2 * L + l]
-            slope[l] -= b * z - d * y
-            slope[L + l] -= d * x - a * z
-            slope[2 * L + l] -= a * y - b * x
-
-
-@compiled
 def write_next(c, p, k, V, slope):
     """Write coefficient k + 1 of the vector in the rows from V from coefficient k of its derivative, `slope` (3 L)."""
     part = 1.0 / (k + 1)
@@ -199,7 +217,7 @@ def write_series(lanes, n_wheels, order, torques, attitude):
     c, p, u, slope = lanes.c, lanes.p, lanes.u, lanes.slope
     for k in range(order):
         write_rates(lanes, n_wheels, k)
-        write_turned_pair(c, k, slope)
+        write_H_and_sun(c, k, slope)
         if torques:
             if k == 0:
                 for l in range(3 * L):
@@ -208,30 +226,21 @@ def write_series(lanes, n_wheels, order, torques, attitude):
                 slope[l] += c[k, TORQUE + l]
             if torques == GRADIENT:
                 add_gravity_gradient(c, p, k, slope)
-        part = 1.0 / (k + 1)
-        for l in range(L):
-            d = part * p[DT + l]
-            c[k + 1, H + l] = d * slope[l]
-            c[k + 1, H + L + l] = d * slope[L + l]
-            c[k + 1, H + 2 * L + l] = d * slope[2 * L + l]
-            c[k + 1, SUN + l] = d * slope[3 * L + l]
-            c[k + 1, SUN + L + l] = d * slope[4 * L + l]
-            c[k + 1, SUN + 2 * L + l] = d * slope[5 * L + l]
+        write_next_pair(c, p, k, H, slope)
         if torques:
-            write_turned(c, k, TORQUE, slope)
-            write_next(c, p, k, TORQUE, slope)
+            write_turned(c, p, k, TORQUE, slope)
             if torques == GRADIENT:
-                write_turned(c, k, TURN, slope)
-                write_next(c, p, k, TURN, slope)
-                write_turned(c, k, NADIR, slope)
-                subtract_turn(c, k, slope)
+                write_turned(c, p, k, TURN, slope)
+                # the nadir d turns in space: d x (omega - turn) = turn x d + d x omega
+                for l in range(3 * L):
+                    slope[l] = 0.0
+                add_turned(c, k, TURN, NADIR, slope)
+                add_turned(c, k, NADIR, OMEGA, slope)
                 write_next(c, p, k, NADIR, slope)
         if attitude:
-            write_turned(c, k, NX, slope)
-            write_next(c, p, k, NX, slope)
-            write_turned(c, k, NY, slope)
-            write_next(c, p, k, NY, slope)
-        dry = 1.0 if k == 0 else 0.0  # dry friction is constant between events
+            write_attitude(c, k, slope)
+            write_next_pair(c, p, k, NX, slope)
+        part, dry = 1.0 / (k + 1), 1.0 if k == 0 else 0.0  # dry friction is constant between events
         for i in range(n_wheels):
             w = i * PER_WHEEL
             for l in range(L):

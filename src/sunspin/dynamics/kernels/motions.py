@@ -136,7 +136,7 @@ def load(lanes, clock, motions, task, l, row):
             u[w + AXIS + k * L] = axis[k]
         u[w + INVERSE_J], u[w + DRY], u[w + VISCOUS] = 1.0 / j, dry, wheel[i, 2]
         u[w + KEPT] = 0.0
-        if motions.held[i]:
+        if motions.driven[i]:
             u[w + KEPT], u[w + DRY] = speeds[i], 0.0
             stick(u, w)
         elif speeds[i] == 0.0 and dry > 0.0:  # whether friction can hold it, `settle` says

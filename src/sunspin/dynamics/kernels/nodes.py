@@ -53,8 +53,9 @@ def write_half_angle(lanes, nodes, seconds_before):
     """Write half the angle by which directions have turned about H, within +-pi/2, `seconds_before` (L) before `lanes.since`."""
     p, angle = lanes.p, nodes.angle
     for l in range(L):
-        turns = (lanes.since[l] - seconds_before[l]) * p[SPIN + l] / max(p[INVERSE_H + l], 1e-300)
-        turns *= 1 / (2 * math.pi)
+        inverse = p[INVERSE_H + l]  # zero at rest, where nothing turns
+        rate = p[SPIN + l] / inverse if inverse > 0.0 else 0.0
+        turns = (lanes.since[l] - seconds_before[l]) * rate * (1 / (2 * math.pi))
         angle[l] = math.pi * (turns - math.floor(turns + 0.5))
 
 

@@ -1,5 +1,7 @@
 """Where the numbers of motions lie that advance side by side.
 
+A wheel is *free*, or it is held: *driven* if a motor keeps its speed, *stuck* if friction keeps it at rest.
+
 L motions fill L lanes. A row is one number of all lanes, one after the other, so that the processor's vectors hold the same number
 of several motions: number X of lane l lies at X + l, where X is a multiple of L. A vector takes three rows.
 """
@@ -99,11 +101,11 @@ class Motions(NamedTuple):
     """Initial states of n motions, and their bodies; arrays with a first axis of 1 or n hold one body for all or one for each.
 
     `omega_B` (n, 3) rad/s, `sun_B` (n, 3), `speeds` (n, n_wheel) rad/s; `inertia` (1 or n, 3, 3) kg m2; `wheels` (1 or n, n_wheel,
-    3): J in kg m2, limit of dry friction with the brake in N m, viscous friction in N m s; `axes` (n_wheel, 3); `held` (n_wheel):
-    whether a motor holds the wheel; `modes` (1 or n, 2^n_wheel, 7): share of H left out of omega, and A^-1 for each set of free
-    wheels, bit i of its number standing for wheel i; `steady` (1 or n, 2, 3) N m: torques in body axes and in space, the second
-    in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of turning in rad/s, in body axes at the start;
-    `pull`: 3 n^2 in 1/s2.
+    3): J in kg m2, limit of dry friction with the brake in N m, viscous friction in N m s; `axes` (n_wheel, 3); `driven`
+    (n_wheel): whether a motor holds the speed of the wheel; `modes` (1 or n, 2^n_wheel, 7): share of H left out of omega, and
+    A^-1 for each set of free wheels, bit i of its number standing for wheel i; `steady` (1 or n, 2, 3) N m: torques in body axes
+    and in space, the second in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of turning in rad/s, in
+    body axes at the start; `pull`: 3 n^2 in 1/s2.
     """
 
     omega_B: np.ndarray
@@ -112,7 +114,7 @@ class Motions(NamedTuple):
     inertia: np.ndarray
     wheels: np.ndarray
     axes: np.ndarray
-    held: np.ndarray
+    driven: np.ndarray
     modes: np.ndarray
     steady: np.ndarray
     nadir: np.ndarray

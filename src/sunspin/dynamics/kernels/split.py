@@ -2,25 +2,25 @@
 
 In the principal axes (p, q, m) of A^-1 (m: the axis whose moment differs most from the others'), with inverse moments l and what
 the wheels add, w = l (K + sum_free h u), the body rate is omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with
-it (dv/dt = v x omega). The part l_q H of omega turns r about H and leaves H alone. It commutes with all that is left, which turns
-H and r alike, so that it is done exactly, once a step (`write_node`). What is left has three parts, each a rotation about an axis
-at a rate that it does not change (:mod:`sunspin.dynamics.principal`):
+it (dv/dt = v x omega). K is the momentum of the driven wheels, h that of a free one along its axis u. The part l_q H of omega turns
+r about H and leaves H alone. It commutes with all that is left, which turns H and r alike, so that it is done exactly, once a step
+(`write_node`). What is left has three parts, each a rotation about an axis at a rate that it does not change
+(:mod:`sunspin.dynamics.principal`):
 
     main   (l_m - l_q) H_m - w_m  about m
     P      (l_p - l_q) H_p - w_p  about p
     Q                      - w_q  about q
 
-`go_forward` applies them in this order, `go_backward` in reverse. Three of each, with the fractions of McLachlan's method of order
-(8, 4) for nearly integrable systems (BIT 35, 1995, 258), make a symmetric step. Rotations keep |H|, |r| and H.r; the error comes
-from commutators, which are small where l_p - l_q, w_p and w_q are small beside main. One step covers some two radians of main, and
-two ways of the histogram, the arcs of r between its nodes.
+`go_forward` applies main, half of Q, P and half of Q, `go_backward` the reverse. Three of each, with the fractions of McLachlan's
+method of order (8, 4) for nearly integrable systems (BIT 35, 1995, 258), make a symmetric step. Rotations keep |H|, |r| and H.r;
+the error comes from commutators, which are small where l_p - l_q, w_p and w_q are small compared with main. That of P and Q is of
+second order only and needs w_q: wheels across the axes p and m (`principal.split_steps`). One step covers some two radians of
+main, and two ways of the histogram, the arcs of r between its nodes.
 
 Wheels run down by the exact solution of their friction at constant omega (`begin_step`); what friction does of the changing omega
 is added from the middle of the step. A step in which a wheel comes to rest is undone and shortened, until it rests at its end.
 Everything else is left to the Taylor kernel, which computes those motions again that are reported in `again`: a wheel that friction
 holds comes near its limit, or the motion comes near an unstable spin, where the last digits decide.
-
-Words: a wheel is *driven* if its motor holds its speed (its momentum is in K), *stuck* if friction holds it at rest, else free.
 
 Speed: the rules at the head of :mod:`sunspin.dynamics.kernels.flow` hold here, too.
 """
@@ -57,7 +57,7 @@ W0, W1 = (
     18 * L,
     21 * L,
 )  # what wheels add to omega at the begin of the step, and its change in the step (3 each)
-HELD = 24 * L  # K (3), of the driven wheels
+DRIVEN = 24 * L  # K (3), momentum of the driven wheels
 AXES = 27 * L  # rows p, q, m of the rotation from B (9)
 COMMON = (
     36 * L
@@ -79,19 +79,25 @@ OLD_SPEED, OLD_AXIAL, OLD_LOW = 13 * L, 14 * L, 15 * L
 PER_WHEEL = 16 * L
 
 REST_SPEED = 1e-4
-"""rad/s at which a wheel counts as at rest."""
+"""rad/s at which a wheel counts as at rest: 1e-7 of Philae's 865 rad/s, the resolution of single precision."""
 
 WAYS = 2
 """Ways of the histogram in a step: from its begin to its middle, and on to its end."""
 
 MOST_SHORTENED = 0.02
-"""Smallest share to which a step is cut; it may be cut again."""
+"""Smallest share to which a step is cut, so that a lane does not stand still: a choice. A step that ends past rest is cut again."""
 
 UNEVEN = 3e-5
-"""If the smallest square of the speed of H in body axes is below this share of the largest, a motion came near an unstable spin."""
+"""If the smallest square of the speed of H in body axes is below this share of the largest, a motion came near an unstable spin.
+
+These are 2 % of the paper's grid. Without the limit the largest error of their EMD is 1.2e-2 instead of 1.2e-3 (3,000 motions).
+"""
+
+LAST_SHARE = 1e-3
+"""What is left of a run within this share of a step is rounding: the last step is a whole one, or nothing is left to do."""
 
 NEAR_LIMIT = 0.9
-"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at."""
+"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at: a choice."""
 
 MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
 SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 / 2)
@@ -115,27 +121,45 @@ class Answer(NamedTuple):
     again: np.ndarray
 
 
+class Fractions(NamedTuple):
+    """Fractions of a step for which its first half applies the flows, (3) float32 each; the second half applies them in reverse.
+
+    `main`, `side`: of main, and of P and Q; `main_time`, `side_time`: where in the step the wheels count for them, the middle of
+    main and the end of main so far.
+    """
+
+    main: np.ndarray
+    main_time: np.ndarray
+    side: np.ndarray
+    side_time: np.ndarray
+
+
 class Lanes(NamedTuple):
-    """Working arrays: `w` (NUMBERS L), `u` (WHEELS PER_WHEEL), float32; `fractions` (6, 3) of the flows; `left`, `step` (L): s."""
+    """Working arrays: `w` (NUMBERS L), `u` (WHEELS PER_WHEEL), float32; `fractions` of the flows; `left` in the run and `step` (L):
+    s."""
 
     w: np.ndarray
     u: np.ndarray
-    fractions: np.ndarray
+    fractions: Fractions
     left: np.ndarray
     step: np.ndarray
 
 
-def fractions_of_step() -> np.ndarray:
-    """Return what the flows are given (6, 3): fractions of main, its middle time, of P and Q, their time; times in reverse."""
+def fractions_of_step() -> Fractions:
+    """Return the fractions of the flows in the first half of a step."""
     main, side = np.array(MAIN), np.array(SIDE)
     end = np.cumsum(main)
-    return np.stack([main, end - main / 2, side, end, 1 - (end - main / 2), 1 - end]).astype(F)
+    return Fractions(*(x.astype(F) for x in (main, end - main / 2, side, end)))
 
 
 # ---- flows -----------------------------------------------------------------------------------------
 @compiled
 def sine_cosine(x):
-    """Return sine and cosine as polynomials that vectors can compute: to 3e-8 up to 0.6 rad, 1.4e-5 at 1.2 rad."""
+    """Return sine and cosine as polynomials that vectors can compute: to 6e-8 up to 0.62 rad.
+
+    No flow turns by more: a step turns by 1.2 rad of main and 0.6 rad of P or Q at most (`principal.split_steps`), of which the
+    largest fractions are 0.52 and 0.85. At 1.2 rad they would err by 1.4e-5.
+    """
     q = x * x
     sine = x + x * q * (F(-1 / 6) + q * (F(1 / 120) + q * F(-1 / 5040)))
     cosine = F(1) + q * (F(-0.5) + q * (F(1 / 24) + q * (F(-1 / 720) + q * F(1 / 40320))))
@@ -149,45 +173,68 @@ def rotate(a, b, sine, cosine):
 
 
 @compiled
-def go_forward(w, a, time_a, b, time_b):
-    """Apply main for the fraction a of the step, then P and Q for b; wheels count as they are at the times, fractions too."""
-    for l in range(L):
-        dt = w[DT + l]
-        p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
-        x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
-        wheels = w[W0 + 2 * L + l] + time_a * w[W1 + 2 * L + l]
-        s, c = sine_cosine(a * dt * (w[DM + l] * m - wheels))
-        p, q = rotate(p, q, s, c)
-        x, y = rotate(x, y, s, c)
-        s, c = sine_cosine(b * dt * (w[DP + l] * p - (w[W0 + l] + time_b * w[W1 + l])))
-        q, m = rotate(q, m, s, c)
-        y, z = rotate(y, z, s, c)
-        s, c = sine_cosine(-b * dt * (w[W0 + L + l] + time_b * w[W1 + L + l]))
-        m, p = rotate(m, p, s, c)
-        z, x = rotate(z, x, s, c)
-        w[H + l], w[H + L + l], w[H + 2 * L + l] = p, q, m
-        w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
+def turn_main(w, l, fraction, time, v):
+    """Return the state `v` (H and r, 6) of lane l after main for the fraction of the step; wheels count as they are at `time`."""
+    p, q, m, x, y, z = v
+    wheels = w[W0 + 2 * L + l] + time * w[W1 + 2 * L + l]
+    sine, cosine = sine_cosine(fraction * w[DT + l] * (w[DM + l] * m - wheels))
+    p, q = rotate(p, q, sine, cosine)
+    x, y = rotate(x, y, sine, cosine)
+    return p, q, m, x, y, z
 
 
 @compiled
-def go_backward(w, a, time_a, b, time_b):
-    """Apply Q and P for the fraction b of the step, then main for a: the reverse of `go_forward`."""
+def turn_sides(w, l, fraction, time, v):
+    """Return the state `v` of lane l after half of Q, P and half of Q for the fraction of the step; `time` as in `turn_main`.
+
+    Q stands on both sides of P: this is its own reverse, and errs by the third power of the fraction. P Q alone errs by the
+    second, of which the reverse order in the other half of the step leaves twice the error (20 bodies with oblique wheels).
+    """
+    p, q, m, x, y, z = v
+    dt = fraction * w[DT + l]
+    half_sine, half_cosine = sine_cosine(F(-0.5) * dt * (w[W0 + L + l] + time * w[W1 + L + l]))
+    m, p = rotate(m, p, half_sine, half_cosine)
+    z, x = rotate(z, x, half_sine, half_cosine)
+    sine, cosine = sine_cosine(dt * (w[DP + l] * p - (w[W0 + l] + time * w[W1 + l])))
+    q, m = rotate(q, m, sine, cosine)
+    y, z = rotate(y, z, sine, cosine)
+    m, p = rotate(m, p, half_sine, half_cosine)
+    z, x = rotate(z, x, half_sine, half_cosine)
+    return p, q, m, x, y, z
+
+
+@compiled
+def state_of(w, l):
+    """Return H and r of lane l (6), principal axes."""
+    p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
+    return p, q, m, w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
+
+
+@compiled
+def set_state(w, l, v):
+    """Set H and r of lane l (6), principal axes."""
+    w[H + l], w[H + L + l], w[H + 2 * L + l] = v[0], v[1], v[2]
+    w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = v[3], v[4], v[5]
+
+
+@compiled
+def go_forward(w, part, k):
+    """Apply main, then Q P Q, for the fractions k of the step."""
+    main, side = part.main[k], part.side[k]
+    main_time, side_time = part.main_time[k], part.side_time[k]
     for l in range(L):
-        dt = w[DT + l]
-        p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
-        x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
-        s, c = sine_cosine(-b * dt * (w[W0 + L + l] + time_b * w[W1 + L + l]))
-        m, p = rotate(m, p, s, c)
-        z, x = rotate(z, x, s, c)
-        s, c = sine_cosine(b * dt * (w[DP + l] * p - (w[W0 + l] + time_b * w[W1 + l])))
-        q, m = rotate(q, m, s, c)
-        y, z = rotate(y, z, s, c)
-        wheels = w[W0 + 2 * L + l] + time_a * w[W1 + 2 * L + l]
-        s, c = sine_cosine(a * dt * (w[DM + l] * m - wheels))
-        p, q = rotate(p, q, s, c)
-        x, y = rotate(x, y, s, c)
-        w[H + l], w[H + L + l], w[H + 2 * L + l] = p, q, m
-        w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
+        v = turn_main(w, l, main, main_time, state_of(w, l))
+        set_state(w, l, turn_sides(w, l, side, side_time, v))
+
+
+@compiled
+def go_backward(w, part, k):
+    """Apply Q P Q, then main, for the fractions k of the step: the reverse of `go_forward`, in the second half of the step."""
+    main, side = part.main[k], part.side[k]
+    main_time, side_time = F(1) - part.main_time[k], F(1) - part.side_time[k]
+    for l in range(L):
+        v = turn_sides(w, l, side, side_time, state_of(w, l))
+        set_state(w, l, turn_main(w, l, main, main_time, v))
 
 
 # ---- wheels in a step -------------------------------------------------------------------------------
@@ -197,7 +244,7 @@ def begin_step(w, u, n_wheels):
     for j in range(STATE):
         w[OLD + j] = w[j]
     for j in range(3 * L):
-        w[W0 + j] = w[INVERSE + j] * w[HELD + j]
+        w[W0 + j] = w[INVERSE + j] * w[DRIVEN + j]
         w[W1 + j] = F(0)
     for i in range(n_wheels):
         o = i * PER_WHEEL
@@ -287,13 +334,13 @@ def write_node(lanes, at, n_wheels, k, is_end):
 @compiled
 def take_step(lanes, at, n_wheels):
     """Take a step in all lanes, with its two nodes."""
-    w, c = lanes.w, lanes.fractions
+    w = lanes.w
     begin_step(w, lanes.u, n_wheels)
     for k in range(3):
-        go_forward(w, c[0, k], c[1, k], c[2, k], c[3, k])
+        go_forward(w, lanes.fractions, k)
     write_node(lanes, at, n_wheels, 1, False)
     for k in range(2, -1, -1):
-        go_backward(w, c[0, k], c[4, k], c[2, k], c[5, k])
+        go_backward(w, lanes.fractions, k)
     write_node(lanes, at, n_wheels, 2, True)
 
 
@@ -316,12 +363,13 @@ def set_step(lanes, n_wheels, l, dt):
     for i in range(n_wheels):
         o = i * PER_WHEEL + l
         x = u[o + VISCOUS] / u[o + J] * dt
+        # (1 - exp(-x)) / x, by its series where x is small or, without viscous friction, zero
         u[o + WEAR] = dt * (-math.expm1(-x) / x if abs(x) > 1e-6 else 1.0 - 0.5 * x)
 
 
 @compiled
 def set_mode(lanes, motions, frames, l, row, body):
-    """Load lane l from H and r in body axes, `body` (6): the principal axes of its set of free wheels, momentum of the held ones.
+    """Load lane l from H and r in body axes, `body` (6): the principal axes of its set of free wheels, momentum of the driven ones.
 
     frames : (2^n_wheel, 12)
         Inverse moments l, and rows p, q, m of the rotation from B, for each set of free wheels.
@@ -337,14 +385,14 @@ def set_mode(lanes, motions, frames, l, row, body):
         w[INVERSE + k * L + l] = frames[mode, k]
         w[H + k * L + l] = a[0] * body[0] + a[1] * body[1] + a[2] * body[2]
         w[SUN + k * L + l] = a[0] * body[3] + a[1] * body[4] + a[2] * body[5]
-        held = 0.0
+        driven = 0.0
         for i in range(n_wheels):
             axis = motions.axes[i]
             along = a[0] * axis[0] + a[1] * axis[1] + a[2] * axis[2]
             u[i * PER_WHEEL + AXIS + k * L + l] = along
-            if motions.held[i]:
-                held += along * motions.wheels[0, i, 0] * motions.speeds[row, i]
-        w[HELD + k * L + l] = held
+            if motions.driven[i]:
+                driven += along * motions.wheels[0, i, 0] * motions.speeds[row, i]
+        w[DRIVEN + k * L + l] = driven
         for j in range(3):
             w[AXES + (3 * k + j) * L + l] = a[j]
     w[DP + l] = frames[mode, 0] - frames[mode, 1]
@@ -365,18 +413,18 @@ def load(lanes, motions, frames, l, row):
     for i in range(n_wheels):
         o, axis = i * PER_WHEEL + l, motions.axes[i]
         j, dry = motions.wheels[0, i, 0], motions.wheels[0, i, 1]
-        held = motions.held[i]
+        driven = motions.driven[i]
         for k in range(3):
             body[k] += j * speeds[i] * axis[k]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
         sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
-        free = not held and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
+        free = not driven and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
         u[o + AXIAL], u[o + LOW], u[o + SPEED] = j * (speeds[i] + along), 0.0, speeds[i]
         u[o + J], u[o + VISCOUS] = j, motions.wheels[0, i, 2]
         u[o + FREE] = 1.0 if free else 0.0
         u[o + COULOMB] = sign * dry if free else 0.0
         u[o + SIGN] = sign if free and dry > 0.0 else 0.0
-        u[o + INVERSE_DRY] = 1.0 / dry if dry > 0.0 and not held else 0.0
+        u[o + INVERSE_DRY] = 1.0 / dry if dry > 0.0 and not driven else 0.0
     w[SLOWEST + l], w[FASTEST + l], w[OVERLOAD + l] = 1e30, 0.0, 0.0
     set_mode(lanes, motions, frames, l, row, body)
     set_step(lanes, n_wheels, l, 0.0)
@@ -478,9 +526,9 @@ def run_block(first, task, lanes, motions, nodes, answer):
             at[NODE + j] = at[NODE + 2 * PER_NODE + j]
         alive = False
         for l in range(L):
-            # the last step; what is left within a thousandth of a step counts as a whole step, or as nothing
-            if lanes.left[l] < w[DT + l] * 0.999 and w[DT + l] != 0.0:
-                if lanes.left[l] < 1e-3 * lanes.step[l]:
+            # the last step is shorter
+            if lanes.left[l] < w[DT + l] * (1.0 - LAST_SHARE) and w[DT + l] != 0.0:
+                if lanes.left[l] < LAST_SHARE * lanes.step[l]:
                     lanes.left[l] = 0.0
                 lanes.step[l] = lanes.left[l]
                 set_step(lanes, n_wheels, l, lanes.left[l])

@@ -55,7 +55,7 @@ from sunspin.dynamics.kernels.rows import (
 from sunspin.dynamics.processor import compiled
 
 MARGIN = 1e-10
-"""A wheel at its limit within this share is held: whether it breaks away follows from the polynomial of the next step."""
+"""A wheel at its limit within this share is stuck: whether it breaks away follows from the polynomial of the next step."""
 
 ROUNDING = 1e-11
 """Share of what u.omega does in a step below which a coefficient is rounding."""
@@ -69,7 +69,7 @@ NO_ZERO = 2.0
 def are_watched(lanes, n_wheels, order, margin):
     """Write into `margin` (L) a bound of how far each lane stays from any event in its step; return whether one is not positive.
 
-    Of a turning wheel: |W| at the begin less the sum of |coefficients| x^k. Of a held one: the limit less the sum for the slope
+    Of a turning wheel: |W| at the begin less the sum of |coefficients| x^k. Of a stuck one: the limit less the sum for the slope
     of u.omega. Two orders in a pass.
     """
     c, p, u, share, sums = lanes.c, lanes.p, lanes.u, lanes.share, lanes.sums
@@ -91,10 +91,10 @@ def are_watched(lanes, n_wheels, order, margin):
         for l in range(L):
             j = u[w + INVERSE_J + l]
             turning = abs(c[0, AXIAL + i * L + l] * j - c[0, ALONG + i * L + l]) - sums[l]
-            held = u[w + DRY + l] * j * abs(p[DT + l]) - sums[L + l]
+            stuck = u[w + DRY + l] * j * abs(p[DT + l]) - sums[L + l]
             turning = turning if u[w + SIGN + l] != 0.0 else 1.0
-            held = held if u[w + DRY + l] > 0.0 else 1.0
-            margin[l] = min(margin[l], turning if u[w + FREE + l] > 0.5 else held)
+            stuck = stuck if u[w + DRY + l] > 0.0 else 1.0
+            margin[l] = min(margin[l], turning if u[w + FREE + l] > 0.5 else stuck)
     watched = False
     for l in range(L):
         watched |= margin[l] <= 0.0
@@ -146,7 +146,7 @@ def first_event(lanes, n_wheels, order, l, high):
     """Return the wheel of the first event of lane l in (0, high], and its place as a share of the step; -1 and `high` if none.
 
     At an event the polynomial of the step before was zero, and that of the next step is zero but for rounding and for what the
-    series has left out. `floor` bounds both. That of a turning wheel is twice that of a held one: a wheel that was let go at its
+    series has left out. `floor` bounds both. That of a turning wheel is twice that of a stuck one: a wheel that was let go at its
     limit within errors must not be caught again by the same errors, and let go, without end.
     """
     c, p, u, f = lanes.c, lanes.p, lanes.u, lanes.polynomial

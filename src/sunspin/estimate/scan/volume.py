@@ -99,7 +99,8 @@ def scan(
     mask : "reconstructible" or None
         Count only directions that the panels allow to reconstruct, or all. Only for EMD.
     emd_error : float, optional
-        Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
+        Error wanted of the EMD; 1e-3 unless given. Of bodies with wheels across their principal axes at most one motion in 100
+        errs by more than 2e-3, up to 7e-3; with 5e-4 none of 768 did. Anything tighter than 1e-3 is much slower.
     propagation : Propagation
         Wheel modes, torques, and the error wanted of directions.
     workers : int, optional

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.output.check.findings import Findings
 from sunspin.output.text import count_text, size_text, with_sigma
 from sunspin.telemetry.assess import Assessment
@@ -50,9 +49,14 @@ def describe_mismatches(assessment: Assessment, vehicle: str | None = None) -> F
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
     lines = [f"  WRONG UNIT: {text}" for text in unit_texts]
+    axes = None
     # axes cannot be judged in a wrong unit
     gyro_misread = any(wrong.table == "gyro" for wrong in assessment.wrong_units)
-    axes = None if gyro_misread else wrong_gyro_axes(assessment)
+    if "gyro_B" in samples and not gyro_misread:
+        # imported late, because it brings the compiler
+        from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
+
+        axes = wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  sensors without columns in this file: {', '.join(missing)}"] if missing else []
     rest = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""

@@ -69,6 +69,13 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return draw_in_style
 
 
+def empty_figure(width: float, height: float) -> Figure:
+    """Create a figure of a size in inches, without axes; the space between those that are added follows from their labels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 def axes_grid(
     width: float, height: float, rows: int = 1, columns: int = 1, title: str = "", **options: Any
 ) -> tuple[Figure, Any]:
@@ -77,9 +84,7 @@ def axes_grid(
     `options` are further arguments of matplotlib's `Figure.subplots`. As there, the axes are a single object for one row and
     column, an array (n) for one row or one column, and else an array (rows, columns).
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = empty_figure(width, height)
     figure.suptitle(title, wrap=True)
     axes = figure.subplots(rows, columns, **options)
     for each in np.ravel(axes):

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 from scipy.special import ndtr
 
-from sunspin.output.figures import COLOURS, escape_name, titled
+from sunspin.output.figures import COLOURS, empty_figure, escape_name, titled
 from sunspin.output.figures.rates import SHOWN, clock_text, largest_passes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHOWN_SIGMAS = 6.0
 """Residuals (sigmas) beyond this are drawn at the edge."""
@@ -26,7 +30,7 @@ def residuals_figure(result: xr.Dataset) -> Figure:
     passes, sensors = largest_passes(result), residual["sensor"].values
     rows = max(len(sensors), 1)
     size = max(7.5, 2.1 * len(passes)), 1.9 * rows + 1.0
-    figure = Figure(figsize=size, layout="constrained")
+    figure = empty_figure(*size)
     grid = figure.subplots(rows, len(passes), sharex="col", sharey=True, squeeze=False)
     for row, sensor in zip(grid, sensors, strict=False):
         value = residual.sel(sensor=sensor).values

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
 
+from sunspin.base.extras import require_extra
 from sunspin.output.folder import CITE, to_plain_data, write_whole
 from sunspin.output.report.read import PageTable, Results, read_results
 from sunspin.output.report.rows import comparison
@@ -38,8 +37,9 @@ def write_report(folder: str | Path) -> Path:
     Raises
     ------
     InputError
-        The folder is no results folder.
+        The folder is no results folder, or the packages that write a page are not installed.
     """
+    require_extra("pictures", "the HTML page")
     results = read_results(folder)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers
         text = _render_page(results)
@@ -49,6 +49,8 @@ def write_report(folder: str | Path) -> Path:
 
 def _render_page(results: Results) -> str:
     """Return the HTML of the page."""
+    from markupsafe import Markup
+
     summary = results.summary
     views = results.attempt("the views", lambda: _views(results)) or {}
     first_sentences, folded_sentences = _sentences(summary)
@@ -188,6 +190,8 @@ def _provenance(results: Results) -> list[tuple[str, str]]:
 @cache
 def _template() -> Any:
     """Return the template of the page, which escapes all texts that it is given."""
+    from jinja2 import Environment, StrictUndefined
+
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.trim_blocks = environment.lstrip_blocks = True
     return environment.from_string(_read_asset("page.html.j2"))

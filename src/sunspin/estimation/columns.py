@@ -1,0 +1,323 @@
+"""Which column is which: whether the motion confirms columns, axes and signs, and what is said if it does not.
+
+A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
+the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.estimation.budget import USUAL, Budget
+from sunspin.estimation.column_tests import (
+    Better,
+    Named,
+    Trials,
+    implausible,
+    what_fits_better,
+)
+from sunspin.estimation.equivalence import (
+    AS_WRITTEN,
+    CLEARLY,
+    Observed,
+    alike,
+    column_changes,
+    equivalence,
+    rate_under,
+    unseen_changes,
+    wheel_change,
+    wheel_changes,
+)
+from sunspin.estimation.images import SAME_SIGMAS
+from sunspin.estimation.model import Body, Model, Noise
+from sunspin.estimation.observe import observe, split, wheel_models, with_momentum
+from sunspin.estimation.quick import quick_evidence
+from sunspin.estimation.settings import RatesSettings
+from sunspin.estimation.verdict import (
+    COLUMNS_DOUBTED,
+    COLUMNS_STATED,
+    COLUMNS_UNCHECKED,
+    alike_motions,
+)
+from sunspin.estimation.wheel_signs import Reversed, momentum_of_each
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import utc_after
+
+STRAINED, CALMER = 1e-4, 4.0
+"""Strength of unknown torques (rad/s^1.5), chosen by the data, from which a file that fits may have other columns than it states:
+of nine files with two columns exchanged that fit six wanted as much, of their right ones none more than 5e-6. And by what factor a
+change must lower it."""
+
+COLUMN_SHARE = 8.0
+"""Budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and up to 21
+changes of a cube are tried."""
+
+Again = Callable[[Vehicle, xr.Dataset], xr.Dataset]
+"""Function that estimates a vehicle and its telemetry again, without column tests."""
+
+
+def check_columns(
+    result: xr.Dataset,
+    assessment: Assessment,
+    doubt: Reversed | None,
+    again: Again | None,
+    in_orbit: bool,
+    settings: RatesSettings,
+    budget: Budget,
+) -> xr.Dataset:
+    """Return the result with what the data say of columns, axes and signs.
+
+    `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. `in_orbit`:
+    elements make the Sun and the field known in space. Attributes: `alike`, `columns_unseen`, `columns_doubt`, `columns_changes`,
+    `column_tests_cut`, `symmetric_unlisted`.
+    """
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    observed = what_was_observed(vehicle, telemetry, result.attrs, in_orbit)
+    result = _with_unseen_changes(result, observed, telemetry)
+    result = _with_symmetric_motions(result, observed, telemetry)
+    if again is not None and (
+        not result["fits"].values.all() or _is_suspicious(result, observed, telemetry)
+    ):
+        tests = replace(budget, most=COLUMN_SHARE * budget.most)
+        result = _with_other_columns(result, observed, telemetry, again, settings, tests)
+        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    return _with_doubted_wheels(result, doubt, observed, telemetry)
+
+
+def what_was_observed(
+    vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict, in_orbit: bool
+) -> Observed:
+    """Return what the telemetry has read, as far as it distinguishes changes; `attrs`: of a result, with what the wheels do."""
+    momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
+    observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
+    return replace(observed, panels=observed.panels and attrs["source"] == "panels")
+
+
+def name_of_wheels(words: str) -> str:
+    """Return the name of a wheel model of which the words say the evidence too."""
+    return words.split(" (evidence")[0]
+
+
+def _with_unseen_changes(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
+) -> xr.Dataset:
+    """Return the result with changes of columns that look the same as the file as it is written, and symmetric motions, in words.
+
+    attrs["columns_unseen"] is JSON: what, and the matrix by which directions change. Without such changes the data confirm the
+    columns.
+    """
+    if not observed.panels:
+        return result
+    if words := alike_motions(observed.vehicle):
+        result = result.assign_attrs(alike=words)
+    unseen = unseen_changes(replace(observed, sun_B=result["sun_B"].values), telemetry)
+    if not unseen:
+        checked = result["columns_checked"].values
+        confirmed = np.where(checked == COLUMNS_UNCHECKED, COLUMNS_STATED, checked)
+        return result.assign(columns_checked=("pass_id", confirmed))
+    rows = [
+        {"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen
+    ]
+    return result.assign_attrs(columns_unseen=json.dumps(rows))
+
+
+def _with_symmetric_motions(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
+) -> xr.Dataset:
+    """Return the result with no pass unique whose panels read the same in a motion that is not listed.
+
+    The file is then equivalent to itself by a rotation or mirror of the body, as if the lit panels lie in a plane.
+    """
+    if not observed.panels or "noise" not in result.attrs:
+        return result
+    decided, unique = (result[name].values.copy() for name in ("decided", "unique"))
+    why = result["why_not_decided"].values.astype(object)
+    stated = observed.vehicle.input_noise
+    noise = result.attrs["noise"] if stated is None else stated
+    doubted = 0
+    for k in np.flatnonzero(unique & result["fits"].values):
+        lit = Observed.of(observed.vehicle, samples_of(result, telemetry, k)).lit
+        sun = result["sun_B"].values[result["pass_of"].values == k]
+        omega, sigma = (
+            np.stack([result[f"{name}_{axis}"].values[k] for axis in "xyz"], axis=1)
+            for name in ("omega", "sigma")
+        )
+        if has_unlisted_motion(replace(observed, lit=lit, sun_B=sun), omega, sigma, noise):
+            decided[k] = unique[k] = False
+            doubted += 1
+            why[k] = joined(why[k], "several motions: a symmetric one is not listed")
+    return result.assign(
+        decided=("pass_id", decided),
+        unique=("pass_id", unique),
+        why_not_decided=("pass_id", why.astype(np.str_)),
+    ).assign_attrs(symmetric_unlisted=doubted)
+
+
+def has_unlisted_motion(
+    observed: Observed, omega: np.ndarray, sigma: np.ndarray, noise: np.ndarray | float
+) -> bool:
+    """Return whether the first of some motions has a symmetric one with the same readings that is none of them.
+
+    `omega`, `sigma` (K, 3) in rad/s: their rates at one time, NaN if there are fewer; `noise`: of the readings, in W or A, or in
+    gains.
+    """
+    power = observed.vehicle.response_in().power
+    read = power(observed.sun_B)
+    for m in equivalence(observed, AS_WRITTEN, AS_WRITTEN):
+        off = np.abs(rate_under(m, omega[0]) - omega)
+        listed = (off < SAME_SIGMAS * sigma).all(axis=1)
+        change = (power(observed.sun_B @ m.T) - read) / noise
+        if not listed.any() and (change**2).sum() / 2 <= CLEARLY:
+            return True
+    return False
+
+
+def _is_suspicious(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
+    """Return whether a file of panels alone that fits may do so only because strong torques, or other gains, were allowed."""
+    if not observed.panels or observed.sensors:
+        return False
+    attrs = result.attrs
+    chosen = attrs["acceleration_noise_from"] != "given"
+    known_body = not attrs["body"].startswith("nearly a sphere")
+    if chosen and known_body and attrs["acceleration_noise"] >= STRAINED:
+        return True
+    return implausible(observed.vehicle, samples_of(result, telemetry, _longest(result)))
+
+
+def _with_other_columns(
+    result: xr.Dataset,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    again: Again,
+    settings: RatesSettings,
+    budget: Budget,
+) -> xr.Dataset:
+    """Return the result with the changes that fit the longest pass that does not fit, or with the sensor that is in its way.
+
+    If all passes fit, the longest is tried: a change must then explain the samples far better, each by itself, or with far weaker
+    torques.
+    """
+    vehicle, attrs = observed.vehicle, result.attrs
+    bad = np.flatnonzero(~result["fits"].values)
+    part = samples_of(result, telemetry, _longest(result, bad if len(bad) else None))
+    calmer = not len(bad) and not implausible(vehicle, part)
+    most_noise = attrs["acceleration_noise"] / CALMER if calmer else np.inf
+    source = None if attrs["source"] == "directions" else attrs["source"]
+
+    def evidence(changed: Vehicle, data: xr.Dataset) -> float:
+        """Return the log evidence of the pass by a quick search."""
+        try:
+            seen = observe(assess(changed, data), source)
+            (one, *_) = split(seen, np.inf, settings.passes)
+        except InputError:
+            return -np.inf
+        momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
+        obs = with_momentum(seen, momentum).obs
+        noise = Noise(settings.search.noise)
+        stated = Model(obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        return quick_evidence(stated.seeing(one.kept), settings, budget)
+
+    def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        """Return the whole estimate of the pass, if it needs no stronger torques than a change may."""
+        try:
+            made = again(changed, data)
+        except InputError:
+            return None
+        budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
+        return made if made.attrs["acceleration_noise"] <= most_noise else None
+
+    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
+    better = what_fits_better(here, part, Trials(evidence, run, budget))
+    if better is None:
+        return result
+    if isinstance(better, Better):
+        return _naming(_undecided(result, "columns, signs or axes"), better)
+    return result.assign_attrs(columns_doubt=better.words())
+
+
+def _with_doubted_wheels(
+    result: xr.Dataset, doubt: Reversed | None, observed: Observed, telemetry: xr.Dataset
+) -> xr.Dataset:
+    """Return the result with nothing decided if the sign of a wheel is in doubt.
+
+    Unless another change fits, the wheel is named with all changes that look the same. If it does not fit either, and all others
+    were tried, no change is named.
+    """
+    if doubt is None:
+        return result
+    result = _undecided(result, "the sign of a wheel")
+    if "columns_doubt" in result.attrs:
+        return result
+    change = wheel_change(observed.vehicle, doubt.wheels)
+    if not doubt.fits and "column_tests_cut" in result.attrs:
+        return result.assign_attrs(
+            columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
+            "single change of columns or signs explains them"
+        )
+    others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
+    others = [one for one in others if one.what != change.what]
+    at = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
+    omega = doubt.omega[at]
+    same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
+    named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
+    return _naming(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
+
+
+def _naming(result: xr.Dataset, better: Better) -> xr.Dataset:
+    """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
+    rows = [
+        {
+            "what": one.change.what,
+            "do": one.change.do,
+            "at_s": better.at_s,
+            "omega_deg_s": None if one.omega is None else np.degrees(one.omega).round(6).tolist(),
+        }
+        for one in better.named
+    ]
+    clock = partial(clock_time, result.attrs.get("epoch_utc"))
+    return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
+
+
+def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
+    """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
+    why = [joined(reason, what) for reason in result["why_not_decided"].values]
+    count = result.sizes["pass_id"]
+    return result.assign(
+        decided=("pass_id", np.zeros(count, dtype=bool)),
+        columns_checked=("pass_id", np.full(count, COLUMNS_DOUBTED)),
+        why_not_decided=("pass_id", why),
+    )
+
+
+def joined(*reasons: str) -> str:
+    """Return reasons as one text, without empty ones."""
+    return "; ".join(str(reason) for reason in reasons if str(reason))
+
+
+def clock_time(epoch_utc: str | None, t_s: float) -> str:
+    """Return a time (s) in words: the clock on the day of the epoch, date and clock on any other day."""
+    if epoch_utc is None:
+        return f"{t_s:.0f} s"
+    text = utc_after(t_s, epoch_utc)
+    return text[11:19] if text[:10] == utc_after(0.0, epoch_utc)[:10] else text
+
+
+def _longest(result: xr.Dataset, which: np.ndarray | None = None) -> int:
+    """Return the pass with the most samples, of some passes."""
+    which = np.arange(result.sizes["pass_id"]) if which is None else which
+    return int(which[np.argmax(result["samples"].values[which])])
+
+
+def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
+    """Return the samples of the telemetry that a pass uses."""
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    used = result["time"].values[result["pass_of"].values == k]
+    return telemetry.isel(time=first[np.isin(times, used)])

@@ -1,0 +1,1 @@
+"""Orbits compared with telemetry, and sensors calibrated along them."""

@@ -1,0 +1,415 @@
+"""Field strength, its angle to the Sun, and light: what a sample shows at any attitude, and a magnetometer calibrated by it.
+
+They are what is left of a sample's readings when its attitude is projected out. They depend on the place along the orbit alone, so
+that many places can be compared. At each of them the magnetometer is fitted: field = matrix reading - zero, where the matrix holds
+scale, soft iron and axes. Residuals have Student tails, and the scatter of strength and of angle is estimated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunspin.environment.earth import earth_from_J2000, rotate_vectors, sun_J2000_m
+from sunspin.environment.light import sunlit_fraction
+from sunspin.environment.orbit import Orbit
+from sunspin.estimation.orbit.readings import Readings
+from sunspin.solve.least_squares import least_squares
+from sunspin.solve.linear import DenseSystem, solve_dense
+
+STUDENT = 4.0
+"""Degrees of freedom of residuals: one beacon in eight is worse than a normal law allows."""
+
+MATRIX_SIGMA = 0.2
+"""One sigma of each element of the magnetometer's matrix over its scale: soft iron, axes."""
+
+SCALE_INFORMATION = 0.1
+"""Information on each element of the matrix that keeps its scale finite: one sigma is three times the field."""
+
+ZERO_SIGMA = 1.0
+"""One sigma of the zero over the usual reading, if the vehicle file states none: it may be missing there."""
+
+TIED, LEAST_SCALE = 8, 1e-3
+"""Elements of the matrix in addition to its scale, and the smallest scale over the first one."""
+
+LEAST_SCATTER = np.array([0.003, 0.5])
+"""Smallest scatter of the strength, over the field, and of the angle, in sigmas of the Sun: no model is better. Where few samples
+have a Sun, a calibration fits their angles nearly exactly, and they would outvote the strength."""
+
+FIRST_SCATTER = (0.1, 1.0)
+"""Scatters with which a fit begins."""
+
+SUN_RAD = 0.02
+"""Error of every direction to the Sun in addition to the given one, rad."""
+
+SEEN_IN_SHADOW = 0.02
+"""Share of samples that show a Sun where there is none: irregular clocks, the Moon, noise."""
+
+FEWEST = 20
+"""Fewer readings of field or light, or of the angle between field and Sun, are not compared."""
+
+ROUNDS, STEPS, TOLERANCE = 2, 10, 0.05
+"""Alternations of unknowns and scatters, steps of a fit, and the gain in log likelihood that ends it: another verdict needs
+more."""
+
+MATRIX, ZERO = slice(0, 9), slice(9, 12)
+"""Places of the matrix, by rows, and of the zero among the unknowns."""
+
+
+class Sky(NamedTuple):
+    """Sun and field at n samples for K places along an orbit, in Earth-fixed axes.
+
+    `shifts` (K): seconds of flight ahead of the orbit, evenly spaced; the orbit's own drift is included. `sun` (n, 3): unit
+    directions; `field` (K, n, 3) in T; `lit` (K, n): visible part of the Sun; `days` (n) from the middle of the file.
+    """
+
+    shifts: np.ndarray
+    sun: np.ndarray
+    field: np.ndarray
+    lit: np.ndarray
+    days: np.ndarray
+
+    @classmethod
+    def along(
+        cls,
+        orbit: Orbit,
+        t_s: np.ndarray,
+        shifts: np.ndarray,
+        node_rad: float = 0.0,
+        phase_s: float = 0.0,
+    ) -> Sky:
+        """Return the sky of an orbit, or of a comparison orbit: its node rotated, and `phase_s` farther along."""
+        when = orbit.instants(t_s)
+        ahead = orbit.ahead_s(when) + phase_s + shifts[:, None]
+        position, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, ahead)
+        sun, to_earth = sun_J2000_m(when), earth_from_J2000(when)
+        direction = rotate_vectors(to_earth, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        field = orbit.field_map_around(when, position).at(rotate_vectors(to_earth, position))
+        lit = sunlit_fraction(position, np.broadcast_to(sun, position.shape))
+        return cls(shifts, direction, field, lit, orbit.days(when))
+
+    def take(self, which: np.ndarray) -> Sky:
+        """Return some of the samples."""
+        lit, field = self.lit[:, which], self.field[:, which]
+        return Sky(self.shifts, self.sun[which], field, lit, self.days[which])
+
+    def field_at(self, shift_s: float, drift_s_day: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the field (n, 3) in T at a drifting shift, and its slope (n, 3) in T per second of flight.
+
+        They are those of cubics through four neighbouring shifts. Beyond the first and the last shift the field stays the same.
+        """
+        step, last = self.shifts[1] - self.shifts[0], len(self.shifts) - 1
+        place = (shift_s + drift_s_day * self.days - self.shifts[0]) / step
+        place = np.clip(place, 0.0, last)
+        first = np.clip(place.astype(int) - 1, 0, last - 3)
+        powers = np.vander(place - first, 4, increasing=True)  # 1, x, x^2, x^3, from the first
+        slopes = np.column_stack([np.zeros(len(place)), powers[:, :3] * [1.0, 2.0, 3.0]])
+        nodes = self.field[first[:, None] + np.arange(4), np.arange(len(place))[:, None]]
+        value, slope = (np.einsum("nk,nki->ni", part @ CUBIC.T, nodes) for part in (powers, slopes))
+        return value, slope / step
+
+    def invariants(self) -> Predicted:
+        """Return what samples show at any attitude."""
+        toward = (self.field * self.sun).sum(axis=-1)
+        return Predicted(np.linalg.norm(self.field, axis=-1), toward, self.lit)
+
+
+CUBIC = np.linalg.inv(np.vander(np.arange(4.0), 4, increasing=True)).T
+"""Row k: coefficients of the cubic that is 1 at node k of 0, 1, 2, 3 and 0 at the others."""
+
+
+class Predicted(NamedTuple):
+    """Predictions for K places: field strength (K, n) in T, its component toward the Sun (K, n) in T, visible part of the Sun (K,
+    n)."""
+
+    strength: np.ndarray
+    toward: np.ndarray
+    lit: np.ndarray
+
+    def at(self, places: Any) -> Predicted:
+        """Return the predictions for some places."""
+        return Predicted(*(part[places] for part in self))
+
+    def take(self, which: np.ndarray) -> Predicted:
+        """Return the predictions for some samples."""
+        return Predicted(*(part[:, which] for part in self))
+
+    def angles(self) -> np.ndarray:
+        """Return the angles (n) in rad between field and Sun at the first place."""
+        return np.arccos(np.clip(self.toward[0] / self.strength[0], -1, 1))
+
+
+class Fits(NamedTuple):
+    """Fits at K places: `cost` (K); `calibration` (K, 12), matrix and zero, NaN without a magnetometer; `scatter` (K, 2) of
+    strength, over the field, and of the component toward the Sun, in sigmas of the Sun."""
+
+    cost: np.ndarray
+    calibration: np.ndarray
+    scatter: np.ndarray
+
+    @property
+    def best(self) -> int:
+        """Number of the place with the lowest cost."""
+        return int(self.cost.argmin())
+
+
+def fit(
+    readings: Readings, predicted: Predicted, prior: np.ndarray, scatter: np.ndarray | None = None
+) -> Fits:
+    """Return the cost of K places in addition to their `prior` (K), with the magnetometer fitted at each.
+
+    `scatter` (2): as in :class:`Fits`, if it is given and not estimated. All calibrations count, not the best alone: the cost has
+    the determinant of the unknowns' covariance (Laplace).
+    """
+    use = readings.has_field
+    cost = prior + eclipse_cost(readings.light, predicted.lit)
+    if use.sum() < FEWEST:
+        nothing = np.full((len(prior), 14), np.nan)
+        return Fits(cost, nothing[:, :12], nothing[:, 12:])
+    law, state, scales = calibrated(readings.take(use), predicted.take(use), scatter)
+    system = law.linearise(state)
+    cost = cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2
+    return Fits(cost, scales.in_T(state.unknown), state.scatter)
+
+
+def eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return minus the log likelihood (K) of light and dark (n) where a part (K, n) of the Sun is predicted.
+
+    How often it is dark in the Sun is fitted: a side that no panel sees, an idle panel.
+    """
+    known = np.isfinite(light)
+    dark, sunny = light[known] == 0, part[:, known]
+    dark_in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
+    dark_in_sun = np.clip(dark_in_sun, 0.5 / max(len(dark), 1), 1 - SEEN_IN_SHADOW)[:, None]
+    chance = sunny * dark_in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
+    return -np.where(dark, np.log(chance), np.log1p(-chance)).sum(axis=1)
+
+
+# -------------------------------------------------------------------------------------------------------------- the magnetometer
+
+
+class Scales(NamedTuple):
+    """Units of a fit: `reading` that of the readings in theirs, `field_T` that of the field in T."""
+
+    reading: float
+    field_T: float
+
+    def in_T(self, unknown: np.ndarray) -> np.ndarray:
+        """Return matrix and zero (K, 12): field in T = matrix reading - zero."""
+        matrix = (np.eye(3).ravel() + unknown[:, MATRIX]) * self.field_T / self.reading
+        return np.concatenate([matrix, self.field_T * unknown[:, ZERO]], axis=1)
+
+
+class MagnetometerState(NamedTuple):
+    """Fits at K places in the units of :class:`Scales`.
+
+    `unknown` (K, 12): matrix less one, by rows, and zero. `strength`, `toward` (K, n): predictions. `scatter` (K, 2): as in
+    :class:`Fits`. `scale` (K): scale of the matrix, with which its soft iron grows; the first one is wrong if the zero is large.
+    """
+
+    unknown: np.ndarray
+    strength: np.ndarray
+    toward: np.ndarray
+    scatter: np.ndarray
+    scale: np.ndarray
+
+
+def calibrated(
+    readings: Readings, predicted: Predicted, scatter: np.ndarray | None = None
+) -> tuple[MagnetometerLaw, MagnetometerState, Scales]:
+    """Return the magnetometer's fit at each of K places by n samples that all have a field; `scatter` (2): if it is given.
+
+    The strength of the field is fitted first, which gets near from anywhere. But noise in the readings draws such a fit to a
+    matrix that is too small, with far too large a zero (regression dilution). So the distance of the readings is fitted then.
+    """
+    size = np.linalg.norm(readings.field, axis=1)
+    usual = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
+    scales = Scales(usual, float(np.median(predicted.strength)))
+    free, count = scatter is None, len(predicted.strength)
+    law = MagnetometerLaw(readings, scales, of_readings=False)
+    state = MagnetometerState(
+        np.zeros((count, 12)),
+        predicted.strength / scales.field_T,
+        predicted.toward / scales.field_T,
+        np.tile(FIRST_SCATTER if scatter is None else scatter, (count, 1)),
+        np.ones(count),
+    )
+    # A search that begins without a zero may miss one that is several times the field.
+    zero, scale = sphere(readings.field / scales.reading, state.strength)
+    unknown = np.column_stack([(scale - 1)[:, None] * np.eye(3).ravel(), scale[:, None] * zero])
+    round_start = state._replace(unknown=unknown, scale=scale)
+    state = law.settled(law.better(state, round_start), free)
+
+    law = MagnetometerLaw(readings, scales, of_readings=True)
+    if not free:
+        return law, law.settled(state, free), scales
+    state = law.settled(state._replace(scatter=law.scatter(state)), free)
+    # Each place may rest in a minimum of its own: begin again from the calibration of the best one.
+    best = np.full(count, law.linearise(state).cost.argmin())
+    again = {name: getattr(state, name)[best] for name in ("unknown", "scatter", "scale")}
+    return law, law.better(state, law.settled(state._replace(**again), free)), scales
+
+
+def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the zero (K, 3) of readings (n, 3) and one scale for all axes (K), by field strengths (K, n).
+
+    The condition |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2. It reads
+    |reading|^2 = 2 reading . zero - |zero|^2 + (strength / scale)^2. If no scale is positive, the zero is 0 and the scale 1.
+    """
+    design = np.empty((*strength.shape, 5))
+    design[..., :3], design[..., 3], design[..., 4] = 2 * reading, 1.0, strength**2
+    square = (reading**2).sum(axis=1)
+    transposed = np.swapaxes(design, 1, 2)
+    normal = transposed @ design
+    weak = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(5)
+    best = np.linalg.solve(normal + weak, transposed @ square[:, None])[..., 0]
+    inverse_square, real = best[:, 4], best[:, 4] > 0
+    scale = np.where(real, np.maximum(inverse_square, 1e-12) ** -0.5, 1.0)
+    zero = np.where(real[:, None], best[:, :3], 0.0)
+    return zero, scale.clip(LEAST_SCALE, 1 / LEAST_SCALE)
+
+
+class MagnetometerLaw:
+    """Residuals of a magnetometer's readings: strength of the field, and its component toward the Sun.
+
+    The residual of the strength is in the field, or, `of_readings`, the distance of a reading from all readings of that strength.
+    """
+
+    def __init__(self, readings: Readings, scales: Scales, *, of_readings: bool) -> None:
+        self.of_readings = of_readings
+        self.reading = readings.field / scales.reading
+        self.with_sun = np.isfinite(readings.sun).all(axis=1)
+        self.sun = readings.sun[self.with_sun]
+        # sigma of the component toward the Sun, over the field: the error of the Sun that tilts it toward the field
+        size = np.linalg.norm(self.reading[self.with_sun], axis=1, keepdims=True)
+        unit = self.reading[self.with_sun] / np.where(size > 0, size, 1.0)
+        across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
+        covariance = readings.covariance[self.with_sun]
+        self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance, across) + SUN_RAD**2)
+        # The mean of the diagonal is the scale, which is free; other elements are tied to it.
+        self.free, self.tied = np.zeros((12, 12)), np.zeros((12, 12))
+        self.free[MATRIX, MATRIX] = SCALE_INFORMATION * np.eye(9)
+        self.free[ZERO, ZERO] = ZERO_SIGMA**-2 * np.eye(3)
+        self.tied[MATRIX, MATRIX] = (np.eye(9) - np.outer(ISOTROPIC, ISOTROPIC)) / MATRIX_SIGMA**2
+
+    def residuals(self, state: MagnetometerState) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return residuals (K, .) of strength and component, in units of their scatter, each with its Jacobian (K, ., 12)."""
+        matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
+        field = self.reading @ np.swapaxes(matrix, 1, 2) - state.unknown[:, None, ZERO]
+        length = np.maximum(np.linalg.norm(field, axis=2), 1e-9)
+        unit = field / length[..., None]
+        off, slope = length - state.strength, unit
+        steep, by_reading = np.ones(length.shape), unit @ matrix
+        if self.of_readings:
+            # A reading changes the strength by matrix^T unit: divided by its size, the residual is a distance of readings. The
+            # Jacobian has the slope of that size, by the direction of the field here and by the matrix below.
+            steep = np.maximum(np.linalg.norm(by_reading, axis=2), 1e-9)
+            bent = by_reading @ np.swapaxes(matrix, 1, 2) - (steep**2)[..., None] * unit
+            slope = unit - (off / length / steep**2)[..., None] * bent
+        size = (steep * state.scatter[:, :1])[..., None]
+        by_strength = _by_unknown(slope / size, self.reading)
+        if self.of_readings:
+            part = (off / steep**2)[..., None] * unit / size
+            spun = part[..., :, None] * by_reading[..., None, :]
+            by_strength[..., MATRIX] -= spun.reshape(*off.shape, 9)
+
+        sigma = state.strength[:, self.with_sun] * self.sigma * state.scatter[:, 1:]
+        toward = (field[:, self.with_sun] * self.sun).sum(axis=2) - state.toward[:, self.with_sun]
+        direction = self.sun / sigma[..., None]
+        by_toward = _by_unknown(direction, self.reading[self.with_sun])
+        return [(off / size[..., 0], by_strength), (toward / sigma, by_toward)]
+
+    def linearise(self, state: MagnetometerState) -> DenseSystem:
+        """Return the normal equations of minus the log posterior, Student's law by its weights."""
+        matrix = self.free + self.tied / state.scale[:, None, None] ** 2
+        slope = (matrix @ state.unknown[..., None])[..., 0]
+        # a larger scale has more room for soft iron
+        cost = (slope * state.unknown).sum(axis=1) / 2 + TIED * np.log(state.scale)
+        for k, (residual, jacobian) in enumerate(self.residuals(state)):
+            cost = cost + (STUDENT + 1) / 2 * np.log1p(residual**2 / STUDENT).sum(axis=1)
+            cost = cost + residual.shape[1] * np.log(state.scatter[:, k])
+            weighed = np.swapaxes(jacobian * student_weight(residual)[..., None], 1, 2)
+            slope = slope + (weighed @ residual[..., None])[..., 0]
+            matrix = matrix + weighed @ jacobian
+        return DenseSystem(cost, matrix, slope)
+
+    def settled(self, state: MagnetometerState, free: bool) -> MagnetometerState:
+        """Return the unknowns, their scale and, if `free`, the scatters, fitted in turn."""
+        for _ in range(ROUNDS if free else 1):
+            solution = least_squares(
+                self.linearise, _stepped, solve_dense, state, steps=STEPS, tolerance=TOLERANCE
+            )
+            state = solution.state
+            scatter = self.scatter(state) if free else state.scatter
+            matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
+            scale = np.cbrt(np.abs(np.linalg.det(matrix)))
+            state = state._replace(scatter=scatter, scale=np.maximum(scale, LEAST_SCALE))
+        return state
+
+    def scatter(self, state: MagnetometerState) -> np.ndarray:
+        """Return the likeliest scatters (K, 2), given the weights of residuals and how much of them has been fitted."""
+        covariance, scatters = np.linalg.inv(self.linearise(state).matrix), []
+        for k, (residual, jacobian) in enumerate(self.residuals(state)):
+            weight = student_weight(residual)
+            freedom = residual.shape[1] - ((jacobian @ covariance) * jacobian).sum(axis=(1, 2))
+            square = (weight * residual**2).sum(axis=1) / np.maximum(freedom, 1.0)
+            rms = np.sqrt(square) if residual.shape[1] else 1.0
+            scatters.append(np.maximum(state.scatter[:, k] * rms, LEAST_SCATTER[k]))
+        return np.stack(scatters, axis=1)
+
+    def better(self, first: MagnetometerState, second: MagnetometerState) -> MagnetometerState:
+        """Return, for each place, the state that costs less."""
+        wins = self.linearise(second).cost < self.linearise(first).cost
+        return MagnetometerState(
+            *(
+                np.where(wins.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+                for old, new in zip(first, second, strict=True)
+            )
+        )
+
+
+ISOTROPIC = np.eye(3).ravel() / np.sqrt(3)
+"""Direction of the scale among the nine elements of a matrix."""
+
+
+def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Return what the unknowns (K, m, 12) change in the component of the field along vectors (K, m, 3), at readings (m, 3)."""
+    jacobian = np.empty((*direction.shape[:2], 12))
+    by_matrix = direction[..., :, None] * reading[:, None, :]
+    jacobian[..., MATRIX] = by_matrix.reshape(*direction.shape[:2], 9)
+    jacobian[..., ZERO] = -direction
+    return jacobian
+
+
+def _stepped(state: MagnetometerState, step: np.ndarray) -> MagnetometerState:
+    """Return the state with its unknowns moved by a step (K, 12)."""
+    return state._replace(unknown=state.unknown + step)
+
+
+def student_weight(residual: np.ndarray) -> np.ndarray:
+    """Return how much residuals (...), in units of their scatter, count under Student's law."""
+    return (STUDENT + 1) / (STUDENT + residual**2)
+
+
+def angles(field: np.ndarray, sun: np.ndarray) -> np.ndarray:
+    """Return the angles (n) in rad between fields and Suns (n, 3), NaN if one is not known."""
+    cosine = (field * sun).sum(axis=-1) / np.linalg.norm(field, axis=-1)
+    return np.arccos(np.clip(cosine, -1, 1))
+
+
+def field_of(reading: np.ndarray, calibration: np.ndarray) -> np.ndarray:
+    """Return fields (n, 3) in T of readings (n, 3) by matrix and zero (12)."""
+    return reading @ calibration[MATRIX].reshape(3, 3).T - calibration[ZERO]
+
+
+def residuals_left(field: np.ndarray, sun: np.ndarray, predicted: Predicted) -> tuple[float, float]:
+    """Return the median residuals of fields (n, 3) in T at the first place: of the strength (T), and of the angle to the Sun (rad).
+
+    `sun` (n, 3): NaN where it was not read; the second is NaN if no sample shows both.
+    """
+    strength = np.abs(np.linalg.norm(field, axis=1) - predicted.strength[0])
+    angle = np.abs(angles(field, sun) - predicted.angles())
+    known = np.isfinite(angle).any()
+    return float(np.nanmedian(strength)), float(np.nanmedian(angle)) if known else np.nan

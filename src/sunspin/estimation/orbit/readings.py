@@ -1,0 +1,186 @@
+"""What telemetry shows of things that an orbit predicts: magnetic field, direction to the Sun, and light."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.quality import find_late_frames
+from sunspin.telemetry.repeats import GAP_FACTOR
+from sunspin.telemetry.sun import SunStatus, signals
+from sunspin.vehicle.response.panels import opposite_panels
+
+WITH_BOTH = 0.5
+"""Share of the samples that is kept for those with field and Sun. The night shows the strength of the field and the shadow."""
+
+EARTH_SHARE, EARTH_RAD, EARTH_ALIKE = 0.3, 0.1, 10
+"""Nothing in a file separates the Sun from the Earth's light on a panel without an opposite one. Such a panel counts as sunlit
+above this share of full Sun. A direction that rests on it is off by this angle (rad). As a spinner shows the same side all the
+time, the errors of at most so many samples average out. Simulated spinners with three to five such panels (10): without these
+limits the angle between field and Sun rotated the calibration by 4 to 130 deg, with them by 0.3 to 4 deg."""
+
+PANEL_RAD = 0.03
+"""Error of a direction from panels in addition to their noise, rad: the Earth's light, panel normals."""
+
+
+class Readings(NamedTuple):
+    """Readings of n samples, NaN if there are none.
+
+    `field` (n, 3): magnetometer, in any unit. `sun` (n, 3) and its `covariance` (n, 3, 3): direction to the Sun by panels or by Sun
+    sensors as the vehicle file states them. `light` (n): 1 if the Sun is up, 0 if it is dark. `angle` (n, F, 2): angles of each of
+    F Sun sensors, rad; `y_turned` (n, F): they are of a sensor that is rotated. `panel_sun` (n, 3): direction by panels, or of a
+    Sun vector; `panel_sigma` (n): its error about each axis, rad. `pass_of` (n): number of the pass.
+    """
+
+    t_s: np.ndarray
+    field: np.ndarray
+    sun: np.ndarray
+    covariance: np.ndarray
+    light: np.ndarray
+    angle: np.ndarray
+    y_turned: np.ndarray
+    panel_sun: np.ndarray
+    panel_sigma: np.ndarray
+    pass_of: np.ndarray
+
+    @property
+    def has_field(self) -> np.ndarray:
+        """True (n) where the magnetometer was read."""
+        return _whole(self.field)
+
+    @property
+    def has_sun(self) -> np.ndarray:
+        """True (n) where some reading shows the direction to the Sun, or one angle of it."""
+        by_sensors = np.asarray(np.isfinite(self.angle[..., 0]).any(axis=1))
+        return _whole(self.sun) | _whole(self.panel_sun) | by_sensors
+
+    @property
+    def has_angle(self) -> np.ndarray:
+        """True (n) where a sample shows the angle between field and Sun."""
+        return _whole(self.field + self.sun)
+
+    def take(self, which: np.ndarray) -> Readings:
+        """Return some of the samples."""
+        return Readings(*(part[which] for part in self))
+
+    def without_sun(self) -> Readings:
+        """Return the readings without directions to the Sun; the light stays."""
+        return self._replace(sun=np.full_like(self.sun, np.nan))
+
+    def with_axes(self, matrix: np.ndarray) -> Readings:
+        """Return the readings with a matrix (3, 3) applied to those of the field."""
+        return self._replace(field=self.field @ matrix.T)
+
+    def with_stated_sun(self) -> Readings:
+        """Return the readings with directions in place of the Sun sensors' angles: the sensors are as the vehicle file states."""
+        by_sensors = np.isfinite(self.angle[..., 0]).any(axis=1) & _whole(self.sun)
+        sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)
+        return self._replace(
+            angle=np.full_like(self.angle, np.nan),
+            panel_sun=np.where(by_sensors[:, None], self.sun, self.panel_sun),
+            panel_sigma=np.where(by_sensors, sigma, self.panel_sigma),
+        )
+
+
+def _whole(vectors: np.ndarray) -> np.ndarray:
+    """Return which vectors (n, d) have no NaN."""
+    return np.asarray(np.isfinite(vectors).all(axis=1))
+
+
+def read(assessment: Assessment, most: int) -> Readings:
+    """Return at most `most` samples that show field, Sun or light, spread over the file; those with field and Sun come first."""
+    telemetry, vehicle = assessment.sensors, assessment.vehicle
+    time = telemetry["time"].values
+    n, faces = len(time), len(vehicle.sensors.sun_sensors)
+    field = telemetry["field_B"].values if "field_B" in telemetry else np.full((n, 3), np.nan)
+    angle, y_turned = np.full((n, faces, 2), np.nan), np.zeros((n, faces), dtype=bool)
+    if "sun_sensor_angle" in telemetry:
+        angle = telemetry["sun_sensor_angle"].values
+        y_turned = telemetry["sun_sensor_y_turned"].values != 0
+
+    sun, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    light, panel_variance = np.full(n, np.nan), np.full(n, np.nan)
+    by_earth = np.zeros(n, dtype=bool)
+    if assessment.has_panels:
+        directions, by_earth = sun_by_panels(assessment)
+        sun, covariance = directions["sun_B"].values, directions["sun_cov_B"].values
+        panel_variance = directions["sigma_rad"].values ** 2 / 2
+        status = directions["status"].values
+        light = np.where(status == SunStatus.DARK, 0.0, 1.0)
+        light[status == SunStatus.MISSING] = np.nan
+    panel_sun, of_panels = sun, by_earth
+    if "sun_sensor_B" in telemetry:
+        stated = telemetry["sun_sensor_B"].values
+        known = _whole(stated)
+        sun = np.where(known[:, None], stated, sun)
+        own = telemetry["sun_sensor_cov_B"].values
+        covariance = np.where(known[:, None, None], own, covariance)
+        light = np.where(known, 1.0, np.where(np.isfinite(light), light, 0.0))
+        by_earth = by_earth & ~known
+        if vehicle.sensors.sun_vector is not None and not faces and not assessment.has_panels:
+            panel_sun = stated
+            panel_variance = np.full(n, vehicle.sensors.sun_vector.sigma_rad**2)
+    # a direction without an error is no reading
+    sun = np.where(_whole(covariance.reshape(n, 9))[:, None], sun, np.nan)
+    panel_sun = np.where(np.isfinite(panel_variance)[:, None], panel_sun, np.nan)
+
+    usual = np.median(np.diff(time)) if n > 1 else 1.0
+    pass_of = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])[:n]
+    readings = Readings(
+        time, field, sun, covariance, light, angle, y_turned, panel_sun, panel_variance, pass_of
+    )
+    shows = readings.has_field | readings.has_sun | np.isfinite(light)
+    use = spread_evenly(telemetry, shows, most, readings.has_field & readings.has_sun)
+    by_earth, of_panels, readings = by_earth[use], of_panels[use], readings.take(use)
+    # errors by the Earth's light, which the samples have in common
+    covariance = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
+    variance = np.nan_to_num(readings.panel_sigma, nan=1.0) + PANEL_RAD**2
+    variance = variance + earth_variance(of_panels.sum()) * of_panels
+    return readings._replace(
+        covariance=readings.covariance + covariance, panel_sigma=np.sqrt(variance)
+    )
+
+
+def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
+    """Return the Sun directions by panels, without those that may be the Earth's light.
+
+    Second, the samples (n) whose direction rests on a panel without an opposite one: nothing determines the Earth's light on it.
+    """
+    directions, vehicle = assessment.sun, assessment.vehicle
+    alone = ~opposite_panels(vehicle.response_in().facing_B).any(axis=1)
+    full = assessment.quality.attrs["full_sun"] * vehicle.input_gains
+    rests = directions["lit"].values & alone
+    weak = signals(assessment.telemetry) / full < EARTH_SHARE
+    doubtful = (rests & weak).any(axis=1)
+    kept = directions["sun_B"].where(~xr.DataArray(doubtful, dims="time"))
+    return directions.assign(sun_B=kept), rests.any(axis=1) & ~doubtful
+
+
+def earth_variance(count: int) -> float:
+    """Return the variance (rad^2) of each component of a direction that the Earth's light may disturb, as it is in `count`."""
+    return EARTH_RAD**2 * max(count / EARTH_ALIKE, 1.0)
+
+
+def spread_evenly(
+    telemetry: xr.Dataset, shows: np.ndarray, most: int, first: np.ndarray
+) -> np.ndarray:
+    """Return at most `most` of the samples that show something (n) and came in time, spread over the file.
+
+    Of the samples that come `first` (n), as many are kept as an even spread has, or `WITH_BOTH` of all if this is more.
+    """
+    use = np.flatnonzero(shows & ~find_late_frames(telemetry))
+    even, wanted = _even(use, most), use[first[use]]
+    enough = min(len(wanted), int(WITH_BOTH * most))
+    if len(even) == len(use) or first[even].sum() >= enough:
+        return even
+    kept = _even(wanted, enough)
+    return np.sort(np.concatenate([kept, _even(np.setdiff1d(use, wanted), most - len(kept))]))
+
+
+def _even(index: np.ndarray, most: int) -> np.ndarray:
+    """Return at most `most` of these numbers, evenly spaced in their order."""
+    places = np.linspace(0, len(index) - 1, min(len(index), most)) if len(index) else []
+    return index[np.unique(np.asarray(places, dtype=int))]

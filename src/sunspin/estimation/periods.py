@@ -1,0 +1,270 @@
+"""A period seen from outside as evidence among the solutions of a pass: radio fading, a light curve, a magnetometer's swing.
+
+Who sees a period does not know what rotated: the body's axis about the momentum (precession), the body about its axis (spin), or
+both together (the sum). Each of the three is as likely before; solutions are weighted by the mean of the three densities. The rates
+are those of Euler's angles about the total momentum, wheels included, averaged over four of the periods seen. A solution is a
+Gaussian of the rate at the sample nearest to what was seen; its draws, each with an inertia as it may be, move freely over the
+periods. Only probabilities change: the rates of a solution stay those of the samples.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.estimation.carry import step
+from sunspin.estimation.model import Body
+from sunspin.estimation.solutions import Solutions
+from sunspin.estimation.verdict import padded
+from sunspin.solve.weights import effective_draws
+
+READINGS = ("precession", "spin", "sum")
+"""What a period may be of."""
+
+HALF_SPAN, INSTANTS = 2.0, 9
+"""Periods before and after the instant over which rates are averaged, and at how many instants."""
+
+PARALLEL = 1e-6
+"""Squared sine between momentum and axis below which precession and spin fit equally well; their sum can."""
+
+FAR_SIGMAS = 4.0
+"""A period contradicts all solutions if none has one as near as this."""
+
+LEAST_DRAWS = 200.0
+"""Effective draws from which a median is known to a tenth of its sigma."""
+
+INERTIAS, DRAWS = 8, 500
+"""Inertias drawn, and rates of each solution with each of them."""
+
+MOST_TRIES = 50
+"""Rounds of draws at most until enough inertias are those of bodies; with sigmas as large as the moments about one in 20 is."""
+
+LEAST_SHARE = 0.05
+"""Probability of the solutions that have the periods, below which the samples contradict the periods. Without this bound, half of
+the true period, as of a light curve that repeats twice in a revolution, decided one of 24 simulated passes wrongly."""
+
+
+class PeriodSeen(Protocol):
+    """A period `period_s` with one sigma `sigma_s`, seen at `t_s` (s from the epoch of the telemetry)."""
+
+    t_s: float
+    period_s: float
+    sigma_s: float
+
+
+class Weighed(NamedTuple):
+    """What periods say of draws (n).
+
+    `density` (n) of all that was seen; `weight` (n) after it, as before if no draw has the periods. `shares` (seen, 3) by
+    :data:`READINGS`; `nearest_sigmas`: how far the nearest draw is off; `effective`: how many draws hold the weight.
+    """
+
+    density: np.ndarray
+    weight: np.ndarray
+    shares: np.ndarray
+    nearest_sigmas: float
+    effective: float
+
+
+def weigh_by_periods(
+    passes: Sequence[Solutions], body: Body, seen: Sequence[PeriodSeen], pass_ids: Sequence[int]
+) -> tuple[list[Solutions], dict[str, str]]:
+    """Return the passes with probabilities that count the periods in, and the attribute `periods`: JSON, what each decided.
+
+    If no solution of a pass has its periods, the samples contradict them, or too few draws have them, its probabilities stay. JSON
+    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws; `carried`,
+    the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
+    of the solution that is the likeliest now, and of the one that was then.
+    """
+    if not seen:
+        return list(passes), {}
+    of_pass = [pass_of_period(passes, one) for one in seen]
+    weighed, rows = [replace(one, without_periods=one.probability) for one in passes], []
+    for k in sorted(set(of_pass)):
+        own = [one for one, at in zip(seen, of_pass, strict=True) if at == k]
+        weighed[k], decided = _weigh(weighed[k], body, own)
+        rows += [{"pass": int(pass_ids[k])} | row for row in decided]
+    return weighed, {"periods": json.dumps(rows)}
+
+
+def without_periods(passes: Sequence[Solutions]) -> dict[str, Any]:
+    """Return the variable `probability_without_periods (pass_id, solution)`, if periods were counted in."""
+    before = [one.without_periods for one in passes]
+    if any(part is None for part in before):
+        return {}
+    about = {"units": "1", "long_name": "probability of each solution without the periods seen"}
+    values = padded([part for part in before if part is not None])
+    return {"probability_without_periods": (("pass_id", "solution"), values, about)}
+
+
+def _weigh(
+    one: Solutions, body: Body, seen: Sequence[PeriodSeen]
+) -> tuple[Solutions, list[dict[str, Any]]]:
+    """Return a pass with the probabilities that its periods give it, and what each of them decided."""
+    share, each = one.probability / one.probability.sum(), INERTIAS * DRAWS
+    draws = [periods_of(one, body, period) for period in seen]
+    weighed = weigh_draws(seen, draws, np.repeat(share / each, each))
+
+    # solutions that come as near to the periods as FAR_SIGMAS, by the densities of their draws
+    density = weighed.density.reshape(len(share), each)
+    peak = [1 / (len(READINGS) * period.sigma_s * np.sqrt(2 * np.pi)) for period in seen]
+    have = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
+    carried = float(share[have].sum())
+    counts = (
+        weighed.effective >= LEAST_DRAWS
+        and weighed.nearest_sigmas <= FAR_SIGMAS
+        and carried >= LEAST_SHARE
+    )
+    after = weighed.weight.reshape(len(share), each).sum(axis=1) if counts else share
+    about = {
+        "nearest_sigmas": weighed.nearest_sigmas,
+        "effective": weighed.effective,
+        "carried": carried,
+        "told": counts,
+        "without": [float(share[np.argmax(after)]), float(share.max())],
+    }
+    rows = [
+        {
+            "t_s": period.t_s,
+            "period_s": period.period_s,
+            "sigma_s": period.sigma_s,
+            "shares": shares,
+        }
+        | about
+        for period, shares in zip(seen, weighed.shares.tolist(), strict=True)
+    ]
+    return replace(one, probability=after), rows
+
+
+def weigh_draws(
+    seen: Sequence[PeriodSeen], periods: Sequence[np.ndarray], weight: np.ndarray
+) -> Weighed:
+    """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen."""
+    each = []
+    for one, of_draws in zip(seen, periods, strict=True):
+        apart = (np.nan_to_num(of_draws, nan=np.inf) - one.period_s) / one.sigma_s
+        each.append(np.exp(-0.5 * apart**2) / (one.sigma_s * np.sqrt(2 * np.pi)))
+    density = np.prod([one.mean(axis=1) for one in each], axis=0)
+    heights = [
+        float(part.max()) * one.sigma_s * np.sqrt(2 * np.pi)
+        for one, part in zip(seen, each, strict=True)
+    ]
+    nearest = float(np.sqrt(-2 * np.log(np.clip(min(heights), 1e-300, 1.0))))
+    total = float(weight @ density)
+    if not total > 0:
+        return Weighed(density, weight, np.zeros((len(seen), 3)), nearest, 0.0)
+    after = weight * density / total
+    shares = [
+        (after[:, None] * part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0)
+        for part in each
+    ]
+    return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
+
+
+def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
+    """Return the pass in which a period was seen, or from whose ends it is no further away than samples are from each other."""
+    times = [one.obs.t_s for one in passes]
+    away = [max(t[0] - seen.t_s, seen.t_s - t[-1], 0.0) for t in times]
+    k = int(np.argmin(away))
+    if away[k] > np.diff(times[k]).max():
+        each = ", ".join(f"{t[0]:.0f} to {t[-1]:.0f}" for t in times[:6])
+        more = ", ..." if len(times) > 6 else ""
+        raise InputError(
+            "a period was seen at a time of no pass",
+            got=f"{seen.t_s:g} s",
+            do=f"passes are at {each}{more} s",
+        )
+    return k
+
+
+def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
+    """Return periods (K x `INERTIAS` x `DRAWS`, 3) in s by :data:`READINGS` of draws of the K solutions of a pass.
+
+    Without an inertia nothing precesses that is known; the sum is then that of the angular speed.
+    """
+    t_s, rng = one.obs.t_s, np.random.default_rng(0)
+    instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
+    at = int(np.argmin(np.abs(t_s - seen.t_s)))
+    # the rate wanders between that sample and what was seen
+    wander = one.noise**2 * abs(seen.t_s - t_s[at])
+    covariance = one.track.covariance[:, at, 3:, 3:] + wander[:, None, None] * np.eye(3)
+    variance, axes = np.linalg.eigh(covariance)
+    spread = axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]
+    momentum = np.stack(
+        [np.interp(instants, t_s, one.obs.momentum[:, i]) for i in range(3)], axis=1
+    )
+    parts = []
+    for inertia in drawn_inertias(body, rng):
+        normal = rng.standard_normal((DRAWS, 3))
+        omega = one.track.omega[:, at, None] + np.einsum("kij,nj->kni", spread, normal)
+        rates = _euler_rates_of(inertia, omega.reshape(-1, 3), instants - t_s[at], momentum, body)
+        with np.errstate(divide="ignore"):
+            periods = 2 * np.pi / np.abs(rates)
+        parts.append(periods.reshape(len(omega), DRAWS, 3))
+    return np.stack(parts, axis=1).reshape(-1, 3)
+
+
+def _euler_rates_of(
+    inertia: np.ndarray, omega: np.ndarray, after_s: np.ndarray, momentum: np.ndarray, body: Body
+) -> np.ndarray:
+    """Return mean Euler's rates (n, 3), rad/s, of motions with rates (n, 3) now over times (m) from now.
+
+    `inertia` (3, 3) in mean moments; `momentum` (m, 3): of the wheels at those times.
+    """
+    axis, rates = own_axis(body.inertia), []
+    now, held = 0.0, momentum[0]
+    for t, wheels in zip(after_s, momentum, strict=True):
+        if t != now:
+            ends = held[None], wheels[None]
+            omega = step(inertia, omega[:, None], np.array([t - now]), ends).omega[:, 0]
+        if body.sphere:
+            speed = np.linalg.norm(omega, axis=1)
+            rates.append(np.stack([*np.full((2, len(omega)), np.nan), speed], axis=1))
+        else:
+            rates.append(euler_rates(omega, omega @ inertia + wheels, axis))
+        now, held = t, wheels
+    return np.mean(rates, axis=0)
+
+
+def own_axis(inertia: np.ndarray) -> np.ndarray:
+    """Return the principal axis (3) whose moment of inertia (3, 3) differs most from the other two, about which a body spins."""
+    moments, axes = np.linalg.eigh(inertia)
+    apart = [np.abs(np.delete(moments, i) - moments[i]).min() for i in range(3)]
+    return axes[:, int(np.argmax(apart))]
+
+
+def euler_rates(omega_B: np.ndarray, momentum_B: np.ndarray, axis_B: np.ndarray) -> np.ndarray:
+    """Return precession, spin and their sum (..., 3), rad/s.
+
+    Of rates omega_B (..., 3) with momentum (..., 3), about an axis (3) of the body: omega = precession h + spin e + (nutation
+    across both), h along the momentum, e the axis; NaN for the first two if h and e are parallel.
+    """
+    along = momentum_B / np.linalg.norm(momentum_B, axis=-1, keepdims=True)
+    cosine, about_h, about_e = along @ axis_B, np.sum(omega_B * along, axis=-1), omega_B @ axis_B
+    square = np.where(1 - cosine**2 > PARALLEL, 1 - cosine**2, np.nan)
+    # the sum of rotations about opposite directions is their difference
+    total = np.where(cosine < 0, about_h - about_e, about_h + about_e) / (1 + np.abs(cosine))
+    precession = (about_h - cosine * about_e) / square
+    return np.stack([precession, (about_e - cosine * about_h) / square, total], axis=-1)
+
+
+def drawn_inertias(body: Body, rng: np.random.Generator) -> np.ndarray:
+    """Return `INERTIAS` tensors (`INERTIAS`, 3, 3), drawn from the errors of the file and cut to those that bodies have.
+
+    A body of unknown inertia stays a sphere.
+    """
+    kept = np.zeros((0, 3, 3))
+    for _ in range(MOST_TRIES):
+        u = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.sphere)
+        # a tensor that bodies have is not drawn in
+        drawn = np.broadcast_to(body.inertia_at(u), (INERTIAS, 3, 3))
+        sound = (body.possible(u) == u).all(axis=1)
+        kept = np.concatenate([kept, drawn[sound]])
+        if len(kept) >= INERTIAS:
+            break
+    return np.concatenate([kept, np.tile(body.inertia, (INERTIAS, 1, 1))])[:INERTIAS]

@@ -1,0 +1,56 @@
+"""How probable a pass is, by a quick search: to compare vehicles whose columns, axes or signs differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from sunspin.base.errors import InputError
+from sunspin.estimation.budget import Budget
+from sunspin.estimation.chain import Chain
+from sunspin.estimation.evidence import ladder
+from sunspin.estimation.model import Model, Noise
+from sunspin.estimation.search import search
+from sunspin.estimation.settings import RatesSettings
+from sunspin.estimation.starts import pair_starts
+from sunspin.estimation.terms.panels import Panels
+
+RUNGS = (1e-4, 5e-6)
+"""Strengths of unknown torques (rad/s^1.5) that are compared: the search's own, and a quiet one."""
+
+MOTIONS = 8
+"""Motions of a search whose probabilities are summed, at most."""
+
+
+def quick_evidence(stated: Model, settings: RatesSettings, budget: Budget) -> float:
+    """Return the log of the probability of a pass, up to a constant that only the number of readings decides.
+
+    Minus infinity if no motion is possible. Inertia and gains are those of the file, the search begins at one pair of samples, and
+    the better one of two strengths of torques counts.
+    """
+    s = replace(settings.search, more_places=0)
+    few = replace(settings.ladder, rungs=RUNGS)
+    log = np.full(len(RUNGS), -np.inf)
+    for loose in stated.for_search(Noise(s.noise)):
+        try:
+            motions = search(Chain(loose, s), pair_starts(loose, s), s, budget, 1)
+        except InputError:
+            continue
+        for one in ladder(loose, motions.take(slice(MOTIONS)), few, s, s.noise):
+            rung = RUNGS.index(one.model.noise.acceleration)
+            log[rung] = np.logaddexp(log[rung], logsumexp(one.log_evidence))
+    return float(log.max()) - sum(
+        log_size(term) for term in stated.obs.terms if isinstance(term, Panels)
+    )
+
+
+def log_size(panels: Panels) -> float:
+    """Return the sum of the logs of all sigmas, which follow the order of the columns.
+
+    A reading that is left out counts as if it might be anything up to full light.
+    """
+    sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full)
+    scale = panels.scale_sigma[np.isfinite(panels.scale_sigma)]
+    return float(np.log(sigma).sum() + np.log(scale).sum())
