@@ -260,7 +260,9 @@ def rates(
         }
     )
     tested = again if column_tests else None
-    result = check_columns(result, assessment, doubt, tested, False, settings, budget)
+    result = check_columns(
+        result, assessment, doubt, tested, isinstance(local, SunAlongZ), settings, budget
+    )
     return with_units(result.assign_attrs(verdict=rates_words(result)))
 
 

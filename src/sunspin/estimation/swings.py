@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from scipy.special import sph_harm_y
 
-from sunspin.estimation.chain import TURN_PRIOR, Fit, costs, equations, fit
+from sunspin.estimation.chain import TURN_PRIOR, Fit, costs, equations, fit, readings
 from sunspin.estimation.evidence import likeliest
 from sunspin.estimation.model import AS_STATED, Model, Noise, Observations, Track
 from sunspin.estimation.settings import AlternativeSettings
@@ -51,6 +51,11 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
     # The sum takes the place of the attitudes' Gaussian: in the measure of a fit the mean over the sphere counts twice, and the
     # turn about the Sun has the width of its prior. The Gaussian of the rate stays.
     measure = np.log(2 * TURN_PRIOR)
+    # under the Earth's light the sphere sees differences of panels, which cost less: as much less as at the best motion
+    cost = sum(
+        residual.law(residual.value)[0].sum() for residual, _ in readings(best.model, motion)
+    )
+    measure -= float(cost - costs(known, Track.free(motion.attitude, motion.omega)).sum())
     wanted = max(float(one.log_evidence.max()) for one in fits) - s.hopeless
     wanted -= measure + 3 * np.log(stated.rate_sigma)
     if _bound(best.model, motion, wanders).max() + ROUGHLY * len(obs) < wanted:
