@@ -1,5 +1,7 @@
 """Plans: simulated passes have the motion, light and steps that they claim, and the table counts what became of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -10,11 +12,12 @@ from sunspin import planning
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.environment.elements import parse_elements
+from sunspin.environment.ephemeris import read_orbit
 from sunspin.output.kinds.plan import plan_summary
 from sunspin.output.template import write_templates
 from sunspin.planning import PassSetup, SimulatedPass, plan, simulate_pass
 from sunspin.telemetry.synthetic import generator
-from tests.support.orbits import two_line_elements
+from tests.support.orbits import EPOCH, place_and_speed, two_line_elements
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED as CUBE
 
 SPEED = 0.03
@@ -28,6 +31,19 @@ def setup(**changes):
 def elements():
     """Return the elements of a low orbit."""
     return parse_elements("\n".join(two_line_elements(np.random.default_rng(4))), "test")
+
+
+def table_of_positions(tmp_path, hours):
+    """Return a table of positions of that orbit, so many hours long, a line a minute."""
+    t = np.arange(0, hours * 3600 + 1, 60.0)
+    place, _ = place_and_speed(two_line_elements(np.random.default_rng(4)), t)
+    times = np.datetime64(EPOCH) + (1000 * t).astype("timedelta64[ms]")
+    lines = [f"{u}Z,{x},{y},{z}" for u, (x, y, z) in zip(times, place.tolist(), strict=True)]
+    path = tmp_path / "positions.csv"
+    path.write_text(
+        "\n".join(["# frame: TEME", "time_utc,x_km,y_km,z_km", *lines]) + "\n", encoding="utf-8"
+    )
+    return read_orbit(path)
 
 
 def answered(omega, sigma, decided=True):
@@ -91,6 +107,63 @@ def test_pass_in_orbit_has_no_sun_in_the_shadow_of_the_earth():
         night = shadow & (np.linalg.norm(here.albedo_light_N, axis=1) < 1e-3)
         assert (power[night] < 6 * planning.NOISE * full).all()
     assert dark > 0
+
+
+def test_passes_lie_within_a_short_table_of_positions(tmp_path):
+    orbit = table_of_positions(tmp_path, 3)
+    for seed in range(8):
+        one = simulate_pass(setup(orbit=orbit), 60.0, SPEED, generator(seed, 0))
+        assert one.environment is not None
+    with pytest.raises(InputError, match="shorter than a pass"):
+        simulate_pass(setup(orbit=orbit, samples=300), 60.0, SPEED, generator(0, 0))
+
+
+def test_noise_is_its_part_of_full_sun_also_if_gains_are_relative():
+    """The noise of a file is in ampere, relative gains have no unit: full Sun must come out of the noise."""
+    panels = tuple(replace(panel, gain=1.0) for panel in CUBE.panels)
+    form = replace(CUBE.telemetry, noise=0.01)
+    relative = replace(CUBE, panels=panels, gain_unit=None, telemetry=form)
+    off = []
+    for seed in range(10):
+        one = simulate_pass(setup(vehicle=relative), 10.0, SPEED, generator(seed, 0)).telemetry
+        off.append(one[form.quantity].values.max())
+    full = 0.01 / planning.NOISE
+    assert 0.6 * full < np.median(off) < 1.3 * full
+
+
+def test_of_a_pass_in_parts_the_one_with_the_most_samples_counts():
+    simulated = simulate_pass(setup(samples=8), 10.0, SPEED, generator(1, 0))
+    right, off = answered(simulated.omega_B[5], 1e-3), answered(simulated.omega_B[5] + 0.1, 1e-3)
+    both = xr.concat([off.drop_dims("time"), right.drop_dims("time")], "pass_id")
+    t = simulated.telemetry["time"].values
+    both = both.assign_coords(time=t, pass_id=[0, 1]).assign(pass_of=("time", [0] * 3 + [1] * 5))
+    row = planning._row_of(both, simulated, 10.0, SPEED)
+    assert row.decided and not row.wrong
+
+
+def test_error_in_a_late_round_keeps_the_complete_ones(monkeypatch):
+    calls = []
+
+    def simulate(*arguments):
+        calls.append(1)
+        if len(calls) > 3:
+            raise InputError("no pass of this length is half in sunlight")
+        return simulate_pass(*arguments)
+
+    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
+    monkeypatch.setattr(planning, "simulate_pass", simulate)
+    result = plan(CUBE, [10.0], samples=3, max_rate_rad_s=0.05, passes=5)
+    assert int(result["passes"].sum()) == 5
+    assert any("in sunlight" in why for why in result["pass_why"].values)
+
+
+def test_name_with_signs_of_a_formula_does_not_stop_the_figure(monkeypatch, tmp_path):
+    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
+    named = replace(CUBE, name="a $x_ $b")
+    result = plan(named, [10.0], samples=3, max_rate_rad_s=0.05, passes=1)
+    result.sunspin.save(tmp_path / "out")
+    text = (tmp_path / "out" / "summary.json").read_text("utf-8")
+    assert text.count("ynthetic telemetry.") <= 1
 
 
 @pytest.mark.parametrize(("off", "wrong"), [(0.0, False), (0.02, True)])

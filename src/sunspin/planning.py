@@ -15,11 +15,16 @@ from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import provenance, with_units
 from sunspin.compute.pool import process_pool
 from sunspin.dynamics.propagate import propagate
-from sunspin.environment.ephemeris import utc_from_jd
+from sunspin.environment.ephemeris import Ephemeris, utc_from_jd
 from sunspin.environment.orbit import Orbit, Source, in_orbit
 from sunspin.estimate.rates.estimate import rates
 from sunspin.solve.rotations import matrix_from_quaternion
-from sunspin.telemetry.synthetic import TIME_STEP_S, generator, telemetry_dataset
+from sunspin.telemetry.synthetic import (
+    TIME_STEP_S,
+    generator,
+    on_time_grid,
+    telemetry_dataset,
+)
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
@@ -42,6 +47,9 @@ MOMENTS = (0.7, 1.3)
 WITHIN_DAYS = 1.0
 """Simulated passes in an orbit begin within so many days after the epoch of the elements."""
 
+LIT = 0.5
+"""A sample that sees more of the Sun's disc than this is in sunlight."""
+
 LEAST_SUNLIT = 0.5
 """A simulated pass has at least this part of its samples in sunlight."""
 
@@ -55,6 +63,7 @@ bodies this part of the speed."""
 LISTED = 1e-3
 """Least probability of a solution that counts as one of the aliases."""
 
+DAY_S = 86400.0
 EPOCH = "2026-01-01T00:00:00Z"
 """Epoch of simulated passes without an orbit."""
 
@@ -142,7 +151,7 @@ def plan(
     -------
     xarray.Dataset
         On `pass`: what became of each pass. On `every` and `speed_class`: passes, shares, errors, and the commonest reason.
-        attrs: `interrupted` is 1 if Ctrl-C ended the work; then the rounds that were complete count.
+        attrs: `interrupted` is 1 if Ctrl-C or an error ended the work; then the complete rounds count.
 
     Raises
     ------
@@ -161,7 +170,10 @@ def plan(
                 rows.append(row)
                 if after_round is not None and len(rows) % len(intervals) == 0:
                     after_round(_collect(setup, intervals, rows))
-    except KeyboardInterrupt:
+    except (
+        KeyboardInterrupt,
+        SunspinError,
+    ):  # of an error too the complete rounds are worth something
         rows = rows[: len(rows) // len(intervals) * len(intervals)]
         if not rows:
             raise
@@ -193,8 +205,8 @@ def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) 
     # the middle class first: a first round says what most passes would
     part = (round_ + SPEED_CLASSES // 2) % SPEED_CLASSES
     speed = (part + rng.uniform()) / SPEED_CLASSES * setup.max_rate_rad_s
-    simulated = simulate_pass(setup, intervals[k], speed, rng)
     try:
+        simulated = simulate_pass(setup, intervals[k], speed, rng)
         result = rates(
             setup.vehicle,
             simulated.telemetry,
@@ -207,9 +219,13 @@ def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) 
 
 
 def _row_of(result: xr.Dataset, simulated: SimulatedPass, every_s: float, speed: float) -> Row:
-    """Return what became of a pass of true rates: the first of the result, at the sample nearest to its middle."""
-    first = result.isel(pass_id=0)
-    t = result["time"].values[result["pass_of"].values == result["pass_id"].values[0]]
+    """Return what became of a pass of true rates, at the sample nearest to its middle.
+
+    `rates` may part it, at an eclipse or as it is too long: then the part with the most samples counts.
+    """
+    parts = result["pass_of"].values
+    longest = int(np.bincount(parts).argmax())
+    first, t = result.isel(pass_id=longest), result["time"].values[parts == longest]
     middle = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
     truth = simulated.omega_B[np.argmin(np.abs(simulated.telemetry["time"].values - middle))]
     omega, sigma = (
@@ -230,7 +246,7 @@ def simulate_pass(
 ) -> SimulatedPass:
     """Return a pass of a body that turns at this speed (rad/s) about a random axis, from a random attitude."""
     vehicle = setup.vehicle
-    t_s = np.round(np.arange(setup.samples) * every_s / TIME_STEP_S) * TIME_STEP_S
+    t_s = on_time_grid(np.arange(setup.samples) * every_s)
     axis = rng.standard_normal(3)
     begin = rng.standard_normal(4)
     if vehicle.inertia_kg_m2 is None:
@@ -269,13 +285,22 @@ def _along_orbit(
     setup: PassSetup, t_s: np.ndarray, rng: np.random.Generator
 ) -> tuple[Orbit, np.ndarray, np.ndarray, np.ndarray]:
     """Return the orbit of a pass in sunlight, the Sun (n, 3), its visible part (n) and the light of the Earth (n, 3), in J2000."""
-    first = sum(setup.orbit[0].epoch_jd)
+    source = setup.orbit[0]
+    first, days = sum(source.epoch_jd), WITHIN_DAYS
+    if isinstance(source, Ephemeris):
+        first, last = source.span_jd
+        days = last - first - t_s[-1] / DAY_S
+    if days < 0:
+        raise InputError("the table of positions is shorter than a pass", got=f"{t_s[-1]:.0f} s")
     for _ in range(TRIES):
-        epoch = utc_from_jd(first + WITHIN_DAYS * rng.uniform())
-        orbit = in_orbit(setup.orbit, epoch, t_s)
+        epoch = utc_from_jd(first + days * rng.uniform())
+        try:
+            orbit = in_orbit(setup.orbit, epoch, t_s)
+        except InputError:  # a gap of the table
+            continue
         here = orbit.at(t_s)
         assert here.lit is not None and here.albedo_light_N is not None  # an orbit knows both
-        if (here.lit > LEAST_SUNLIT).mean() >= LEAST_SUNLIT:
+        if (here.lit > LIT).mean() >= LEAST_SUNLIT:
             return orbit, here.sun_N, here.lit, here.albedo_light_N
     raise InputError(
         "no pass of this length is half in sunlight",
@@ -288,13 +313,17 @@ def _readings(
     setup: PassSetup, of_sun: np.ndarray, earth_B: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Return the readings (n, n_input) of panels lit by the Sun (n, n_input) and by the Earth (n, 3, in parts of full Sun)."""
-    vehicle = setup.vehicle
+    vehicle, noise = setup.vehicle, setup.vehicle.input_noise
     size = np.linalg.norm(earth_B, axis=1)
     towards = earth_B / np.where(size > 0, size, 1.0)[:, None]
     exact = of_sun + panel_power(vehicle, towards) * size[:, None]
     full = np.max(panel_power(vehicle, vehicle.panel_normals_B), axis=0)  # of each input
+    if noise is not None and vehicle.gain_unit is None:
+        # the gains are relative, the noise is not: full Sun is taken where the noise is the usual part of it
+        scale = float(noise.max() / (NOISE * full.max()))
+        exact, full = scale * exact, scale * full
+    noise = NOISE * full if noise is None else noise
     gain = 1 + GAIN_ERROR * rng.standard_normal(exact.shape[1])
-    noise = NOISE * full if vehicle.input_noise is None else vehicle.input_noise
     read = np.maximum(exact * gain + noise * rng.standard_normal(exact.shape), 0.0)
     if setup.bits is None:
         return read

@@ -211,7 +211,7 @@ def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     direction = np.array([0.3, -0.4, 1.2])
     term = MagneticTorque.in_field(np.tile(direction, (N, 1)) if known else None)
     dt = np.diff(T_S)
-    push = term.pushes(seen, dt)[0, 3]
+    push = term.added_by_unknowns(seen, dt)[0, 3]
     share = (np.arange(4000) + 0.5) / 4000
     attitude = rotate_attitude(seen.attitude[0, 3], share[:, None] * seen.omega[0, 3] * dt[3])
     if known:
@@ -228,7 +228,7 @@ def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
 
 def test_a_stated_dipole_in_a_constant_field_accelerates_evenly():
     term = StatedDipole(np.array([0.0, 0.0, 2e-6]), np.tile([1.0, 0.0, 0.0], (N, 1)))
-    pushed = term.pushed(motions(np.random.default_rng(1)), np.diff(T_S))
+    pushed = term.added_by_torque(motions(np.random.default_rng(1)), np.diff(T_S))
     dt = np.diff(T_S)
     assert np.allclose(pushed[0, :, 4], 2e-6 * dt) and np.allclose(pushed[0, :, 1], 1e-6 * dt**2)
     assert np.abs(pushed[..., [0, 2, 3, 5]]).max() == 0.0
@@ -240,7 +240,7 @@ def test_gravity_turns_the_long_axis_to_the_earth():
     attitude = np.tile(Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix(), (1, 2, 1, 1))
     term = GravityGradient(np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, 3e-6), inertia)
     seen = Seen(attitude, np.zeros((1, 2, 3)))
-    pushed = term.pushed(seen, np.array([10.0]))[0, 0]
+    pushed = term.added_by_torque(seen, np.array([10.0]))[0, 0]
     nadir = attitude[0, 0] @ [0.0, 0.0, 1.0]
     torque = 3e-6 * np.cross(nadir, inertia @ nadir)
     assert np.allclose(pushed[3:], 10 * torque / np.diag(inertia), rtol=1e-9, atol=1e-15)

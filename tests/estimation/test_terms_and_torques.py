@@ -112,7 +112,7 @@ def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
     )
     attitude = facing(np.array([0.6, 0.0, 0.8]))
     seen = Seen(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
-    push = torque.pushes(seen, np.array([dt]))[0, 0]
+    push = torque.added_by_unknowns(seen, np.array([dt]))[0, 0]
     for axis in range(3):
         ends = [
             run(inertia, momentum, omega, dt, sign * size, axis, frame, attitude) for sign in (0, 1)

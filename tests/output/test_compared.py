@@ -16,7 +16,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.output.compared import compare_with, compared_summary, compared_tables
-from sunspin.telemetry.withheld import parse_withheld
+from sunspin.telemetry.withheld import parse_withheld, read_withheld
 from sunspin.vehicle.sensors import Clock
 from tests.support.figures import blank
 
@@ -278,3 +278,24 @@ def test_missing_columns_and_two_comparisons_of_a_kind_are_refused(place, monkey
     assert isinstance(done.exception, InputError) and "which the estimate uses" in str(
         done.exception
     )
+
+
+def test_stored_telemetry_is_not_compared_with_the_sensor_that_it_holds(vehicle, tmp_path):
+    """It would be read without its columns, and the result compared with the gyro that the estimate used."""
+    stored = tmp_path / "telemetry.nc"
+    result, *_ = drawn_result(5, "J2000")
+    gyro = readings(result, result["omega_B"].values, "axis").rename("gyro_B")
+    gyro.to_dataset().assign_attrs(kind="telemetry").to_netcdf(stored)
+    withheld = parse_withheld("wx,wy,wz:deg/s", vehicle)
+    with pytest.raises(InputError, match="no columns of the sensor to compare with"):
+        read_withheld(withheld, vehicle, stored)
+
+
+def test_single_reading_of_a_pass_without_an_orbit_gives_no_difference(vehicle):
+    result, truth, _ = drawn_result(5, "local")
+    read = truth.as_quat()
+    read[1 : SIZE // 2] = np.nan
+    withheld = parse_withheld("a,b,c,d:last,N_to_B+-1.5", vehicle)
+    found = compare_with(result, withheld, readings(result, read, "quaternion"))
+    difference = found["compared_attitude_difference"].values
+    assert np.isnan(difference[: SIZE // 2]).all() and np.isfinite(difference[SIZE // 2 :]).all()

@@ -13,9 +13,10 @@ import pytest
 from click.testing import CliRunner
 
 import sunspin as ss
+from sunspin.base.tables import read_table
 from sunspin.cli import cli
 from sunspin.telemetry.decoders import satnogs
-from sunspin.telemetry.decoders.satnogs import decode_by_program, decoded_csv
+from sunspin.telemetry.decoders.satnogs import Decoded, decode_by_program, decoded_csv
 from sunspin.telemetry.decoders.skcube import KINDS, decode_beacons
 
 STAND_IN = f"""#!{sys.executable}
@@ -233,3 +234,18 @@ def test_our_decoder_of_skcube_agrees_with_the_public_one_on_real_beacons(data_d
         assert_agreement(ours, public, "ADCS")
         coils = struct.pack("<hhh", *ours[2:5])
         assert bytes(public[f"max_pwm_coil_{axis}"] for axis in "xyz") == coils[:3]
+
+
+def test_text_from_the_radio_cannot_break_the_table(tmp_path):
+    fields = {"call": "OM\x00KSK\x85\u2028\x1c", "station": "of the satellite"}
+    path = tmp_path / "decoded.csv"
+    path.write_text(
+        decoded_csv(Decoded([(1767225600.0, "graz", fields)], {}, "")), encoding="utf-8"
+    )
+    table = read_table(path)
+    assert table.header == ["received_utc", "station", "call", "decoded_station"]
+    assert [cell.strip() for cell in table.cells.iloc[0]][1:] == [
+        "graz",
+        "OM KSK",
+        "of the satellite",
+    ]

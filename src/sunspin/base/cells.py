@@ -13,4 +13,6 @@ def plain_cell(cell: Any) -> Any:
     if isinstance(cell, str):
         for mark, text in UNQUOTED.items():
             cell = cell.replace(mark, text)
+        # control characters and other ends of lines, of which a text from a radio may be full
+        cell = "".join(mark if mark.isprintable() else " " for mark in cell)
     return cell

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -77,12 +78,14 @@ def _decode_by_program(raw: Path, decoder: str, folder: Path, output: Output) ->
     summary: dict[str, Any] = {"frames": frames, "unread": decoded.unread, "file": str(table)}
     summary |= {"decoder": decoder, "satnogs_decoders": decoded.version, "columns": None}
     suggestion = suggest_section(read_table(table))
+    map_file = folder / f"{decoder}_columns.toml"
     if suggestion is None:
+        map_file.unlink(missing_ok=True)  # of an earlier run
         lines.append("No column map: no names of columns look like panels on two sides")
     else:
         about = f"# Columns of {table.name} that look like panels, by their names; check units and sides before use.\n"
-        columns = write_whole(folder / f"{decoder}_columns.toml", about + suggestion.section)
+        columns = write_whole(map_file, about + suggestion.section)
         summary["columns"] = str(columns)
         lines.append(f"Column map, a guess from the names: {columns}")
-        lines.append(f"Next: sunspin init DIR --from {table}")
+        lines.append(f"Next: sunspin init DIR --from {shlex.quote(str(table))}")
     output.report(summary, lines)

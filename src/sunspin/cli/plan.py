@@ -97,4 +97,4 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
         workers=worker_count(workers),
         after_round=None if output.quiet else report,
     )
-    output.deliver(result, main="plan.csv")
+    output.deliver(result, vehicle, main="plan.csv")

@@ -269,6 +269,7 @@ def _magnetometer(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
         return []
 
     def zero(fit: Calibration) -> np.ndarray:
+        """Return the zero (3) in the readings of the columns: the telemetry holds matrix times (column - zero)."""
         return part.zero + part.sign * np.linalg.solve(part.matrix, fit.zero)
 
     def rotation_and_stretch(fit: Calibration) -> tuple[np.ndarray, np.ndarray]:

@@ -154,6 +154,7 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
         corner += (by_u_T @ by_u).sum(axis=1)
         border_slope += (by_u_T @ value[..., None]).sum(axis=1)[..., 0]
 
+    # in the matrix alone: it holds the turn about the Sun where it is, and prefers none
     diagonal[:, 0, TURN, TURN] += _free_turn(model.obs, motions.sun_B[:, 0])
     diagonal[:, 0, RATE, RATE] += np.eye(3) / model.rate_sigma**2
     slope[:, 0, RATE] += motions.omega[:, 0] / model.rate_sigma**2
@@ -258,16 +259,17 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
     by_start, by_u = made.by_start, np.zeros((*value.shape, motions.u.shape[1]))
     by_u[..., model.of_body] = made.by_inertia
     for term, place in zip(model.obs.terms, model.of_terms, strict=True):
-        push = term.pushes(motions, dt)
+        push = term.added_by_unknowns(motions, dt)
         if push is not None:
             by_u[..., place] = push
             value = value - np.einsum("knim,km->kni", push, motions.u[:, place])
-        known = term.pushed(motions, dt)
+        known = term.added_by_torque(motions, dt)
         if known is not None:
             value = value - known
             if term.about_sun:
                 by_start[..., TURN] += pushed_by_turn(term, motions, dt, known)
     white = Whitening.of(model.noise, dt).matrix
+    # the derivative by the second sample is taken as one: exact without a defect, and defects are small where a fit ends
     by_second = np.broadcast_to(white, (len(value), *white.shape))
     return (white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u
 
@@ -275,7 +277,8 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
 def pushed_by_turn(term: Term, motions: Track, dt: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the derivative (K, n - 1, 6, 3) of what a known torque adds, `known` (K, n - 1, 6), by a turn at the first sample."""
     columns = [
-        term.pushed(replace(motions, attitude=rotate_attitude(motions.attitude, turn)), dt) - known
+        term.added_by_torque(replace(motions, attitude=rotate_attitude(motions.attitude, turn)), dt)
+        - known
         for turn in DIFFERENCE_RAD * np.eye(3)
     ]
     return np.stack(columns, axis=-1) / DIFFERENCE_RAD
@@ -330,6 +333,8 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
     torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    # Laplace's method. Left out is what all models of a pass share: powers of 2 pi, and the widths of the priors of the first rate
+    # and of the turn about the Sun
     log_evidence = model.log_prior - system.cost - determinants - torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
@@ -521,6 +526,7 @@ def along_the_valley(
     # the attitude that goes with a rate, by the covariance: the Sun stays where it was seen
     turn_per_rate = np.einsum("kij,kj->ki", covariance[:, TURN, RATE], axis)
     turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
+    # motions come best first: what is cut off belongs to the worse ones
     which = np.repeat(np.arange(len(sigma)), 2 * sides)[: s.valley_most]
     places = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
     change = spacing * np.concatenate([np.zeros(0), *places])[: s.valley_most, None]

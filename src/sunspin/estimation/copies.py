@@ -72,7 +72,10 @@ class Outline(NamedTuple):
     def _within(
         self, k: int, others: Outline, asked: np.ndarray, sigmas: float, joint: bool
     ) -> np.ndarray:
-        """Return which of the motions `asked` for (K) have rates within so many sigmas of motion `k` at every sample."""
+        """Return which of the motions `asked` for (K) have rates within so many sigmas of motion `k` at every sample.
+
+        `joint`: sigmas are those of the difference; else of each motion, and both must allow it.
+        """
         within, which = np.zeros(len(asked), dtype=bool), np.flatnonzero(asked)
         if len(which) and len(self.covariance) and len(others.covariance):
             own, theirs = self.covariance[k], others.covariance[which]

@@ -63,10 +63,12 @@ def ladder(
     begin: float,
     rival: float = -np.inf,
 ) -> list[Fit]:
-    """Return fits of a model under every strength of unknown torques.
+    """Return fits of a model under every strength of unknown torques, one for each rung that is reached.
 
-    From the rung `begin` up, then from there down, each from where the one before ended: a stiff motion stays where it is put. A
-    path ends with a rung that is hopeless compared with the best one, or with another model of log evidence `rival`.
+    From the rung `begin` up, then from the fit at `begin` down, each from where the one before ended: under weak torques a motion
+    hardly moves. A path ends with a rung that is hopeless compared with the best one, or with another model: its log evidence is
+    `rival`.
+    `copies`: what a copy of a motion is, and how many motions are kept.
     """
     if not len(motions):
         return []
@@ -142,6 +144,7 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     u = one.motions.u[:, shared]
     precision = np.linalg.pinv(one.u_covariance[:, shared[:, None], shared], hermitian=True)
     slope = (precision @ u[..., None])[..., 0]
+    # the integral over these unknowns is exp((slope . mean - log det precision) / 2); a share gains what its prior changes in it
     before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
 
     gains, means, covariances = [], [], []
@@ -195,6 +198,7 @@ def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]
     """
     log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
     even = np.full(log.shape[1], -np.log(log.shape[1]))
+    # a pass has the file's rung with the probability `common`, else any; logs of different passes add
     alone = logsumexp(log + even, axis=1, keepdims=True)
     combined = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
     others = combined.sum(axis=0) - combined
@@ -215,7 +219,7 @@ def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
 
 
 def likeliest(fits: Sequence[Fit]) -> Fit:
-    """Return the fit with the most probable motion."""
+    """Return the fit with the most probable motion, before the prior of the rungs."""
     return max((one for one in fits if len(one)), key=lambda one: float(one.log_evidence.max()))
 
 

@@ -50,7 +50,7 @@ COASTING = "coasting from the nominal speed at the first sample"
 
 
 @dataclass(frozen=True)
-class Seen:
+class FileReadings:
     """What all samples of a file show; `why` (n): what became of each, in words; `source`: where the Sun comes from."""
 
     obs: Observations
@@ -91,7 +91,7 @@ def observe(
     local: Environment | None = None,
     calibration: FieldCalibration | None = None,
     torques: Acting = NOTHING,
-) -> Seen:
+) -> FileReadings:
     """Return terms and times of all samples, a sentence for each, and where the Sun comes from.
 
     `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
@@ -133,7 +133,7 @@ def observe(
     clock = vehicle.sensors.clock
     terms = [term for term in (*read, *others) if term is not None]
     terms += [Lateness.of(clock)] if clock is not None else []
-    return Seen(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
+    return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
 
 
 def _torques(
@@ -146,6 +146,7 @@ def _torques(
     """Return the torques of a stated or an unknown dipole if the field is measured or known, and those that are named."""
     terms: list[Term] = []
     dipole = vehicle.sensors.disturbance.dipole
+    # one dipole: the stated one in the field as read, else an unknown one in the orbit's field, else in an unknown field
     if dipole is not None and fields is not None and np.isfinite(fields.field_B).any():
         terms.append(StatedDipole(np.asarray(dipole), np.nan_to_num(fields.field_B)))
     elif here is not None and here.field_N is not None:
@@ -187,7 +188,7 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
     return wanted
 
 
-def split(seen: Seen, gap_s: float | None, s: PassSettings) -> list[Pass]:
+def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
     """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
     use = seen.usable
     if len(use) < 3:
@@ -235,7 +236,7 @@ def asked(passes: Sequence[Pass], pass_id: int | None) -> list[int]:
     return [int(pass_id)]
 
 
-def why_not_used(seen: Seen, passes: Sequence[Pass], chosen: Sequence[int]) -> np.ndarray:
+def why_not_used(seen: FileReadings, passes: Sequence[Pass], chosen: Sequence[int]) -> np.ndarray:
     """Return what became of each sample (n), in words, if only some passes are estimated."""
     why = seen.why.copy()
     why[np.setdiff1d(seen.usable, np.concatenate([one.samples for one in passes]))] = ALONE
@@ -294,7 +295,7 @@ def _growing(places: np.ndarray, most: int, growth: float) -> np.ndarray:
     return places[np.unique(np.minimum(np.round(place), len(places) - 1).astype(int))]
 
 
-def _why_unused(seen: Seen) -> str:
+def _why_unused(seen: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
     dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
@@ -383,6 +384,6 @@ def wheels_untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
     ]
 
 
-def with_momentum(seen: Seen, momentum: np.ndarray) -> Seen:
+def with_momentum(seen: FileReadings, momentum: np.ndarray) -> FileReadings:
     """Return what is seen with wheels of this momentum (n, 3)."""
     return replace(seen, obs=replace(seen.obs, momentum=momentum))

@@ -43,8 +43,8 @@ from sunspin.estimation.model import (
     Track,
 )
 from sunspin.estimation.observe import (
+    FileReadings,
     Pass,
-    Seen,
     asked,
     observe,
     split,
@@ -351,13 +351,13 @@ def sees_sun_alone(obs: Observations) -> bool:
 
 def decide_wheels(
     assessment: Assessment,
-    seen: Seen,
+    seen: FileReadings,
     stated: Model,
     passes: Sequence[Pass],
     settings: RatesSettings,
     budget: Budget,
     run: Callable,
-) -> tuple[Seen, str, dict[int, PassFits]]:
+) -> tuple[FileReadings, str, dict[int, PassFits]]:
     """Return what is seen with the momentum of the wheels, what they do, in words, and the passes that are fitted with that.
 
     If several things are possible, the one under which the longest passes have the largest evidence.
@@ -403,7 +403,7 @@ def decide_wheels(
 
 def doubted_wheels(
     assessment: Assessment,
-    seen: Seen,
+    seen: FileReadings,
     wheels: str,
     passes: Sequence[Pass],
     models: Sequence[Model],

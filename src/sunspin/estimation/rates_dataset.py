@@ -18,7 +18,7 @@ from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimation.dense import curve
 from sunspin.estimation.images import either_side
 from sunspin.estimation.model import Model
-from sunspin.estimation.observe import Pass, Seen, wheels_untold
+from sunspin.estimation.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.terms.field import FieldDirection, KnownField
 from sunspin.estimation.terms.panels import Panels
@@ -52,7 +52,7 @@ CLOCK = "late_s"
 
 def dataset(
     assessment: Assessment,
-    seen: Seen,
+    seen: FileReadings,
     why: np.ndarray,
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
@@ -105,7 +105,7 @@ def dataset(
 def _attributes(
     vehicle: Vehicle,
     telemetry: xr.Dataset,
-    seen: Seen,
+    seen: FileReadings,
     used: np.ndarray,
     stated: Model,
     noise_stated: bool,
@@ -188,7 +188,7 @@ def lateness(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
 
 
 def in_space(
-    result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: Seen
+    result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: FileReadings
 ) -> xr.Dataset:
     """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
 

@@ -69,9 +69,10 @@ def search(
             motions, window = carrier.widened(motions, window, wider), wider
         best = min((float(motions.cost[0]) for motions in ends), default=np.inf)
         fits = best < s.good_enough * carrier.cost_limit(everything)
-        if len(ends) >= places and fits or place + 1 == places + s.more_places:
+        # enough places have led to the end and one motion fits, or the last place that is allowed was tried
+        if (len(ends) >= places and fits) or place + 1 == places + s.more_places:
             break
-        if ends and budget.exhausted():
+        if ends and budget.exhausted():  # never before there is any motion
             break
     if not ends:
         raise InputError(
@@ -82,6 +83,9 @@ def search(
 
 
 def grown(t_s: np.ndarray, window: slice, growth: float) -> slice:
-    """Return the window with more samples by this factor, half of them at either end, and one there at least."""
+    """Return the window with more samples by this factor, half of them at either end, and one there at least.
+
+    At an end of the stretch it grows on the other side alone.
+    """
     more = max(1, int((growth - 1) / 2 * (window.stop - window.start)))
     return slice(max(0, window.start - more), min(len(t_s), window.stop + more))

@@ -78,7 +78,7 @@ class SearchSettings:
     """Factor by which the number of samples in the window grows. A rate from a window predicts the phase one window further."""
 
     most: int = 32
-    """Candidates kept while the window grows."""
+    """Candidates kept while the window grows. Those that fall by this number do not make a search incomplete."""
 
     drop: float = 18.0
     """Candidates are dropped that are less probable than the best by exp(-18)."""

@@ -63,7 +63,7 @@ class Solutions:
         return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
 
     def take(self, which: np.ndarray) -> Solutions:
-        """Return some of the solutions."""
+        """Return some of the solutions, by index."""
         return replace(
             self,
             track=self.track.take(which),

@@ -171,7 +171,10 @@ class Answers(NamedTuple):
 
     @property
     def decided(self) -> bool:
-        """Return whether an operator may act on the motion."""
+        """Return whether an operator may act on the motion: all four answers are yes.
+
+        Held readings, mirror images that are not listed, and doubted columns take it back later.
+        """
         constrained = all(self.constrained) and self.speed.constrained
         return self.unique and self.fits and constrained and self.search_complete
 

@@ -113,15 +113,15 @@ def doubted_signs(
     first, with the `models` and `fits` of the file as it is written.
     """
     doubted: list[Reversed] = []
+    stated = quick_evidence(models[0], settings, replace(budget))
     for which, momentum in momenta.items():
         turned = [
             replace(model, obs=replace(model.obs, momentum=momentum[one.kept]))
             for model, one in zip(models, passes, strict=True)
         ]
-        stated = quick_evidence(models[0], settings, replace(budget))
         if quick_evidence(turned[0], settings, replace(budget)) < stated - FAR:
             continue
-        total, another, longest = 0.0, False, None
+        total, another, of_longest = 0.0, False, None
         for model, of_file in zip(turned, fits, strict=True):
             (other,) = fit_passes([model])
             gain = -np.inf if other is None else log_evidence(other) - log_evidence(of_file)
@@ -129,12 +129,12 @@ def doubted_signs(
             if other is None or total < -AS_WELL:
                 break
             another = another or _is_another(of_file, other)
-            longest = longest or other
-        else:
-            if longest is not None and another and total >= CLEARLY:
+            of_longest = of_longest or other  # the first pass is the longest
+        else:  # no pass has spoken against it
+            if of_longest is not None and another and total >= CLEARLY:
                 whole = replace(obs, momentum=momentum).of_pass(passes[0].samples)
                 solved = solutions(
-                    longest, whole, passes[0].places, settings.solutions, settings.search
+                    of_longest, whole, passes[0].places, settings.solutions, settings.search
                 )
                 doubted.append(_reversed(which, total, solved))
     return max(doubted, key=lambda one: one.gain, default=None)

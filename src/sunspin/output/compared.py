@@ -99,6 +99,8 @@ def _compare_attitudes(
     in_space = result.attrs.get("frame_N") == J2000
     for k in np.unique(pass_of[known]):
         inside = known & (pass_of == k)
+        if not in_space and inside.sum() < 2:
+            continue  # a single reading gives the frame, and no difference
         ours, theirs = Rotation.from_quat(estimated[inside]), Rotation.from_quat(read[inside])
         # from N to the reference frame of the readings: the same for J2000, else the mean over the pass
         frame = Rotation.identity() if in_space else (theirs.inv() * ours).mean()

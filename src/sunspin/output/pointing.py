@@ -436,7 +436,7 @@ def _sigmas(
     sigma = np.empty((len(vectors), len(targets), len(covariance)))
     for k, (direction, along_track) in enumerate(targets.values()):
         # change of the direction for each component of the rotation: e x d = cross @ e
-        cross = -np.cross(np.eye(3), direction[:, None, :]).swapaxes(1, 2)
+        cross = np.cross(np.eye(3), direction[:, None, :]).swapaxes(1, 2)
         spread = cross @ covariance @ np.swapaxes(cross, 1, 2)
         spread = spread + along_track[:, :, None] * along_track[:, None, :]
         largest = np.linalg.eigvalsh(np.nan_to_num(spread))[:, -1]

@@ -105,7 +105,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     header = set(table.header)
     if "frame" in header and form.time_column not in header and header & {"timestamp", "observer"}:
         what = "the file holds raw frames and no readings"
-        do = "turn them into a table first, as `sunspin decode` does for skCUBE"
+        do = "turn them into a table first with `sunspin decode`"
         raise TelemetryError(what, do=do, where=str(path))
     table, layout_notes = collect_metrics(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.base.tables import read_table
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.reader import columns_of_readings, read_telemetry
 from sunspin.vehicle import Vehicle
@@ -123,10 +124,12 @@ def read_withheld(withheld: Withheld, vehicle: Vehicle, path: Path) -> xr.DataAr
     InputError
         The file has no such columns.
     """
+    # stored telemetry would give the sensor that it holds, under any names of columns
+    names = [name.removeprefix(REVERSED) for name in withheld.columns]
+    if not read_table(path).has(names):
+        what = "the telemetry has no columns of the sensor to compare with"
+        do = "name columns of the original file"
+        raise InputError(what, got=", ".join(withheld.columns), do=do, where=str(path))
     place = {"gyro" if withheld.is_gyro else "attitude": withheld.sensor}
     telemetry = read_telemetry(path, replace(vehicle, sensors=replace(vehicle.sensors, **place)))
-    if withheld.variable not in telemetry:
-        what = "the telemetry has no columns of the sensor to compare with"
-        do = "name columns of this file"
-        raise InputError(what, got=", ".join(withheld.columns), do=do, where=str(path))
     return telemetry[withheld.variable]

@@ -183,7 +183,8 @@ class TelemetryForm(Part):
     @property
     def noise_per_gain(self) -> float:
         """Factor from the noise in the file, times the gain, to that of the readings: rad per deg for angles in deg, else 1."""
-        return 1.0 if self.quantity == "cosine" else float(np.radians(1.0))
+        in_deg = self.quantity in ("elevation_deg", "incidence_deg")
+        return float(np.radians(1.0)) if in_deg else 1.0
 
     def _require_plain_angles(self) -> None:
         """Raise `VehicleError` for keys that belong to electrical readings."""

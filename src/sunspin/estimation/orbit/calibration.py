@@ -112,8 +112,12 @@ class FieldCalibration:
         return by_matrix - self.errors[None, :, ZERO]
 
     def along(self, field_along_N: np.ndarray) -> np.ndarray:
-        """Return what one sigma of each error changes in the orbit's field (n, 13, 3), by one sigma along the track (n, 3) in T."""
-        return self.errors[:, SHIFT:] * field_along_N[:, None]
+        """Return what one sigma of each error changes in the orbit's field (n, 13, 3) in T.
+
+        `field_along_N` (n, 3): change of the field by one sigma along the track, T.
+        """
+        moved = self.errors[:, SHIFT:]  # (13, 1): how far each error moves the place
+        return moved * field_along_N[:, None]
 
     def sigma_T(
         self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray

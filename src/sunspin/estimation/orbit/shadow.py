@@ -174,7 +174,7 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 def _in_full_shadow(
     orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
 ) -> np.ndarray:
-    """Return whether samples (K, n) are in the full shadow at along-track offsets (K) in s, with any drift within the prior."""
+    """Return whether samples (K, n) are in the full shadow at along-track offsets (K) in s for every drift within the prior."""
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
     drift_s = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))

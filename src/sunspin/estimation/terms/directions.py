@@ -119,7 +119,7 @@ class SunDirections(Term):
         return pairs
 
     def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the whitened difference of predicted and read direction; of two meanings the nearer one counts."""
+        """Yield the whitened difference (K, n, 3) of predicted and read direction; of two meanings the nearer one counts."""
         sun = seen.sun_B
         across = cross_matrix(sun)  # a turn t of the body moves the Sun by sun x t
         (direction, white), (other, other_white) = self._whitened

@@ -62,6 +62,7 @@ class Gyro(Term):
     @property
     def _columns(self) -> np.ndarray:
         """Return what one sigma of each unknown adds to the readings (n, 3, m) in rad/s."""
+        # in the order of `unknowns`; an error of the scale is in proportion to the rate, for which the reading stands
         read = self.present()[:, None, None]
         zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]
         columns = [np.broadcast_to(zero, (len(read), *zero.shape))]

@@ -102,12 +102,15 @@ class Term:
         """Yield the differences for motions whose unknowns of this term are u (K, m)."""
         yield from ()
 
-    def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+    def added_by_unknowns(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
         """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds in intervals dt; None if it is no torque."""
         return None
 
-    def pushed(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
-        """Return turn and rate (K, n - 1, 6) that a known torque adds in intervals dt; None if there is none."""
+    def added_by_torque(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+        """Return turn (rad) and rate (rad/s) (K, n - 1, 6) at the end of each interval dt (n - 1) that a known torque adds.
+
+        They are in the body's axes at that instant. None if there is no torque.
+        """
         return None
 
     def under(self, acceleration: float) -> Self:

@@ -67,7 +67,7 @@ class ConstantTorque(Term):
             for i, axis in enumerate("xyz")
         )
 
-    def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+    def added_by_unknowns(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6, 3) that one sigma of each component adds over the intervals dt (n - 1).
 
         The equations are linear in turn t, rate r and torque T (docs/model.md), with the mean rate w of the interval:
@@ -137,7 +137,7 @@ class MagneticTorque(Term):
             for i, name in enumerate(names)
         )
 
-    def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+    def added_by_unknowns(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
         """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds, by the attitude averaged over each interval.
 
         The body keeps its first rate: if it turns several times between two samples only the field along the axis is left, and the
@@ -198,7 +198,7 @@ class StatedDipole(Term):
     dipole: np.ndarray
     field_B: np.ndarray
 
-    def pushed(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+    def added_by_torque(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6) that the torque adds in intervals dt."""
         pull, span = np.cross(self.dipole, self.field_B), dt[:, None]
         first, last = pull[:-1], pull[1:]
@@ -222,7 +222,7 @@ class GravityGradient(Term):
     strength: np.ndarray
     inertia: np.ndarray
 
-    def pushed(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+    def added_by_torque(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6) that the torque adds, summed over instants of a body that keeps its first rate."""
         inverse, added = np.linalg.inv(self.inertia), 0.0
         for place, weight in zip(*INSTANTS, strict=True):

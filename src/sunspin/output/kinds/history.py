@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, styled
+from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.history import DAY_S
-from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table, synthetic_words
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 
 MOST_LINES = 30
 """Number of passes that are printed; the table has all."""
@@ -77,7 +77,7 @@ def history_drawings(data: Any, _: Context) -> Iterator[Drawing]:
         "history",
         lambda: history_figure(data),
         "Speed, direction of the spin axis in the body and angular momentum of each pass against time.",
-        caption + synthetic_words(data.attrs["synthetic"]),
+        caption,
     )
 
 
@@ -89,7 +89,7 @@ def history_figure(data: Any) -> Any:
     has_sun = bool(np.isfinite(data["momentum_sun_rad"]).any())
     in_space = bool(np.isfinite(data["momentum_J2000"]).any())
     rows = 2 + has_momentum + has_sun + in_space
-    title = f"History of {data.attrs['vehicle']}"
+    title = f"History of {escape_name(data.attrs['vehicle'])}"
     figure, grid = axes_grid(9.0, 1.2 + 1.9 * rows, rows=rows, title=title, sharex=True)
     panels = iter(grid)
     axes = next(panels)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import BLACK, COLOURS, axes_grid, styled
-from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table, synthetic_words
+from sunspin.output.figures import BLACK, COLOURS, axes_grid, escape_name, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 
 
 def plan_summary(data: Any) -> Summary:
@@ -84,14 +84,14 @@ def plan_drawings(data: Any, _: Context) -> Iterator[Drawing]:
         "plan",
         lambda: plan_figure(data),
         "Share of decided passes and error of the rate against the interval between samples, for three classes of speeds.",
-        caption + synthetic_words(data.attrs["synthetic"]),
+        caption,
     )
 
 
 @styled
 def plan_figure(data: Any) -> Any:
     """Draw for each interval and class of speeds the decided share with its standard error, and the error of the rate."""
-    title = f"Beacons of {data.attrs['vehicle']}: passes of {data.attrs['samples']} samples"
+    title = f"Beacons of {escape_name(data.attrs['vehicle'])}: passes of {data.attrs['samples']} samples"
     figure, grid = axes_grid(10.0, 3.8, 1, 2, title)
     share_axes, sigma_axes = grid.flat
     every, classes = data["every"].values, data.sizes["speed_class"]
@@ -152,12 +152,12 @@ def plan_tables(data: Any) -> Iterator[Table]:
         "aliases": "other solutions",
         "why_not_decided": "mostly not decided because",
     }
-    yield Table("plan", pd.DataFrame(_cells(data)), "Beacons", headings, prose=True)
+    yield Table("plan", pd.DataFrame(_cells(data)), "Beacons", headings)
     of_pass = data[[name for name in data if data[name].dims == ("pass",)]].to_dataframe()
     of_pass.columns = [name.removeprefix("pass_") for name in of_pass.columns]
     for name in ("speed", "sigma"):
         of_pass[f"{name}_deg_s"] = np.degrees(of_pass.pop(name))
-    yield Table("plan_passes", of_pass.reset_index(drop=True), prose=True)
+    yield Table("plan_passes", of_pass.reset_index(drop=True))
 
 
 KINDS.update(plan=Kind("plan", "plan", plan_summary, plan_drawings, plan_tables))

@@ -183,6 +183,7 @@ def pointing_tables(data: Any) -> Iterator[Table]:
     pass_of, decided = data["pass_of"].values, data["decided"].values.astype(bool)
     why = data["why_not_decided"].values.astype(str)
     frames = []
+    too_large = f"error above {np.degrees(LARGEST_SIGMA_RAD):.0f} deg"
     for i, axis in enumerate(data["body_axis"].values.astype(str)):
         columns: dict[str, Any] = {
             "time_s": data["time"].values,
@@ -199,7 +200,8 @@ def pointing_tables(data: Any) -> Iterator[Table]:
         ):
             columns[f"{name}_elevation_deg"] = np.degrees(data["station_elevation"].values[k])
             columns[f"{name}_range_km"] = data["station_range"].values[k] / 1e3
-        columns["why_no_angle"] = why[pass_of]
+        without = ~np.isfinite(data["pointing_angle"].values[i]).any(axis=0)
+        columns["why_no_angle"] = np.where(decided[pass_of] & without, too_large, why[pass_of])
         frames.append(pd.DataFrame(columns))
     frame = pd.concat(frames).sort_values("time_s", kind="stable", ignore_index=True)
     headings = {"utc": "UTC", "axis": "axis"}

@@ -89,11 +89,15 @@ def decode_by_program(decoder: str, path: Path) -> Decoded:
     if not points and f"has no attribute {decoder.capitalize()!r}" in errors:
         what, do = "satnogs-decoders has no decoder of this name", "check the name or update it"
         raise InputError(what, got=decoder, do=do)
-    messages = errors.splitlines()
+    messages, refused = errors.splitlines(), 0
     for line, reason in zip(messages, messages[1:], strict=False):
         if line == INVALID:
             # numbers, such as counts of bytes, differ from frame to frame
+            refused += 1
             unread[re.sub(r"0x[0-9a-f]+|\d+", "N", reason)[:REASON_CHARACTERS] or "not valid"] += 1
+    silent = len(frames) - len({int(point["time"]) for point in points}) - refused
+    if silent > 0:
+        unread["no reason given"] += silent
     rows, version = [], ""
     for point in points:
         frame = frames[int(point["time"])]
@@ -132,7 +136,7 @@ def _run(program: str, decoder: str, frames: list[Frame]) -> tuple[list[dict[str
             isinstance(point["fields"], dict) and isinstance(point["tags"], dict)
             for point in points
         )
-    except (ValueError, LookupError, TypeError, RecursionError):
+    except (ValueError, LookupError, TypeError, OverflowError, RecursionError):
         numbers, is_expected = [], False
     if done.returncode or not is_expected or not set(numbers) <= set(range(len(frames))):
         last = (errors.strip().splitlines() or ["no reason is known"])[-1][:300]
@@ -151,7 +155,10 @@ def decoded_csv(decoded: Decoded) -> str:
     names = list(dict.fromkeys(name for *_, fields in decoded.rows for name in fields))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["received_utc", "station", *map(plain_cell, names)])
+    own = "received_utc", "station"
+    # a field of the satellite may have the name of a column of ours
+    headings = (f"decoded_{name}" if name in own else plain_cell(name) for name in names)
+    writer.writerow([*own, *headings])
     for time, station, fields in decoded.rows:
         cells = (fields.get(name) for name in names)
         texts = (
