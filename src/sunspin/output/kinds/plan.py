@@ -114,9 +114,9 @@ def plan_figure(data: Any) -> Any:
     share_axes.bar(
         [0], [0], color="none", hatch="////", edgecolor=BLACK, lw=0, label="decided and wrong"
     )
-    share_axes.set(ylabel="decided share of the passes", ylim=(0, 1.25))
+    share_axes.set(ylabel="decided share of the passes", ylim=(0, 1.4))
     share_axes.set_xticks(np.arange(len(every)), [f"{each:g}" for each in every])
-    share_axes.legend(ncols=classes + 1, loc="upper center", columnspacing=1, handletextpad=0.3)
+    share_axes.legend(ncols=2, loc="upper center", columnspacing=1, handletextpad=0.3)
     sigma_axes.set(ylabel="one sigma of the rate (deg/s)", xscale="log")
     sigma_axes.set_ylim(bottom=0)
     sigma_axes.set_xticks(every, [f"{each:g}" for each in every])
