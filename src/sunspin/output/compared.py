@@ -24,10 +24,9 @@ from sunspin.output.export import motion_at
 from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.figures.rates import largest_passes
 from sunspin.output.kind import Drawing, Table
-from sunspin.output.text import clock_text, count_text, number_text, size_text
+from sunspin.output.text import clock_text, count_text, number_text, size_text, times_text
 from sunspin.telemetry.withheld import EXACT, Withheld
 from sunspin.vehicle.sensors import Attitude, Gyro
-from sunspin.vehicle.timeline import utc_after
 
 PARTS = ["across", "about"]
 """Parts of a difference of attitudes: the Sun direction itself, and the rotation about it."""
@@ -56,9 +55,8 @@ def compare_with(result: xr.Dataset, withheld: Withheld, readings: xr.DataArray)
     if not np.isfinite(read).all(axis=1).any():
         what = "no sample of the result has a reading to compare with"
         raise InputError(what, got=", ".join(withheld.columns), do="look at these columns")
-    if (
-        withheld.late_s
-    ):  # the readings are of a later instant than the Sun's: the motion is evaluated there
+    if withheld.late_s:
+        # the readings are of a later instant than the Sun's: the motion is evaluated there
         motion = motion_at(result, t_s + withheld.late_s)
         moved = {name: motion[name].values for name in ("omega_B", "B_from_N")}
     else:
@@ -181,12 +179,10 @@ def compared_tables(result: Any) -> Iterator[Table]:
     """Yield the table `compared`: a row for each sample with a reading of a withheld sensor; none if nothing was compared."""
     if RATE not in result and ATTITUDE not in result:
         return
-    epoch, pass_of = result.attrs.get("epoch_utc"), result["pass_of"].values
+    pass_of = result["pass_of"].values
     columns: dict[str, Any] = {
         "time_s": result["time"].values,
-        "utc": [
-            "" if epoch is None else utc_after(t, epoch, 3) for t in result["time"].values.tolist()
-        ],
+        "utc": times_text(result),
         "pass_id": result["pass_id"].values[pass_of],
         "decided": result["decided"].values[pass_of],
     }

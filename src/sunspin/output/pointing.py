@@ -28,7 +28,6 @@ from sunspin.environment.frames import J2000
 from sunspin.environment.orbit import Orbit
 from sunspin.output.export import motion_at
 from sunspin.output.folder import MARKER, read_command, read_manifest, verify_file
-from sunspin.vehicle.timeline import utc_after
 
 LARGEST_SIGMA_RAD = float(np.radians(30.0))
 """An angle with a larger error is not given: beyond this the error is not proportional to that of the attitude."""
@@ -227,7 +226,7 @@ def _pointing(
         )
         variables["curve_pass_of"] = data["curve_pass_of"]
     if ground:
-        track = _track(data, data["time"].values, "")
+        track = _track(data, data["time"].values, interpolated=False)
         seen = np.array([_seen_from(station, track) for station in ground])
         variables["station_elevation"] = (("station", "time"), seen[:, 0])
         variables["station_range"] = (("station", "time"), seen[:, 1])
@@ -283,15 +282,13 @@ def _on_grid(data: xr.Dataset, step_s: float) -> xr.Dataset:
     if "turn_sigma_rad" in data:
         grown = data["turn_sigma_rad"].values[neighbours] ** 2 + apart * about[neighbours]
         values["turn_sigma_rad"] = ("time", np.sqrt(grown.min(axis=0)))
-    first = np.array([np.argmax(pass_of == k) for k in range(data.sizes["pass_id"])])
-    sun_N = Rotation.from_quat(data["B_from_N"].values[first]).inv().apply(sun[first])
     values |= {
         "B_from_N": (("time", "quaternion"), attitude.as_quat()),
-        "sun_B": (("time", "axis"), attitude.apply(sun_N[number])),
+        "sun_B": (("time", "axis"), _sun_between(data, attitude, number)),
         "pass_of": ("time", number),
     }
     if all(name in data for name in TRACK):
-        track = _track(data, grid, "grid")
+        track = _track(data, grid, interpolated=True)
         parts = (
             (("time", "axis"), track.position),
             (("time", "axis"), track.velocity),
@@ -350,15 +347,26 @@ def _why_sun_only(data: xr.Dataset) -> str:
     return ""
 
 
-def _track(data: xr.Dataset, t_s: np.ndarray, prefix: str) -> Track:
-    """Return the track at times `t_s` (n) of samples (prefix "") or of the curve ("curve_"), where it is interpolated by cubics.
+def _sun_between(data: xr.Dataset, attitude: Rotation, pass_of: np.ndarray) -> np.ndarray:
+    """Return the Sun (n, 3) in body axes for attitudes (n) in passes `pass_of` (n), at other times than those of the samples.
 
-    Any other prefix than "" interpolates. At samples 10 minutes apart the error of the cubic is 4 km, or 0.03 deg of nadir.
+    The Sun is fixed in N during a pass: its direction at the first sample is rotated with the body.
+    """
+    first = np.array([np.argmax(data["pass_of"].values == k) for k in range(data.sizes["pass_id"])])
+    at_first = Rotation.from_quat(data["B_from_N"].values[first])
+    sun_N = at_first.inv().apply(data["sun_B"].values[first])
+    return attitude.apply(sun_N[pass_of])
+
+
+def _track(data: xr.Dataset, t_s: np.ndarray, interpolated: bool) -> Track:
+    """Return the track at the times `t_s` (n) of the samples, or at others, where it is `interpolated` by cubics.
+
+    At samples 10 minutes apart the error of the cubic is 4 km, or 0.03 deg of nadir.
     """
     time = data["time"].values
     position, velocity, sigma = (data[name].values for name in TRACK)
     when = Instants.of(str(data.attrs["epoch_utc"]), t_s + float(data.attrs["orbit_clock_s"]))
-    if not prefix:
+    if not interpolated:
         return Track(position, velocity, sigma, when)
     if len(time) < 2:
         position, velocity = (np.repeat(x, len(t_s), axis=0) for x in (position, velocity))
@@ -375,16 +383,11 @@ def _targets(
     t_s, pass_of = data[f"{prefix}time"].values, data[f"{prefix}pass_of"].values
     sun = data["sun_B"].values
     if prefix:
-        # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-        at_samples = Rotation.from_quat(data["B_from_N"].values)
-        first = np.array(
-            [np.argmax(data["pass_of"].values == k) for k in range(data.sizes["pass_id"])]
-        )
-        sun = attitude.apply(at_samples[first].inv().apply(sun[first])[pass_of])
+        sun = _sun_between(data, attitude, pass_of)
     targets = {SUN: Directions(sun, np.zeros_like(sun))}
     if not in_space:
         return targets
-    position, velocity, sigma_s, when = _track(data, t_s, prefix)
+    position, velocity, sigma_s, when = _track(data, t_s, interpolated=bool(prefix))
     # for one sigma along the track: change of the position, and of the velocity by gravity, which is v^2/r in a round orbit
     ahead = velocity * sigma_s[:, None]
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
@@ -462,9 +465,3 @@ def _station_text(station: Station) -> str:
     """Return a station in words."""
     place = f"latitude {station.latitude_deg:g} deg, longitude {station.longitude_deg:g} deg"
     return f"{station.name}: {place}, altitude {station.altitude_m:g} m"
-
-
-def times_text(data: xr.Dataset) -> list[str]:
-    """Return the times of a result in UTC; empty texts without an epoch."""
-    epoch = str(data.attrs.get("epoch_utc") or "")
-    return [utc_after(t, epoch, 3) if epoch else "" for t in data["time"].values.tolist()]

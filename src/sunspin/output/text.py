@@ -128,3 +128,9 @@ def capitalize_first(text: str) -> str:
 def count_text(n: int, noun: str) -> str:
     """Return a number with its noun, as in 1 sample, 3 samples, 12 000 samples."""
     return f"{n:,} {noun}{'' if n == 1 else 's'}".replace(",", " ")
+
+
+def times_text(data: Any) -> list[str]:
+    """Return the times of a result in UTC, to the millisecond; empty texts without an epoch."""
+    epoch = str(data.attrs.get("epoch_utc") or "")
+    return [utc_after(t, epoch, 3) if epoch else "" for t in data["time"].values.tolist()]

@@ -11,8 +11,15 @@ import pandas as pd
 from sunspin.output.figures import COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.figures.rates import largest_passes
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.pointing import LARGEST_SIGMA_RAD, times_text
-from sunspin.output.text import clock_text, count_text, range_text, size_text, start_texts
+from sunspin.output.pointing import LARGEST_SIGMA_RAD
+from sunspin.output.text import (
+    clock_text,
+    count_text,
+    range_text,
+    size_text,
+    start_texts,
+    times_text,
+)
 
 MOST_LINES = 30
 """Number of passes that are printed; the table has all."""

@@ -27,9 +27,9 @@ from sunspin.output.text import (
     rate_text,
     size_text,
     start_texts,
+    times_text,
     with_sigma,
 )
-from sunspin.vehicle.timeline import utc_after
 
 MOST_UNSEEN = 6
 """Largest number of column changes, which the telemetry cannot distinguish from the vehicle file, that are named."""
@@ -314,7 +314,7 @@ def rates_tables(result: Any) -> Iterator[Table]:
     quaternion = result["B_from_N"].values
     columns: dict[str, Any] = {
         "time_s": time,
-        "utc": ["" if epoch is None else utc_after(t, epoch, 3) for t in time.tolist()],
+        "utc": times_text(result),
         "pass": pass_of,
         "pass_id": result["pass_id"].values[pass_of],
     }
