@@ -159,7 +159,7 @@ def test_error_in_a_late_round_keeps_the_complete_ones(monkeypatch):
 
 def test_name_with_signs_of_a_formula_does_not_stop_the_figure(monkeypatch, tmp_path):
     monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
-    named = replace(CUBE, name="a $x_ $b")
+    named = replace(CUBE, name="a $^$ b")
     result = plan(named, [10.0], samples=3, max_rate_rad_s=0.05, passes=1)
     result.sunspin.save(tmp_path / "out")
     text = (tmp_path / "out" / "summary.json").read_text("utf-8")
