@@ -15,7 +15,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.environment import Environment, Surroundings
 from sunspin.estimation.model import Observations
 from sunspin.estimation.settings import PassSettings
-from sunspin.estimation.terms.clock import Lateness
+from sunspin.estimation.terms.clock import Latency
 from sunspin.estimation.terms.directions import UNREAD, SunDirections
 from sunspin.estimation.terms.field import (
     FieldCalibration,
@@ -132,7 +132,7 @@ def observe(
     others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
     terms = [term for term in (*read, *others) if term is not None]
-    terms += [Lateness.of(clock)] if clock is not None else []
+    terms += [Latency.of(clock)] if clock is not None else []
     return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
 
 
