@@ -88,7 +88,10 @@ def test_derivatives_are_those_of_differences(make):
             )
         if residual.by_rate is not None:
             by = numeric(
-                term, seen, u, lambda s, u, h, turn=turn: (States(s.attitude, s.omega + h * turn), u)
+                term,
+                seen,
+                u,
+                lambda s, u, h, turn=turn: (States(s.attitude, s.omega + h * turn), u),
             )
             assert np.allclose(residual.by_rate[..., axis], by, atol=1e-4)
     for j, unit in enumerate(np.eye(u.shape[1])):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunspin.estimation.carry import Step, angle_turned, step
-from sunspin.estimation.chain import latency, earlier_states
+from sunspin.estimation.chain import earlier_states, latency
 from sunspin.estimation.model import Model, Observations, States, Track
 from sunspin.estimation.terms.term import Term
 from sunspin.estimation.verdict import in_sigma

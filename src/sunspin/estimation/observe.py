@@ -340,7 +340,7 @@ def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> di
 
 
 def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the speeds (n, n_wheel) of wheels that coast, so many seconds after they began, by the frictions that the file names."""
+    """Return the speeds (n, n_wheel) of wheels that coast, so many seconds after they began, by the frictions of the file."""
     speeds = {}
     names = dict.fromkeys(name for w in vehicle.wheels for name in w.alternative_frictions)
     for name in (None, *names):
