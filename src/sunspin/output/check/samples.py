@@ -125,7 +125,7 @@ def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
 def _is_read(readings: xr.DataArray) -> np.ndarray:
     """Return in which samples (n) a sensor was read: all of its numbers, or its only one."""
     values = readings.values
-    return np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    return np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
 
 
 def _describe_panels(assessment: Assessment) -> Findings:
