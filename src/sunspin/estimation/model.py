@@ -274,7 +274,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Seen:
+class States:
     """K motions at n samples: attitudes B_from_N (K, n, 3, 3) and rates (K, n, 3) in rad/s, body axes."""
 
     attitude: np.ndarray
@@ -287,7 +287,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Track(Seen):
+class Track(States):
     """K motions with their unknowns u (K, m) in sigmas.
 
     After a fit also their `cost` (K), minus the log of the posterior density, and the `covariance` (K, n, 6, 6) of turn (rad, B)

@@ -165,10 +165,10 @@ def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
     }
 
 
-def lateness(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
+def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
     """Return attributes on the clock of sensors other than the Sun's, by all passes together.
 
-    Each pass knows the lateness from the vehicle file and its own readings. What it adds is weighed with what the others add.
+    Each pass knows the latency from the vehicle file and its own readings. What it adds is weighed with what the others add.
     """
     clock = vehicle.sensors.clock
     if clock is None:

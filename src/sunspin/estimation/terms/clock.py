@@ -11,7 +11,7 @@ from sunspin.vehicle.sensors import Clock
 
 
 @dataclass(frozen=True)
-class Lateness(Term):
+class Latency(Term):
     """Gyro, magnetometer and attitude of a row are `late_s` (s) older than its Sun, with the sigma `sigma_s` (s) of that.
 
     It reads nothing: a fit moves a motion back by so much before it asks these sensors.
@@ -29,7 +29,7 @@ class Lateness(Term):
         return cls(clock.late_s, clock.sigma_s)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the lateness, unless it is known exactly."""
+        """Return the latency, unless it is known exactly."""
         if not self.sigma_s:
             return ()
         return (Unknown("late_s", "clock", "s", self.late_s, self.sigma_s),)

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 import numpy as np
 import xarray as xr
 
-from sunspin.estimation.model import Seen
+from sunspin.estimation.model import States
 from sunspin.estimation.terms.term import Residual, Starts, Term
 from sunspin.solve.rotations import cross_matrix
 
@@ -118,9 +118,9 @@ class SunDirections(Term):
             pairs.append((np.where(read[:, None], direction, 0.0), white))
         return pairs
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the whitened difference (K, n, 3) of predicted and read direction; of two meanings the nearer one counts."""
-        sun = seen.sun_B
+        sun = states.sun_B
         across = cross_matrix(sun)  # a turn t of the body moves the Sun by sun x t
         (direction, white), (other, other_white) = self._whitened
         value = np.einsum("nij,knj->kni", white, sun - direction)

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment import Surroundings
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import FIELD_TURN
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.term import Residual, Term, drifting, facing, gaussian
@@ -184,7 +184,7 @@ class FieldChange(Term):
         ]
         return (*drift, *zero, *matrix)
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the field of the sample before, carried by the turn of the body, and the errors in common, less the reading."""
         there = self.present()
         if not there.any():
@@ -192,8 +192,8 @@ class FieldChange(Term):
         inverse = self._inverse_sigma()[:, None]
         read = np.nan_to_num(self.field_B)
         before = np.concatenate([read[:1], read[:-1]])
-        previous = np.concatenate([seen.attitude[:, :1], seen.attitude[:, :-1]], axis=1)
-        relative = seen.attitude @ np.swapaxes(previous, -1, -2)
+        previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
+        relative = states.attitude @ np.swapaxes(previous, -1, -2)
         errors, by_u = np.zeros((len(u), *read.shape)), None
         drift = np.zeros_like(errors)
         if u.size:
@@ -204,7 +204,7 @@ class FieldChange(Term):
                 own = np.concatenate([own, self.matrix_sigma * rows], axis=-1)
             dt = np.diff(self.t_s, prepend=self.t_s[0])[:, None, None]
             by_drift = np.concatenate([self.drift_N[:1], self.drift_N[:-1]]) * dt
-            by_drift = np.einsum("knij,nmj->knim", seen.attitude, by_drift)
+            by_drift = np.einsum("knij,nmj->knim", states.attitude, by_drift)
             of_drift = slice(0, by_drift.shape[-1])
             drift = np.einsum("knim,km->kni", by_drift, u[:, of_drift])
             errors = np.einsum("nim,km->kni", own, u[:, of_drift.stop :])
@@ -321,16 +321,16 @@ class KnownField(Term):
             for i, size in enumerate(sizes)
         )
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the known field less the reading, both with the errors in common."""
         there = self.present()
         if not there.any():
             return
         inverse = np.where(there, 1 / self.sigma_T, 0.0)[:, None]
-        field_B = np.einsum("knij,nj->kni", seen.attitude, self.field_N)
+        field_B = np.einsum("knij,nj->kni", states.attitude, self.field_N)
         read, by_u = np.nan_to_num(self.read_B), None
         if u.size:
-            along = np.einsum("knij,nej->knie", seen.attitude, self.along_N)
+            along = np.einsum("knij,nej->knie", states.attitude, self.along_N)
             own = np.swapaxes(np.nan_to_num(self.own_B), 1, 2)
             field_B = field_B + np.einsum("knie,ke->kni", along, u)
             read = read + np.einsum("nie,ke->kni", own, u)
@@ -338,13 +338,13 @@ class KnownField(Term):
         by_turn = cross_matrix(field_B) * inverse[..., None]
         yield Residual((field_B - read) * inverse, by_turn, by_u=by_u)
 
-    def begin(self, seen: Seen, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+    def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) turned about the Sun so that the readings fit best, as a search knows the Sun alone."""
         there = self.present()
-        attitude, u = super().begin(seen, about_sun)
+        attitude, u = super().begin(states, about_sun)
         if about_sun or not there.any():
             return attitude, u
-        read_N = np.einsum("knji,nj->kni", seen.attitude[:, there], self.read_B[there])
+        read_N = np.einsum("knji,nj->kni", states.attitude[:, there], self.read_B[there])
         known, weight = self.field_N[there], 1 / self.sigma_T[there] ** 2
         # N is turned by the angle about z that carries the known field to the one read, as far as both lie across z
         sine = ((known[:, 0] * read_N[..., 1] - known[:, 1] * read_N[..., 0]) * weight).sum(axis=1)

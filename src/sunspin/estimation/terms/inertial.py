@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 from scipy.special import gamma
 
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import GYRO_ZEROS
 from sunspin.estimation.terms.term import FREEDOM, Residual, Starts, Term, gaussian
 from sunspin.solve.rotations import rotation_between
@@ -93,12 +93,12 @@ class Gyro(Term):
         scale = Unknown("gyro_scale", "gyro_scale", "1", 0.0, self.scale_sigma)
         return (*zeros, *([scale] if self.scale_sigma else []))
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the rate and the errors in common less the reading."""
         read = self.present()[:, None]
         if not read.any():
             return
-        value = read * (seen.omega - np.nan_to_num(self.rate_B)) / self.sigma
+        value = read * (states.omega - np.nan_to_num(self.rate_B)) / self.sigma
         by_rate = np.broadcast_to(read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
         if not u.size:
             yield Residual(value, by_rate=by_rate)
@@ -172,7 +172,7 @@ class AttitudeChange(Term):
         read = np.isfinite(self.B_from_N[:, 0, 0]) & np.isfinite(self.sigma_rad)
         return read & np.concatenate([[False], read[:-1]])
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the turn since the sample before less that of the attitudes: both nearly alike, so that turns add as vectors."""
         there = self.present()
         if not there.any():
@@ -180,8 +180,8 @@ class AttitudeChange(Term):
         before = np.concatenate([self.B_from_N[:1], self.B_from_N[:-1]])
         given = self.B_from_N @ np.swapaxes(before, -1, -2)
         given = np.where(there[:, None, None], given, np.eye(3))
-        previous = np.concatenate([seen.attitude[:, :1], seen.attitude[:, :-1]], axis=1)
-        relative = seen.attitude @ np.swapaxes(previous, -1, -2)
+        previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
+        relative = states.attitude @ np.swapaxes(previous, -1, -2)
         inverse = np.where(there, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         value = rotation_between(np.broadcast_to(given, relative.shape), relative) * inverse
         by_turn = np.broadcast_to(np.eye(3) * inverse[..., None], relative.shape)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from sunspin.environment import Surroundings
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import INERTIA_SIGMAS
 from sunspin.estimation.terms.earth_light import EarthLight, pairs_differing
 from sunspin.estimation.terms.term import Residual, Term, facing
@@ -218,9 +218,9 @@ class Panels(Term):
         """Return where the errors of the gains stand among the unknowns; those of the Earth's light follow."""
         return slice(0, len(self.gain_errors))
 
-    def begin(self, seen: Seen, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+    def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's."""
-        attitude, u = super().begin(seen, about_sun)
+        attitude, u = super().begin(states, about_sun)
         if self.earth is None:
             return attitude, u
         earth = slice(len(self.gain_errors), None)
@@ -228,7 +228,7 @@ class Panels(Term):
         def cost(light: np.ndarray, turned: np.ndarray) -> np.ndarray:
             trial = u.copy()
             trial[:, earth] = light
-            (residual,) = self.residuals(Seen(turned, seen.omega), trial)
+            (residual,) = self.residuals(States(turned, states.omega), trial)
             return residual.law(residual.value)[0].sum(axis=1)
 
         attitude, u[:, earth] = self.earth.begin(attitude, cost, about_sun)
@@ -306,9 +306,9 @@ class Panels(Term):
     def without(self, sample: int) -> tuple[Self, float]:
         """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
         around = facing(sphere(EVERYWHERE))[:, None]
-        seen = Seen(around, np.zeros((EVERYWHERE, 1, 3)))
+        states = States(around, np.zeros((EVERYWHERE, 1, 3)))
         alone = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
-        (residual,) = alone.residuals(seen, np.zeros((EVERYWHERE, 0)))
+        (residual,) = alone.residuals(states, np.zeros((EVERYWHERE, 0)))
         cost = residual.law(residual.value)[0][:, 0]
         names = "sigma", "alone", "modelled"
         sigmas = {name: getattr(self, name).copy() for name in names}
@@ -316,17 +316,17 @@ class Panels(Term):
             sigma[sample] = np.inf
         return replace(self, **sigmas), float(np.log(np.exp(-cost).mean()))
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""
         if not np.isfinite(self.sigma).any():
             return
         gain = (self.gain + u[:, self.of_gains] @ self.gain_errors)[:, None]
-        light, by_turn = self._light(seen, gain)
+        light, by_turn = self._light(states, gain)
         light, by_turn, parts = light * self.lit[:, None], by_turn * self.lit[:, None, None], []
         added = 0.0
         if self.earth is not None:
             of_earth = u[:, len(self.gain_errors) :]
-            more, by_state = self.earth.on_panels(self.response, gain, seen.attitude, of_earth)
+            more, by_state = self.earth.on_panels(self.response, gain, states.attitude, of_earth)
             light, by_turn = light + more, by_turn + by_state[..., :3]
             parts, added = [by_state[..., 3:]], self.earth.zero(of_earth)
         by_gain = (light / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
@@ -353,19 +353,19 @@ class Panels(Term):
             by_u=change[..., 3:] if u.size else None,
         )
 
-    def _light(self, seen: Seen, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _light(self, states: States, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return readings (K, n, p) in full brightness and their derivative (K, n, p, 3) by a turn, at their instants.
 
         That the body turns until then by its rate changes the derivative little, and is left out of it.
         """
         light, by_turn = 0.0, 0.0
-        across = cross_matrix(seen.sun_B)  # a turn t of the body moves the Sun by sun x t
+        across = cross_matrix(states.sun_B)  # a turn t of the body moves the Sun by sun x t
         for shift, weight in self.instants.shifts():
-            sun, moves = seen.sun_B, across
+            sun, moves = states.sun_B, across
             if shift:
-                sun = components_after_rotation(sun, shift * seen.omega)
+                sun = components_after_rotation(sun, shift * states.omega)
                 columns = np.swapaxes(across, -1, -2)
-                moves = components_after_rotation(columns, shift * seen.omega[..., None, :])
+                moves = components_after_rotation(columns, shift * states.omega[..., None, :])
                 moves = np.swapaxes(moves, -1, -2)
             power, by_sun, _ = self.response.slopes(sun, gain=gain)
             light = light + weight * power

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.solve.rotations import cross
 
 FREEDOM = 4.0
@@ -98,15 +98,15 @@ class Term:
         """Return what is estimated of it with the motion."""
         return ()
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the differences for motions whose unknowns of this term are u (K, m)."""
         yield from ()
 
-    def added_by_unknowns(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+    def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray | None:
         """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds in intervals dt; None if it is no torque."""
         return None
 
-    def added_by_torque(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+    def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray | None:
         """Return turn (rad) and rate (rad/s) (K, n - 1, 6) at the end of each interval dt (n - 1) that a known torque adds.
 
         They are in the body's axes at that instant. None if there is no torque.
@@ -117,12 +117,12 @@ class Term:
         """Return the term of a body on which unknown torques of this strength act (rad/s^1.5)."""
         return self
 
-    def begin(self, seen: Seen, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+    def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit of motions that a search has found begins.
 
         `about_sun`: the turn about the Sun is known already.
         """
-        return seen.attitude, np.zeros((len(seen.omega), len(self.unknowns())))
+        return states.attitude, np.zeros((len(states.omega), len(self.unknowns())))
 
     def for_search(self) -> Sequence[Term]:
         """Return the term without unknowns, trusted no further than they allow; several if its readings may mean several things."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import DIPOLE_SIZES
 from sunspin.estimation.terms.term import Term
 from sunspin.solve.rotations import cross, cross_matrix, rotate_attitude
@@ -67,13 +67,13 @@ class ConstantTorque(Term):
             for i, axis in enumerate("xyz")
         )
 
-    def added_by_unknowns(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+    def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6, 3) that one sigma of each component adds over the intervals dt (n - 1).
 
         The equations are linear in turn t, rate r and torque T (docs/model.md), with the mean rate w of the interval:
         dt/ds = -w x t + r, I dr/ds = (I w + h) x r - w x (I r) + T; in space T is a vector of the body that turns: dT/ds = -w x T.
         """
-        omega = (seen.omega[:, :-1] + seen.omega[:, 1:]) / 2
+        omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
         turning = cross_matrix(omega)
         inverse = np.linalg.inv(self.inertia)
         momentum = omega @ self.inertia + (self.momentum[:-1] + self.momentum[1:]) / 2
@@ -85,7 +85,7 @@ class ConstantTorque(Term):
         if self.frame == "N":
             change[..., 6:, 6:] = -turning
         push = self.sigma * exponential(change * dt[:, None, None])[..., :6, 6:]
-        return push if self.frame == "B" else push @ seen.attitude[:, :-1]
+        return push if self.frame == "B" else push @ states.attitude[:, :-1]
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class MagneticTorque(Term):
             for i, name in enumerate(names)
         )
 
-    def added_by_unknowns(self, seen: Seen, dt: np.ndarray) -> np.ndarray | None:
+    def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray | None:
         """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds, by the attitude averaged over each interval.
 
         The body keeps its first rate: if it turns several times between two samples only the field along the axis is left, and the
@@ -145,7 +145,7 @@ class MagneticTorque(Term):
         """
         if not self.sigma:
             return None
-        span, (even, early) = dt[:, None, None], averaged_attitudes(seen, dt)
+        span, (even, early) = dt[:, None, None], averaged_attitudes(states, dt)
         if self.field_N is None:
             size, each = self.sigma / np.sqrt(6), (_products(early), _products(even))
         else:
@@ -157,13 +157,13 @@ class MagneticTorque(Term):
         return size * np.concatenate([span**2 / 2 * each[0], span * each[1]], axis=2)
 
 
-def averaged_attitudes(seen: Seen, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def averaged_attitudes(states: States, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return attitudes (K, n - 1, 3, 3) averaged over each interval of a body that keeps its first rate.
 
     Evenly, and with a weight that falls evenly to zero at the end: what happens early turns the body longer. The averages of
     exp(-[v x] u), v being the turn, over u from 0 to 1 are closed.
     """
-    angle = seen.omega[:, :-1] * dt[:, None]
+    angle = states.omega[:, :-1] * dt[:, None]
     x = np.linalg.norm(angle, axis=-1)[..., None, None]
     axis = angle[..., None, :] / np.maximum(x, 1e-300)
     across, along = cross_matrix(axis[..., 0, :]), np.swapaxes(axis, -1, -2) @ axis
@@ -171,7 +171,7 @@ def averaged_attitudes(seen: Seen, dt: np.ndarray) -> tuple[np.ndarray, np.ndarr
     # mean sine and cosine of the turn under both weights
     averages = (x / 2 * half, whole), (2 * (1 - whole) / np.maximum(x, 1e-300), half)
     even, early = (
-        (cosine * np.eye(3) + (1 - cosine) * along - sine * across) @ seen.attitude[:, :-1]
+        (cosine * np.eye(3) + (1 - cosine) * along - sine * across) @ states.attitude[:, :-1]
         for sine, cosine in averages
     )
     return even, early
@@ -198,12 +198,12 @@ class StatedDipole(Term):
     dipole: np.ndarray
     field_B: np.ndarray
 
-    def added_by_torque(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+    def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6) that the torque adds in intervals dt."""
         pull, span = np.cross(self.dipole, self.field_B), dt[:, None]
         first, last = pull[:-1], pull[1:]
         added = [span**2 * (2 * first + last) / 6, span * (first + last) / 2]
-        return np.broadcast_to(np.concatenate(added, axis=1), (*seen.omega[:, 1:].shape[:2], 6))
+        return np.broadcast_to(np.concatenate(added, axis=1), (*states.omega[:, 1:].shape[:2], 6))
 
 
 @dataclass(frozen=True)
@@ -222,13 +222,13 @@ class GravityGradient(Term):
     strength: np.ndarray
     inertia: np.ndarray
 
-    def added_by_torque(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
+    def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6) that the torque adds, summed over instants of a body that keeps its first rate."""
         inverse, added = np.linalg.inv(self.inertia), 0.0
         for place, weight in zip(*INSTANTS, strict=True):
             share = (1 + place) / 2
             attitude = rotate_attitude(
-                seen.attitude[:, :-1], share * dt[:, None] * seen.omega[:, :-1]
+                states.attitude[:, :-1], share * dt[:, None] * states.omega[:, :-1]
             )
             nadir = (1 - share) * self.nadir_N[:-1] + share * self.nadir_N[1:]
             nadir_B = np.einsum("knij,nj->kni", attitude, nadir)
