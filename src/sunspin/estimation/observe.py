@@ -26,6 +26,7 @@ from sunspin.estimation.terms.field import (
 )
 from sunspin.estimation.terms.inertial import AttitudeChange, Gyro
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.terms.rate_size import RateSize
 from sunspin.estimation.terms.term import Term
 from sunspin.estimation.terms.torques import GravityGradient, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
@@ -128,7 +129,8 @@ def observe(
     why[find_late_frames(telemetry)] = LATE
 
     compared = None if isinstance(sun, FieldDirection) else known or fields
-    read = (sun, Gyro.read(vehicle, sensors), compared, AttitudeChange.read(vehicle, sensors))
+    rates = Gyro.read(vehicle, sensors), RateSize.read(vehicle, sensors)
+    read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
     others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
     terms = [term for term in (*read, *others) if term is not None]

@@ -392,7 +392,7 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if attrs["frame_N"] == FIELD_Z_LOCAL:
         notes.append(FIELD_ALONE)
-    elif not any(attrs[f"{name}_used"] for name in OTHER_SENSORS):
+    elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
         notes.append(SUN_ALONE)
         if count := attrs["no_sphere"]:
             notes.append(
