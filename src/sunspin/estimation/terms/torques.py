@@ -74,8 +74,8 @@ class ConstantTorque(Term):
 
             dt/ds = -w x t + r;    I dr/ds = (I w + h) x r - w x (I r) + T;    dT/ds = 0, or -w x T for one constant in space.
 
-        Here w is the mean rate of the interval, I the inertia, h the momentum of the wheels. The matrix of this system is constant, so
-        that its exponential gives t and r at the end for each T at the start.
+        Here w is the mean rate of the interval, I the inertia, h the momentum of the wheels. The matrix of this system is constant:
+        its exponential gives t and r at the end for each T at the start.
         """
         turn, rate, torque = slice(0, 3), slice(3, 6), slice(6, 9)
         omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
