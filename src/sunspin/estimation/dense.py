@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunspin.estimation.carry import Step, angle_turned, step
-from sunspin.estimation.chain import lateness, seen_earlier
-from sunspin.estimation.model import Model, Observations, Seen, Track
+from sunspin.estimation.chain import earlier_states, latency
+from sunspin.estimation.model import Model, Observations, States, Track
 from sunspin.estimation.terms.term import Term
 from sunspin.estimation.verdict import in_sigma
 from sunspin.solve.rotations import rotate_attitude, rotation_between
@@ -152,9 +152,9 @@ def residuals_by_sensor(
     granted = np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
     u = track.u * granted
     residuals: dict[str, np.ndarray] = {}
-    late = lateness(model, u)
+    late = latency(model, u)
     earlier = (
-        None if late is None else seen_earlier(replace(model, obs=obs), track, late.late_s).seen
+        None if late is None else earlier_states(replace(model, obs=obs), track, late.late_s).states
     )
     for term, place in zip(obs.terms, model.of_terms, strict=False):
         freedom = term.freedom()
@@ -170,7 +170,7 @@ def residuals_by_sensor(
 
 
 def _square(
-    term: Term, seen: Seen, u: np.ndarray, spread: np.ndarray, dt: np.ndarray
+    term: Term, seen: States, u: np.ndarray, spread: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
     """Return the squares (K, n) of a term's differences under the covariance of readings and states together.
 

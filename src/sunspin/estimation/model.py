@@ -255,9 +255,7 @@ class Model:
 
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
-        terms = tuple(term.under(acceleration) for term in self.obs.terms)
-        noise = replace(self.noise, acceleration=acceleration)
-        return replace(self, obs=replace(self.obs, terms=terms), noise=noise)
+        return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
     def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
         """Return the model with one more term, at these log odds to the model before the data."""
@@ -285,7 +283,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Seen:
+class States:
     """K motions at n samples: attitudes B_from_N (K, n, 3, 3) and rates (K, n, 3) in rad/s, body axes."""
 
     attitude: np.ndarray
@@ -298,7 +296,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Track(Seen):
+class Track(States):
     """K motions with their unknowns u (K, m) in sigmas.
 
     After a fit also their `cost` (K), minus the log of the posterior density, and the `covariance` (K, n, 6, 6) of turn (rad, B)
