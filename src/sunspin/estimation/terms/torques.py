@@ -72,7 +72,7 @@ class ConstantTorque(Term):
 
         Small changes of a motion follow linear equations in time s, in body axes. They are a turn t, a rate r and a torque T:
 
-            dt/ds = -w x t + r;    I dr/ds = (I w + h) x r - w x (I r) + T;    dT/ds = 0, or -w x T for one constant in space.
+            dt/ds = -w x t + r;  I dr/ds = (I w + h) x r - w x (I r) + T;  dT/ds = 0, or -w x T for one constant in space.
 
         Here w is the mean rate of the interval, I the inertia, h the momentum of the wheels. The matrix of this system is constant:
         its exponential gives t and r at the end for each T at the start.
@@ -192,7 +192,7 @@ def averaged_attitudes(states: States, dt: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _products(attitude: np.ndarray) -> np.ndarray:
-    """Return the torques e_j x A e_l (..., 3, 9) of a dipole along j in a field along l of space, for all j and l in this order."""
+    """Return the torques e_j x A e_l (..., 3, 9) of dipoles along j in fields along l of space, for all j and l in this order."""
     torque = np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude)
     return torque.reshape(*attitude.shape[:-1], 9)
 
