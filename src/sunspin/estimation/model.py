@@ -244,9 +244,7 @@ class Model:
 
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
-        terms = tuple(term.under(acceleration) for term in self.obs.terms)
-        noise = replace(self.noise, acceleration=acceleration)
-        return replace(self, obs=replace(self.obs, terms=terms), noise=noise)
+        return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
     def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
         """Return the model with one more term, at these log odds to the model before the data."""

@@ -301,7 +301,7 @@ def _why_unused(seen: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
     dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
-    down = panels[0].lit == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    down = panels[0].sun_up == 0 if panels else np.zeros(len(seen.why), dtype=bool)
     shadow = sum(
         dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
     )
