@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import sunspin as ss
 from sunspin.base.errors import InputError
+from sunspin.telemetry.column_periods import describe_periods, read_column_periods
 from sunspin.telemetry.periodicity import FALSE_ALARM, find_period, find_periods
 
 TRUE_S = 47.0
@@ -91,3 +93,46 @@ def test_a_column_that_does_not_change_has_no_period():
         find_periods(t_s, t_s, 0.0)
     with pytest.raises(InputError, match="too many periods"):
         find_periods(t_s, np.sin(t_s), 1e-3)
+
+
+VEHICLE = """
+name = "with a signal strength"
+[telemetry]
+time_format = "elapsed"
+epoch_utc = "2026-01-01T00:00:00Z"
+[sun_vector]
+columns = ["sx", "sy", "sz"]
+sigma_rad = 0.02
+"""
+
+
+@pytest.fixture
+def with_signal(tmp_path):
+    """Return the path of telemetry with a signal strength that has a period, and a vehicle that does not read it."""
+    t_s, value = light_curve(3)
+    rows = [f"{t:.3f},1,0,0,{v:.4f},7" for t, v in zip(t_s, value, strict=True)]
+    (tmp_path / "telemetry.csv").write_text("\n".join(["time,sx,sy,sz,rssi,same", *rows]), "utf-8")
+    (tmp_path / "vehicle.toml").write_text(VEHICLE, "utf-8")
+    return tmp_path / "telemetry.csv", ss.load_vehicle(tmp_path / "vehicle.toml")
+
+
+def test_a_column_that_no_sensor_reads_is_read_on_request(with_signal):
+    path, vehicle = with_signal
+    data = ss.read_telemetry(path, vehicle, columns=["rssi"])
+    assert data["column_reading"].dims == ("time", "column")
+    assert np.allclose(data["column_reading"].values[:, 0], light_curve(3)[1], atol=1e-3)
+    assert data.attrs["unused_columns"] == "same"
+    with pytest.raises(ss.TelemetryError, match=r"'rsi'.* did you mean 'rssi'"):
+        ss.read_telemetry(path, vehicle, columns=["rsi"])
+
+
+def test_columns_of_a_file_have_periods_in_the_part_that_is_used(with_signal):
+    path, vehicle = with_signal
+    found = read_column_periods(path, vehicle, ["rssi", "same"], 0.4, (-np.inf, np.inf))
+    lines = describe_periods(found, "{:.0f} s".format)
+    assert " 47." in lines[0] and "(60 readings)" in lines[0]
+    assert "no significant period" in lines[1] and "unchanged" in lines[1]
+    none = read_column_periods(path, vehicle, ["rssi"], 0.4, (0.0, 100.0))
+    assert "no stretch has enough readings" in describe_periods(none, str)[0]
+    with pytest.raises(InputError, match="which the estimate uses already"):
+        read_column_periods(path, vehicle, ["sx"], 0.4, (-np.inf, np.inf))
