@@ -22,7 +22,7 @@ HARMONICS = (1, 2)
 
 SHAPES = ((1,), (2,), (1, 2))
 """Harmonics that a light curve may have, equally likely before: that of one flash in a rotation, two equal ones, or two unequal
-ones. With the third alone errors of a sine's period were 1.5 times as large as stated, as the second harmonic fits noise."""
+ones. With the third alone errors of a sine's period were 1.5 sigma in the root mean square, as the second harmonic fits noise."""
 
 TREND = 2
 """Degree of the polynomial in time that is fitted too: range and elevation change the signal slowly over a pass."""
@@ -31,7 +31,7 @@ FEWEST = 12
 """Fewest readings of a stretch: mean, trend and harmonics have seven numbers."""
 
 FEWEST_CYCLES = 1.5
-"""The longest period is seen so many times; a longer one is not told from the trend."""
+"""The longest period is seen so many times; a longer one looks like the trend."""
 
 OVERSAMPLED = 8
 """Trial frequencies for each 1 / duration of the stretch, for the second harmonic, whose peaks are half as wide."""
