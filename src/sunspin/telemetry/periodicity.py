@@ -81,7 +81,7 @@ class FoundPeriod:
 
     @property
     def every(self) -> tuple[LikelyPeriod, ...]:
-        """All periods, the most probable one first."""
+        """Return all periods, the most probable one first."""
         return (LikelyPeriod(self.period_s, self.sigma_s, self.probability), *self.aliases)
 
 
