@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimation.model import Seen
+from sunspin.estimation.model import States
 from sunspin.estimation.rates import rates
 from sunspin.estimation.terms.rate_size import RateSize as SizeTerm
 from sunspin.estimation.terms.term import facing, student
@@ -85,9 +85,9 @@ def test_derivatives_of_a_size_are_those_of_differences(scale_sigma):
     attitude = facing(np.tile([0.0, 0.0, 1.0], (k, n, 1)))
 
     def value(omega, u):
-        return next(term.residuals(Seen(attitude, omega), u)).value
+        return next(term.residuals(States(attitude, omega), u)).value
 
-    residual = next(term.residuals(Seen(attitude, omega), u))
+    residual = next(term.residuals(States(attitude, omega), u))
     assert residual.by_turn is None and residual.value.shape == (k, n, 1)
     assert not residual.value[:, 2].any()
     for axis, along in enumerate(np.eye(3)):
@@ -100,7 +100,7 @@ def test_derivatives_of_a_size_are_those_of_differences(scale_sigma):
 
 def test_a_body_at_rest_has_a_residual_and_no_slope():
     term = SizeTerm(np.array([0.01, 0.0]), 0.005)
-    still = Seen(np.tile(np.eye(3), (1, 2, 1, 1)), np.zeros((1, 2, 3)))
+    still = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.zeros((1, 2, 3)))
     residual = next(term.residuals(still, np.zeros((1, 0))))
     assert residual.value[0, :, 0].tolist() == [-2.0, 0.0] and not residual.by_rate.any()
 

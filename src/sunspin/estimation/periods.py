@@ -22,6 +22,7 @@ from sunspin.estimation.model import Body
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.verdict import padded
 from sunspin.solve.weights import effective_draws
+from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
 
 READINGS = ("precession", "spin", "sum")
 """What a period may be of."""
@@ -49,12 +50,23 @@ LEAST_SHARE = 0.05
 the true period, as of a light curve that repeats twice in a revolution, decided one of 24 simulated passes wrongly."""
 
 
+SQRT_2PI = np.sqrt(2 * np.pi)
+"""By which the sigma of a normal law is multiplied for one over its height."""
+
+
 class PeriodSeen(Protocol):
     """A period `period_s` with one sigma `sigma_s`, seen at `t_s` (s from the epoch of the telemetry)."""
 
     t_s: float
     period_s: float
     sigma_s: float
+
+
+def every_of(seen: PeriodSeen) -> Sequence[LikelyPeriod]:
+    """Return the periods that one which was seen may be, with their probabilities: a column may leave several."""
+    if isinstance(seen, FoundPeriod):
+        return seen.every
+    return (LikelyPeriod(seen.period_s, seen.sigma_s, 1.0),)
 
 
 class Weighed(NamedTuple):
@@ -112,7 +124,10 @@ def _weigh(
 
     # solutions that come as near to the periods as FAR_SIGMAS, by the densities of their draws
     density = weighed.density.reshape(len(share), each)
-    peak = [1 / (len(READINGS) * period.sigma_s * np.sqrt(2 * np.pi)) for period in seen]
+    peak = [
+        min(part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI) for part in every_of(one))
+        for one in seen
+    ]
     have = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
     carried = float(share[have].sum())
     counts = (
@@ -145,15 +160,15 @@ def weigh_draws(
     seen: Sequence[PeriodSeen], periods: Sequence[np.ndarray], weight: np.ndarray
 ) -> Weighed:
     """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen."""
-    each = []
+    each, heights = [], []
     for one, of_draws in zip(seen, periods, strict=True):
-        apart = (np.nan_to_num(of_draws, nan=np.inf) - one.period_s) / one.sigma_s
-        each.append(np.exp(-0.5 * apart**2) / (one.sigma_s * np.sqrt(2 * np.pi)))
+        known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(one)
+        # exp(-d^2 / 2) of the distances d, in sigmas, from each period that it may be
+        near = [np.exp(-0.5 * ((known - part.period_s) / part.sigma_s) ** 2) for part in likely]
+        sizes = [part.probability / (part.sigma_s * SQRT_2PI) for part in likely]
+        each.append(np.einsum("k,knr->nr", np.array(sizes), np.array(near)))
+        heights.append(float(np.max(near)))
     density = np.prod([one.mean(axis=1) for one in each], axis=0)
-    heights = [
-        float(part.max()) * one.sigma_s * np.sqrt(2 * np.pi)
-        for one, part in zip(seen, each, strict=True)
-    ]
     nearest = float(np.sqrt(-2 * np.log(np.clip(min(heights), 1e-300, 1.0))))
     total = float(weight @ density)
     if not total > 0:

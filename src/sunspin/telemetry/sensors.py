@@ -105,6 +105,14 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     return variables
 
 
+def read_columns(table: Table, names: Sequence[str]) -> dict[str, Any]:
+    """Return the variable `column_reading` (time, column): numbers of columns as the file has them, NaN for fill values."""
+    if not names:
+        return {}
+    about = {"units": "1", "long_name": "reading of a column, as the file has it"}
+    return {"column_reading": (("time", "column"), _numbers(table, list(names)), about)}
+
+
 def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Return the variables of `read_sensors` that come from Sun sensors and the Sun vector."""
     sensors, vector = vehicle.sensors.sun_sensors, vehicle.sensors.sun_vector

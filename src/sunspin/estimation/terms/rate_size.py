@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import gamma
 
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.terms.term import FREEDOM, Residual, Term
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES
@@ -54,19 +54,19 @@ class RateSize(Term):
             return ()
         return (Unknown("rate_size_scale", "rate_size_scale", "1", 0.0, self.scale_sigma),)
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the size of the rate and the error in common less the reading.
 
         The size grows along the axis of the rate. At rest it grows along every axis alike, so that the derivative is zero there.
         """
-        read = self.present()
-        if not read.any():
+        was_read = self.present()
+        if not was_read.any():
             return
-        reading = np.where(read, self.size, 0.0)
-        size = np.linalg.norm(seen.omega, axis=-1)
-        axis = seen.omega / np.where(size > 0, size, 1.0)[..., None]
-        value = (read * (size - reading) / self.sigma)[..., None]
-        by_rate = (read[:, None] * axis / self.sigma)[:, :, None, :]
+        reading = np.where(was_read, self.size, 0.0)
+        size = np.linalg.norm(states.omega, axis=-1)
+        axis = states.omega / np.where(size > 0, size, 1.0)[..., None]
+        value = (was_read * (size - reading) / self.sigma)[..., None]
+        by_rate = (was_read[:, None] * axis / self.sigma)[:, :, None, :]
         if not u.size:
             yield Residual(value, by_rate=by_rate)
             return
