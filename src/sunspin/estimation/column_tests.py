@@ -30,6 +30,7 @@ from sunspin.estimation.equivalence import (
     rate_under,
     wheel_changes,
 )
+from sunspin.estimation.settings import FIELD_TURN
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import sphere
@@ -43,9 +44,6 @@ SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "qu
 
 TABLES = {variable: table for table, variable in VARIABLES.items()}
 """Variable of the telemetry -> the sensor's table in the vehicle file."""
-
-FIELD_TURN_RATE = 2.2e-3
-"""rad/s; the field turns in space by as much along a low orbit, twice in a revolution over the poles."""
 
 DIRECTIONS, READING_ERROR = 3000, 0.06
 """Directions of the Sun in which samples are compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
@@ -466,7 +464,7 @@ def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle)
     if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
         in_space = turned.inv().apply(np.where(known[:, None], value, 0.0))
         strength = np.linalg.norm(in_space[:-1], axis=1)
-        turning = FIELD_TURN_RATE * np.diff(motion["time"].values) * strength
+        turning = FIELD_TURN * np.diff(motion["time"].values) * strength
         spread = 2 * magnetometer.noise**2 + turning**2
         return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / spread)[pairs]
     if name == "attitude_B_from_N" and sensors.attitude is not None:

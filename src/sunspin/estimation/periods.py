@@ -24,6 +24,7 @@ from sunspin.estimation.model import Body
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.verdict import padded
 from sunspin.solve.weights import effective_draws
+from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
 
 READINGS = ("precession", "spin", "sum")
 """What a period may be of."""
@@ -51,12 +52,23 @@ LEAST_SHARE = 0.05
 the true period, as of a light curve that repeats twice in a revolution, decided one of 24 simulated passes wrongly."""
 
 
+SQRT_2PI = np.sqrt(2 * np.pi)
+"""By which the sigma of a normal law is multiplied for one over its height."""
+
+
 class PeriodSeen(Protocol):
     """A period `period_s` with one sigma `sigma_s`, seen at `t_s` (s from the epoch of the telemetry)."""
 
     t_s: float
     period_s: float
     sigma_s: float
+
+
+def every_of(seen: PeriodSeen) -> Sequence[LikelyPeriod]:
+    """Return the periods that one which was seen may be, with their probabilities: a column may leave several."""
+    if isinstance(seen, FoundPeriod):
+        return seen.every
+    return (LikelyPeriod(seen.period_s, seen.sigma_s, 1.0),)
 
 
 class Weighed(NamedTuple):
@@ -113,9 +125,12 @@ def _weigh(
     weighed = weigh_draws(seen, periods, np.repeat(before / draws_each, draws_each))
 
     # A solution has the periods if one of its draws is within FAR_SIGMAS of them: its density is then above that part of the
-    # density of a draw that has each period exactly as one of the three READINGS.
+    # density of a draw that has each period exactly, as one of the three READINGS, and as the least probable one it may be.
     density = weighed.density.reshape(len(before), draws_each)
-    peak = [1 / (len(READINGS) * period.sigma_s * np.sqrt(2 * np.pi)) for period in seen]
+    peak = [
+        min(part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI) for part in every_of(one))
+        for one in seen
+    ]
     has_periods = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
     share_with_periods = float(before[has_periods].sum())
     counts = (
@@ -151,15 +166,20 @@ def weigh_draws(
 ) -> Weighed:
     """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen.
 
-    The density of a period seen is the mean of three normal laws about those of a draw, and Bayes' rule gives the weights.
+    The density of a period seen is the mean, over the three readings of a draw, of normal laws about each period that it may be.
+    Bayes' rule gives the weights.
     """
     by_reading = []  # of each period seen: densities (n, 3)
     relative = []  # and how far below its peak the nearest draw is
     for one, of_draws in zip(seen, periods, strict=True):
-        sigmas = (np.nan_to_num(of_draws, nan=np.inf) - one.period_s) / one.sigma_s
-        law = np.exp(-0.5 * sigmas**2)
+        known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(one)
+        # exp(-d^2 / 2) of the distances d, in sigmas, from each period that it may be (k, n, 3)
+        law = np.array(
+            [np.exp(-0.5 * ((known - part.period_s) / part.sigma_s) ** 2) for part in likely]
+        )
+        sizes = np.array([part.probability / (part.sigma_s * SQRT_2PI) for part in likely])
         relative.append(float(law.max()))
-        by_reading.append(law / (one.sigma_s * np.sqrt(2 * np.pi)))
+        by_reading.append(np.einsum("k,knr->nr", sizes, law))
     density = np.prod([part.mean(axis=1) for part in by_reading], axis=0)
     nearest = float(np.sqrt(-2 * np.log(np.clip(min(relative), 1e-300, 1.0))))
     total = float(weight @ density)

@@ -23,6 +23,7 @@ from sunspin.estimation.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.terms.field import FieldDirection, KnownField
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.terms.rate_size import RateSize
 from sunspin.estimation.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
@@ -133,9 +134,11 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
-    sensors = [term for term in seen.obs.terms if term.name in OTHER_SENSORS]
+    sensors = [term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateSize.name)]
     read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
+    if any(term.name == RateSize.name for term in seen.obs.terms):
+        attrs["rate_size_used"] = int(RateSize.name in read)
     untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
     return attrs | {"wheels_untold": ", ".join(untold)}
 
@@ -295,7 +298,9 @@ def believed(
             either_side(one.track),
         )
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
-        checked = COLUMNS_UNCHECKED if list(by_sensor) == ["Sun"] else COLUMNS_STATED
+        # exchanged columns give a motion of the same size, so that a size confirms none
+        blind = set(by_sensor) <= {"Sun", RateSize.label}
+        checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
         solution = one.probability, omega, sigma, speed, four_answers, checked
         rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))
     return (

@@ -349,7 +349,8 @@ def rates_words(result: xr.Dataset) -> str:
     ]
     if count := int((~fits).sum()):
         notes.append(
-            f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, faulty data"
+            f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, wrong "
+            "inertia, faulty data"
         )
     if "columns_doubt" in attrs:
         notes.append(attrs["columns_doubt"])
@@ -406,7 +407,7 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if attrs["frame_N"] == FIELD_Z_LOCAL:
         notes.append(FIELD_ALONE)
-    elif not any(attrs[f"{name}_used"] for name in OTHER_SENSORS):
+    elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
         notes.append(SUN_ALONE)
         if count := attrs["no_sphere"]:
             notes.append(
