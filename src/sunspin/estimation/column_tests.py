@@ -227,6 +227,49 @@ def _best_of(
         if not any(len(equivalence(observed, other, change)) for other in near):
             distinct.append((change, cost))
     classes = [change for change, _ in distinct[1:]]
+    others = [change for change, _ in candidates]
+    return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
+
+
+def better_dark_columns(
+    observed: Observed, telemetry: xr.Dataset, noise: np.ndarray | float, trials: Trials
+) -> Better | None:
+    """Return exchanges of columns that were hardly ever lit, if a pass that fits fits clearly better with them.
+
+    The samples by themselves cannot tell such columns apart, but a motion follows what little they read. A body that turned with
+    the Sun near its axis was decided along a motion that two exchanged columns made up: with the right ones the log evidence was
+    better by 25. `observed`: with the Sun's directions of the estimated motion; `noise`: of the readings.
+    """
+    light = observed.vehicle.response_in().power(observed.sun_B)
+
+    def matters(change: Change) -> bool:
+        """Return whether both columns were dark, and the estimated motion would light them differently."""
+        a_and_b = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
+        if len(a_and_b) != 2 or observed.lit[a_and_b].any():
+            return False
+        square = (np.diff((light / noise)[:, a_and_b], axis=1) ** 2).sum()
+        return bool(square / 2 > CLEARLY)
+
+    changes = [one for one in column_changes(observed.vehicle, telemetry) if matters(one)]
+    evidence_as_written = trials.evidence(observed.vehicle, telemetry) if changes else -np.inf
+    if not np.isfinite(evidence_as_written):
+        return None
+    # as dark columns may be exchanged unseen, no others that look the same are named
+    return _best_of_classes(observed, telemetry, changes, [], trials, evidence_as_written)
+
+
+def _best_of_classes(
+    observed: Observed,
+    telemetry: xr.Dataset,
+    classes: Sequence[Change],
+    others: Sequence[Change],
+    trials: Trials,
+    evidence_as_written: float,
+) -> Better | None:
+    """Return the best of some changes, none of which look the same, with all `others` that look the same, if they fit.
+
+    `evidence_as_written`: log evidence of the file as it is written.
+    """
     gains = np.full(len(classes), -np.inf)
     for k, change in enumerate(classes):
         if trials.budget.exhausted():
@@ -243,7 +286,7 @@ def _best_of(
         result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
         if result is not None:
             best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
-            named += with_equivalents(observed, classes[k], result, [one for one, _ in candidates])
+            named += with_equivalents(observed, classes[k], result, others)
     return Better(tuple(named), best, at_s) if named else None
 
 

@@ -20,6 +20,7 @@ from sunspin.estimation.column_tests import (
     Better,
     Named,
     Trials,
+    better_dark_columns,
     samples_fit_other_columns,
     what_fits_better,
 )
@@ -84,11 +85,14 @@ def check_columns(
     observed = what_was_observed(vehicle, telemetry, result.attrs, in_orbit)
     result = _with_unseen_changes(result, observed, telemetry)
     result = _with_symmetric_motions(result, observed, telemetry)
+    tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
     if again is not None and (not fits or _may_hide_exchange(result, observed, telemetry)):
-        tests = replace(budget, most=COLUMN_SHARE * budget.most)
         result = _with_other_columns(result, observed, telemetry, again, settings, tests)
         result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    if again is not None and fits and "columns_doubt" not in result.attrs:
+        trials = _trials_of(result, np.inf, again, settings, tests)
+        result = _with_dark_columns(result, observed, telemetry, trials)
     return _with_doubted_wheels(result, doubt, observed, telemetry)
 
 
@@ -140,8 +144,7 @@ def _with_symmetric_motions(
         return result
     decided, unique = (result[name].values.copy() for name in ("decided", "unique"))
     why = result["why_not_decided"].values.astype(object)
-    stated_noise = observed.vehicle.input_noise
-    noise = result.attrs["noise"] if stated_noise is None else stated_noise
+    noise = noise_of(result, observed.vehicle)
     doubted = 0
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, samples_of(result, telemetry, k)).lit
@@ -159,6 +162,12 @@ def _with_symmetric_motions(
         unique=("pass_id", unique),
         why_not_decided=("pass_id", why.astype(np.str_)),
     ).assign_attrs(symmetric_unlisted=doubted)
+
+
+def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:
+    """Return the noise of the panels' readings: that of the vehicle file, else the estimated one."""
+    stated = vehicle.input_noise
+    return result.attrs["noise"] if stated is None else stated
 
 
 def has_unlisted_motion(
@@ -215,6 +224,37 @@ def _with_other_columns(
     # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
     needs_calm = not len(unfitted) and not samples_fit_other_columns(vehicle, part)
     most_noise = attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
+    trials = _trials_of(result, most_noise, again, settings, budget)
+    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
+    better = what_fits_better(here, part, trials)
+    if better is None:
+        return result
+    if isinstance(better, Better):
+        return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+    return result.assign_attrs(columns_doubt=better.words())
+
+
+def _with_dark_columns(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
+) -> xr.Dataset:
+    """Return the result with the dark columns that fit better if they are exchanged, by the longest pass; all passes fit."""
+    if not observed.panels or observed.sensors or "noise" not in result.attrs:
+        return result
+    place = _longest(result)
+    part = samples_of(result, telemetry, place)
+    here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
+    here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
+    better = better_dark_columns(here, part, noise_of(result, observed.vehicle), trials)
+    if better is None:
+        return result
+    return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+
+
+def _trials_of(
+    result: xr.Dataset, most_noise: float, again: Again, settings: RatesSettings, budget: Budget
+) -> Trials:
+    """Return how changes are judged; `most_noise` (rad/s^1.5): a change must do with torques of this strength."""
+    attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
 
     def evidence(changed: Vehicle, data: xr.Dataset) -> float:
@@ -239,13 +279,7 @@ def _with_other_columns(
         budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
         return made if made.attrs["acceleration_noise"] <= most_noise else None
 
-    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
-    better = what_fits_better(here, part, Trials(evidence, run, budget))
-    if better is None:
-        return result
-    if isinstance(better, Better):
-        return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
-    return result.assign_attrs(columns_doubt=better.words())
+    return Trials(evidence, run, budget)
 
 
 def _with_doubted_wheels(
