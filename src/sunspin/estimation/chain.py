@@ -99,7 +99,12 @@ class Whitening(NamedTuple):
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
+
+    The matrix has `diagonal` blocks (K, n, 6, 6) of turn and rate at each sample, `upper` ones (K, n - 1, 6, 6) between neighbours,
+    a `border` (K, n, 6, m) between samples and unknowns, and a `corner` (K, m, m) of unknowns. A residual r with the slope A and the
+    weight w adds w A^T A to the matrix, and w A^T r to the gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    """
     k, n = motions.omega.shape[:2]
     m = motions.u.shape[1]
     diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
@@ -110,6 +115,7 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     for residual, place in readings(model, motions):
         part, weight = residual.law(residual.value)
         cost += part.sum(axis=1)
+        # by turn and by rate: where they stand, A, and w A^T
         columns = [
             (rows, derivative, np.swapaxes(weight[..., None, None] * derivative, -1, -2))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))

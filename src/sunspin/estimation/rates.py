@@ -70,7 +70,7 @@ from sunspin.estimation.settings import (
     SearchSettings,
 )
 from sunspin.estimation.solutions import Solutions, solutions
-from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
+from sunspin.estimation.starts import fine_up_to, pair_starts, pairs_to_try, relatives
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
 from sunspin.estimation.verdict import more_effort, rates_words, slower
@@ -214,7 +214,7 @@ def rates(
         stated = replace(stated, obs=seen.obs)
         whole = [stated.obs.of_pass(one.samples) for one in passes]
         models = [
-            replace(stated, obs=obs.take(one.places))
+            replace(stated, obs=obs.take(one.kept_in_pass))
             for obs, one in zip(whole, passes, strict=True)
         ]
         open_still = [k for k in range(len(passes)) if k not in done]
@@ -228,7 +228,7 @@ def rates(
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
     solved = [
-        solutions(one, obs, p.places, settings.solutions, settings.search)
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
         for one, obs, p in zip(fits, whole, passes, strict=True)
     ]
     solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
@@ -282,7 +282,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         of_search = replace(s.search, more_places=0) if led else s.search
         for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            one = search(chain, starts, of_search, budget, places(loose, s.search))
+            one = search(chain, starts, of_search, budget, pairs_to_try(loose, s.search))
             motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
         fits = []
         for one in motions:
@@ -376,7 +376,7 @@ def decide_wheels(
             stated,
             obs=with_momentum(seen, momenta[name])
             .obs.of_pass(passes[k].samples)
-            .take(passes[k].places),
+            .take(passes[k].kept_in_pass),
         )
         for name in names
         for k in longest

@@ -102,7 +102,7 @@ class SearchSettings:
     """Candidates that cost more than the best by this get no further ones."""
 
     places: int = 3
-    """Pairs of samples to start from, unless one is enough (:func:`sunspin.estimation.starts.places`)."""
+    """Pairs of samples to start from, unless one is enough (:func:`sunspin.estimation.starts.pairs_to_try`)."""
 
     places_if_flat: int = 4
     """The same if panels lie in one plane or share inputs, and bound the Sun so little."""
