@@ -102,8 +102,8 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
 
     The matrix has `diagonal` blocks (K, n, 6, 6) of turn and rate at each sample, `upper` ones (K, n - 1, 6, 6) between neighbours,
-    a `border` (K, n, 6, m) between samples and unknowns, and a `corner` (K, m, m) of unknowns. A residual r with the slope A and the
-    weight w adds w A^T A to the matrix, and w A^T r to the gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    a `border` (K, n, 6, m) between samples and unknowns, and a `corner` (K, m, m) of unknowns. A residual r with the slope A and
+    the weight w adds w A^T A to the matrix, and w A^T r to the gradient: `slope` (K, n, 6) and `border_slope` (K, m).
     """
     k, n = motions.omega.shape[:2]
     m = motions.u.shape[1]
@@ -350,15 +350,16 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
 def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
-    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer.
+    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer. With the matrix H of
+    the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
     """
     system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
     variances = []
     for row in range(weights.shape[2]):
-        (nodes, _), _ = solve_bordered(
-            system._replace(slope=-weights[..., row, :]), np.zeros(len(one))
-        )
-        variances.append(np.einsum("kni,kni->k", weights[..., row, :], nodes))
+        # a solver returns the step -H^-1 slope
+        w = weights[..., row, :]
+        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
+        variances.append(np.einsum("kni,kni->k", w, nodes))
     by_u = np.einsum("knri,knim->krm", weights, one.answer)
     of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
@@ -512,17 +513,17 @@ class Chain:
 def along_the_valley(
     model: Model, motions: Track, middle: int, s: SearchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return attitudes (K, 3, 3) and rates (K, 3) at a sample along the least certain direction of each motion's rate.
+    """Return further attitudes (K, 3, 3) and rates (K, 3) at the sample `middle`, on either side of motions.
 
-    A few samples of the Sun hardly tell the spin about the Sun's direction, so that the cost has a long flat valley in which a fit
-    rests anywhere. As the window grows, the valley bends and breaks into several minima: a slow body was lost so, as a motion that
-    begins at one place ends in the nearest of them. Here the valley is sampled as densely as a fit moves. Motions that do not fit
-    have none, as their covariance says nothing, nor have those far from the best.
+    They are along the least certain direction of each motion's rate. A few samples of the Sun hardly tell the spin about the Sun's
+    direction, so that the cost has a long flat valley in which a fit rests anywhere. As the window grows, the valley bends and
+    breaks into several minima: a slow body was lost so, as a motion that begins at one place ends in the nearest of them. Here the
+    valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
+    far from the best.
     """
-    good = motions.cost < min(
-        s.poor * model.obs.cost_limit, motions.cost.min(initial=np.inf) + s.valley_leading
-    )
-    motions = motions.take(np.flatnonzero(good))
+    limit = s.poor * model.obs.cost_limit
+    limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
+    motions = motions.take(np.flatnonzero(motions.cost < limit))
     covariance = np.nan_to_num(motions.covariance[:, middle])
     variance, axes = np.linalg.eigh(covariance[:, RATE, RATE])
     sigma, axis = np.sqrt(np.maximum(variance[:, -1], 0.0)), axes[:, :, -1]
@@ -534,8 +535,9 @@ def along_the_valley(
     turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
     # motions come best first: what is cut off belongs to the worse ones
     which = np.repeat(np.arange(len(sigma)), 2 * sides)[: s.valley_most]
-    places = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
-    change = spacing * np.concatenate([np.zeros(0), *places])[: s.valley_most, None]
+    # 1, ..., n and -1, ..., -n steps of the spacing from each motion
+    steps = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
+    change = spacing * np.concatenate([np.zeros(0), *steps])[: s.valley_most, None]
     omega = motions.omega[which, middle] + change * axis[which]
     attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
     slow = np.linalg.norm(omega, axis=1) < 2 * model.rate_sigma

@@ -185,7 +185,7 @@ def rates(
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    # the same estimate of another vehicle or another file, of one pass: to try other columns
+    # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
@@ -212,6 +212,7 @@ def rates(
         # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
+        # all samples of each pass, and the models of those that the search keeps
         whole = [stated.obs.of_pass(one.samples) for one in passes]
         models = [
             replace(stated, obs=obs.take(one.kept_in_pass))
@@ -274,8 +275,8 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     s = settings
     budget = replace(budget)  # passes work side by side, each with its own
 
-    def found(noise: float) -> list[Fit]:
-        """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
+    def fits_under(noise: float) -> list[Fit]:
+        """Return fits on all rungs of the motions that a search under unknown torques of this strength leaves."""
         motions = []
         # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
         led = field_of(stated) is not None
@@ -290,12 +291,12 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             fits += ladder(stated, begin, s.ladder, s.search, noise)
         return united(fits, s.ladder, s.search)
 
-    fits = found(s.search.noise)
+    fits = fits_under(s.search.noise)
     limit = stated.obs.cost_limit
     # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
     # motion, as under the strongest torques nearly everything fits.
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, found(s.ladder.strong), key=likeliest_cost)
+        fits = min(fits, fits_under(s.ladder.strong), key=likeliest_cost)
     if not any(len(one) for one in fits):
         raise InputError(
             "no motion has a well-defined probability",
