@@ -101,9 +101,9 @@ class Whitening(NamedTuple):
 def equations(model: Model, motions: Track) -> BorderedSystem:
     """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
 
-    The matrix has `diagonal` blocks (K, n, 6, 6) of turn and rate at each sample, `upper` ones (K, n - 1, 6, 6) between neighbours,
-    a `border` (K, n, 6, m) between samples and unknowns, and a `corner` (K, m, m) of unknowns. A residual r with the slope A and
-    the weight w adds w A^T A to the matrix, and w A^T r to the gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    A residual r with the slope A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has blocks of
+    turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). To the m unknowns
+    belong a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m).
     """
     k, n = motions.omega.shape[:2]
     m = motions.u.shape[1]

@@ -37,8 +37,8 @@ LARGEST_LOG_NOISE = 5.0
 
 
 @dataclass(frozen=True)
-class SunSeen(States):
-    """What sensors of a lander see of K motions: rates and directions to the Sun, `sun` (K, n, 3).
+class SunStates(States):
+    """K motions of a lander at n samples, as its sensors see them: rates and directions to the Sun, `sun` (K, n, 3).
 
     The turn about the Sun is not seen, so that there is no attitude.
     """
@@ -46,7 +46,7 @@ class SunSeen(States):
     sun: np.ndarray
 
     @classmethod
-    def of(cls, sun: np.ndarray, omega: np.ndarray) -> SunSeen:
+    def of(cls, sun: np.ndarray, omega: np.ndarray) -> SunStates:
         """Return directions (K, n, 3) with rates (K, n, 3)."""
         return cls(np.zeros((0, 0, 3, 3)), omega, sun)
 
