@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimation.carry import step
+from sunspin.estimation.carry import RATE, TURN, step
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.model import Model, Noise, Observations, States, Track
 from sunspin.estimation.settings import SearchSettings
@@ -29,9 +29,6 @@ from sunspin.solve.linear import (
     solve_dense,
 )
 from sunspin.solve.rotations import rotate_attitude, rotation_between
-
-TURN, RATE = slice(0, 3), slice(3, 6)
-"""Where the turn (rad, B) and the rate (rad/s) of a sample stand among its six unknowns."""
 
 TURN_PRIOR = 10.0
 """rad; holds the turn about the Sun, which nothing measures, without telling anything."""

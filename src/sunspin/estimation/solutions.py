@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from sunspin.estimation.chain import RATE, Fit, variance_of
+from sunspin.estimation.carry import RATE
+from sunspin.estimation.chain import Fit, variance_of
 from sunspin.estimation.copies import Outline
 from sunspin.estimation.dense import filled, residuals_by_sensor
 from sunspin.estimation.evidence import PassFits
