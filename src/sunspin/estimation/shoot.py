@@ -16,7 +16,7 @@ import numpy as np
 
 from sunspin.estimation.lander import LanderModel
 from sunspin.estimation.shots import RATE, SUN, Shots
-from sunspin.estimation.terms.powers import SunSeen
+from sunspin.estimation.terms.powers import SunStates
 from sunspin.solve.least_squares import least_squares, limit_length, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
@@ -192,7 +192,7 @@ class Problem:
         of_motion = slice(0, 5 + len(self.moving))
         values, columns = [], []
         for term in (model.panels, *model.given):
-            for residual in term.residuals(SunSeen.of(sun, omega), shots.u[:, model.of_panels]):
+            for residual in term.residuals(SunStates.of(sun, omega), shots.u[:, model.of_panels]):
                 jacobian = np.zeros((*residual.value.shape, len(self.coordinates)))
                 if residual.by_turn is not None:
                     jacobian[..., of_motion] += residual.by_turn @ turn
