@@ -82,7 +82,8 @@ def ladder(
         for rung in path:
             for level in _levels(last, rung, s.cooling):
                 under = model.under(level)
-                now, shared = _fitted(under, _restated(now, under), s.steps, s, copies)
+                begin_here = restated(now.motions, now.model, under)
+                now, shared = _fitted(under, begin_here, s.steps, s, copies)
             last = rung
             if not len(now):
                 break
@@ -106,12 +107,16 @@ def _fitted(
     return one.take(which), shared.take(which)
 
 
-def _restated(now: Fit, under: Model) -> Track:
-    """Return the motions of a fit with their unknowns in the sigmas of another model, of stronger or weaker torques."""
-    before, after = (
-        np.array([unknown.sigma for unknown in model.unknowns]) for model in (now.model, under)
-    )
-    return replace(now.motions, u=now.motions.u * (before / np.where(after > 0, after, 1.0)))
+def restated(motions: Track, before: Model, after: Model) -> Track:
+    """Return motions with their unknowns, in sigmas of the model `before`, in the sigmas of another one with the same unknowns.
+
+    The other one may have more unknowns at the end, which are left out.
+    """
+    pairs = zip(before.unknowns, after.unknowns, strict=False)
+    ratio = np.ones(motions.u.shape[1])
+    for k, (was, now) in enumerate(pairs):
+        ratio[k] = was.sigma / now.sigma if now.sigma > 0 else was.sigma
+    return replace(motions, u=motions.u * ratio)
 
 
 def _levels(last: float, rung: float, cooling: float) -> list[float]:

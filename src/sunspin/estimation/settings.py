@@ -180,6 +180,9 @@ class AlternativeSettings:
     bad_odds: float = float(np.log(0.1 / 0.9))
     """Log odds that a reading is bad."""
 
+    zero_odds: float = float(np.log(0.05 / 0.95))
+    """Log odds that the zero of a gyro is off by more than the vehicle file states."""
+
     swings_rad: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2)
     """Turns of a swinging body about each axis between two samples, one sigma each; each is another model."""
 
