@@ -95,6 +95,8 @@ def weigh_by_periods(
     the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
     of the solution that is the likeliest now, and of the one that was then.
     """
+    # a column may have a period where there is no pass
+    seen = [one for one in seen if not isinstance(one, FoundPeriod) or _in_a_pass(passes, one)]
     if not seen:
         return list(passes), {}
     of_pass = [pass_of_period(passes, one) for one in seen]
@@ -191,6 +193,13 @@ def weigh_draws(
         of_draw = part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
         shares.append((after[:, None] * of_draw).sum(axis=0))
     return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
+
+
+def _in_a_pass(passes: Sequence[Solutions], seen: PeriodSeen) -> bool:
+    """Return whether a period was seen in a pass, or no further from its ends than samples are from each other."""
+    times = [one.obs.t_s for one in passes]
+    near = [(t[0] - np.diff(t).max(), t[-1] + np.diff(t).max()) for t in times]
+    return any(first <= seen.t_s <= last for first, last in near)
 
 
 def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
