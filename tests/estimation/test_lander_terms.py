@@ -20,14 +20,14 @@ from sunspin.estimation.terms.given import (
     GivenSpeed,
     require_known,
 )
-from sunspin.estimation.terms.powers import PanelPowers, SunSeen, panel_turns, tilt_unknowns
+from sunspin.estimation.terms.powers import PanelPowers, SunStates, panel_turns, tilt_unknowns
 from sunspin.solve.rotations import components_after_rotation
 
 SIGMA, FULL = 0.02, 2.5
 """Noise of a reading, and brightness: of Philae's panels, in the unit of its gains."""
 
 
-def lander_readings(rng: np.random.Generator, samples: int = 7) -> tuple[PanelPowers, SunSeen]:
+def lander_readings(rng: np.random.Generator, samples: int = 7) -> tuple[PanelPowers, SunStates]:
     """Return readings of Philae's panels with all kinds of unknowns, and the motions (3) near which they were read."""
     vehicle = load_case("philae").vehicle
     panels = len(vehicle.inputs)
@@ -56,7 +56,7 @@ def lander_readings(rng: np.random.Generator, samples: int = 7) -> tuple[PanelPo
         own=own,
         turns=panel_turns(vehicle, own),
     )
-    return term, SunSeen.of(sun, 0.1 * rng.standard_normal(sun.shape))
+    return term, SunStates.of(sun, 0.1 * rng.standard_normal(sun.shape))
 
 
 def only(term, seen, u):
@@ -65,9 +65,9 @@ def only(term, seen, u):
     return residual
 
 
-def turned(seen: SunSeen, step: np.ndarray) -> SunSeen:
+def turned(seen: SunStates, step: np.ndarray) -> SunStates:
     """Return motions after a turn (3) of the body at every sample."""
-    return SunSeen.of(components_after_rotation(seen.sun_B, step), seen.omega)
+    return SunStates.of(components_after_rotation(seen.sun_B, step), seen.omega)
 
 
 @pytest.mark.parametrize("throttled", [False, True])
@@ -76,7 +76,7 @@ def test_panel_powers_change_as_their_derivatives_say(throttled):
     rng = np.random.default_rng(0)
     term, seen = lander_readings(rng)
     if throttled:
-        seen = SunSeen.of(seen.sun_B[:1], seen.omega[:1])
+        seen = SunStates.of(seen.sun_B[:1], seen.omega[:1])
         exact = 0.7 * FULL * term.response.power(seen.sun_B[0])
         term = replace(term, throttled=True, power=exact, threshold=0.0)
     u = np.zeros((len(seen.omega), len(term.own)))
@@ -120,7 +120,7 @@ def test_a_dark_reading_bounds_the_power_from_above():
     """No power costs nothing, less than the threshold either; beyond it the cost is that of the excess."""
     term, seen = lander_readings(np.random.default_rng(2))
     dark = replace(term, power=np.zeros_like(term.power), used=np.ones_like(term.used))
-    away = SunSeen.of(np.broadcast_to([0.0, 0.0, -1.0], (1, 7, 3)), np.zeros((1, 7, 3)))
+    away = SunStates.of(np.broadcast_to([0.0, 0.0, -1.0], (1, 7, 3)), np.zeros((1, 7, 3)))
     u = np.zeros((1, len(term.own)))
     value = only(dark, away, u).value
     light = FULL * term.response.power(np.array([0.0, 0.0, -1.0]))
@@ -152,7 +152,7 @@ def test_a_factor_on_a_throttled_sample_changes_no_misfit_of_exact_readings():
         term, power=factors * exact, used=np.ones_like(term.used), threshold=0.0, throttled=True
     )
     value = only(
-        term, SunSeen.of(seen.sun_B[:1], seen.omega[:1]), np.zeros((1, len(term.own)))
+        term, SunStates.of(seen.sun_B[:1], seen.omega[:1]), np.zeros((1, len(term.own)))
     ).value
     assert np.abs(value).max() < 1e-9
 
@@ -165,7 +165,7 @@ def test_the_density_of_a_lit_reading_is_one_over_all_readings():
     panel = int(np.argmin(term.response.power(away)[0, 0]))
     used = np.zeros((1, term.power.shape[1]), dtype=bool)
     used[0, panel] = True
-    seen, u = SunSeen.of(away, np.zeros((1, 1, 3))), np.zeros((1, len(term.own)))
+    seen, u = SunStates.of(away, np.zeros((1, 1, 3))), np.zeros((1, len(term.own)))
     largest = term.largest
 
     def density(read: float) -> float:
@@ -208,8 +208,8 @@ def test_given_readings_change_as_their_derivatives_say(kind, given):
         ) / 2e-6
         by_turn = 0.0 if residual.by_turn is None else residual.by_turn @ axis
         np.testing.assert_allclose(change, by_turn + np.zeros_like(change), atol=1e-5)
-        faster = SunSeen.of(seen.sun_B, seen.omega + step)
-        slower = SunSeen.of(seen.sun_B, seen.omega - step)
+        faster = SunStates.of(seen.sun_B, seen.omega + step)
+        slower = SunStates.of(seen.sun_B, seen.omega - step)
         change = (only(term, faster, none).value - only(term, slower, none).value) / 2e-6
         by_rate = 0.0 if residual.by_rate is None else residual.by_rate @ axis
         np.testing.assert_allclose(change, by_rate + np.zeros_like(change), atol=1e-5)
@@ -218,7 +218,7 @@ def test_given_readings_change_as_their_derivatives_say(kind, given):
 def test_given_readings_agree_with_the_motion_that_they_describe():
     sun = np.array([0.0, 0.6, 0.8])
     omega = np.array([0.1, 0.2, -0.1])
-    seen = SunSeen.of(np.tile(sun, (1, 7, 1)), np.tile(omega, (1, 7, 1)))
+    seen = SunStates.of(np.tile(sun, (1, 7, 1)), np.tile(omega, (1, 7, 1)))
     values = {"rate": np.linalg.norm(omega), "gyro": omega, "direction": sun, "field": [1.0, 0, 0]}
     for kind, given in GIVEN:
         right = given | {"value": values[given["kind"]]}

@@ -91,7 +91,7 @@ def _square(off: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 
 def _reach(normal: np.ndarray, chi2: float) -> np.ndarray:
-    """Return bounds (K, 3) of how far rates of motions on one sheet are apart, by curvatures (K, D, D); infinite if unbounded."""
+    """Return bounds (K, 3) of how far the rates of motions on one sheet are apart, by curvatures (K, D, D); inf: unbounded."""
     size = np.sqrt(np.einsum("kdd->kd", normal)).clip(1e-12)
     values, vectors = np.linalg.eigh(normal / (size[:, :, None] * size[:, None, :]))
     across = np.sum(vectors[:, :3] ** 2 / values[:, None].clip(1e-300), axis=2)

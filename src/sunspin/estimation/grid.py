@@ -3,8 +3,7 @@
 The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough to be
 interpolated. Every cell of the grid is looked through on points a quarter of its edge apart. The best of each eighth is taken,
 unless no direction near it agrees with the readings. From there least squares on interpolated attitudes find the nearest
-solution, so that a motion has a start within an eighth of a cell. The initial direction does not enter the runs, which give
-rotations.
+solution: a motion has a start within an eighth of a cell. The initial direction does not enter the runs: they give rotations.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from sunspin.estimation.model import AS_STATED, Observations, Unknown
 from sunspin.estimation.settings import LOOSER_CHANCE
 from sunspin.estimation.shots import Shots
 from sunspin.estimation.terms.given import Given
-from sunspin.estimation.terms.powers import PanelPowers, SunSeen
+from sunspin.estimation.terms.powers import PanelPowers, SunStates
 from sunspin.estimation.terms.torques import Frame
 from sunspin.solve.linear import extreme_eigenvalues
 from sunspin.vehicle import Vehicle
@@ -56,7 +56,7 @@ ALL_SIZES: Sizes = {}
 class Carried(NamedTuple):
     """K motions at n samples: directions to the Sun and rates (K, n, 3); `fine` (K): the motion could be computed."""
 
-    seen: SunSeen
+    seen: SunStates
     fine: np.ndarray
 
 
@@ -328,7 +328,7 @@ class LanderModel:
                 fine &= moved.outcome == batch.Outcome.FINE
         fine &= np.isfinite(sun).all(axis=(1, 2)) & np.isfinite(omega).all(axis=(1, 2))
         sun[~fine], omega[~fine] = np.nan, np.nan
-        return Carried(SunSeen.of(sun, omega), fine)
+        return Carried(SunStates.of(sun, omega), fine)
 
     def first_speed(self, shots: Shots, error_rad: float) -> np.ndarray:
         """Return angular speeds (K) at the first sample, rad/s; infinite for motions that cannot be computed."""

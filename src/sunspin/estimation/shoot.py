@@ -16,7 +16,7 @@ import numpy as np
 
 from sunspin.estimation.lander import LanderModel, Sizes
 from sunspin.estimation.shots import RATE, SUN, Shots
-from sunspin.estimation.terms.powers import SunSeen
+from sunspin.estimation.terms.powers import SunStates
 from sunspin.solve.least_squares import least_squares, limit_length, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
@@ -191,7 +191,7 @@ class Problem:
         of_motion = slice(0, 5 + len(self.moving))
         values, columns = [], []
         for term in (model.panels, *model.given):
-            for residual in term.residuals(SunSeen.of(sun, omega), shots.u[:, model.of_panels]):
+            for residual in term.residuals(SunStates.of(sun, omega), shots.u[:, model.of_panels]):
                 jacobian = np.zeros((*residual.value.shape, len(self.coordinates)))
                 if residual.by_turn is not None:
                     jacobian[..., of_motion] += residual.by_turn @ turn
@@ -274,7 +274,7 @@ class Fitting:
     """A batch of motions being fitted; the result of each depends on itself alone."""
 
     def __init__(self, problem: Problem, shots: Shots) -> None:
-        """Begin at motions whose bodies can exist, with the noise as stated.
+        """Begin at motions whose bodies can exist, with the stated noise.
 
         A noise that was small for fewer readings would let the wide levels draw in less than they should.
         """

@@ -58,7 +58,7 @@ class Shooting:
     ) -> None:
         """Begin a search under a model whose reference is at `place`.
 
-        The inertia is as certain as stated: under looser ones a few samples fit bodies far from it, which hide the true motion on
+        The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, which hide the true motion on
         their sheets. `torque_size`: index of the sigma of a constant torque, if one acts.
         """
         self.model, self.place = model, place
@@ -245,7 +245,7 @@ class Shooting:
     def curved(self, motions: Trials) -> ShotFit:
         """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
 
-        Fits begin with the inertia as certain as stated, and less so; under a constant torque with several of its sizes, as the
+        Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes, as the
         prior of a small one holds it.
         """
         images = self.model.panels.response.symmetries

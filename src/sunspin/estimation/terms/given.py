@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.estimation.model import Seen
+from sunspin.estimation.model import States
 from sunspin.estimation.terms.term import Residual, Term, gaussian
 from sunspin.solve.rotations import cross_matrix
 
@@ -65,10 +65,10 @@ class GivenSpeed(Given):
     label: ClassVar[str] = "angular speed"
     numbers: ClassVar[int] = 1
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the difference (K, n, 1), with its derivative by the rate."""
-        speed = np.linalg.norm(seen.omega, axis=-1, keepdims=True)
-        axis = seen.omega / np.maximum(speed, 1e-12)
+        speed = np.linalg.norm(states.omega, axis=-1, keepdims=True)
+        axis = states.omega / np.maximum(speed, 1e-12)
         yield self._differences(speed - self.value, by_rate=axis[..., None, :])
 
 
@@ -79,10 +79,10 @@ class GivenRate(Given):
     name: ClassVar[str] = "gyro"
     label: ClassVar[str] = "body rate"
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the difference (K, n, 3), with its derivative by the rate."""
-        same = np.broadcast_to(np.eye(3), (*seen.omega.shape, 3))
-        yield self._differences(seen.omega - self.value, by_rate=same)
+        same = np.broadcast_to(np.eye(3), (*states.omega.shape, 3))
+        yield self._differences(states.omega - self.value, by_rate=same)
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ class GivenDirection(Given):
     name: ClassVar[str] = "direction"
     label: ClassVar[str] = "Sun direction"
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the difference (K, n, 3), with its derivative by a turn: the Sun moves by sun x turn."""
-        yield self._differences(seen.sun_B - self.value, by_turn=cross_matrix(seen.sun_B))
+        yield self._differences(states.sun_B - self.value, by_turn=cross_matrix(states.sun_B))
 
 
 @dataclass(frozen=True)
@@ -121,12 +121,12 @@ class GivenAngle(Given):
         axis[at] = direction / length
         return cls(np.full((count, 1), angle), _only(at, count, float(one["sigma"])), axis)
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the difference (K, n, 1), with its derivative by a turn."""
-        cosine = np.clip(np.sum(seen.sun_B * self.axis_B, axis=-1), -1.0, 1.0)
+        cosine = np.clip(np.sum(states.sun_B * self.axis_B, axis=-1), -1.0, 1.0)
         sine = np.maximum(np.sqrt(1 - cosine**2), LEAST_SINE)
         # the cosine changes by axis . (sun x turn)
-        moves = self.axis_B[:, None, :] @ cross_matrix(seen.sun_B)
+        moves = self.axis_B[:, None, :] @ cross_matrix(states.sun_B)
         off = np.arccos(cosine)[..., None] - self.value
         yield self._differences(off, by_turn=-moves / sine[..., None, None])
 

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import log_ndtr
 
-from sunspin.estimation.model import Seen, Unknown
+from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import SPOILT, SPOILT_DARK, SPOILT_LARGEST
 from sunspin.estimation.terms.term import Law, Residual, Term
 from sunspin.solve.rotations import cross, tangent_basis
@@ -37,8 +37,8 @@ LARGEST_LOG_NOISE = 5.0
 
 
 @dataclass(frozen=True)
-class SunSeen(Seen):
-    """What sensors of a lander see of K motions: rates and directions to the Sun, `sun` (K, n, 3).
+class SunStates(States):
+    """K motions of a lander at n samples, as its sensors see them: rates and directions to the Sun, `sun` (K, n, 3).
 
     The turn about the Sun is not seen, so that there is no attitude.
     """
@@ -46,7 +46,7 @@ class SunSeen(Seen):
     sun: np.ndarray
 
     @classmethod
-    def of(cls, sun: np.ndarray, omega: np.ndarray) -> SunSeen:
+    def of(cls, sun: np.ndarray, omega: np.ndarray) -> SunStates:
         """Return directions (K, n, 3) with rates (K, n, 3)."""
         return cls(np.zeros((0, 0, 3, 3)), omega, sun)
 
@@ -130,12 +130,12 @@ class PanelPowers(Term):
 
     # ---- what a fit asks ---------------------------------------------------------------------------------------------------
 
-    def residuals(self, seen: Seen, u: np.ndarray) -> Iterator[Residual]:
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) in stated sigmas.
 
         A dark reading differs by what the prediction is above the threshold.
         """
-        slopes = self.response.slopes(seen.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        slopes = self.response.slopes(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
         light, to_sun = slopes.power, slopes.to_sun
         by_u = np.zeros((*light.shape, len(self.own)))
         for i, unknown in enumerate(self.own):
@@ -147,7 +147,7 @@ class PanelPowers(Term):
                 assert self.turns is not None and slopes.to_tilt is not None
                 by_u[..., i] = np.einsum("knpi,pi->knp", slopes.to_tilt, self.turns[i])
         # a turn t of the body moves the Sun by sun x t, and so the power by t . (slope x sun)
-        by_turn = cross(to_sun, seen.sun_B[..., None, :])
+        by_turn = cross(to_sun, states.sun_B[..., None, :])
         power, by_turn, by_u = self._throttle(light, by_turn, by_u)
         above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
         counts = (self.used & (self.lit | (power > self.threshold)))[..., None] / self.sigma[
@@ -251,12 +251,12 @@ class PanelPowers(Term):
         sigma = self.own[self.place("noise")[0]].sigma
         return 2 * sigma**2 * np.sum(weight * value**2, axis=(1, 2))
 
-    def log_density(self, seen: Seen, u: np.ndarray) -> np.ndarray:
+    def log_density(self, states: States, u: np.ndarray) -> np.ndarray:
         """Return the log density (K) of all readings, dark ones by the probability that noise keeps them below the threshold.
 
         That is relative to no power at all, so that panels turned away say nothing.
         """
-        power = self.response.power(seen.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        power = self.response.power(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
         if self.throttled:
             power = self.best_factor(power)[0] * power
         log_noise = self.log_noise(u)
