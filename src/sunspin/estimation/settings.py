@@ -375,7 +375,7 @@ class GridSettings:
     far_rad: float = 0.65
     """The same for the middle of an eighth of a cell."""
 
-    node_rad: float = 0.02
+    node_rad: float = 0.03
     """How far any direction is from its node, on a cube of `nodes` cells along an edge, by which readings are compared with it."""
 
     nodes: int = 48
@@ -506,7 +506,16 @@ class ShootingSettings:
     family_directions: int = 3
     """Directions along which neighbours are set: the loosest."""
 
-    again_from: float = 1.35
+    valley_rad: float = 1.3
+    """How far apart motions are placed along a valley that unknowns make, at that time: a fit moves along it."""
+
+    valley_sigmas: float = 2.0
+    """How far along it they are placed."""
+
+    valley_each: int = 8
+    """Motions placed to either side of one, at most."""
+
+    again_from: float = 1.3
     """Growth of the window's end after which a motion gets further neighbours."""
 
     grid_samples: int = 3
