@@ -75,7 +75,7 @@ class Shots:
         )
 
     def with_unknowns(self, places: np.ndarray, count: int) -> Shots:
-        """Return motions of a model with `count` unknowns, of which theirs stand at `places` (m) and the others at their centres."""
+        """Return motions of a model with `count` unknowns: theirs stand at `places` (m), the others at their centres."""
         u = np.zeros((len(self), count))
         u[:, places] = self.u
         return replace(self, u=u)
@@ -129,6 +129,7 @@ class Draws:
     effective: float
     tail: float
     evidence: float
+    outside: float = 0.0
 
     def __len__(self) -> int:
         """Return the number of draws."""
