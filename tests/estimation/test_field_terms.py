@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.environment import Surroundings
 from sunspin.estimation.chain import equations
-from sunspin.estimation.model import Body, Model, Noise, Observations, Seen, Track
+from sunspin.estimation.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimation.settings import FIELD_TURN
-from sunspin.estimation.terms.clock import Lateness
+from sunspin.estimation.terms.clock import Latency
 from sunspin.estimation.terms.earth_light import EarthLight
 from sunspin.estimation.terms.field import FieldChange, FieldDirection, KnownField
 from sunspin.estimation.terms.inertial import AttitudeChange, Gyro
@@ -27,7 +27,7 @@ FACES = np.vstack([np.eye(3), -np.eye(3)])
 def motions(rng, size=0.02, count=2):
     """Return motions of slow bodies whose attitudes follow no equations of motion."""
     turns = Rotation.from_rotvec(rng.normal(size=(count * N, 3))).as_matrix()
-    return Seen(turns.reshape(count, N, 3, 3), size * rng.normal(size=(count, N, 3)))
+    return States(turns.reshape(count, N, 3, 3), size * rng.normal(size=(count, N, 3)))
 
 
 def field_N():
@@ -98,7 +98,7 @@ TERMS = {
 def test_the_slope_of_the_cost_is_that_of_differences(name, late):
     rng = np.random.default_rng(3)
     seen = motions(rng)
-    terms = (TERMS[name](rng), *([Lateness(1.0, 3.0)] if late else []))
+    terms = (TERMS[name](rng), *([Latency(1.0, 3.0)] if late else []))
     # strong torques, so that the readings make the slope
     body = Body(np.diag([1.2, 1.0, 0.8]), np.zeros((0, 3, 3)))
     obs = Observations(T_S, np.zeros((N, 3)), terms)
@@ -239,7 +239,7 @@ def test_gravity_turns_the_long_axis_to_the_earth():
     inertia = np.diag([1.3, 1.3, 0.4])
     attitude = np.tile(Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix(), (1, 2, 1, 1))
     term = GravityGradient(np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, 3e-6), inertia)
-    seen = Seen(attitude, np.zeros((1, 2, 3)))
+    seen = States(attitude, np.zeros((1, 2, 3)))
     pushed = term.added_by_torque(seen, np.array([10.0]))[0, 0]
     nadir = attitude[0, 0] @ [0.0, 0.0, 1.0]
     torque = 3e-6 * np.cross(nadir, inertia @ nadir)
@@ -256,7 +256,7 @@ def test_opposite_panels_see_sun_and_earth_as_one_vector():
     u[0, 6:9] = light / np.linalg.norm(term.earth.light_N[0, 0])
     earth = EarthLight(term.earth.light_N, np.zeros(6))
     more, _ = earth.on_panels(term.response, term.gain, seen.attitude, u[:, 6:])
-    share = more / term.full
+    share = more / term.full_sun
     both = np.einsum("knij,j->kni", seen.attitude, light)
     assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
 
@@ -264,11 +264,11 @@ def test_opposite_panels_see_sun_and_earth_as_one_vector():
 def test_a_search_uses_differences_of_opposite_panels():
     term = panels(np.random.default_rng(12), known=False)
     (loose,) = term.for_search()
-    share = term.power / term.full
+    share = term.power / term.full_sun
     brighter = np.maximum(share - np.roll(share, 3, axis=1), 0.0)
-    assert np.allclose(loose.power / term.full, brighter) and loose.earth is None
-    error = 0.03 / term.full
-    assert (loose.sigma / term.full >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
+    assert np.allclose(loose.power / term.full_sun, brighter) and loose.earth is None
+    error = 0.03 / term.full_sun
+    assert (loose.sigma / term.full_sun >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
     assert not loose.unknowns()
 
 

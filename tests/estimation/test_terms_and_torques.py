@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sunspin.dynamics.step import BodyNumbers, Loads, carry
-from sunspin.estimation.model import Seen
+from sunspin.estimation.model import States
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.inertial import Gyro
 from sunspin.estimation.terms.panels import Instants, Panels
@@ -66,7 +66,7 @@ def test_derivatives_are_those_of_differences(make):
     term = make()
     k = 3
     sun = RNG.normal(size=(k, N, 3))
-    seen = Seen(
+    seen = States(
         facing(sun / np.linalg.norm(sun, axis=-1, keepdims=True)), 1e-3 * RNG.normal(size=(k, N, 3))
     )
     u = 0.3 * RNG.normal(size=(k, len(term.unknowns())))
@@ -78,7 +78,7 @@ def test_derivatives_are_those_of_differences(make):
                 seen,
                 u,
                 lambda s, u, h, turn=turn: (
-                    Seen(rotate_attitude(s.attitude, h * turn), s.omega),
+                    States(rotate_attitude(s.attitude, h * turn), s.omega),
                     u,
                 ),
             )
@@ -88,7 +88,10 @@ def test_derivatives_are_those_of_differences(make):
             )
         if residual.by_rate is not None:
             by = numeric(
-                term, seen, u, lambda s, u, h, turn=turn: (Seen(s.attitude, s.omega + h * turn), u)
+                term,
+                seen,
+                u,
+                lambda s, u, h, turn=turn: (States(s.attitude, s.omega + h * turn), u),
             )
             assert np.allclose(residual.by_rate[..., axis], by, atol=1e-4)
     for j, unit in enumerate(np.eye(u.shape[1])):
@@ -111,7 +114,7 @@ def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
         "B" if frame == "B" else "N", 1.0, (1.0,), inertia, np.repeat(momentum, 2, axis=0)
     )
     attitude = facing(np.array([0.6, 0.0, 0.8]))
-    seen = Seen(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
+    seen = States(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
     push = torque.added_by_unknowns(seen, np.array([dt]))[0, 0]
     for axis in range(3):
         ends = [

@@ -16,9 +16,9 @@ import numpy as np
 
 from sunspin.estimation.carry import step
 from sunspin.estimation.copies import distinct
-from sunspin.estimation.model import Model, Noise, Observations, Seen, Track
+from sunspin.estimation.model import Model, Noise, Observations, States, Track
 from sunspin.estimation.settings import SearchSettings
-from sunspin.estimation.terms.clock import Lateness
+from sunspin.estimation.terms.clock import Latency
 from sunspin.estimation.terms.term import Residual, Term
 from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
 from sunspin.solve.linear import (
@@ -168,15 +168,15 @@ def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarra
 
     Sensors other than the Sun's may be late: what they read is what the motion was so much earlier.
     """
-    every, late = np.arange(len(model.unknowns)), lateness(model, motions.u)
-    earlier = None if late is None else seen_earlier(model, motions, late.late_s)
+    every, late = np.arange(len(model.unknowns)), latency(model, motions.u)
+    earlier = None if late is None else earlier_states(model, motions, late.late_s)
     for term, place in model.placed_terms:
         if earlier is None or term.of_sun:
             for residual in term.residuals(motions, motions.u[:, place]):
                 yield residual, every[place]
             continue
         assert late is not None
-        for residual in term.residuals(earlier.seen, motions.u[:, place]):
+        for residual in term.residuals(earlier.states, motions.u[:, place]):
             changed, by_late = earlier.answer(residual, late.late_s)
             if late.place is None:
                 yield changed, every[place]
@@ -195,10 +195,10 @@ class Late(NamedTuple):
     place: int | None
 
 
-def lateness(model: Model, u: np.ndarray) -> Late | None:
+def latency(model: Model, u: np.ndarray) -> Late | None:
     """Return how late the sensors other than the Sun's are for unknowns u (K, m); None if they are read with it."""
     for term, place in model.placed_terms:
-        if isinstance(term, Lateness) and (term.late_s or term.sigma_s):
+        if isinstance(term, Latency) and (term.late_s or term.sigma_s):
             where = place.start if term.sigma_s else None
             off = 0.0 if where is None else term.sigma_s * u[:, where]
             return Late(term.late_s + off + np.zeros(len(u)), term.sigma_s, where)
@@ -208,7 +208,7 @@ def lateness(model: Model, u: np.ndarray) -> Late | None:
 class Earlier(NamedTuple):
     """Motions as they were some time before their samples: `turned` (K, n, 3, 3) since then, and the `acceleration` (K, n, 3)."""
 
-    seen: Seen
+    states: States
     turned: np.ndarray
     acceleration: np.ndarray
 
@@ -219,19 +219,19 @@ class Earlier(NamedTuple):
         if by_rate is not None:
             by_late -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
         if by_turn is not None:
-            by_late -= np.einsum("knri,kni->knr", by_turn, self.seen.omega)
+            by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
             if previous is None:  # of two neighbours both are turned by a rate, nearly alike
                 moved = -late_s[:, None, None, None] * by_turn
                 by_rate = moved if by_rate is None else by_rate + moved
             by_turn = by_turn @ self.turned
         if previous is not None:
-            by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.seen.omega[:, :-1])
+            by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.states.omega[:, :-1])
             turned = np.concatenate([self.turned[:, :1], self.turned[:, :-1]], axis=1)
             previous = previous @ turned
         return residual._replace(by_turn=by_turn, by_rate=by_rate, by_previous=previous), by_late
 
 
-def seen_earlier(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
+def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     """Return motions as they were `late_s` (K) before their samples, by the equations of motion with the wheels held."""
     momentum = model.obs.momentum
     inertia = model.body.inertia_at(motions.u[:, model.of_body])
@@ -239,7 +239,7 @@ def seen_earlier(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     made = step(inertia, motions.omega, back, (momentum, momentum))
     turning = np.cross(made.omega @ inertia + momentum, made.omega)
     acceleration = turning @ np.linalg.inv(inertia)
-    return Earlier(Seen(made.turned @ motions.attitude, made.omega), made.turned, acceleration)
+    return Earlier(States(made.turned @ motions.attitude, made.omega), made.turned, acceleration)
 
 
 def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
@@ -375,12 +375,12 @@ def _ways(sample: int, n: int) -> list[tuple[int, int]]:
     return [(i, i + 1) for i in range(sample, n - 1)] + [(i, i - 1) for i in range(sample, 0, -1)]
 
 
-def _one_step(model: Model, omega: np.ndarray, start: int, end: int, answers: bool = False):
+def _one_step(model: Model, omega: np.ndarray, start: int, end: int, derivatives: bool = False):
     """Carry rates (K, 3) from one sample to another with the inertia of the vehicle file."""
     t_s, momentum = model.obs.t_s, model.obs.momentum
     dt = np.array([t_s[end] - t_s[start]])
     momenta = momentum[start][None], momentum[end][None]
-    return step(model.body.inertia, omega[:, None], dt, momenta, answers)
+    return step(model.body.inertia, omega[:, None], dt, momenta, derivatives)
 
 
 def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
@@ -399,7 +399,7 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         answer = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], answer[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, n):
-            made = _one_step(model, track.omega[:, start], start, end, answers=True)
+            made = _one_step(model, track.omega[:, start], start, end, derivatives=True)
             track.attitude[:, end] = made.turned[:, 0] @ track.attitude[:, start]
             track.omega[:, end] = made.omega[:, 0]
             answer[:, end] = made.by_start[:, 0] @ answer[:, start]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimation.chain import fit
 from sunspin.estimation.copies import distinct
-from sunspin.estimation.model import SUN_N, Model, Noise, Seen, Track
+from sunspin.estimation.model import SUN_N, Model, Noise, States, Track
 from sunspin.estimation.settings import SearchSettings
 from sunspin.estimation.terms.field import KnownField
 from sunspin.estimation.terms.torques import GravityGradient
@@ -82,6 +82,6 @@ def begun(model: Model, motions: Track) -> Track:
     if len(motions):
         # what shows the turn about the Sun first
         for term, place in sorted(model.placed_terms, key=lambda pair: not pair[0].about_sun):
-            attitude, u[:, place] = term.begin(Seen(attitude, motions.omega), about_sun)
+            attitude, u[:, place] = term.begin(States(attitude, motions.omega), about_sun)
             about_sun |= term.about_sun
     return Track(attitude, motions.omega, u)

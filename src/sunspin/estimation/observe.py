@@ -15,7 +15,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.environment import Environment, Surroundings
 from sunspin.estimation.model import Observations
 from sunspin.estimation.settings import PassSettings
-from sunspin.estimation.terms.clock import Lateness
+from sunspin.estimation.terms.clock import Latency
 from sunspin.estimation.terms.directions import UNREAD, SunDirections
 from sunspin.estimation.terms.field import (
     FieldCalibration,
@@ -26,6 +26,7 @@ from sunspin.estimation.terms.field import (
 )
 from sunspin.estimation.terms.inertial import AttitudeChange, Gyro
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.terms.rate_size import RateSize
 from sunspin.estimation.terms.term import Term
 from sunspin.estimation.terms.torques import GravityGradient, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
@@ -128,11 +129,12 @@ def observe(
     why[find_late_frames(telemetry)] = LATE
 
     compared = None if isinstance(sun, FieldDirection) else known or fields
-    read = (sun, Gyro.read(vehicle, sensors), compared, AttitudeChange.read(vehicle, sensors))
+    rates = Gyro.read(vehicle, sensors), RateSize.read(vehicle, sensors)
+    read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
     others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
     terms = [term for term in (*read, *others) if term is not None]
-    terms += [Lateness.of(clock)] if clock is not None else []
+    terms += [Latency.of(clock)] if clock is not None else []
     return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
 
 
@@ -299,7 +301,7 @@ def _why_unused(seen: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
     dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
-    down = panels[0].lit == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    down = panels[0].sun_up == 0 if panels else np.zeros(len(seen.why), dtype=bool)
     shadow = sum(
         dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
     )
@@ -315,27 +317,32 @@ def _why_unused(seen: FileReadings) -> str:
 
 
 def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return what the wheels may do, in words, with their momentum at each sample (n, 3) in mean moments times rad/s.
+    """Return what the wheels may do, in words, with their momentum at each sample (n, 3) in mean moments times rad/s."""
+    t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
+        return {"none": np.zeros((len(t_s), 3))}
+    axes = np.array([w.inertia_kg_m2 * np.asarray(w.axis_B) for w in vehicle.wheels])
+    unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
+    speeds = wheel_speeds(vehicle, telemetry, t_s)
+    return {what: speed @ axes / unit for what, speed in speeds.items()}
+
+
+def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> dict[str, np.ndarray]:
+    """Return what the wheels may do, in words, with their speeds (n, n_wheel) in rad/s at times (n).
 
     Measured speeds leave one possibility. Without them the wheels are held, or coast from the first sample with the friction of the
     vehicle file or one of its alternatives: which, is for the data to say.
     """
-    t_s = np.asarray(telemetry["time"], dtype=np.float64)
-    if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
-        return {"none": np.zeros((len(t_s), 3))}
     nominal = np.array([wheel.speed_rad_s for wheel in vehicle.wheels])
     if "wheel_speed_rad_s" in telemetry:
-        speeds = {MEASURED: _bridged(t_s, telemetry, nominal)}
-    else:
-        speeds = {HELD: np.broadcast_to(nominal, (len(t_s), len(nominal)))}
-        speeds |= _coasting(vehicle, t_s) if nominal.any() else {}
-    axes = np.array([w.inertia_kg_m2 * np.asarray(w.axis_B) for w in vehicle.wheels])
-    unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
-    return {what: speed @ axes / unit for what, speed in speeds.items()}
+        return {MEASURED: _bridged(t_s, telemetry, nominal)}
+    held = {HELD: np.broadcast_to(nominal, (len(t_s), len(nominal)))}
+    after_s = t_s - float(telemetry["time"].values[0])
+    return held | (_coasting(vehicle, after_s) if nominal.any() else {})
 
 
-def _coasting(vehicle: Vehicle, t_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the speeds (n, n_wheel) of wheels that coast from the first sample, for each friction that the file names."""
+def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the speeds (n, n_wheel) of wheels that coast, so many seconds after they began, by the frictions of the file."""
     speeds = {}
     names = dict.fromkeys(name for w in vehicle.wheels for name in w.alternative_frictions)
     for name in (None, *names):
@@ -347,11 +354,7 @@ def _coasting(vehicle: Vehicle, t_s: np.ndarray) -> dict[str, np.ndarray]:
             continue
         speed = [
             spin_down_speed(
-                one.coulomb_N_m,
-                one.viscous_N_m_s,
-                w.inertia_kg_m2,
-                w.speed_rad_s,
-                t_s - t_s[0],
+                one.coulomb_N_m, one.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, after_s
             )
             for one, w in zip(frictions, vehicle.wheels, strict=True)
         ]
@@ -360,13 +363,14 @@ def _coasting(vehicle: Vehicle, t_s: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _bridged(t_s: np.ndarray, telemetry: xr.Dataset, nominal: np.ndarray) -> np.ndarray:
-    """Return measured speeds (n, n_wheel) with gaps bridged linearly; a wheel that was never read keeps its nominal speed."""
-    read = telemetry["wheel_speed_rad_s"].values
-    speed = np.empty(read.shape)
+    """Return measured speeds (n, n_wheel) at times (n) with gaps bridged linearly; a wheel never read keeps its nominal speed."""
+    read, read_s = telemetry["wheel_speed_rad_s"].values, np.asarray(telemetry["time"], np.float64)
+    speed = np.empty((len(t_s), len(nominal)))
     for k, usual in enumerate(nominal):
         known = np.flatnonzero(np.isfinite(read[:, k]))
-        known = known[np.argsort(t_s[known], kind="stable")]
-        speed[:, k] = np.interp(t_s, t_s[known], read[known, k]) if len(known) else usual
+        known = known[np.argsort(read_s[known], kind="stable")]
+        at, value = read_s[known], read[known, k]
+        speed[:, k] = np.interp(t_s, at, value) if len(known) else usual
     return speed
 
 

@@ -58,7 +58,7 @@ from sunspin.estimation.rates_dataset import (
     believed,
     dataset,
     in_space,
-    lateness,
+    latency_attributes,
     repeats_doubted,
 )
 from sunspin.estimation.search import search
@@ -248,7 +248,7 @@ def rates(
     result = result.assign(without_periods(solved))
     result = in_space(repeats_doubted(result, assessment), local, solved, seen)
     result = result.assign_attrs(
-        lateness(vehicle, solved)
+        latency_attributes(vehicle, solved)
         | coarse
         | of_periods
         | {

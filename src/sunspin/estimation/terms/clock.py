@@ -1,4 +1,4 @@
-"""How late the sensors other than the Sun's are behind the Sun of their row: one number, estimated with the motion."""
+"""The latency of all sensors other than the Sun's relative to the Sun of their row: one number, estimated with the motion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sunspin.vehicle.sensors import Clock
 
 
 @dataclass(frozen=True)
-class Lateness(Term):
+class Latency(Term):
     """Gyro, magnetometer and attitude of a row are `late_s` (s) older than its Sun, with the sigma `sigma_s` (s) of that.
 
     It reads nothing: a fit moves a motion back by so much before it asks these sensors.
@@ -29,11 +29,11 @@ class Lateness(Term):
         return cls(clock.late_s, clock.sigma_s)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the lateness, unless it is known exactly."""
+        """Return the latency, unless it is known exactly."""
         if not self.sigma_s:
             return ()
         return (Unknown("late_s", "clock", "s", self.late_s, self.sigma_s),)
 
     def for_search(self) -> list[Self]:
-        """Return none: a search takes the sensors for prompt, as it takes them for no better than its starts."""
+        """Return a latency of zero: it is small against the errors of starts, which a search adds to those of the sensors."""
         return [replace(self, late_s=0.0, sigma_s=0.0)]
