@@ -245,8 +245,8 @@ class Shooting:
     def curved(self, motions: Trials) -> ShotFit:
         """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
 
-        Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes, as the
-        prior of a small one holds it.
+        Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
+        as the prior of a small one holds it.
         """
         images = self.model.panels.response.symmetries
         shots, starts = motions.shots, motions.starts
