@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.equivalence import (
@@ -408,6 +407,9 @@ def _exchanged_by_sensor(
 
 def _mapped(motion: xr.Dataset, matrix: np.ndarray) -> xr.Dataset:
     """Return the motion of a body that a rotation or mirror (3, 3) has mapped."""
+    # imported late: `check`, which names the ways of a sensor, does not wait for it
+    from scipy.spatial.transform import Rotation
+
     attitude = matrix @ Rotation.from_quat(motion["B_from_N"].values).as_matrix() @ matrix.T
     return motion.assign(
         omega_B=(motion["omega_B"].dims, rate_under(matrix, motion["omega_B"].values)),
@@ -425,6 +427,8 @@ def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle)
 
     Those of a field and of an attitude are changes from sample to sample: their frame in space is not known.
     """
+    from scipy.spatial.transform import Rotation
+
     sensors = vehicle.sensors
     known = np.asarray(np.isfinite(value).all(axis=1))
     inside = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
