@@ -13,7 +13,7 @@ from sunspin.estimation.column_tests import (
     Culprit,
     Trials,
     changes_of_sensor,
-    implausible,
+    samples_fit_other_columns,
     what_fits_better,
 )
 from sunspin.estimation.equivalence import Observed, column_changes
@@ -264,16 +264,18 @@ def test_another_column_assignment_must_be_clearly_better_and_fit():
 def test_samples_by_themselves_show_some_exchanges():
     """Opposite panels lit together: no Sun lights them. A mirror image is not seen so."""
     right = exchanged_columns(0, 0)
-    assert not implausible(CUBE, right)
-    assert implausible(CUBE, exchanged_columns(1, 5)) and not implausible(
-        CUBE, exchanged_columns(1, 4)
-    )
-    assert not implausible(
+    assert not samples_fit_other_columns(CUBE, right)
+    assert samples_fit_other_columns(
+        CUBE, exchanged_columns(1, 5)
+    ) and not samples_fit_other_columns(CUBE, exchanged_columns(1, 4))
+    assert not samples_fit_other_columns(
         CUBE, right.assign(power_W=0.3 * right["power_W"])
     )  # a full battery dims what it reads
     gains = zip(CUBE.panels, (1.0, 7.0, 2.0, 1.0, 7.0, 2.0), strict=True)
     unequal = replace(CUBE, panels=tuple(replace(panel, gain=gain) for panel, gain in gains))
-    assert not implausible(unequal, right.assign(power_W=right["power_W"] * unequal.panel_gains))
+    assert not samples_fit_other_columns(
+        unequal, right.assign(power_W=right["power_W"] * unequal.panel_gains)
+    )
 
 
 def test_unlit_panels_distinguish_an_exchange_from_its_mirror():

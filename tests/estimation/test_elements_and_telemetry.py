@@ -10,7 +10,7 @@ import sunspin as ss
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimation.orbit.check import Trial, Verdict, check_orbit
-from sunspin.estimation.orbit.invariants import MATRIX, Sky, fit, residuals_left
+from sunspin.estimation.orbit.invariants import MATRIX, Sky, fit_at_offsets, residuals_left
 from sunspin.estimation.orbit.judged import judged_orbit, orbit_of
 from sunspin.estimation.orbit.readings import read
 from sunspin.estimation.settings import ORBIT
@@ -144,7 +144,7 @@ def test_the_attitude_of_the_body_does_not_change_the_cost_of_an_orbit(case):
             sun=np.einsum("nij,nj->ni", turned, sky.sun),
             covariance=np.broadcast_to(0.01**2 * np.eye(3), attitudes.shape),
         )
-        fits = fit(shown, sky.invariants(), np.zeros(len(shifts)), np.array([0.01, 1.0]))
+        fits = fit_at_offsets(shown, sky.invariants(), np.zeros(len(shifts)), np.array([0.01, 1.0]))
         assert fits.best == 2
         strength, angle = residuals_left(
             shown.field @ fits.calibration[2][MATRIX].reshape(3, 3).T - fits.calibration[2][9:],

@@ -262,7 +262,7 @@ def test_opposite_panels_see_sun_and_earth_as_one_vector():
     u[0, 6:9] = light / np.linalg.norm(term.earth.light_N[0, 0])
     earth = EarthLight(term.earth.light_N, np.zeros(6))
     more, _ = earth.on_panels(term.response, term.gain, seen.attitude, u[:, 6:])
-    share = more / term.full
+    share = more / term.full_sun
     both = np.einsum("knij,j->kni", seen.attitude, light)
     assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
 
@@ -270,11 +270,11 @@ def test_opposite_panels_see_sun_and_earth_as_one_vector():
 def test_a_search_uses_differences_of_opposite_panels():
     term = panels(np.random.default_rng(12), known=False)
     (loose,) = term.for_search()
-    share = term.power / term.full
+    share = term.power / term.full_sun
     brighter = np.maximum(share - np.roll(share, 3, axis=1), 0.0)
-    assert np.allclose(loose.power / term.full, brighter) and loose.earth is None
-    error = 0.03 / term.full
-    assert (loose.sigma / term.full >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
+    assert np.allclose(loose.power / term.full_sun, brighter) and loose.earth is None
+    error = 0.03 / term.full_sun
+    assert (loose.sigma / term.full_sun >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
     assert not loose.unknowns()
 
 

@@ -25,8 +25,8 @@ from sunspin.estimation.orbit.invariants import (
     Predicted,
     Scales,
     Sky,
-    calibrated,
-    sphere,
+    fit_magnetometer,
+    fit_sphere,
 )
 from sunspin.estimation.orbit.readings import Readings, read
 from sunspin.telemetry.assess import assess
@@ -82,7 +82,7 @@ def test_the_sphere_through_exact_readings_has_their_zero_and_scale():
     rng = np.random.default_rng(4)
     strength = rng.uniform(2.0, 5.0, (1, 60))
     field = strength[0][:, None] * unit(rng.normal(size=(60, 3)))
-    zero, scale = sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
+    zero, scale = fit_sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
     np.testing.assert_allclose(zero[0], [4.0, -2.0, 9.0], rtol=1e-5)
     np.testing.assert_allclose(scale[0], 0.7, rtol=1e-5)
 
@@ -99,7 +99,7 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         field, sun = (np.einsum("nij,nj->ni", attitude, v) for v in (sky.field[0], sky.sun))
         reading = np.linalg.solve(matrix, (field / 4e-5).T).T + zero
         readings = shown(reading, sun, 0.03)._replace(t_s=t_s)
-        _, state, scales = calibrated(readings, sky.invariants())
+        _, state, scales = fit_magnetometer(readings, sky.invariants())
         in_T = scales.in_T(state.unknown)[0]
         np.testing.assert_allclose(in_T[MATRIX].reshape(3, 3), 4e-5 * matrix, atol=4e-8)
         # the fit with attitudes, from a start that is far off
@@ -154,10 +154,10 @@ def test_noise_of_the_magnetometer_shrinks_its_matrix_less_by_the_distance_of_re
 
     usual = []
     for seed in range(6):
-        _, state, units = calibrated(*aligned(np.random.default_rng(seed)))
+        _, state, units = fit_magnetometer(*aligned(np.random.default_rng(seed)))
         usual.append(scale(state) * units.field_T / units.reading / SCALE_T)
         readings, predicted = aligned(np.random.default_rng(seed), noise=60.0)
-        _, state, units = calibrated(readings, predicted)
+        _, state, units = fit_magnetometer(readings, predicted)
         by_strength = MagnetometerLaw(readings, units, of_readings=False).settled(state, True)
         assert scale(by_strength) < 0.97 * scale(state)
     assert 0.9 < np.median(usual) < 1.1

@@ -12,6 +12,7 @@ from sunspin.estimation import periods as pd
 from sunspin.estimation.model import Body, Observations, Track
 from sunspin.estimation.rates import rates
 from sunspin.estimation.solutions import Solutions
+from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
 from sunspin.vehicle import Vehicle
 from validation.many_passes import make_period
 
@@ -106,6 +107,27 @@ def test_periods_of_solutions_agree_with_the_reference_motion():
         momentum = rate @ inertia + 1e-3 * np.array([0, 0.6, 0.8])
         mean = pd.euler_rates(rate, momentum, pd.own_axis(inertia)).mean(axis=0)
         np.testing.assert_allclose(np.median(of_draws, axis=0), 2 * np.pi / np.abs(mean), rtol=2e-3)
+
+
+def test_a_period_that_may_be_another_counts_both():
+    """Two solutions of unlike periods: a column that may have either keeps their probabilities, times those of the column."""
+    one, body = two_solutions([0.5, 0.5])
+    # the sum of precession and spin, averaged over four of the periods seen; the period of either solution is that of no other
+    seen_s = 62.0
+    draws = pd.periods_of(one, body, ss.Period(40.0, seen_s, 0.5)).reshape(2, -1, 3)
+    of_each = np.median(draws, axis=1)
+    first_s, second_s = of_each[:, 2]
+    other = LikelyPeriod(float(second_s), 0.5, 0.25)
+    seen = FoundPeriod(40.0, float(first_s), 0.5, 0.75, 1e-4, (other,))
+    (after,), attrs = pd.weigh_by_periods([one], body, [seen], [0])
+    # the precession of the first has nearly the same period: two of its three rotations count
+    near = np.exp(-0.5 * ((of_each - of_each[:, 2:]) / 0.5) ** 2).sum(axis=1) * [0.75, 0.25]
+    assert after.probability == pytest.approx(near / near.sum(), abs=0.02)
+    (row,) = json.loads(attrs["periods"])
+    assert row["told"] and row["carried"] > 0.99
+    sure = replace(seen, probability=1.0, aliases=())
+    (after,), _ = pd.weigh_by_periods([one], body, [sure], [0])
+    assert after.probability[0] > 0.99
 
 
 def test_a_period_reweights_solutions_and_names_the_kind_of_rotation():

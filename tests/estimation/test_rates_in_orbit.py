@@ -56,7 +56,7 @@ def test_a_sample_in_the_shadow_uses_its_field_and_requires_dark_panels(case):
     plain = observe(assessment)
     panels, field = known.obs.terms[:2]
     assert isinstance(panels, Panels) and isinstance(field, KnownField)
-    dark = np.flatnonzero(panels.lit == 0)
+    dark = np.flatnonzero(panels.sun_up == 0)
     assert len(dark) and set(known.why[dark]) == {FIELD_ALONE + "no panel lit"}
     assert len(known.usable) == len(data["time"]) > len(plain.usable)
     assert np.isfinite(panels.sigma[dark]).all() and not known.obs.sees_sun[dark].any()

@@ -126,6 +126,22 @@ def test_a_decoder_that_the_program_lacks_is_named(raw, tmp_path, monkeypatch):
         decode_by_program("nosuch", raw)
 
 
+def test_a_folder_that_is_not_ours_is_refused_before_the_program_runs(raw, tmp_path, monkeypatch):
+    started = tmp_path / "started"
+    install(tmp_path, monkeypatch, f"#!{sys.executable}\nopen({str(started)!r}, 'w')\n")
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.txt").write_text("mine", "utf-8")
+    code, _, why = decode(raw, "--decoder", "cubesat", "--out", other)
+    assert code != 0 and "not empty and not a results folder" in why and not started.exists()
+
+
+def test_a_bad_name_of_a_decoder_makes_no_folder(raw, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, why = decode(raw, "--decoder", "a b")
+    assert code != 0 and "a name of letters" in why and not (tmp_path / "a b").exists()
+
+
 @pytest.mark.parametrize("name", ["--help", "../skcube", "a b", "", "x;ls"])
 def test_only_names_reach_the_program(name, raw, tmp_path, monkeypatch):
     install(tmp_path, monkeypatch, f"#!{sys.executable}\nraise SystemExit('started')\n")

@@ -123,6 +123,49 @@ def test_init_from_a_file_knows_its_panels_and_makes_no_inertia_and_no_wheel_up(
     assert "is there already" in str(again.exception)
 
 
+NORMALS = {"px": [1, 0, 0], "mx": [-1, 0, 0], "py": [0, 1, 0], "my": [0, -1, 0], "pz": [0, 0, 1]}
+ANGLES = {
+    "elevation by name, deg": ("elev_{}", "elevation_deg", 1.0),
+    "elevation by name, rad": ("elev_{}", "elevation_deg", np.pi / 180),
+    "elevation by value": ("sun_{}", "elevation_deg", 1.0),
+    "an angle with a sign": ("sun_angle_{}_deg", "elevation_deg", 1.0),
+    "incidence by name": ("aoi_{} [deg]", "incidence_deg", 1.0),
+    "an angle beyond 90": ("sunAngle_{} (rad)", "incidence_deg", np.pi / 180),
+    "cosine by name": ("cos_{}", "cosine", 1.0),
+    "cosine by value": ("sun_{}", "cosine", 1.0),
+}
+"""Form of the columns' names, quantity, and its unit in degrees (of cosines 1)."""
+
+
+@pytest.mark.parametrize("case", ANGLES)
+def test_init_from_a_file_of_angles_knows_which_they_are(case, folder):
+    form, quantity, unit = ANGLES[case]
+    rng = np.random.default_rng(0)
+    sun = rng.normal(size=(30, 3))
+    cosine = (sun / np.linalg.norm(sun, axis=1, keepdims=True)) @ np.array(list(NORMALS.values())).T
+    angle = np.degrees(np.arcsin(cosine))
+    value = {"elevation_deg": angle, "incidence_deg": 90 - angle, "cosine": cosine}[quantity] * unit
+    rows = [
+        f"2026-01-01T00:{k:02d}:00Z," + ",".join(f"{x:.5f}" for x in row)
+        for k, row in enumerate(value)
+    ]
+    header = "time," + ",".join(form.format(face) for face in NORMALS)
+    (folder / "angles.csv").write_text("\n".join([header, *rows]), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "angles.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert craft.telemetry.quantity == quantity
+    data = ss.read_telemetry(folder / "angles.csv", craft)
+    found = data["power_W"].sel(panel=[FACES[face] for face in NORMALS]).values
+    np.testing.assert_allclose(found, np.maximum(cosine, 0.0), atol=1e-3)
+
+
+def test_temperatures_below_zero_are_no_angles(folder):
+    rows = "".join(f"2026-01-01T00:{k:02d}:00Z,{k - 10},{10 - k}\n" for k in range(20))
+    (folder / "export.csv").write_text(f"time,T_px,T_mx\n{rows}", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "no columns look like times and panels" in str(done.exception)
+
+
 @pytest.mark.parametrize(
     ("cells", "lines"),
     [

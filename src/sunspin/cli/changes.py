@@ -69,6 +69,7 @@ TELEMETRY_KEYS = (
     "sun_sensor",
     "sun_vector",
     "gyro",
+    "rate_size",
     "attitude",
     "magnetometer",
 )

@@ -66,11 +66,17 @@ def _decode_by_program(raw: Path, decoder: str, folder: Path, output: Output) ->
     """Write the table of the frames that satnogs-decoders decodes, and a [telemetry] section if the names of its columns tell."""
     from sunspin.base.tables import read_table
     from sunspin.output.folder import results_folder, write_whole
-    from sunspin.telemetry.decoders.satnogs import decode_by_program, decoded_csv
+    from sunspin.telemetry.decoders.satnogs import (
+        decode_by_program,
+        decoded_csv,
+        require_decoder_name,
+    )
     from sunspin.telemetry.suggest import suggest_section
 
-    decoded = decode_by_program(decoder, raw)
+    require_decoder_name(decoder)  # the name of the folder, if none is given
+    # a folder that cannot be written is refused before the program runs, which may take minutes
     results_folder(folder, "decode")
+    decoded = decode_by_program(decoder, raw)
     table = write_whole(folder / f"{decoder}.csv", decoded_csv(decoded))
     frames = len(decoded.rows)
     lines = [f"{frames:6d}  frames: {table}"]

@@ -14,7 +14,7 @@ USUAL = 2e4
 
 @dataclass
 class Budget:
-    """What was `used` of what is allowed; `cut`: something was left out because nothing was left."""
+    """How many motions times samples were `used` of the `most` allowed; `cut`: something was left out as nothing was left."""
 
     most: float
     used: float = 0.0
@@ -30,11 +30,11 @@ class Budget:
         return cls(USUAL * float(effort))
 
     def spend(self, count: float) -> None:
-        """Count so many motions times samples."""
+        """Add so many motions times samples to those used."""
         self.used += count
 
     def exhausted(self) -> bool:
-        """Return whether what could be left out has to be; then it is noted that something was."""
+        """Return whether the budget is used up. Who asks leaves out the rest of its work then, which `cut` notes."""
         if self.used >= self.most:
             self.cut = True
         return self.used >= self.most

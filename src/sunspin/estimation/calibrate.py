@@ -55,9 +55,10 @@ NUMBERS = ("stated", "value", "sigma", "prior_sigma")
 
 
 class Key(NamedTuple):
-    """A key of the vehicle file: `where` it is (table, name of the part), and what was estimated, in arrays (m).
+    """A key of the vehicle file with m components: `where` it is (table, name of the part), and its numbers, in arrays (m).
 
-    `together`: whether all keys that only make sense with this one are determined, and it with them; None if it needs no others.
+    `stated`: in the file; `value`, `sigma`: estimated; `prior`: sigma before the data. `samples`: how many show it. `together`:
+    whether it and all keys that only make sense with it are determined; None if it needs no others.
     """
 
     where: tuple[str, ...]
@@ -140,14 +141,18 @@ def new_values(result: xr.Dataset) -> list[NewValue]:
         table, _, rest = name.partition(".")
         part_name, _, key = rest.rpartition(".")  # the name of a part may have dots
         where = (table, part_name) if part_name else (table,)
-        # a number, a vector, or the rows of a matrix, with the digits that a person reads
-        value, sigma = (
-            [float(f"{x:.6g}") for x in part[which].values] for which in ("value", "sigma")
-        )
-        shaped = {1: lambda x: x[0], 9: lambda x: [x[:3], x[3:6], x[6:]]}.get(len(value), list)
+        value, sigma = (_in_toml(part[name].values) for name in ("value", "sigma"))
         source = str(result.attrs["source"]).format(samples=int(part["samples"].values[0]))
-        values.append(NewValue(where, key, shaped(value), shaped(sigma), source))
+        values.append(NewValue(where, key, value, sigma, source))
     return values
+
+
+def _in_toml(numbers: np.ndarray) -> Any:
+    """Return numbers (m) as a vehicle file has them, with six digits: one number, a vector, or the rows of a matrix (m = 9)."""
+    rounded = [float(f"{x:.6g}") for x in numbers]
+    if len(rounded) == 1:
+        return rounded[0]
+    return rounded if len(rounded) != 9 else [rounded[:3], rounded[3:6], rounded[6:]]
 
 
 def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicle]:
@@ -160,13 +165,13 @@ def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicl
         notes.append(f"gains of panels: {quality.attrs['gains_from']}")
         return [], vehicle
     stated, gain = vehicle.panel_gains, quality["gain"].values
-    # Leave out each part of the file in turn: what brightens or dims a panel lasts for a pass.
-    samples, without = np.arange(telemetry.sizes["time"]), []
+    # Jackknife: leave out each part of the file in turn, as what brightens or dims a panel lasts for a pass.
+    samples, gains_without = np.arange(telemetry.sizes["time"]), []
     for block in np.array_split(samples, BLOCKS):
         rest = telemetry.isel(time=np.setdiff1d(samples, block))
-        without.append(assess(vehicle, rest).quality["gain"].values)
-    apart = np.array(without) - np.mean(without, axis=0)
-    jackknife = np.sqrt((1 - 1 / BLOCKS) * (apart**2).sum(axis=0))
+        gains_without.append(assess(vehicle, rest).quality["gain"].values)
+    off = np.array(gains_without) - np.mean(gains_without, axis=0)
+    jackknife = np.sqrt((1 - 1 / BLOCKS) * (off**2).sum(axis=0))
     sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), jackknife)
     prior = prior_sigmas(vehicle) * stated
     name = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
@@ -242,57 +247,66 @@ def _described(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
     }
 
 
-def carried(
+def with_sigmas(
     fitted: Calibration, quantity: Callable[[Calibration], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a function (m) of the calibration, its sigma, and its sigma before the data, by differences.
+    """Return a function (m) of the calibration, its sigma, and its sigma before the data.
 
-    Of two sigmas, by the curvature and by leaving out passes, the larger one counts.
+    By linear propagation, S C S^T with the slope S (m, D) by differences. Of two sigmas, by the curvature and by leaving out
+    passes, the larger one counts.
     """
-    value, slopes = quantity(fitted), []
+    value, columns = quantity(fitted), []
     for k, step in enumerate(SMALL * np.sqrt(np.diag(fitted.prior))):
         moved = fitted.values.copy()
         moved[k] += step
-        slopes.append((quantity(replace(fitted, values=moved)) - value) / step)
-    slope = np.stack(slopes, axis=1)
-    model, robust, prior = (
+        columns.append((quantity(replace(fitted, values=moved)) - value) / step)
+    slope = np.stack(columns, axis=1)
+    by_curvature, by_passes, prior = (
         np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope))
         for covariance in (fitted.model, fitted.robust, fitted.prior)
     )
-    return value, np.maximum(model, robust), prior
+    return value, np.maximum(by_curvature, by_passes), prior
 
 
 def _magnetometer(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
-    """Return the keys of the magnetometer: field = scale_T matrix (column - zero)."""
+    """Return the keys of the magnetometer: field = scale_T matrix (column - zero).
+
+    `fitted.matrix_T` (3, 3) is scale and matrix together, relative to the matrix of the vehicle file. Their product is split into a
+    rotation and a stretch (polar decomposition), and the stretch into its scale, the cube root of the determinant, and the rest.
+    """
     part, n = vehicle.sensors.magnetometer, fitted.samples["field"]
     if part is None or not n:
         return []
 
-    def zero(fit: Calibration) -> np.ndarray:
+    def zero(calibration: Calibration) -> np.ndarray:
         """Return the zero (3) in the readings of the columns: the telemetry holds matrix times (column - zero)."""
-        return part.zero + part.sign * np.linalg.solve(part.matrix, fit.zero)
+        return part.zero + part.sign * np.linalg.solve(part.matrix, calibration.zero)
 
-    def rotation_and_stretch(fit: Calibration) -> tuple[np.ndarray, np.ndarray]:
-        rotation, stretch = polar(fit.matrix_T @ part.matrix, side="right")
+    def rotation_and_stretch(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rotation vector (3) of the axes, and the symmetric matrix (3, 3) before it, in T for a unit of a reading."""
+        rotation, stretch = polar(calibration.matrix_T @ part.matrix, side="right")
         return Rotation.from_matrix(rotation).as_rotvec(), stretch
 
-    def scale(fit: Calibration) -> np.ndarray:
-        return np.array([np.cbrt(np.linalg.det(rotation_and_stretch(fit)[1]))])
+    def scale(calibration: Calibration) -> np.ndarray:
+        """Return the scale (1) in T for a unit of a reading."""
+        return np.array([np.cbrt(np.linalg.det(rotation_and_stretch(calibration)[1]))])
 
     # Without the Sun the strength leaves the rotation of the axes open: then the matrix is the symmetric one.
-    _, sigma, prior = carried(fitted, lambda fit: rotation_and_stretch(fit)[0])
+    _, sigma, prior = with_sigmas(fitted, lambda one: rotation_and_stretch(one)[0])
     axes_known = bool((sigma < NARROWER * prior).all())
 
-    def matrix(fit: Calibration) -> np.ndarray:
-        whole = fit.matrix_T @ part.matrix if axes_known else rotation_and_stretch(fit)[1]
-        return (whole / scale(fit)).ravel()
+    def matrix(calibration: Calibration) -> np.ndarray:
+        """Return the matrix (9), by rows, without its scale."""
+        stretch = rotation_and_stretch(calibration)[1]
+        whole = calibration.matrix_T @ part.matrix if axes_known else stretch
+        return (whole / scale(calibration)).ravel()
 
     where = ("magnetometer",)
     stated_scale = np.array([np.nan if part.scale_T is None else part.scale_T])
     keys = [
-        Key(where, "zero", part.zero, *carried(fitted, zero), "reading", n),
-        Key(where, "matrix", part.matrix.ravel(), *carried(fitted, matrix), "1", n),
-        Key(where, "scale_T", stated_scale, *carried(fitted, scale), "T", n),
+        Key(where, "zero", part.zero, *with_sigmas(fitted, zero), "reading", n),
+        Key(where, "matrix", part.matrix.ravel(), *with_sigmas(fitted, matrix), "1", n),
+        Key(where, "scale_T", stated_scale, *with_sigmas(fitted, scale), "T", n),
     ]
     together = all(key.determined.all() for key in keys)
     if part.noise is None:
@@ -303,26 +317,35 @@ def _magnetometer(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
 
 
 def _sun_sensors(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> Iterator[Key]:
-    """Yield the keys of Sun sensors that have readings: true angle = scale reading - bias."""
+    """Yield the keys of Sun sensors that have readings: true angle = scale reading - bias.
+
+    The fit is relative to the file, whose angle is (scale reading - bias) of the keys stated there: true angle = (angle - fitted
+    bias) / fitted scale. So the new scale is the stated one over that of the fit, and the new bias (stated + fitted) over it.
+    """
+    of_bias, of_scale = slice(0, 2), slice(2, 5)  # of SUN_KEYS
     for k, sensor in enumerate(vehicle.sensors.sun_sensors):
-        x, y = np.isfinite(readings.angle[:, k]).T
+        x_read, y_read = np.isfinite(readings.angle[:, k]).T
         turned = readings.y_turned[:, k]
-        counts = [x.sum(), y.sum(), x.sum(), (y & ~turned).sum(), (y & turned).sum()]
-        stated = [getattr(sensor, key) for key in SUN_KEYS]
-        numbers = np.array([0.0 if one is None else one for one in stated])
+        counts = [np.sum(x_read), np.sum(y_read), np.sum(x_read)]
+        counts += [np.sum(y_read & ~turned), np.sum(y_read & turned)]
+        keys = [getattr(sensor, key) for key in SUN_KEYS]
+        stated = np.array([0.0 if one is None else one for one in keys])
 
-        def keys_of(fit: Calibration, k: int = k, numbers: np.ndarray = numbers) -> np.ndarray:
-            bias = (numbers[:2] + fit.bias[k]) / fit.scale[k, :2]
-            return np.concatenate([bias, numbers[2:] / fit.scale[k]])
+        def new_keys(
+            calibration: Calibration, k: int = k, stated: np.ndarray = stated
+        ) -> np.ndarray:
+            """Return the keys (5) of sensor k by a calibration."""
+            bias = (stated[of_bias] + calibration.bias[k]) / calibration.scale[k, :2]
+            return np.concatenate([bias, stated[of_scale] / calibration.scale[k]])
 
-        columns = np.stack([numbers, *carried(fitted, keys_of)], axis=1)
+        numbers = np.stack([stated, *with_sigmas(fitted, new_keys)], axis=1)  # (5, 4)
         for i, key in enumerate(SUN_KEYS):
-            read_so = counts[i] and not (sensor.y_column is None and key.startswith("y"))
-            if stated[i] is None or not read_so:
+            was_read = counts[i] and not (sensor.y_column is None and key.startswith("y"))
+            if keys[i] is None or not was_read:
                 continue
             unit = "rad" if key.endswith("bias_rad") else "rad/reading"
             where = ("sun_sensor", sensor.name)
-            old, new, error, before = columns[i][:, None]
+            old, new, error, before = numbers[i][:, None]
             yield Key(where, key, old, new, error, before, unit, int(counts[i]))
 
 
@@ -347,21 +370,23 @@ class GyroFit(NamedTuple):
 def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit | None:
     """Return zero and scale of a gyro by the passes whose rates are known without it; None if they are too few.
 
-    `result`: of `rates` without the gyro. The error of a pass's rate is taken as common to its samples, as smoothing leaves it, in
-    addition to the noise of each reading.
+    `result`: of `rates` without the gyro. Weighted least squares of reading = scale rate + zero, whose errors are in groups: the
+    samples of a pass along one axis. In a group the error of the rate is common to all samples, as smoothing leaves it, and the
+    noise of each reading is added. Groups have Student tails, and one factor on all errors is estimated in turn.
     """
     times, first = np.unique(telemetry["time"].values, return_index=True)
-    place = np.clip(np.searchsorted(times, result["time"].values), 0, len(times) - 1)
-    read_then = telemetry["gyro_B"].values[first[place]]
+    index = np.clip(np.searchsorted(times, result["time"].values), 0, len(times) - 1)
+    read_then = telemetry["gyro_B"].values[first[index]]
     # a body that hardly rotates, whose speed has only an upper limit, shows the zero of a gyro as well as any
     use = rate_known(result)[result["pass_of"].values]
-    use &= np.isfinite(read_then).all(axis=1) & (times[place] == result["time"].values)
+    use &= np.isfinite(read_then).all(axis=1) & (times[index] == result["time"].values)
     reading, pass_of = read_then[use], result["pass_of"].values[use]
     rate, covariance_B = result["omega_B"].values[use], result["omega_cov_B"].values[use]
     passes = np.unique(pass_of)
     if len(passes) < FEWEST_PASSES:
         return None
 
+    # unknowns: the zero of each axis (0 to 2), and the scale over the stated one (3)
     stated = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
     usual = float(np.sqrt((reading**2).mean()))
     scale_sigma = gyro.scale_sigma / abs(gyro.scale_rad_s) or GYRO_SCALE
@@ -374,22 +399,22 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
         for k, number in enumerate(passes):
             rows = pass_of == number
             for axis in range(3):
-                # errors of unit size: noise of each reading, and the error of the pass's rate in common
                 sigma = np.sqrt(covariance_B[rows, axis, axis])
                 noise = gyro.noise_rad_s**2 * np.eye(len(sigma)) + np.outer(sigma, sigma)
                 white = np.linalg.inv(np.linalg.cholesky(factor**2 * noise))
                 design = np.zeros((len(sigma), 4))
                 design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
                 design, target = white @ design, white @ reading[rows, axis]
-                left = design @ values - target
-                weight = (STUDENT + len(left)) / (STUDENT + left @ left)
+                residual = design @ values - target
+                weight = (STUDENT + len(residual)) / (STUDENT + residual @ residual)
                 normal += weight * design.T @ design
                 right = right + weight * design.T @ target
-                scores[k] += weight * design.T @ left
-                squares, count = squares + weight * left @ left, count + len(left)
+                scores[k] += weight * design.T @ residual
+                squares, count = squares + weight * residual @ residual, count + len(residual)
         covariance = np.linalg.inv(normal)
         values = covariance @ right
         factor *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), *NOISE_STEP))
+    # the sandwich estimate of the covariance: how much the gradients of the passes differ
     between = scores.T @ scores * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
     robust = covariance @ between @ covariance
     return GyroFit(values, covariance, robust, prior, int(use.sum()), len(passes))
@@ -429,7 +454,10 @@ def _gyro(
 
 
 def gyro_keys(gyro: Gyro, fit: GyroFit) -> list[Key]:
-    """Return the keys of a gyro by its fit: rate = scale_rad_s (column - zero)."""
+    """Return the keys of a gyro by its fit: rate = scale_rad_s (column - zero).
+
+    As the reading is `scale` rate + zero, the new scale is the stated one over that of the fit.
+    """
     scale, size = fit.values[3], abs(gyro.scale_rad_s)
     sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
     zero = gyro.zero + gyro.sign * fit.values[:3] / gyro.scale_rad_s

@@ -1,6 +1,6 @@
-"""Motions carried from one instant to another by the equations of motion, and how they answer to their start and to the inertia.
+"""Motions carried from one instant to another by the equations of motion, with derivatives by their start and by the inertia.
 
-The steps are those of :mod:`sunspin.dynamics.step`. Answers are differences of runs that take the same steps.
+The steps are those of :mod:`sunspin.dynamics.step`. Derivatives are differences of runs that take the same steps.
 """
 
 from __future__ import annotations
@@ -28,20 +28,23 @@ MOST_NUTATION_RAD = 800.0
 """Turn of the rate by wheels between two samples that is still followed: at 2 rad a step the integration holds."""
 
 DIFFERENCE = 1e-5
-"""Turn (rad) over an interval by which the rate is changed for the answer of a motion to its start."""
+"""Turn (rad) over an interval by which a rate at the start is changed for the derivative of a motion by it."""
 
 INERTIA_DIFFERENCE = 0.02
-"""The same for the inertia, in sigmas."""
+"""Change of the inertia for the derivative by it, in sigmas."""
 
 LOST_RAD_S = 1e6
-"""Rate of a motion that no step is fine enough for: it must cost much, not fail."""
+"""rad/s; rate of a motion that no step is fine enough for: it must cost much, not fail."""
+
+TURN, RATE = slice(0, 3), slice(3, 6)
+"""Places of a turn (rad, B) and of a rate (rad/s) in the six numbers of a state."""
 
 
 class Step(NamedTuple):
     """Motions after their intervals.
 
     `turned` (K, n, 3, 3): the attitude at the end relative to that at the start; `omega` (K, n, 3). If asked, derivatives of turn
-    and rate at the end: `by_start` (K, n, 6, 6) by those at the start; `by_inertia` (K, n, 6, e) by one sigma of each error of the
+    and rate at the end: `by_start` (K, n, 6, 6) by those at the start, `by_inertia` (K, n, 6, e) by one sigma of each error of the
     inertia.
     """
 
@@ -76,7 +79,10 @@ def angle_turned(
     dt: npt.ArrayLike,
     momenta: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return the angle (..., n) in rad by which body and rate turn at most in intervals dt (n) that begin at rates (..., n, 3)."""
+    """Return the angle (..., n) in rad by which body and rate turn at most in intervals dt (n) that begin at rates (..., n, 3).
+
+    `inertia` (..., 3, 3) in mean moments; `momenta`: two (n, 3), of the wheels at start and end of each interval.
+    """
     swing = np.maximum(*(nutation(inertia, momentum) for momentum in momenta))
     return (np.linalg.norm(omega, axis=-1) + swing) * np.abs(dt)
 
@@ -86,7 +92,7 @@ def step(
     omega: np.ndarray,
     dt: np.ndarray,
     momenta: tuple[np.ndarray, np.ndarray],
-    answers: bool = False,
+    derivatives: bool = False,
     errors: np.ndarray | None = None,
 ) -> Step:
     """Carry K motions over n intervals each.
@@ -101,36 +107,38 @@ def step(
         May be negative.
     momenta : two (n, 3)
         Momentum of the wheels at start and end, in mean moments times rad/s.
-    answers : bool
-        Whether the answers to the start are wanted.
+    derivatives : bool
+        Whether those by the start, and by the errors, are wanted.
     errors : (e, 3, 3), optional
-        Errors of the inertia to which the answers are wanted.
+        One sigma of each error of the inertia by which they are wanted.
     """
     bare = errors is None or not len(errors)
     if bare and _is_sphere(inertia) and not (momenta[0].any() or momenta[1].any()):
-        return _turn_evenly(omega, dt, answers)
+        return _turn_evenly(omega, dt, derivatives)
     bodies = np.broadcast_to(inertia, (len(omega), 3, 3))
     angle = angle_turned(bodies, omega, dt, momenta)
     counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
-    if not answers:
+    if not derivatives:
         turned, rate = _run(bodies[None], omega[None], dt, momenta, counts)
         return Step(turned[0], rate[0])
 
-    # runs: the motion itself, three with another rate, and one with each error of the inertia
+    # the first axis are runs: the motion itself, three with another rate, and one with each error of the inertia
     errors = np.zeros((0, 3, 3)) if errors is None else errors
+    of_rates, of_errors = slice(1, 4), slice(4, None)
     size = np.where(dt == 0, 1.0, dt)[:, None]
     rates = np.repeat(omega[None], 4 + len(errors), axis=0)
-    rates[1:4] += np.eye(3)[:, None, None] * (DIFFERENCE / size)
+    rates[of_rates] += np.eye(3)[:, None, None] * (DIFFERENCE / size)
     bodies = np.repeat(bodies[None], len(rates), axis=0)
-    bodies[4:] += INERTIA_DIFFERENCE * errors[:, None]
+    bodies[of_errors] += INERTIA_DIFFERENCE * errors[:, None]
     turned, rate = _run(bodies, rates, dt, momenta, counts)
     change = np.concatenate([rotation_between(turned[0], turned[1:]), rate[1:] - rate[0]], axis=-1)
-    change = np.moveaxis(change, 0, -1)
+    change = np.moveaxis(change, 0, -1)  # (K, n, 6, runs but the first)
+    by_rate, by_error = change[..., :3], change[..., 3:]
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
     # a turn at the start is the same turn seen from the axes of the end, and changes no rate
-    by_start[..., :3, :3] = turned[0]
-    by_start[..., 3:] = change[..., :3] * size[..., None] / DIFFERENCE
-    return Step(turned[0], rate[0], by_start, change[..., 3:] / INERTIA_DIFFERENCE)
+    by_start[..., TURN, TURN] = turned[0]
+    by_start[..., RATE] = by_rate * size[..., None] / DIFFERENCE
+    return Step(turned[0], rate[0], by_start, by_error / INERTIA_DIFFERENCE)
 
 
 def _is_sphere(inertia: np.ndarray) -> bool:
@@ -138,27 +146,30 @@ def _is_sphere(inertia: np.ndarray) -> bool:
     return inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
 
 
-def _turn_evenly(omega: np.ndarray, dt: np.ndarray, answers: bool) -> Step:
-    """Return motions of a sphere without wheels at rates (K, n, 3), with their answers if asked.
+def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
+    """Return motions of a sphere without wheels at rates (K, n, 3), with derivatives if asked: its rate stays as it is.
 
-    A change of the rate turns the body by its integral, each part of which is carried on by the turn that is left. With the whole
-    turn v = x a that is the mean of exp(-[v x] u) over u from 0 to 1. It is closed: sinc(x) 1 + (1 - sinc(x)) a a' - (1 - cos x) /
-    x [a x].
+    A change dw of the rate turns the body by the integral of dw ds, each part of it as seen after the turn that is left. The
+    derivative is dt times the mean, over u from 0 to 1, of the turns by x u about the axis a. The whole interval turns by x:
+
+        sinc(x) I + (1 - sinc(x)) a a^T - (1 - cos x) / x [a x].
     """
     angle = omega * np.asarray(dt)[..., None]
     turned = rotate_attitude(np.broadcast_to(np.eye(3), (*omega.shape, 3)), angle)
-    if not answers:
+    if not derivatives:
         return Step(turned, omega.copy())
-    size = np.linalg.norm(angle, axis=-1)[..., None, None]
-    axis = angle[..., None, :] / np.maximum(size, np.finfo(float).tiny)
-    sinc, half = np.sinc(size / np.pi), np.sinc(size / (2 * np.pi))
+    x = np.linalg.norm(angle, axis=-1)[..., None, None]
+    axis = angle[..., None, :] / np.maximum(x, np.finfo(float).tiny)
+    sinc, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi))
     along = np.swapaxes(axis, -1, -2) @ axis
     across = cross_matrix(axis[..., 0, :])
-    mean = sinc * np.eye(3) + (1 - sinc) * along - size / 2 * half**2 * across
+    mean = (
+        sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
+    )  # of sin^2(x / 2) = (1 - cos x) / 2
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
-    by_start[..., :3, :3] = turned
-    by_start[..., :3, 3:] = np.asarray(dt)[..., None, None] * mean
-    by_start[..., 3:, 3:] = np.eye(3)
+    by_start[..., TURN, TURN] = turned
+    by_start[..., TURN, RATE] = np.asarray(dt)[..., None, None] * mean
+    by_start[..., RATE, RATE] = np.eye(3)
     return Step(turned, omega.copy(), by_start, np.zeros((*omega.shape[:-1], 6, 0)))
 
 
@@ -174,11 +185,13 @@ def _run(
     Each motion of each run has its own inertia (r, K, 3, 3); `counts` (K, n) of steps are alike in all runs, or differences of runs
     would be those of the steps.
     """
+    # what the kernel carries: momentum of body and wheels in B, and the quaternion of the turn since the start, scalar last
+    of_momentum, of_quaternion = slice(0, 3), slice(3, 7)
     shape = omega.shape[:-1]
     start, end = (np.broadcast_to(h, omega.shape) for h in momenta)
     states = np.zeros((*shape, 7))
-    states[..., :3] = omega @ inertia + start
-    states[..., 6] = 1.0  # the quaternion of no turn
+    states[..., of_momentum] = omega @ inertia + start
+    states[..., 6] = 1.0  # no turn
     rows = (int(np.prod(shape[:-1])), shape[-1])
     moved = carry_bodies(
         states.reshape(*rows, 7),
@@ -187,7 +200,8 @@ def _run(
         (start.reshape(*rows, 3), end.reshape(*rows, 3)),
         inertia.reshape(-1, 3, 3),
     ).reshape(*shape, 7)
-    lost = ~np.isfinite(moved).all(axis=-1) | ~moved[..., 3:].any(axis=-1)
+    lost = ~np.isfinite(moved).all(axis=-1) | ~moved[..., of_quaternion].any(axis=-1)
     moved[lost] = (LOST_RAD_S, LOST_RAD_S, LOST_RAD_S, 0.0, 0.0, 0.0, 1.0)
-    rate = symmetric_product(symmetric_inverse(inertia)[..., None, :], moved[..., :3] - end)
-    return matrix_from_quaternion(moved[..., 3:]), rate
+    of_body = moved[..., of_momentum] - end
+    rate = symmetric_product(symmetric_inverse(inertia)[..., None, :], of_body)
+    return matrix_from_quaternion(moved[..., of_quaternion]), rate

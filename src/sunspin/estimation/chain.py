@@ -375,12 +375,12 @@ def _ways(sample: int, n: int) -> list[tuple[int, int]]:
     return [(i, i + 1) for i in range(sample, n - 1)] + [(i, i - 1) for i in range(sample, 0, -1)]
 
 
-def _one_step(model: Model, omega: np.ndarray, start: int, end: int, answers: bool = False):
+def _one_step(model: Model, omega: np.ndarray, start: int, end: int, derivatives: bool = False):
     """Carry rates (K, 3) from one sample to another with the inertia of the vehicle file."""
     t_s, momentum = model.obs.t_s, model.obs.momentum
     dt = np.array([t_s[end] - t_s[start]])
     momenta = momentum[start][None], momentum[end][None]
-    return step(model.body.inertia, omega[:, None], dt, momenta, answers)
+    return step(model.body.inertia, omega[:, None], dt, momenta, derivatives)
 
 
 def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
@@ -399,7 +399,7 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         answer = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], answer[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, n):
-            made = _one_step(model, track.omega[:, start], start, end, answers=True)
+            made = _one_step(model, track.omega[:, start], start, end, derivatives=True)
             track.attitude[:, end] = made.turned[:, 0] @ track.attitude[:, start]
             track.omega[:, end] = made.omega[:, 0]
             answer[:, end] = made.by_start[:, 0] @ answer[:, start]

@@ -33,7 +33,7 @@ from sunspin.estimation.settings import FIELD_TURN
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import sphere
-from sunspin.vehicle.sensors import VARIABLES, Attitude, ThreeAxes
+from sunspin.vehicle.sensors import VARIABLES, Attitude
 
 MOST_SQUARE = 30.0
 """Squared distance up to which a reading of a second sensor, or a sample of panels, counts against a change: some are spikes."""
@@ -147,8 +147,12 @@ class Trials:
 def what_fits_better(
     observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> Better | Culprit | None:
-    """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None."""
-    culprit: Better | Culprit | None = None
+    """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
+
+    If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
+    such sensor are tried, then exchanged columns. If it fits without none, columns of panels and wheels are tried.
+    """
+    first_cause: Better | Culprit | None = None
     for name in SENSORS:
         if name not in telemetry or not np.isfinite(telemetry[name].values).any():
             continue
@@ -160,11 +164,11 @@ def what_fits_better(
         better = _other_axes(observed, telemetry, name, motion, trials)
         if better is not None:
             return better
-        if culprit is None:
+        if first_cause is None:
             exchanged = _exchanged_by_sensor(observed, telemetry, name, motion, trials)
-            culprit = exchanged or Culprit(SENSORS[name])
-    if culprit is not None or not observed.panels:
-        return culprit
+            first_cause = exchanged or Culprit(SENSORS[name])
+    if first_cause is not None or not observed.panels:
+        return first_cause
     return _other_panels(observed, telemetry, trials)
 
 
@@ -174,29 +178,29 @@ def what_fits_better(
 def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> Better | None:
     """Return changes of columns, panels and wheels that fit.
 
-    Of each class that looks the same one is tried, by a quick search and then in full. First those of one mistake, then a
-    mistake of the columns together with reversed wheels.
+    The samples, each by itself, sort out most changes at once. First those of one mistake are tried, then a mistake of the columns
+    together with reversed wheels.
     """
     vehicle = observed.vehicle
-    stated = trials.evidence(vehicle, telemetry)
-    if not np.isfinite(stated):
+    evidence_as_written = trials.evidence(vehicle, telemetry)
+    if not np.isfinite(evidence_as_written):
         return None
-    columns = column_changes(vehicle, telemetry)
     wheels = wheel_changes(vehicle) if len(observed.momenta) else []
-    every = [AS_WRITTEN, *columns, *wheels]
-    cost = sample_costs(vehicle, telemetry, every)
+    changes = [AS_WRITTEN, *column_changes(vehicle, telemetry), *wheels]
+    cost = sample_costs(vehicle, telemetry, changes)
     order = np.argsort(cost, kind="stable")
     near = [int(k) for k in order if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
-    likely = [(every[k], float(cost[k])) for k in near]
+    of_one_mistake = [(changes[k], float(cost[k])) for k in near]
     names = [wheel.name for wheel in vehicle.wheels]
-    both = [
-        (change.with_wheels(wheel.reversed_wheels, names), of_samples)
-        for change, of_samples in likely
+    of_two_mistakes = [
+        (change.with_wheels(wheel.reversed_wheels, names), cost_of_samples)
+        for change, cost_of_samples in of_one_mistake
         if change.columns
         for wheel in wheels
     ]
-    for level in (likely, both):
-        better = _best_of(observed, telemetry, level, float(cost[0]), stated, trials)
+    as_written = float(cost[0]), evidence_as_written
+    for candidates in (of_one_mistake, of_two_mistakes):
+        better = _best_of(observed, telemetry, candidates, as_written, trials)
         if better is not None:
             return better
     return None
@@ -205,26 +209,72 @@ def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> 
 def _best_of(
     observed: Observed,
     telemetry: xr.Dataset,
-    level: Sequence[tuple[Change, float]],
-    cost_as_written: float,
-    stated: float,
+    candidates: Sequence[tuple[Change, float]],
+    as_written: tuple[float, float],
     trials: Trials,
 ) -> Better | None:
-    """Return the best of some changes, given with what they cost the samples, and all that look the same, if they fit.
+    """Return the best of some changes, and all that look the same, if they fit.
 
-    `cost_as_written`: what the file as it is written costs the samples; `stated`: its log evidence.
+    `candidates`: changes, each with its cost by :func:`sample_costs`; `as_written`: cost and log evidence of the file as it is
+    written. Of changes that look the same one is tried: by a quick search, and the best few by the whole estimate.
     """
-    known = [(AS_WRITTEN, cost_as_written)]
-    for change, cost in level:  # what looks the same has the same dark panels, and so the same cost
-        same = (other for other, of_other in known if abs(cost - of_other) < CLEARLY)
-        if not any(len(equivalence(observed, other, change)) for other in same):
-            known.append((change, cost))
-    classes = [change for change, _ in known[1:]]
+    cost_as_written, evidence_as_written = as_written
+    distinct = [(AS_WRITTEN, cost_as_written)]
+    for change, cost in candidates:
+        # what looks the same has the same dark panels, and so the same cost: others need not be compared
+        near = (other for other, of_other in distinct if abs(cost - of_other) < CLEARLY)
+        if not any(len(equivalence(observed, other, change)) for other in near):
+            distinct.append((change, cost))
+    classes = [change for change, _ in distinct[1:]]
+    others = [change for change, _ in candidates]
+    return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
+
+
+def better_dark_columns(
+    observed: Observed, telemetry: xr.Dataset, noise: np.ndarray | float, trials: Trials
+) -> Better | None:
+    """Return exchanges of columns that were hardly ever lit, if a pass that fits fits clearly better with them.
+
+    The samples by themselves cannot tell such columns apart, but a motion follows what little they read. A body that turned with
+    the Sun near its axis was decided along a motion that two exchanged columns made up: with the right ones the log evidence was
+    better by 25. `observed`: with the Sun's directions of the estimated motion; `noise`: of the readings.
+    """
+    light = observed.vehicle.response_in().power(observed.sun_B)
+
+    def matters(change: Change) -> bool:
+        """Return whether both columns were dark, and the estimated motion would light them differently."""
+        a_and_b = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
+        if len(a_and_b) != 2 or observed.lit[a_and_b].any():
+            return False
+        square = (np.diff((light / noise)[:, a_and_b], axis=1) ** 2).sum()
+        return bool(square / 2 > CLEARLY)
+
+    changes = [one for one in column_changes(observed.vehicle, telemetry) if matters(one)]
+    evidence_as_written = trials.evidence(observed.vehicle, telemetry) if changes else -np.inf
+    if not np.isfinite(evidence_as_written):
+        return None
+    # as dark columns may be exchanged unseen, no others that look the same are named
+    return _best_of_classes(observed, telemetry, changes, [], trials, evidence_as_written)
+
+
+def _best_of_classes(
+    observed: Observed,
+    telemetry: xr.Dataset,
+    classes: Sequence[Change],
+    others: Sequence[Change],
+    trials: Trials,
+    evidence_as_written: float,
+) -> Better | None:
+    """Return the best of some changes, none of which look the same, with all `others` that look the same, if they fit.
+
+    `evidence_as_written`: log evidence of the file as it is written.
+    """
     gains = np.full(len(classes), -np.inf)
     for k, change in enumerate(classes):
         if trials.budget.exhausted():
             break
-        gains[k] = trials.evidence(*change.applied(observed.vehicle, telemetry)) - stated
+        changed = change.applied(observed.vehicle, telemetry)
+        gains[k] = trials.evidence(*changed) - evidence_as_written
     ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > CLEARLY]
 
     named: list[Named] = []
@@ -235,17 +285,17 @@ def _best_of(
         result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
         if result is not None:
             best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
-            named += with_equivalents(observed, classes[k], result, [one for one, _ in level])
+            named += with_equivalents(observed, classes[k], result, others)
     return Better(tuple(named), best, at_s) if named else None
 
 
 def with_equivalents(
     observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]
 ) -> list[Named]:
-    """Return a change and all others that look the same, with their rates; `result`: the estimate with the change."""
+    """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
     omega, _ = rate_in_the_middle(result)
-    seen = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
-    same = alike(seen, change, [one for one in others if one.what != change.what])
+    along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
+    same = alike(along, change, [one for one in others if one.what != change.what])
     return [Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same)]
 
 
@@ -256,16 +306,17 @@ def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
     return result["omega_B"].values[at], float(t[at])
 
 
-def implausible(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
+def samples_fit_other_columns(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
     """Return whether the samples, each by itself, fit some change of columns far better than the file as it is written."""
     cost = sample_costs(vehicle, telemetry, [AS_WRITTEN, *column_changes(vehicle, telemetry)])
     return bool(cost[0] > cost.min() + WORTH_A_SEARCH)
 
 
 def sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
-    """Return the log likelihood (m) that samples lose under each change, each by itself in the best direction of the Sun.
+    """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
 
-    The brightness of each sample is free, up to :data:`BRIGHTEST`.
+    The square of a sample is the least |read - brightness light|^2 over directions, in which panels get `light`, and over a
+    brightness up to :data:`BRIGHTEST`. All are shares of full Sun, in units of :data:`READING_ERROR`.
     """
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
     stride = -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)
@@ -276,22 +327,25 @@ def sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Chan
     squares = []
     for change in changes:
         changed, data = change.applied(vehicle, telemetry.isel(time=lit))
-        read = np.nan_to_num(signals(data)) / gains
-        light = changed.response_in().power(sun) / gains
-        # |read - level * light|^2 of each sample (n) and direction (d), first at the best level
-        size, along = np.maximum((light**2).sum(axis=1), 1e-12), read @ light.T
-        whole = (read**2).sum(axis=1)[:, None]
-        free = np.maximum(along, 0.0) / size
-        best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
-        scale = 1.0
+        read = np.nan_to_num(signals(data)) / gains  # (n, p)
+        light = changed.response_in().power(sun) / gains  # (d, p), of d directions
+        # the square is a^2 - 2 b c + b^2 e, with a = |read|, brightness b, c = read . light (n, d) and e = |light|^2 (d)
+        along, light_square = read @ light.T, np.maximum((light**2).sum(axis=1), 1e-12)
+        read_square = (read**2).sum(axis=1)[:, None]
+        best_brightness = np.maximum(along, 0.0) / light_square
+        full = 1.0
         if vehicle.gain_unit is None and len(read):
-            scale = float(np.quantile(free[np.arange(len(read)), best], 0.9))
-        level = np.minimum(free, BRIGHTEST * scale)
-        squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / error**2)
-    each = np.array(squares)
+            # gains without a unit: full Sun is a quantile of the brightness of samples in their best directions
+            at_best = read_square - best_brightness * np.maximum(along, 0.0)
+            direction = np.argmin(at_best, axis=1)
+            full = float(np.quantile(best_brightness[np.arange(len(read)), direction], 0.9))
+        brightness = np.minimum(best_brightness, BRIGHTEST * full)
+        square = read_square + brightness * (brightness * light_square - 2 * along)
+        squares.append(square.min(axis=1) / error**2)
+    each = np.array(squares)  # (m, n)
     if not each.size:
         return np.zeros(len(changes))
-    # the Earth's light may be more than that error
+    # the Earth's light may be more than that error: then even the best change costs more in most samples, and all count less
     each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))
     return np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
 
@@ -324,26 +378,30 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
     """Return the 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
     table = TABLES[name]
     part = vehicle.sensors.with_columns[table]
-    ways = _readings(part) if isinstance(part, Attitude) else _axes(part)
+    # ways to read the columns: in words, the matrix by which values are multiplied, and keys of the vehicle file
+    if isinstance(part, Attitude):
+        ways = list(_quaternion_conventions(part))
+    else:
+        ways = [
+            (what, axes_matrix(order, sign), part.keys_for_axes(order, sign))
+            for what, order, sign in signed_axes()
+        ]
     return [
         Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
         for what, matrix, keys in ways
     ]
 
 
-def _axes(sensor: ThreeAxes) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
-    """Yield ways to read axes: in words, the matrix (3, 3) by which values are multiplied, and keys of the vehicle file."""
-    for what, order, sign in signed_axes():
-        yield what, axes_matrix(order, sign), sensor.keys_for_axes(order, sign)
+def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
+    """Yield ways to read quaternions: in words, the matrix (4, 4) by which they are multiplied, and keys of the vehicle file.
 
-
-def _readings(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
-    """Yield ways to read quaternions (scalar last, B_from_N as the vehicle file has them), with matrices (4, 4)."""
+    The quaternions are those of the vehicle file: scalar last, B_from_N.
+    """
     scalar_first = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
     inverse = np.diag([-1.0, -1.0, -1.0, 1.0])
     yield "read as the file states", np.eye(4), sensor.keys_for_convention(False, False)
-    turned_round = "read the other way round (B_to_N for N_to_B)"
-    yield turned_round, inverse, sensor.keys_for_convention(False, True)
+    other_direction = "read the other way round (B_to_N for N_to_B)"
+    yield other_direction, inverse, sensor.keys_for_convention(False, True)
     other_end = "with its scalar at the other end"
     yield other_end, scalar_first, sensor.keys_for_convention(True, False)
     both = f"{other_end} and read the other way round"
@@ -353,18 +411,22 @@ def _readings(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any
 def _other_axes(
     observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, trials: Trials
 ) -> Better | None:
-    """Return other axes of one sensor, judged by the motion of all others, with exchanged columns that look the same."""
+    """Return other axes of the sensor `name` that fit, with exchanged columns that look the same.
+
+    `motion`: the estimate without that sensor. Its readings under each way to read its axes are compared with that motion.
+    """
     vehicle = observed.vehicle
-    changes = changes_of_sensor(vehicle, name)
+    changes = changes_of_sensor(vehicle, name)  # the first is what the file states
     read = telemetry[name].sel(time=motion["time"].values).values
     costs = np.array([_cost(motion, read @ one.axes[name].T, name, vehicle) for one in changes])
     best = int(np.argmin(costs))
-    gain = float(costs[0] - costs[best])  # the first is the stated one
+    gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
         return None
     result = trials.fitting(*changes[best].applied(vehicle, telemetry))
     if result is None:
         return None
+    # axes that fit as well, those nearest to the stated ones first: a component that stays small may have any sign
     ties = [
         int(k)
         for k in np.flatnonzero(costs < costs[best] + CLEARLY)
@@ -382,50 +444,55 @@ def _exchanged_by_sensor(
 ) -> Better | None:
     """Return changes of columns that only the sensor `name` can see, if it fits the motion as they show it.
 
-    `motion`: without that sensor, whose readings contradict it.
+    `motion`: the estimate without that sensor, whose readings contradict it. Without the sensor such a change looks the same as the
+    file as it is written, but for a rotation or mirror M of the body. So its motion is that of the file under M, and no further
+    search is needed to compare the sensor with it.
     """
+    # imported late: `check`, which names the ways of a sensor, does not wait for it
+    from scipy.spatial.transform import Rotation
+
     vehicle = observed.vehicle
     sun = np.nan_to_num(motion["sun_B"].values)
     without = replace(observed, sensors=observed.sensors - {name}, sun_B=sun)
-    changes = alike(without, AS_WRITTEN, column_changes(vehicle, telemetry))
+    # the file as it is written first
+    changes = [
+        (AS_WRITTEN, np.eye(3)),
+        *alike(without, AS_WRITTEN, column_changes(vehicle, telemetry)),
+    ]
     read = telemetry[name].sel(time=motion["time"].values).values
-    motions = [motion, *(_mapped(motion, matrix) for _, matrix in changes)]
-    costs = np.array([_cost(one, read, name, vehicle) for one in motions])
+    attitude = Rotation.from_quat(motion["B_from_N"].values).as_matrix()
+    costs = np.zeros(len(changes))
+    for k, (_, m) in enumerate(changes):
+        mapped = motion.assign(
+            omega_B=(motion["omega_B"].dims, rate_under(m, motion["omega_B"].values)),
+            B_from_N=(motion["B_from_N"].dims, Rotation.from_matrix(m @ attitude @ m.T).as_quat()),
+        )
+        costs[k] = _cost(mapped, read, name, vehicle)
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
         return None
-    result = trials.fitting(*changes[best - 1][0].applied(vehicle, telemetry))
+    change, to_best = changes[best]
+    result = trials.fitting(*change.applied(vehicle, telemetry))
     if result is None:
         return None
     omega, at_s = rate_in_the_middle(result)
-    near = [int(k) for k in np.argsort(costs) if costs[k] < costs[best] + CLEARLY and k]
-    to_best = changes[best - 1][1].T
-    named = [Named(changes[k - 1][0], rate_under(changes[k - 1][1] @ to_best, omega)) for k in near]
+    near = [int(k) for k in np.argsort(costs) if k and costs[k] < costs[best] + CLEARLY]
+    # the rate of the best change, mapped back to the file as it is written and on to each of the others
+    named = [Named(changes[k][0], rate_under(changes[k][1] @ to_best.T, omega)) for k in near]
     return Better(tuple(named), gain, at_s)
 
 
-def _mapped(motion: xr.Dataset, matrix: np.ndarray) -> xr.Dataset:
-    """Return the motion of a body that a rotation or mirror (3, 3) has mapped."""
-    # imported late: `check`, which names the ways of a sensor, does not wait for it
-    from scipy.spatial.transform import Rotation
-
-    attitude = matrix @ Rotation.from_quat(motion["B_from_N"].values).as_matrix() @ matrix.T
-    return motion.assign(
-        omega_B=(motion["omega_B"].dims, rate_under(matrix, motion["omega_B"].values)),
-        B_from_N=(motion["B_from_N"].dims, Rotation.from_matrix(attitude).as_quat()),
-    )
-
-
 def _cost(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:
-    """Return the log likelihood that readings (n, 3 or 4) of a sensor lose along a motion, the square of each bounded."""
+    """Return what readings (n, 3 or 4) of a sensor cost along a motion: half of their squares, each of them bounded."""
     return float(np.minimum(_squares(motion, value, name, vehicle), MOST_SQUARE).sum() / 2)
 
 
 def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> np.ndarray:
-    """Return squared distances, in sigmas, of a sensor's readings (n, 3 or 4) from a motion, where both are known.
+    """Return squared distances, in sigmas, of a sensor's readings from a motion, where both are known.
 
-    Those of a field and of an attitude are changes from sample to sample: their frame in space is not known.
+    `motion`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
+    compared from sample to sample of a pass, as their frame in space is not known.
     """
     from scipy.spatial.transform import Rotation
 

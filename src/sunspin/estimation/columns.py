@@ -20,7 +20,8 @@ from sunspin.estimation.column_tests import (
     Better,
     Named,
     Trials,
-    implausible,
+    better_dark_columns,
+    samples_fit_other_columns,
     what_fits_better,
 )
 from sunspin.estimation.equivalence import (
@@ -73,22 +74,25 @@ def check_columns(
     settings: RatesSettings,
     budget: Budget,
 ) -> xr.Dataset:
-    """Return the result with what the data say of columns, axes and signs.
+    """Return the result of `rates` with what the data say of columns, axes and signs.
 
     `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. `in_orbit`:
-    elements make the Sun and the field known in space. Attributes: `alike`, `columns_unseen`, `columns_doubt`, `columns_changes`,
-    `column_tests_cut`, `symmetric_unlisted`.
+    elements make the Sun and the field known in space. Passes may lose `decided` and `unique`; `columns_checked` says what is known
+    of the columns. Attributes: `alike`, `columns_unseen`, `columns_doubt`, `columns_changes`, `column_tests_cut`,
+    `symmetric_unlisted`.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     observed = what_was_observed(vehicle, telemetry, result.attrs, in_orbit)
     result = _with_unseen_changes(result, observed, telemetry)
     result = _with_symmetric_motions(result, observed, telemetry)
-    if again is not None and (
-        not result["fits"].values.all() or _is_suspicious(result, observed, telemetry)
-    ):
-        tests = replace(budget, most=COLUMN_SHARE * budget.most)
+    tests = replace(budget, most=COLUMN_SHARE * budget.most)
+    fits = bool(result["fits"].values.all())
+    if again is not None and (not fits or _may_hide_exchange(result, observed, telemetry)):
         result = _with_other_columns(result, observed, telemetry, again, settings, tests)
         result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    if again is not None and fits and "columns_doubt" not in result.attrs:
+        trials = _trials_of(result, np.inf, again, settings, tests)
+        result = _with_dark_columns(result, observed, telemetry, trials)
     return _with_doubted_wheels(result, doubt, observed, telemetry)
 
 
@@ -109,10 +113,10 @@ def name_of_wheels(words: str) -> str:
 def _with_unseen_changes(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
 ) -> xr.Dataset:
-    """Return the result with changes of columns that look the same as the file as it is written, and symmetric motions, in words.
+    """Return the result with changes of columns that look the same as the file as it is written, and with symmetric motions.
 
-    attrs["columns_unseen"] is JSON: what, and the matrix by which directions change. Without such changes the data confirm the
-    columns.
+    attrs["columns_unseen"] is JSON, a row for each change: `what`, and the `matrix` by which directions change. Without such
+    changes the data confirm the columns.
     """
     if not observed.panels:
         return result
@@ -140,8 +144,7 @@ def _with_symmetric_motions(
         return result
     decided, unique = (result[name].values.copy() for name in ("decided", "unique"))
     why = result["why_not_decided"].values.astype(object)
-    stated = observed.vehicle.input_noise
-    noise = result.attrs["noise"] if stated is None else stated
+    noise = noise_of(result, observed.vehicle)
     doubted = 0
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, samples_of(result, telemetry, k)).lit
@@ -161,35 +164,45 @@ def _with_symmetric_motions(
     ).assign_attrs(symmetric_unlisted=doubted)
 
 
+def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:
+    """Return the noise of the panels' readings: that of the vehicle file, else the estimated one."""
+    stated = vehicle.input_noise
+    return result.attrs["noise"] if stated is None else stated
+
+
 def has_unlisted_motion(
     observed: Observed, omega: np.ndarray, sigma: np.ndarray, noise: np.ndarray | float
 ) -> bool:
     """Return whether the first of some motions has a symmetric one with the same readings that is none of them.
 
-    `omega`, `sigma` (K, 3) in rad/s: their rates at one time, NaN if there are fewer; `noise`: of the readings, in W or A, or in
-    gains.
+    `omega`, `sigma` (K, 3) in rad/s: their rates at one time, NaN if there are fewer; `observed.sun_B`: the Sun along the first;
+    `noise`: of the readings, in W or A, or in gains.
     """
     power = observed.vehicle.response_in().power
     read = power(observed.sun_B)
+    # rotations and mirrors of the body by which the file is equivalent to itself
     for m in equivalence(observed, AS_WRITTEN, AS_WRITTEN):
         off = np.abs(rate_under(m, omega[0]) - omega)
-        listed = (off < SAME_SIGMAS * sigma).all(axis=1)
+        is_listed = (off < SAME_SIGMAS * sigma).all(axis=1).any()
+        # within the errors of the file they need not be exact: whether the readings of this pass stay the same is computed
         change = (power(observed.sun_B @ m.T) - read) / noise
-        if not listed.any() and (change**2).sum() / 2 <= CLEARLY:
+        if not is_listed and (change**2).sum() / 2 <= CLEARLY:
             return True
     return False
 
 
-def _is_suspicious(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
+def _may_hide_exchange(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
     """Return whether a file of panels alone that fits may do so only because strong torques, or other gains, were allowed."""
     if not observed.panels or observed.sensors:
         return False
     attrs = result.attrs
-    chosen = attrs["acceleration_noise_from"] != "given"
+    noise_estimated = attrs["acceleration_noise_from"] != "given"
     known_body = not attrs["body"].startswith("nearly a sphere")
-    if chosen and known_body and attrs["acceleration_noise"] >= STRAINED:
+    if noise_estimated and known_body and attrs["acceleration_noise"] >= STRAINED:
         return True
-    return implausible(observed.vehicle, samples_of(result, telemetry, _longest(result)))
+    return samples_fit_other_columns(
+        observed.vehicle, samples_of(result, telemetry, _longest(result))
+    )
 
 
 def _with_other_columns(
@@ -206,10 +219,42 @@ def _with_other_columns(
     torques.
     """
     vehicle, attrs = observed.vehicle, result.attrs
-    bad = np.flatnonzero(~result["fits"].values)
-    part = samples_of(result, telemetry, _longest(result, bad if len(bad) else None))
-    calmer = not len(bad) and not implausible(vehicle, part)
-    most_noise = attrs["acceleration_noise"] / CALMER if calmer else np.inf
+    unfitted = np.flatnonzero(~result["fits"].values)
+    part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
+    # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
+    needs_calm = not len(unfitted) and not samples_fit_other_columns(vehicle, part)
+    most_noise = attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
+    trials = _trials_of(result, most_noise, again, settings, budget)
+    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
+    better = what_fits_better(here, part, trials)
+    if better is None:
+        return result
+    if isinstance(better, Better):
+        return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+    return result.assign_attrs(columns_doubt=better.words())
+
+
+def _with_dark_columns(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
+) -> xr.Dataset:
+    """Return the result with the dark columns that fit better if they are exchanged, by the longest pass; all passes fit."""
+    if not observed.panels or observed.sensors or "noise" not in result.attrs:
+        return result
+    place = _longest(result)
+    part = samples_of(result, telemetry, place)
+    here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
+    here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
+    better = better_dark_columns(here, part, noise_of(result, observed.vehicle), trials)
+    if better is None:
+        return result
+    return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+
+
+def _trials_of(
+    result: xr.Dataset, most_noise: float, again: Again, settings: RatesSettings, budget: Budget
+) -> Trials:
+    """Return how changes are judged; `most_noise` (rad/s^1.5): a change must do with torques of this strength."""
+    attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
 
     def evidence(changed: Vehicle, data: xr.Dataset) -> float:
@@ -234,13 +279,7 @@ def _with_other_columns(
         budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
         return made if made.attrs["acceleration_noise"] <= most_noise else None
 
-    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
-    better = what_fits_better(here, part, Trials(evidence, run, budget))
-    if better is None:
-        return result
-    if isinstance(better, Better):
-        return _naming(_undecided(result, "columns, signs or axes"), better)
-    return result.assign_attrs(columns_doubt=better.words())
+    return Trials(evidence, run, budget)
 
 
 def _with_doubted_wheels(
@@ -257,7 +296,8 @@ def _with_doubted_wheels(
     if "columns_doubt" in result.attrs:
         return result
     change = wheel_change(observed.vehicle, doubt.wheels)
-    if not doubt.fits and "column_tests_cut" in result.attrs:
+    column_tests_ran = "column_tests_cut" in result.attrs
+    if not doubt.fits and column_tests_ran:
         return result.assign_attrs(
             columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
             "single change of columns or signs explains them"
@@ -268,10 +308,10 @@ def _with_doubted_wheels(
     omega = doubt.omega[at]
     same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
     named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
-    return _naming(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
+    return _with_named_changes(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
 
 
-def _naming(result: xr.Dataset, better: Better) -> xr.Dataset:
+def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
     """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
     rows = [
         {
@@ -311,13 +351,13 @@ def clock_time(epoch_utc: str | None, t_s: float) -> str:
 
 
 def _longest(result: xr.Dataset, which: np.ndarray | None = None) -> int:
-    """Return the pass with the most samples, of some passes."""
+    """Return the number of the pass with the most samples, of all or of those in `which`."""
     which = np.arange(result.sizes["pass_id"]) if which is None else which
     return int(which[np.argmax(result["samples"].values[which])])
 
 
 def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
-    """Return the samples of the telemetry that a pass uses."""
+    """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
     times, first = np.unique(telemetry["time"].values, return_index=True)
     used = result["time"].values[result["pass_of"].values == k]
     return telemetry.isel(time=first[np.isin(times, used)])

@@ -35,33 +35,37 @@ named, as a component that is small at all times may have any sign."""
 def wrong_gyro_axes(assessment: Assessment) -> str | None:
     """Return how the gyro must be read to turn the Sun and the field as they are seen, in words, and what to write.
 
-    None if it does so as the file states, or no other reading does.
+    None if it does so as the file states, or no other reading does. Sun and field hold still in space. So each of their directions
+    in the body, turned by the rates of the gyro, must give those some samples later (:data:`LAGS`); 48 ways to read it are tried.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     gyro = vehicle.sensors.gyro
     if gyro is None or "gyro_B" not in telemetry:
         return None
     time, rate = telemetry["time"].values, telemetry["gyro_B"].values
-    seen = assessment.still_directions
-    ways = list(signed_axes())
+    directions = assessment.still_directions
+    ways = list(signed_axes())  # the stated one first
     read = [rate[:, order] * sign for _, order, sign in ways]
     even = [rotations_between_samples(time, one) for one in read]
-    nutating: list[np.ndarray] | None = None
+    nutating: list[np.ndarray] | None = None  # computed if needed
     for lag in LAGS:
         at_rest = np.zeros_like(even[0])
-        stated, still = median_direction_errors(time, seen, [even[0], at_rest], lag)
+        stated, without_turn = median_direction_errors(time, directions, [even[0], at_rest], lag)
         if stated <= WRONG_RAD:
             continue
         if nutating is None:
             nutating = _nutating(vehicle, telemetry, read)
-        both = [
-            median_direction_errors(time, seen, turns, lag) for turns in (even, nutating) if turns
-        ]
-        angles = np.min(both, axis=0)
+        angles = np.min(
+            [median_direction_errors(time, directions, t, lag) for t in (even, nutating) if t],
+            axis=0,
+        )
+        # another way must turn the directions well, and clearly better than the stated way and than no turn at all
         least = float(angles.min())
-        if angles[0] <= WRONG_RAD or least >= min(RIGHT_RAD, BETTER * angles[0], BETTER * still):
+        limit = min(RIGHT_RAD, BETTER * angles[0], BETTER * without_turn)
+        if angles[0] <= WRONG_RAD or least >= limit:
             continue
         ties = np.flatnonzero(angles < AS_GOOD * least)
+        # of those that are as good the one nearest to the stated axes
         chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
         what, order, sign = ways[chosen]
         words = f"the gyro {what} agrees with the Sun directions, and with the columns of the file it does not"
@@ -86,9 +90,9 @@ def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray
 
 
 def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the turns (n - 1, 3) of a body that moves freely with its wheels, for each reading (n, 3) of the rate at the samples.
+    """Return the turns (n - 1, 3) between samples of a body that moves freely with its wheels, for each reading (n, 3) of the rate.
 
-    None if its inertia or wheels are not known, or if these turn the rate round too often.
+    The list is empty if inertia or wheels are not known, or if the wheels turn the rate round too often.
     """
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return []
@@ -97,9 +101,11 @@ def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -
     turned = nutation(body.inertia, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0)
     if not turned <= MOST_NUTATION_RAD:
         return []
-    rates = np.nan_to_num(read)[:, :-1]
+    rates = np.nan_to_num(read)[:, :-1]  # (48, n - 1, 3)
     made = step(body.inertia, rates, dt, (momentum[:-1], momentum[1:]))
+    # a turn t of the body takes its attitude to exp(-[t x]) times it
     turns = -Rotation.from_matrix(made.turned.reshape(-1, 3, 3)).as_rotvec()
     turns = turns.reshape(len(read), -1, 3)
-    turns[:, ~np.asarray(np.isfinite(read[0][:-1]).all(axis=1))] = np.nan
+    was_read = np.asarray(np.isfinite(read[0][:-1]).all(axis=1))
+    turns[:, ~was_read] = np.nan
     return list(turns)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sunspin.estimation.carry import RATE
 from sunspin.estimation.copies import Outline
 from sunspin.estimation.model import Model, Track
 from sunspin.estimation.settings import SearchSettings
@@ -22,17 +23,18 @@ OPPOSITE, SAME_SIGMAS = -0.9, 3.0
 
 
 def images_of(model: Model) -> np.ndarray:
-    """Return mirrors and rotations (m, 3, 3) of the body that change nothing the sensors of the Sun read, the identity first."""
-    seeing = [term for term in model.obs.terms if term.of_sun]
-    if len(seeing) != 1 or not isinstance(seeing[0], Panels):
+    """Return mirrors and rotations (m, 3, 3) of the body that change no reading of the Sun, the identity first."""
+    of_sun = [term for term in model.obs.terms if term.of_sun]
+    if len(of_sun) != 1 or not isinstance(of_sun[0], Panels):
         return np.eye(3)[None]
-    return seeing[0].images()
+    return of_sun[0].images()
 
 
 def imaged(motions: Track, image: np.ndarray) -> Track:
-    """Return motions as a mirror or rotation of the body (3, 3) shows them, as unfitted ones.
+    """Return motions as a mirror or rotation of the body (3, 3) shows them, without cost and covariance.
 
-    Rates are axial vectors, and N is mirrored with the body.
+    Rates are axial vectors: a mirror reverses their sign. It makes of attitudes no rotations, unless an axis of N is mirrored too:
+    x, which is across the Sun.
     """
     side = np.sign(np.linalg.det(image))
     attitude = image @ motions.attitude @ np.diag([side, 1.0, 1.0])
@@ -40,28 +42,31 @@ def imaged(motions: Track, image: np.ndarray) -> Track:
 
 
 def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
-    """Return the motions with all images of the best ones that are not images of each other."""
+    """Return the motions, the best first, and all images of the best :data:`FAMILIES` that are not images of each other."""
     images = images_of(model)
     if len(images) == 1 or not len(motions):
         return motions
-    t_s, families, members = model.obs.t_s, [], []
+    # a family: a motion with all its images; outlines of families tell whether a further motion belongs to one
+    t_s, outlines, new = model.obs.t_s, [], []
     for k in range(len(motions)):
-        one = motions.take(slice(k, k + 1))
-        outline = Outline.of(one, t_s)
-        if any(outline.copies(0, other, s.copies_rad, 0.0).any() for other in members):
+        motion = motions.take(slice(k, k + 1))
+        outline = Outline.of(motion, t_s)
+        if any(outline.copies(0, family, s.copies_rad, 0.0).any() for family in outlines):
             continue
-        every = Track.joined([imaged(one, image) for image in images])
-        families.append(every.take(slice(1, None)))
-        members.append(Outline.of(every, t_s))
-        if len(families) == FAMILIES:
+        family = Track.joined([imaged(motion, image) for image in images])
+        outlines.append(Outline.of(family, t_s))
+        new.append(family.take(slice(1, None)))  # without the motion itself
+        if len(new) == FAMILIES:
             break
     unfitted = Track(motions.attitude, motions.omega, motions.u)
-    return Track.joined([unfitted, *families])
+    return Track.joined([unfitted, *new])
 
 
 def either_side(motions: Track) -> np.ndarray:
-    """Return which motions (K) turn like the first one and see the Sun where it does, or on the opposite side all the time."""
+    """Return which motions (K) are the first one, or turn like it and see the Sun on the opposite side all the time."""
     opposite = np.einsum("kni,ni->kn", motions.sun_B, motions.sun_B[0]).max(axis=1) < OPPOSITE
-    sigma = np.sqrt(np.einsum("nii->n", motions.covariance[0, :, 3:, 3:]))
+    sigma = np.sqrt(np.einsum("nii->n", motions.covariance[0, :, RATE, RATE]))
     off = np.linalg.norm(motions.omega - motions.omega[0], axis=-1)
-    return (opposite & (off < SAME_SIGMAS * sigma).all(axis=1)) | (np.arange(len(motions)) == 0)
+    same_rate = (off < SAME_SIGMAS * sigma).all(axis=1)
+    is_first = np.arange(len(motions)) == 0
+    return is_first | (opposite & same_rate)

@@ -62,13 +62,15 @@ class Body:
     """What moves.
 
     `inertia` (3, 3) in units of its mean moment `unit_kg_m2`, which a torque-free motion does not determine; `errors` (e, 3, 3):
-    one sigma of each independent error of it; `sphere`: no inertia is known.
+    one sigma of each independent error of it; `sphere`: no inertia is known. `wander`: in a search the inertia is held, and the
+    body leaves a motion by this part of its turn, one sigma.
     """
 
     inertia: np.ndarray
     errors: np.ndarray
     unit_kg_m2: float = 1.0
     sphere: bool = False
+    wander: float = 0.0
 
     @classmethod
     def of(cls, vehicle: Vehicle, torques_stated: bool = False) -> Body:
@@ -88,6 +90,15 @@ class Body:
         else:
             sigma = INERTIA * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
         return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean(), moments.mean())
+
+    def for_search(self) -> Body:
+        """Return the body with its inertia held.
+
+        An error of a moment, in mean moments, changes the rate of the nutation by about this part of the rate of the body. A sphere
+        stays one: other bodies are tried when its motions are found.
+        """
+        wander = 0.0 if self.sphere else float(np.abs(self.errors).max(initial=0.0))
+        return replace(self, errors=self.errors[:0], wander=wander)
 
     def inertia_at(self, u: np.ndarray) -> np.ndarray:
         """Return the inertia (K, 3, 3) for errors u (K, e) in sigmas; (3, 3) if it is known exactly."""
@@ -244,9 +255,7 @@ class Model:
 
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
-        terms = tuple(term.under(acceleration) for term in self.obs.terms)
-        noise = replace(self.noise, acceleration=acceleration)
-        return replace(self, obs=replace(self.obs, terms=terms), noise=noise)
+        return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
     def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
         """Return the model with one more term, at these log odds to the model before the data."""
@@ -265,7 +274,7 @@ class Model:
 
         There are several if readings may mean several things.
         """
-        body = replace(self.body, errors=self.body.errors[:0])
+        body = self.body.for_search()
         ways = product(*(term.for_search() for term in self.obs.terms))
         return [
             replace(self, obs=replace(self.obs, terms=terms), body=body, noise=noise)

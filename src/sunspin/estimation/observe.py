@@ -26,6 +26,7 @@ from sunspin.estimation.terms.field import (
 )
 from sunspin.estimation.terms.inertial import AttitudeChange, Gyro
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.terms.rate_size import RateSize
 from sunspin.estimation.terms.term import Term
 from sunspin.estimation.terms.torques import GravityGradient, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
@@ -128,7 +129,8 @@ def observe(
     why[find_late_frames(telemetry)] = LATE
 
     compared = None if isinstance(sun, FieldDirection) else known or fields
-    read = (sun, Gyro.read(vehicle, sensors), compared, AttitudeChange.read(vehicle, sensors))
+    rates = Gyro.read(vehicle, sensors), RateSize.read(vehicle, sensors)
+    read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
     others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
     terms = [term for term in (*read, *others) if term is not None]
@@ -299,7 +301,7 @@ def _why_unused(seen: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
     dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
-    down = panels[0].lit == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    down = panels[0].sun_up == 0 if panels else np.zeros(len(seen.why), dtype=bool)
     shadow = sum(
         dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
     )

@@ -1,10 +1,12 @@
 """A period seen from outside as evidence among the solutions of a pass: radio fading, a light curve, a magnetometer's swing.
 
 Who sees a period does not know what rotated: the body's axis about the momentum (precession), the body about its axis (spin), or
-both together (the sum). Each of the three is as likely before; solutions are weighted by the mean of the three densities. The rates
-are those of Euler's angles about the total momentum, wheels included, averaged over four of the periods seen. A solution is a
-Gaussian of the rate at the sample nearest to what was seen; its draws, each with an inertia as it may be, move freely over the
-periods. Only probabilities change: the rates of a solution stay those of the samples.
+both together (the sum). Each of the three is as likely before; solutions are weighted by the mean of the three densities.
+
+How the periods of a solution are computed: its rate, at the sample nearest to the time at which a period was seen, is a Gaussian.
+Rates are drawn from it, and inertias from the errors of the vehicle file. Each draw moves freely over four of the periods seen. Its
+rates of precession and spin are those of Euler's angles about the total momentum, wheels included, averaged over that time. Only
+probabilities change: the rates of a solution stay those of the samples.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from sunspin.estimation.model import Body
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.verdict import padded
 from sunspin.solve.weights import effective_draws
+from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
 
 READINGS = ("precession", "spin", "sum")
 """What a period may be of."""
@@ -49,12 +52,23 @@ LEAST_SHARE = 0.05
 the true period, as of a light curve that repeats twice in a revolution, decided one of 24 simulated passes wrongly."""
 
 
+SQRT_2PI = np.sqrt(2 * np.pi)
+"""By which the sigma of a normal law is multiplied for one over its height."""
+
+
 class PeriodSeen(Protocol):
     """A period `period_s` with one sigma `sigma_s`, seen at `t_s` (s from the epoch of the telemetry)."""
 
     t_s: float
     period_s: float
     sigma_s: float
+
+
+def every_of(seen: PeriodSeen) -> Sequence[LikelyPeriod]:
+    """Return the periods that one which was seen may be, with their probabilities: a column may leave several."""
+    if isinstance(seen, FoundPeriod):
+        return seen.every
+    return (LikelyPeriod(seen.period_s, seen.sigma_s, 1.0),)
 
 
 class Weighed(NamedTuple):
@@ -106,27 +120,33 @@ def _weigh(
     one: Solutions, body: Body, seen: Sequence[PeriodSeen]
 ) -> tuple[Solutions, list[dict[str, Any]]]:
     """Return a pass with the probabilities that its periods give it, and what each of them decided."""
-    share, each = one.probability / one.probability.sum(), INERTIAS * DRAWS
-    draws = [periods_of(one, body, period) for period in seen]
-    weighed = weigh_draws(seen, draws, np.repeat(share / each, each))
+    before, draws_each = one.probability / one.probability.sum(), INERTIAS * DRAWS
+    periods = [periods_of(one, body, period) for period in seen]
+    weighed = weigh_draws(seen, periods, np.repeat(before / draws_each, draws_each))
 
-    # solutions that come as near to the periods as FAR_SIGMAS, by the densities of their draws
-    density = weighed.density.reshape(len(share), each)
-    peak = [1 / (len(READINGS) * period.sigma_s * np.sqrt(2 * np.pi)) for period in seen]
-    have = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
-    carried = float(share[have].sum())
+    # A solution has the periods if one of its draws is within FAR_SIGMAS of them: its density is then above that part of the
+    # density of a draw that has each period exactly, as one of the three READINGS, and as the least probable one it may be.
+    density = weighed.density.reshape(len(before), draws_each)
+    peak = [
+        min(part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI) for part in every_of(one))
+        for one in seen
+    ]
+    has_periods = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
+    share_with_periods = float(before[has_periods].sum())
     counts = (
         weighed.effective >= LEAST_DRAWS
         and weighed.nearest_sigmas <= FAR_SIGMAS
-        and carried >= LEAST_SHARE
+        and share_with_periods >= LEAST_SHARE
     )
-    after = weighed.weight.reshape(len(share), each).sum(axis=1) if counts else share
+    after = before
+    if counts:
+        after = weighed.weight.reshape(len(before), draws_each).sum(axis=1)
     about = {
         "nearest_sigmas": weighed.nearest_sigmas,
         "effective": weighed.effective,
-        "carried": carried,
+        "carried": share_with_periods,
         "told": counts,
-        "without": [float(share[np.argmax(after)]), float(share.max())],
+        "without": [float(before[np.argmax(after)]), float(before.max())],
     }
     rows = [
         {
@@ -144,25 +164,32 @@ def _weigh(
 def weigh_draws(
     seen: Sequence[PeriodSeen], periods: Sequence[np.ndarray], weight: np.ndarray
 ) -> Weighed:
-    """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen."""
-    each = []
+    """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen.
+
+    The density of a period seen is the mean, over the three readings of a draw, of normal laws about each period that it may be.
+    Bayes' rule gives the weights.
+    """
+    by_reading = []  # of each period seen: densities (n, 3)
+    relative = []  # and how far below its peak the nearest draw is
     for one, of_draws in zip(seen, periods, strict=True):
-        apart = (np.nan_to_num(of_draws, nan=np.inf) - one.period_s) / one.sigma_s
-        each.append(np.exp(-0.5 * apart**2) / (one.sigma_s * np.sqrt(2 * np.pi)))
-    density = np.prod([one.mean(axis=1) for one in each], axis=0)
-    heights = [
-        float(part.max()) * one.sigma_s * np.sqrt(2 * np.pi)
-        for one, part in zip(seen, each, strict=True)
-    ]
-    nearest = float(np.sqrt(-2 * np.log(np.clip(min(heights), 1e-300, 1.0))))
+        known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(one)
+        # exp(-d^2 / 2) of the distances d, in sigmas, from each period that it may be (k, n, 3)
+        law = np.array(
+            [np.exp(-0.5 * ((known - part.period_s) / part.sigma_s) ** 2) for part in likely]
+        )
+        sizes = np.array([part.probability / (part.sigma_s * SQRT_2PI) for part in likely])
+        relative.append(float(law.max()))
+        by_reading.append(np.einsum("k,knr->nr", sizes, law))
+    density = np.prod([part.mean(axis=1) for part in by_reading], axis=0)
+    nearest = float(np.sqrt(-2 * np.log(np.clip(min(relative), 1e-300, 1.0))))
     total = float(weight @ density)
     if not total > 0:
         return Weighed(density, weight, np.zeros((len(seen), 3)), nearest, 0.0)
     after = weight * density / total
-    shares = [
-        (after[:, None] * part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0)
-        for part in each
-    ]
+    shares = []
+    for part in by_reading:
+        of_draw = part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
+        shares.append((after[:, None] * of_draw).sum(axis=0))
     return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
 
 
@@ -185,12 +212,12 @@ def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
 def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
     """Return periods (K x `INERTIAS` x `DRAWS`, 3) in s by :data:`READINGS` of draws of the K solutions of a pass.
 
-    Without an inertia nothing precesses that is known; the sum is then that of the angular speed.
+    Without an inertia precession and spin are not known, NaN; the sum is then the period of the angular speed.
     """
     t_s, rng = one.obs.t_s, np.random.default_rng(0)
     instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
     at = int(np.argmin(np.abs(t_s - seen.t_s)))
-    # the rate wanders between that sample and what was seen
+    # the rate wanders between that sample and the time of the period
     wander = one.noise**2 * abs(seen.t_s - t_s[at])
     covariance = one.track.covariance[:, at, 3:, 3:] + wander[:, None, None] * np.eye(3)
     variance, axes = np.linalg.eigh(covariance)
@@ -212,22 +239,24 @@ def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
 def _euler_rates_of(
     inertia: np.ndarray, omega: np.ndarray, after_s: np.ndarray, momentum: np.ndarray, body: Body
 ) -> np.ndarray:
-    """Return mean Euler's rates (n, 3), rad/s, of motions with rates (n, 3) now over times (m) from now.
+    """Return Euler's rates (n, 3) in rad/s, in the mean over times (m) in s, of motions with rates omega (n, 3) at time zero.
 
-    `inertia` (3, 3) in mean moments; `momentum` (m, 3): of the wheels at those times.
+    `inertia` (3, 3) in mean moments, that of the draws; `momentum` (m, 3): of the wheels at those times.
     """
     axis, rates = own_axis(body.inertia), []
-    now, held = 0.0, momentum[0]
-    for t, wheels in zip(after_s, momentum, strict=True):
+    now, wheels_now = 0.0, momentum[0]
+    for t, wheels in zip(
+        after_s, momentum, strict=True
+    ):  # the motions are carried from each time to the next
         if t != now:
-            ends = held[None], wheels[None]
+            ends = wheels_now[None], wheels[None]
             omega = step(inertia, omega[:, None], np.array([t - now]), ends).omega[:, 0]
         if body.sphere:
             speed = np.linalg.norm(omega, axis=1)
             rates.append(np.stack([*np.full((2, len(omega)), np.nan), speed], axis=1))
         else:
             rates.append(euler_rates(omega, omega @ inertia + wheels, axis))
-        now, held = t, wheels
+        now, wheels_now = t, wheels
     return np.mean(rates, axis=0)
 
 
@@ -242,29 +271,32 @@ def euler_rates(omega_B: np.ndarray, momentum_B: np.ndarray, axis_B: np.ndarray)
     """Return precession, spin and their sum (..., 3), rad/s.
 
     Of rates omega_B (..., 3) with momentum (..., 3), about an axis (3) of the body: omega = precession h + spin e + (nutation
-    across both), h along the momentum, e the axis; NaN for the first two if h and e are parallel.
+    across both), h along the momentum, e the axis. With c = h . e this gives omega . h = precession + c spin and omega . e = c
+    precession + spin, two equations for both. They are NaN if h and e are parallel; the sum is known then too.
     """
     along = momentum_B / np.linalg.norm(momentum_B, axis=-1, keepdims=True)
-    cosine, about_h, about_e = along @ axis_B, np.sum(omega_B * along, axis=-1), omega_B @ axis_B
-    square = np.where(1 - cosine**2 > PARALLEL, 1 - cosine**2, np.nan)
+    c, about_h, about_e = along @ axis_B, np.sum(omega_B * along, axis=-1), omega_B @ axis_B
+    determinant = np.where(1 - c**2 > PARALLEL, 1 - c**2, np.nan)
+    precession = (about_h - c * about_e) / determinant
+    spin = (about_e - c * about_h) / determinant
     # the sum of rotations about opposite directions is their difference
-    total = np.where(cosine < 0, about_h - about_e, about_h + about_e) / (1 + np.abs(cosine))
-    precession = (about_h - cosine * about_e) / square
-    return np.stack([precession, (about_e - cosine * about_h) / square, total], axis=-1)
+    total = np.where(c < 0, about_h - about_e, about_h + about_e) / (1 + np.abs(c))
+    return np.stack([precession, spin, total], axis=-1)
 
 
 def drawn_inertias(body: Body, rng: np.random.Generator) -> np.ndarray:
-    """Return `INERTIAS` tensors (`INERTIAS`, 3, 3), drawn from the errors of the file and cut to those that bodies have.
+    """Return `INERTIAS` tensors (`INERTIAS`, 3, 3), drawn from the errors of the file; only tensors that a body can have.
 
     A body of unknown inertia stays a sphere.
     """
     kept = np.zeros((0, 3, 3))
     for _ in range(MOST_TRIES):
         u = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.sphere)
-        # a tensor that bodies have is not drawn in
         drawn = np.broadcast_to(body.inertia_at(u), (INERTIAS, 3, 3))
-        sound = (body.possible(u) == u).all(axis=1)
-        kept = np.concatenate([kept, drawn[sound]])
+        is_possible = (body.possible(u) == u).all(
+            axis=1
+        )  # errors that are possible come back as they are
+        kept = np.concatenate([kept, drawn[is_possible]])
         if len(kept) >= INERTIAS:
             break
     return np.concatenate([kept, np.tile(body.inertia, (INERTIAS, 1, 1))])[:INERTIAS]

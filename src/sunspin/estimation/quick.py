@@ -51,6 +51,6 @@ def log_size(panels: Panels) -> float:
 
     A reading that is left out counts as if it might be anything up to full light.
     """
-    sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full)
+    sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full_sun)
     scale = panels.scale_sigma[np.isfinite(panels.scale_sigma)]
     return float(np.log(sigma).sum() + np.log(scale).sum())

@@ -15,6 +15,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment import Environment
 from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
+from sunspin.estimation.carry import RATE, TURN
 from sunspin.estimation.dense import curve
 from sunspin.estimation.images import either_side
 from sunspin.estimation.model import Model
@@ -22,6 +23,7 @@ from sunspin.estimation.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.terms.field import FieldDirection, KnownField
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.terms.rate_size import RateSize
 from sunspin.estimation.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
@@ -46,7 +48,7 @@ ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
 OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
 """Where the error of panel readings comes from without a stated noise."""
 
-CLOCK = "late_s"
+LATENCY = "late_s"
 """Name of the estimate of how late sensors other than the Sun's are."""
 
 
@@ -59,14 +61,15 @@ def dataset(
     stated: Model,
     noise_stated: bool,
 ) -> xr.Dataset:
-    """Return the numbers of all passes.
+    """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
 
     `why` (n): what became of each sample of the file; `stated`: the nominal model, under the strength of torques that the file
-    as a whole has.
+    as a whole has; `noise_stated`: the vehicle file or the user gives that strength.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     index = np.concatenate([one.samples for one in passes])
     best = [one.track.take(slice(0, 1)) for one in solved]
+    # one pass after the other along time
     attitude, omega, covariance, sun = (
         np.concatenate([getattr(track, name)[0] for track in best])
         for name in ("attitude", "omega", "covariance", "sun_B")
@@ -78,9 +81,9 @@ def dataset(
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), omega),
-            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:]),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, RATE, RATE]),
             "sun_B": (("time", "axis"), sun),
-            "sun_sigma_rad": ("time", _sun_sigma(sun, covariance[:, :3, :3])),
+            "sun_sigma_rad": ("time", _sun_sigma(sun, covariance[:, TURN, TURN])),
             "B_from_N": (("time", "quaternion"), quaternion),
             "pass_of": ("time", pass_of),
             "omega_mean_B": ((*each, "axis"), padded([one.mean for one in solved])),
@@ -110,7 +113,7 @@ def _attributes(
     stated: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
-    """Return what was used and believed."""
+    """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": seen.source,
@@ -131,15 +134,17 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
-    sensors = [term for term in seen.obs.terms if term.name in OTHER_SENSORS]
+    sensors = [term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateSize.name)]
     read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
+    if any(term.name == RateSize.name for term in seen.obs.terms):
+        attrs["rate_size_used"] = int(RateSize.name in read)
     untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
     return attrs | {"wheels_untold": ", ".join(untold)}
 
 
 def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
-    """Return variables of the best motion of each pass on even instants between its samples."""
+    """Return the variables on `curve_time`: the best motion of each pass on even instants between its samples."""
     times, tracks = [], []
     for one in solved:
         model = replace(stated, obs=one.obs)
@@ -152,7 +157,7 @@ def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
     )
     pass_of = np.repeat(np.arange(len(solved)), [len(instants) for instants in times])
     quaternion = without_sign_jumps(Rotation.from_matrix(attitude).as_quat(), pass_of)
-    sigma = np.sqrt(np.einsum("nii->ni", covariance[:, 3:, 3:]))
+    sigma = np.sqrt(np.einsum("nii->ni", covariance[:, RATE, RATE]))
     return {
         "curve_omega_B": (("curve_time", "axis"), omega),
         "curve_omega_sigma_B": (("curve_time", "axis"), sigma),
@@ -163,22 +168,24 @@ def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
 
 
 def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
-    """Return attributes on the clock of sensors other than the Sun's, by all passes together.
+    """Return the attributes on the latency of sensors other than the Sun's, by all passes together.
 
-    Each pass knows the latency from the vehicle file and its own readings. What it adds is weighed with what the others add.
+    The estimate of each pass joins the prior of the vehicle file with its own readings: precisions add, and so do values times
+    precisions. The prior must count once, so that what each pass adds to it is summed.
     """
     clock = vehicle.sensors.clock
     if clock is None:
         late, sigma, words = np.nan, np.nan, "taken as read together"
     else:
         late, sigma, words = clock.late_s, clock.sigma_s, "vehicle file"
-    rows = [one.estimates[0][CLOCK] for one in solved if CLOCK in one.estimates[0]]
+    rows = [one.estimates[0][LATENCY] for one in solved if LATENCY in one.estimates[0]]
     if rows and clock is not None:
         values, sigmas = (np.array([row[k] for row in rows]) for k in (1, 2))
-        added = np.maximum(sigmas**-2 - sigma**-2, 0.0)
-        # a pass has the mean of what it knew and what it has read, with the precision of both
-        weighted = clock.late_s * sigma**-2 + (values / sigmas**2 - clock.late_s * sigma**-2).sum()
-        sigma = (sigma**-2 + added.sum()) ** -0.5
+        prior_precision = sigma**-2
+        added = np.maximum(sigmas**-2 - prior_precision, 0.0)
+        of_prior = clock.late_s * prior_precision
+        weighted = of_prior + (values / sigmas**2 - of_prior).sum()
+        sigma = (prior_precision + added.sum()) ** -0.5
         late, words = weighted * sigma**2, "vehicle file and data"
     return {
         "sensors_late_s": float(late),
@@ -206,7 +213,7 @@ def in_space(
         return result
     best = [one.track.take(slice(0, 1)) for one in solved]
     sun = np.concatenate([track.sun_B[0] for track in best])
-    covariance = np.concatenate([track.covariance[0, :, :3, :3] for track in best])
+    covariance = np.concatenate([track.covariance[0, :, TURN, TURN] for track in best])
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance, sun), 0.0))
     about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
     orbit = local.orbit
@@ -219,7 +226,8 @@ def in_space(
     )
     if not any(isinstance(term, KnownField) for term in seen.obs.terms):
         return result
-    turned = {}
+    # the field shows the turn about the Sun, so that attitudes are known in space
+    from_J2000 = {}
     for name, time, pass_of in (
         ("B_from_N", "time", "pass_of"),
         ("curve_B_from_N", "curve_time", "curve_pass_of"),
@@ -228,12 +236,15 @@ def in_space(
         attitude = attitude @ local.N_from_J2000(result[time].values)
         quaternion = Rotation.from_matrix(attitude).as_quat()
         quaternion = without_sign_jumps(quaternion, result[pass_of].values)
-        turned[name] = (time, "quaternion"), quaternion
-    return result.assign(turned).assign_attrs(frame_N=J2000)
+        from_J2000[name] = (time, "quaternion"), quaternion
+    return result.assign(from_J2000).assign_attrs(frame_N=J2000)
 
 
 def spread_of(mean: np.ndarray, sigma: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Return one sigma (3) about the best of K solutions' rates (K, 3) with all solutions counted."""
+    """Return one sigma (3) of a rate about the best of K solutions, all of them counted.
+
+    `mean`, `sigma` (K, 3) and `probability` (K): those of the solutions. It is the root mean square of the difference from mean[0].
+    """
     share = (probability / probability.sum())[:, None]
     return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
 
@@ -243,11 +254,11 @@ def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
     If readings determine so little that a covariance is rounding, with negative variances, the direction may be any.
     """
-    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]  # only turns across the Sun move it
     variance = np.einsum("nij,njk,nik->n", across, covariance, across)
     values = np.linalg.eigvalsh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
-    lost = (values[:, 0] < -ROUNDING * np.abs(values[:, -1])) | (variance <= 0)
-    return np.where(lost, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
+    is_rounding = (values[:, 0] < -ROUNDING * np.abs(values[:, -1])) | (variance <= 0)
+    return np.where(is_rounding, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def believed(
@@ -257,45 +268,48 @@ def believed(
     rate_sigma: float,
     epoch_utc: str | None,
 ) -> dict[str, Any]:
-    """Return variables that say what may be believed of each pass, with its solutions at the sample nearest to the middle.
+    """Return the variables that say what may be believed of each pass (:func:`answers`), and its solutions at mid-pass.
 
-    `cures`: what the search of each pass may have left out and what would help, in words; empty if nothing.
+    That is at the sample nearest to the middle of the pass. `cures`: what the search of each pass may have left out and what would
+    help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
     """
-    names = sorted({name for one in solved for name in one.residual})
-    misfits = np.full((len(solved), len(names), 3), np.nan)
-    residual = np.full((len(names), sum(len(one.samples) for one in passes)), np.nan)
+    sensors = sorted({name for one in solved for name in one.residual})
+    misfits = np.full((len(solved), len(sensors), 3), np.nan)
+    residual = np.full((len(sensors), sum(len(one.samples) for one in passes)), np.nan)
     rows, begin = [], 0
     for k, (one, cure) in enumerate(zip(solved, cures, strict=True)):
         t_s = one.obs.t_s
-        at = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
+        mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
+        of_pass = slice(begin, begin + len(t_s))
+        begin += len(t_s)
         by_sensor = {name: misfit(part[0]) for name, part in one.residual.items()}
         for name, part in one.residual.items():
-            misfits[k, names.index(name)] = by_sensor[name]
-            residual[names.index(name), begin : begin + len(t_s)] = part[0]
-        begin += len(t_s)
-        omega, covariance = one.track.omega[:, at], one.track.covariance[:, at, 3:, 3:]
-        explained = bool(one.track.cost[0] <= one.cost_limit)
-        said, speed = answers(
+            misfits[k, sensors.index(name)] = by_sensor[name]
+            residual[sensors.index(name), of_pass] = part[0]
+        omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
+        four_answers, speed = answers(
             one.probability,
             omega,
             covariance,
             rate_sigma,
             by_sensor,
-            explained,
+            bool(one.track.cost[0] <= one.cost_limit),
             cure,
             either_side(one.track),
         )
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
-        checked = COLUMNS_UNCHECKED if list(by_sensor) == ["Sun"] else COLUMNS_STATED
-        solution = one.probability, omega, sigma, speed, said, checked
-        rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[at], *solution))
+        # exchanged columns give a motion of the same size, so that a size confirms none
+        blind = set(by_sensor) <= {"Sun", RateSize.label}
+        checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
+        solution = one.probability, omega, sigma, speed, four_answers, checked
+        rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))
     return (
         passes_table(rows, epoch_utc)
         | _estimates([one.estimates[0] for one in solved])
         | {
             "misfit": (("pass_id", "sensor", "figure"), misfits),
             "residual": (("sensor", "time"), residual),
-            "sensor": names,
+            "sensor": sensors,
             "figure": ["readings", "beyond", "chance"],
             "model": ("pass_id", [one.model[0] for one in solved]),
             "model_probability": ("pass_id", [one.model[1] for one in solved]),
@@ -304,11 +318,11 @@ def believed(
 
 
 def repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
-    """Return the result with no pass decided whose samples may be held values: too few different ones are left to tell."""
+    """Return the result with no pass decided whose samples may be held values (`Repeats.unsure`), and with why."""
     repeats = assessment.repeats
     times = assessment.telemetry["time"].values[repeats.unsure]
-    of_pass = result["pass_of"].values[np.isin(result["time"].values, times)]
-    unsure = np.isin(np.arange(result.sizes["pass_id"]), of_pass)
+    with_repeats = result["pass_of"].values[np.isin(result["time"].values, times)]
+    unsure = np.isin(np.arange(result.sizes["pass_id"]), with_repeats)
     why = [
         "; ".join(filter(None, (str(reason), repeats.doubt if doubted else "")))
         for reason, doubted in zip(result["why_not_decided"].values, unsure, strict=True)
@@ -318,15 +332,19 @@ def repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
 
 
 def _estimates(best: Sequence[dict[str, tuple[str, float, float]]]) -> dict[str, Any]:
-    """Return variables with what was estimated with the best solution of each pass; NaN if a pass has no such number."""
-    units = {name: row[0] for one in best for name, row in one.items()}
-    values = np.full((len(best), len(units), 2), np.nan)
-    for k, one in enumerate(best):
-        for name, (_, *value) in one.items():
-            values[k, list(units).index(name)] = value
+    """Return the variables with what was estimated in addition to the best motion of each pass, NaN if a pass has no such number.
+
+    `best`: for each pass the name of a number -> its unit, value and sigma.
+    """
+    units = {name: unit for of_pass in best for name, (unit, _, _) in of_pass.items()}
+    names = list(units)
+    value, sigma = np.full((2, len(best), len(names)), np.nan)
+    for k, of_pass in enumerate(best):
+        for name, (_, *numbers) in of_pass.items():
+            value[k, names.index(name)], sigma[k, names.index(name)] = numbers
     return {
-        "estimate_value": (("pass_id", "estimate"), values[..., 0]),
-        "estimate_sigma": (("pass_id", "estimate"), values[..., 1]),
+        "estimate_value": (("pass_id", "estimate"), value),
+        "estimate_sigma": (("pass_id", "estimate"), sigma),
         "estimate_unit": ("estimate", list(units.values())),
-        "estimate": list(units),
+        "estimate": names,
     }

@@ -327,3 +327,236 @@ are where they are."""
 
 DIPOLE_SIZES = (1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
 """rad/s2; sigmas of the acceleration by an unknown magnetic dipole, equally likely: 0.005 A m2 on a 1U CubeSat make the first."""
+
+
+# What is believed before the data, about a lander.
+
+LANDER_LARGEST_RATE = 0.6
+"""rad/s: the ball of rates that is searched unless the vehicle file or the caller says otherwise."""
+
+WHEEL_SPEED, FRICTION = 0.005, 0.05
+"""Relative sigmas of a wheel's speed and friction if the vehicle file states none: known exactly, they would make any answer too
+sure."""
+
+BRIGHTNESS_KNOWN, BRIGHTNESS_FREE = 0.06, 1.0
+"""Sigma of the logarithm of the brightness if gains have a unit (cell temperature, distance) and if they are relative."""
+
+NOISE_STATED, NOISE_UNSTATED = 0.3, 1.0
+"""Sigma of the logarithm of the noise about what the vehicle states, and about what is assumed if it states none."""
+
+LOOSER_INERTIA, LOOSER_CHANCE = 5.0, 0.05
+"""How many times less certain the moments of inertia may be than stated, and how likely that is before the data."""
+
+TORQUE_TURNS_DEG = (1.0, 300.0, 6)
+"""Least and largest turn of the body over the samples by an unknown constant torque, and how many sizes, equally likely, stand for
+all: it is not known to a power of ten."""
+
+SPOILT, SPOILT_DARK, SPOILT_LARGEST = 0.02, 0.5, 1.5
+"""Probability that a reading has nothing to do with the Sun, that such a reading is dark, and up to how many times the largest
+reading it may be anything."""
+
+
+@dataclass(frozen=True)
+class GridSettings:
+    """Where the motions of a lander are looked for: the reference, a grid of rates there, and what settles between its points."""
+
+    turn_rad: float = 1.6
+    """Turn by which neighbours of the grid differ at the farthest sample that is tried; interpolated attitudes then err by 0.05."""
+
+    amplified: float = 1.15
+    """Turn in rad per rad/s and s: what the nutation by a wheel or uneven moments adds."""
+
+    near_rad: float = 0.35
+    """What a point stands for: points are a quarter of a cell's edge apart."""
+
+    far_rad: float = 0.65
+    """The same for the middle of an eighth of a cell."""
+
+    node_rad: float = 0.02
+    """How far any direction is from its node, on a cube of `nodes` cells along an edge, by which readings are compared with it."""
+
+    nodes: int = 48
+    """Cells along an edge of the cube of nodes."""
+
+    brightness: float = 0.08
+    """Relative error of brightness and gains while starts are looked for."""
+
+    sigmas: float = 3.0
+    """A reading counts against a point beyond so many sigmas, by the square of what is left."""
+
+    cap: float = 16.0
+    """Largest square of one reading: it may be an outlier."""
+
+    limit: float = 20.0
+    """A point falls if readings of one sample contradict it by this."""
+
+    directions: int = 3000
+    """Directions on the sphere, 3.7 degrees apart, of which those that the reference sample allows are starts."""
+
+    directions_rad: float = 0.3
+    """Starts stand for directions as near as this."""
+
+    blur_rad: float = 0.07
+    """Error of interpolated attitudes and of the brightness, added to the noise while starts settle."""
+
+    settled: float = 36.0
+    """Sum of squares up to which a settled start is kept."""
+
+    steps: int = 8
+    """Steps by which a start settles, at most."""
+
+    faster: float = 2.0
+    """Times as much as the last step each step to come may gain: starts that cannot settle so are left. It costs 3 % of those that
+    would, and saves two fifths of the steps."""
+
+    apart_rad: float = 0.3
+    """At the samples tried: of starts nearer to each other one is kept."""
+
+    most_cells: float = 8e6
+    """Cells times directions that are looked through, at most: else the ball of rates is made smaller, and the verdict says so."""
+
+    most_starts: float = 4e7
+    """Cells times directions for which an hour is needed: a largest rate of the caller that asks for more is refused."""
+
+    shared_edge: float = 0.5
+    """Step of the grid over the largest rate, at most, if panels share inputs: three samples then fit motions all along a line of
+    rates, and with one cell for the whole ball 1 of 8 true motions was lost."""
+
+    choices: int = 40
+    """Samples that are considered as the reference, evenly over those that may be it."""
+
+    few: int = 5
+    """Samples around the reference by which the length of a search is estimated."""
+
+    speed_left: float = 0.3
+    """Part of its speed that every wheel has left at the reference, so that motions can be followed back through it."""
+
+    most_spun: float = 0.6
+    """Of the largest rate, what wheels may have handed over until the reference. At 0.8 the grid has ten times as many points."""
+
+    faster_at_first: float = 1.05
+    """Times the largest rate beyond which a motion cannot have begun."""
+
+    spun_unsure: float = 0.15
+    """Part of what wheels hand over that is allowed in addition: three sigmas of their friction."""
+
+    start_cost: float = 5e-5
+    """s of one core for a start; with the next number it chooses the reference, which is all that depends on it."""
+
+    window_cost: float = 3e-4
+    """s of one core for a unit of the volume of rates that the first `few` samples allow."""
+
+
+@dataclass(frozen=True)
+class ShootingSettings:
+    """How the motions of a lander are fitted, compared and carried on."""
+
+    held: int = 5
+    """With fewer samples than this inertia, friction and wheel stay at their centres: few samples tell nothing of them."""
+
+    first_levels: tuple[tuple[float, int], ...] = ((3.0, 2), (1.0, 2))
+    """Factor on the noise, and steps, one after the other: of the fit to the first window. Wide noise draws in what is far."""
+
+    levels: tuple[tuple[float, int], ...] = ((3.0, 2), (1.0, 3))
+    """The same while the window grows."""
+
+    again: tuple[tuple[float, int], ...] = ((1.0, 12),)
+    """Again with new derivatives, if body and wheel are free: derivatives corrected by steps do not carry as far as
+    a motion then moves along its valley. Without it 1 of 10 true motions at two minutes was lost."""
+
+    last_levels: tuple[tuple[float, int], ...] = ((2.0, 3), (1.0, 8))
+    """The same on all samples."""
+
+    slack: float = 10.0
+    """What one or two bad readings add to a true motion's misfit."""
+
+    slack_held: float = 4.0
+    """What fixed inertia, friction and wheel add to it."""
+
+    not_yet: float = 0.5
+    """What a motion may be worse by, for each reading, after the steps under the wider noise."""
+
+    noise_sigmas: float = 2.0
+    """Sigmas of its prior by which the noise of a true motion may be larger than stated."""
+
+    noise_most: float = 1.5
+    """Logarithm of the noise over the stated one, at most."""
+
+    box_rad: float = 0.6
+    """At the end of the next window: motions nearer to each other are copies."""
+
+    box_sun_rad: float = 0.3
+    """The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
+
+    sheet_chi2: float = 2.0
+    """Squared distance in sigmas below which two motions lie on one sheet while the window grows, and are copies."""
+
+    same_chi2: float = 9.0
+    """The same, in sigmas of either, of motions fitted to all samples."""
+
+    family_rad: float = 0.5
+    """A motion that is free by more than this at the end of the next window is one of a family, and gets neighbours."""
+
+    neighbour_rad: float = 0.65
+    """How far away these are, at that time."""
+
+    family_directions: int = 3
+    """Directions along which neighbours are set: the loosest."""
+
+    again_from: float = 1.35
+    """Growth of the window's end after which a motion gets further neighbours."""
+
+    grid_samples: int = 3
+    """Samples for which starts lie dense enough: there neighbours are set only if there are at most `few_starts` motions."""
+
+    few_starts: int = 2000
+    """See `grid_samples`."""
+
+    look_rad: float = 0.6
+    """By how much a motion may be wrong about the sample added next, before it is fitted to it."""
+
+    most_boxes: int = 100_000
+    """Motions carried on, at most, before those on one sheet are joined."""
+
+    most: int = 20_000
+    """The same after that."""
+
+    most_work: int = 200_000
+    """Motions times samples fitted to one window, at most: a minute of one core."""
+
+    most_search: int = 900_000
+    """The same of a whole search; a window gets a third of what is left, and `least_work` in any case: every search ends."""
+
+    least_work: int = 30_000
+    """See `most_search`."""
+
+    kept_anyway: int = 100
+    """Motions carried on where the readings rule out all, so that the verdict can say by how much."""
+
+    drop: float = 30.0
+    """Log weight below the best at which a motion is left out."""
+
+    most_fitted: int = 300
+    """Motions fitted to all samples that are kept, at most."""
+
+    torque_levels: tuple[int, ...] = (0, 2, 4)
+    """Which sizes of a constant torque, of its shares, fits begin under."""
+
+    searched_under: int = 1
+    """Size that a search under a torque assumes: smaller ones hold it where it does not act, the largest lets all motions pass."""
+
+
+@dataclass(frozen=True)
+class PosteriorSettings:
+    """Everything that tunes `posterior`."""
+
+    grid: GridSettings = GridSettings()
+    shooting: ShootingSettings = ShootingSettings()
+    search: SearchSettings = SearchSettings(growth=1.5, places=1, more_places=0)
+    motions: float = 5e7
+    """Motions carried over one interval between two samples, after which nothing that can be left out is begun: about five minutes
+    of one core."""
+
+
+POSTERIOR = PosteriorSettings()
+"""What `posterior` uses by default."""

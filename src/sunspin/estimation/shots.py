@@ -75,10 +75,47 @@ class Shots:
         )
 
     def with_unknowns(self, places: np.ndarray, count: int) -> Shots:
-        """Return motions of a model with `count` unknowns; theirs stand at `places` (m), the others at their centres."""
+        """Return motions of a model with `count` unknowns: theirs stand at `places` (m), the others at their centres."""
         u = np.zeros((len(self), count))
         u[:, places] = self.u
         return replace(self, u=u)
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Motions on their way through a search, and what it keeps of each.
+
+    `starts` (K): how many starts came together in it; `normal` (K, D, D): curvature of its cost after a fit, else (0, 0, 0);
+    `neighbours_s` (K): end of the window for which neighbours of it were last placed, or for which it was placed; 0 for none.
+    """
+
+    shots: Shots
+    starts: np.ndarray
+    normal: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    neighbours_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return len(self.shots)
+
+    @property
+    def cost(self) -> np.ndarray:
+        """Return the cost (K) of each motion."""
+        return self.shots.cost
+
+    def take(self, which: Any) -> Trials:
+        """Return some of the motions."""
+        rest = (x[which] if len(x) else x for x in (self.normal, self.neighbours_s))
+        return Trials(self.shots.take(which), self.starts[which], *rest)
+
+    @staticmethod
+    def joined(parts: Sequence[Trials]) -> Trials:
+        """Return the motions of several searches."""
+        arrays = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("starts", "normal", "neighbours_s")
+        )
+        return Trials(Shots.joined([part.shots for part in parts]), *arrays)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from sunspin.estimation.settings import SearchSettings, SolutionSettings
 from sunspin.estimation.terms.panels import Panels
 from sunspin.solve.rotations import rotation_between
 
-ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "clock", "panel_zero")
+ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "rate_size_scale", "clock", "panel_zero")
 """Kinds of unknowns that are reported as they are."""
 
 MEAN_COUNTS = 0.05

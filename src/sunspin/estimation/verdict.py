@@ -61,7 +61,11 @@ OTHER_SENSORS = ("gyro", "field", "attitude")
 
 
 class Misfit(NamedTuple):
-    """One sensor's residuals along the best motion: readings, share beyond three sigma, chance of so few runs over time."""
+    """One sensor's residuals along the best motion.
+
+    `count`: of readings; `share`: of those beyond three sigma; `chance`: of so few runs of good and bad readings over time if bad
+    ones were strewn at random.
+    """
 
     count: int
     share: float
@@ -76,14 +80,18 @@ class Misfit(NamedTuple):
 
 
 def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
-    """Return sums of squared residuals (...) with so many degrees of freedom, scaled so that 3 has the chance of three sigma."""
+    """Return sums of squared residuals (...) with so many degrees of freedom as a size in sigmas.
+
+    It is the root of the sum, scaled so that it exceeds 3 as often as one normal number does (:data:`BEYOND`).
+    """
     return 3 * np.sqrt(np.maximum(square, 0.0) / chdtri(np.maximum(freedom, 1), BEYOND))
 
 
 def misfit(sigmas: np.ndarray) -> Misfit:
     """Return the misfit of one sensor's residuals (n) in the order of time, as :func:`in_sigma` has them, NaN without a reading.
 
-    Runs of good and bad readings are counted as by Wald and Wolfowitz (1940, Ann. Math. Statist. 11, 147).
+    The number of runs of good and bad readings is compared with its mean and variance for a random order, as by Wald and Wolfowitz
+    (1940, Ann. Math. Statist. 11, 147).
     """
     beyond = np.asarray(sigmas)[np.isfinite(sigmas)] > 3.0
     n, bad = len(beyond), int(beyond.sum())
@@ -146,11 +154,12 @@ def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray) -> S
     value = float(np.linalg.norm(omega))
     if not (np.isfinite(value) and np.isfinite(drawn).all()):
         return Speed(value, np.nan, np.nan)
-    each = np.repeat(probability / probability.sum() / drawn.shape[1], drawn.shape[1])
+    # the weighted quantile of all draws
+    weight = np.repeat(probability / probability.sum() / drawn.shape[1], drawn.shape[1])
     speed = drawn.ravel()
     order = np.argsort(speed)
-    passed = np.searchsorted(np.cumsum(each[order]), UPPER)
-    below = float(speed[order[min(passed, len(order) - 1)]])
+    quantile = np.searchsorted(np.cumsum(weight[order]), UPPER)
+    below = float(speed[order[min(quantile, len(order) - 1)]])
     return Speed(value, float(np.sqrt(np.mean((drawn[0] - value) ** 2))), below)
 
 
@@ -229,21 +238,22 @@ def answers(
         Which solutions are the first one, or differ from it in the sign of the Sun's direction alone.
     """
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
+    # one sigma about the first solution, all solutions counted
     share = (probability / probability.sum())[:, None]
     variance = np.einsum("kii->ki", covariance) + (omega - omega[0]) ** 2
     sigma = np.sqrt((share * variance).sum(axis=0))
     x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
-    said = Answers(
-        bool(probability[one_rate].sum() >= DECIDED),
-        (x, y, z),
-        bool(explained and not wrong),
-        not cure,
-        wrong,
-        cure,
-        speed_of(omega[0], drawn, probability),
+    four_answers = Answers(
+        unique=bool(probability[one_rate].sum() >= DECIDED),
+        constrained=(x, y, z),
+        fits=bool(explained and not wrong),
+        search_complete=not cure,
+        wrong=wrong,
+        cure=cure,
+        speed=speed_of(omega[0], drawn, probability),
     )
-    return said, np.quantile(drawn, SPEEDS, axis=1).T
+    return four_answers, np.quantile(drawn, SPEEDS, axis=1).T
 
 
 class PassRow(NamedTuple):
@@ -270,12 +280,14 @@ def padded(values: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, Any]:
-    """Return variables on (`pass_id`, `solution`), those of `passes.csv`; NaN if a pass has fewer solutions."""
+    """Return the variables on (`pass_id`, `solution`), those of `passes.csv`; NaN if a pass has fewer solutions."""
 
     def utc(seconds: float) -> str:
+        """Return a time in UTC; empty without an epoch."""
         return "" if epoch_utc is None else utc_after(seconds, epoch_utc, 3)
 
     def flags(values: Sequence[bool]) -> Any:
+        """Return a variable of yes and no on passes."""
         return "pass_id", np.array(values, dtype=bool)
 
     said = [row.answers for row in rows]
@@ -324,7 +336,10 @@ def slower(limit_rad_s: float) -> str:
 
 
 def rates_words(result: xr.Dataset) -> str:
-    """Return what the data tell, in words: how many passes are decided, then a line for each note."""
+    """Return what the data show, in words: how many passes are decided, then a line for each note.
+
+    First what is wrong with passes, then why others are not unique or not constrained, then what the search and the sensors lack.
+    """
     decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
     constrained = np.all([result[f"constrained_{axis}"].values for axis in "xyz"], axis=0)
     attrs = result.attrs
@@ -392,7 +407,7 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if attrs["frame_N"] == FIELD_Z_LOCAL:
         notes.append(FIELD_ALONE)
-    elif not any(attrs[f"{name}_used"] for name in OTHER_SENSORS):
+    elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
         notes.append(SUN_ALONE)
         if count := attrs["no_sphere"]:
             notes.append(

@@ -14,14 +14,14 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimation.budget import Budget
-from sunspin.estimation.carry import nutation
+from sunspin.estimation.carry import RATE, nutation
 from sunspin.estimation.equivalence import CLEARLY, WEAK_RAD, wheel_changes
 from sunspin.estimation.evidence import PassFits, likeliest
-from sunspin.estimation.model import Model, Observations, Track
+from sunspin.estimation.model import Model, Observations
 from sunspin.estimation.observe import Pass, wheel_models
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
-from sunspin.estimation.solutions import Solutions, solutions
+from sunspin.estimation.solutions import solutions
 from sunspin.estimation.verdict import misfit
 from sunspin.vehicle import Vehicle
 
@@ -44,7 +44,7 @@ FitPasses = Callable[[Sequence[Model]], Sequence[PassFits | None]]
 
 @dataclass(frozen=True)
 class Reversed:
-    """Wheels, by their numbers, that may turn the other way, and by how much log evidence that fits better.
+    """Wheels, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
 
     And the longest pass as estimated so: whether it `fits`, its times (n) in s, rates (n, 3) in rad/s and directions of the Sun
     (n, 3).
@@ -61,19 +61,18 @@ class Reversed:
 def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.ndarray:
     """Return the momentum (n_wheel, n, 3) of each wheel in mean moments of inertia times rad/s.
 
-    `name`: what the wheels do, a key of :func:`wheel_models`.
+    `name`: what the wheels do, a key of :func:`wheel_models`. That gives the sum over all wheels: the sum with one wheel reversed
+    is less by twice the momentum of this wheel.
     """
     total = wheel_models(vehicle, telemetry).get(name)
     if vehicle.inertia_kg_m2 is None or total is None:
         return np.zeros((0, telemetry.sizes["time"], 3))
     each = np.zeros((len(vehicle.wheels), *total.shape))
-    for k in range(len(each)):
-        turned = tuple(
-            replace(wheel, axis_B=-np.asarray(wheel.axis_B)) if i == k else wheel
-            for i, wheel in enumerate(vehicle.wheels)
-        )
-        other = wheel_models(replace(vehicle, wheels=turned), telemetry)[name]
-        each[k] = (total - other) / 2
+    for k, wheel in enumerate(vehicle.wheels):
+        wheels = list(vehicle.wheels)
+        wheels[k] = replace(wheel, axis_B=-np.asarray(wheel.axis_B))
+        with_reversed = wheel_models(replace(vehicle, wheels=tuple(wheels)), telemetry)[name]
+        each[k] = (total - with_reversed) / 2
     return each
 
 
@@ -109,34 +108,43 @@ def doubted_signs(
 ) -> Reversed | None:
     """Return the wheels whose sign the data doubt; None if they do not, or cannot.
 
+    Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`, and if one of
+    the passes then has another motion. Most are refused sooner: by a quick search, or as soon as the passes are worse together.
+
     `obs`: all samples of the file; `momenta`: with wheels reversed, of all samples; `passes`: those that are compared, the longest
     first, with the `models` and `fits` of the file as it is written.
     """
     doubted: list[Reversed] = []
-    stated = quick_evidence(models[0], settings, replace(budget))
+    quick_as_written = quick_evidence(models[0], settings, replace(budget))
     for which, momentum in momenta.items():
-        turned = [
+        reversed_models = [
             replace(model, obs=replace(model.obs, momentum=momentum[one.kept]))
             for model, one in zip(models, passes, strict=True)
         ]
-        if quick_evidence(turned[0], settings, replace(budget)) < stated - FAR:
+        quick = quick_evidence(reversed_models[0], settings, replace(budget))
+        if quick < quick_as_written - FAR:
             continue
-        total, another, of_longest = 0.0, False, None
-        for model, of_file in zip(turned, fits, strict=True):
-            (other,) = fit_passes([model])
-            gain = -np.inf if other is None else log_evidence(other) - log_evidence(of_file)
-            total += gain
-            if other is None or total < -AS_WELL:
+        gain, has_another_motion, new_fits = 0.0, False, []
+        for model, as_written in zip(reversed_models, fits, strict=True):
+            (fitted,) = fit_passes([model])
+            if fitted is None:
                 break
-            another = another or _is_another(of_file, other)
-            of_longest = of_longest or other  # the first pass is the longest
-        else:  # no pass has spoken against it
-            if of_longest is not None and another and total >= CLEARLY:
-                whole = replace(obs, momentum=momentum).of_pass(passes[0].samples)
-                solved = solutions(
-                    of_longest, whole, passes[0].places, settings.solutions, settings.search
-                )
-                doubted.append(_reversed(which, total, solved))
+            gain += log_evidence(fitted) - log_evidence(as_written)
+            if gain < -AS_WELL:
+                break
+            has_another_motion |= _is_another(as_written, fitted)
+            new_fits.append(fitted)
+        if len(new_fits) < len(passes) or not has_another_motion or gain < CLEARLY:
+            continue
+        whole = replace(obs, momentum=momentum).of_pass(passes[0].samples)
+        longest = solutions(
+            new_fits[0], whole, passes[0].places, settings.solutions, settings.search
+        )
+        agree = all(misfit(part[0]).fits for part in longest.residual.values())
+        fits_well = bool(agree and longest.track.cost[0] <= longest.cost_limit)
+        track = longest.track
+        best = longest.obs.t_s, track.omega[0], track.sun_B[0]
+        doubted.append(Reversed(which, gain, fits_well, *best))
     return max(doubted, key=lambda one: one.gain, default=None)
 
 
@@ -145,23 +153,10 @@ def log_evidence(one: PassFits) -> float:
     return float(np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung))
 
 
-def _reversed(which: tuple[int, ...], gain: float, solved: Solutions) -> Reversed:
-    """Return what is known of reversed wheels, by the most probable motion of the longest pass with them."""
-    agree = all(misfit(part[0]).fits for part in solved.residual.values())
-    fits = bool(agree and solved.track.cost[0] <= solved.cost_limit)
-    track = solved.track
-    return Reversed(which, gain, fits, solved.obs.t_s, track.omega[0], track.sun_B[0])
-
-
-def _is_another(of_file: PassFits, other: PassFits) -> bool:
+def _is_another(first: PassFits, second: PassFits) -> bool:
     """Return whether the most probable motion of the second is none that the first allows."""
-    first, second = (_best_motion(one) for one in (of_file, other))
-    sigma = np.sqrt(np.einsum("nii->ni", first.covariance[0, :, 3:, 3:]))
-    off = np.abs(second.omega[0] - first.omega[0]) / sigma
+    best_fits = likeliest(first.fits), likeliest(second.fits)
+    a, b = (one.motions.take(np.array([np.argmax(one.log_evidence)])) for one in best_fits)
+    sigma = np.sqrt(np.einsum("nii->ni", a.covariance[0, :, RATE, RATE]))
+    off = np.abs(b.omega[0] - a.omega[0]) / sigma
     return bool(np.median(off.max(axis=1)) > OTHER_SIGMAS)
-
-
-def _best_motion(one: PassFits) -> Track:
-    """Return the most probable motion (K = 1)."""
-    best = likeliest(one.fits)
-    return best.motions.take(np.array([np.argmax(best.log_evidence)]))

@@ -7,6 +7,7 @@ rewritten.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from datetime import timedelta
 from difflib import get_close_matches
 from pathlib import Path
@@ -21,7 +22,7 @@ from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.telemetry.layout import collect_metrics, join_packets
 from sunspin.telemetry.noise import lowest_reading
-from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
+from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
 from sunspin.telemetry.stored import KIND, restore_telemetry
 from sunspin.telemetry.times import Times, read_received_times, read_times
 from sunspin.telemetry.timescales import UNIX_ZERO
@@ -59,7 +60,7 @@ class MissingColumn(TelemetryError):
     """A telemetry file lacks a column that the vehicle file names."""
 
 
-def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
+def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) -> xr.Dataset:
     """Read panel readings, Sun sensors, gyro and magnetometer from a CSV, JSON lines, Parquet or NetCDF file.
 
     Parameters
@@ -69,6 +70,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     vehicle : Vehicle
         Its `telemetry` gives columns, units and clock; its panels give the columns that must exist. A file with columns of the
         vehicle's sensors need not have columns of panels.
+    columns : list of str, optional
+        Further columns of the file, such as a light curve; their numbers become `column_reading (time, column)`.
 
     Returns
     -------
@@ -101,6 +104,12 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         raise TelemetryError(what, do=do, where=str(path))
     table = read_table(path)
     if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
+        if columns:
+            what, do = (
+                "a results folder keeps the columns of sensors only",
+                "give the original file",
+            )
+            raise TelemetryError(what, got=", ".join(columns), do=do, where=str(path))
         return restore_telemetry(table.data, vehicle, path)
     header = set(table.header)
     if "frame" in header and form.time_column not in header and header & {"timestamp", "observer"}:
@@ -110,9 +119,11 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     table, layout_notes = collect_metrics(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
     sensors = read_sensors(vehicle, table)
-    columns = _panel_columns(vehicle, table, optional=bool(sensors))
+    panel_columns = _panel_columns(vehicle, table, optional=bool(sensors))
+    for name in columns:
+        require_column(table, name, "a column that is asked for")
     _require_clock(form, table)
-    unused = _unused_columns(vehicle, table, columns)
+    unused = _unused_columns(vehicle, table, [*panel_columns, *columns])
     reading_columns = header - {*_clock_columns(form), *unused}
     times, counts = read_times(form, table, reading_columns), {}
     if form.bad_rows != "refuse":
@@ -127,7 +138,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         times, sensors = times.take(rows), read_sensors(vehicle, table)
         layout_notes += packet_notes
     time, epoch, received = times.time, times.epoch, times.received
-    values, flag = _read_panels(vehicle, table, columns)
+    sensors |= read_columns(table, columns)
+    values, flag = _read_panels(vehicle, table, panel_columns)
     values, temperatures = _correct_for_temperature(vehicle, table, values)
     flag |= np.where(_find_late_rows(form, table, time), NOT_INCREASING, np.uint8(0))
     missing = _missing_sensors(vehicle, table, unused)
@@ -151,6 +163,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     if "phase" in table.header:
         phase = [cell.strip() for cell in table.cells["phase"]]
         coords["phase"] = ("time", np.array(phase, dtype=np.str_))
+    if columns:
+        coords["column"] = list(columns)
     if sensors or temperatures:
         coords["axis"] = ["x", "y", "z"]
     bits = [bit for bit in FLAGS if bit]

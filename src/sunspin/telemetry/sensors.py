@@ -82,7 +82,8 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
         samples in which the sign is ambiguous, else NaN.
         `sun_sensor_angle` (time, sun_sensor, side): rad, angles of the Sun from each sensor's normal; NaN if it does not see the
         Sun or does not measure the angle. `sun_sensor_y_turned` (time, sun_sensor): 1 if the sign of its y is reversed.
-        `gyro_B` (time, axis) rad/s; `field_B` (time, axis) in the unit of the columns, corrected by zero and matrix;
+        `gyro_B` (time, axis) rad/s; `rate_size` (time) rad/s; `field_B` (time, axis) in the unit of the columns, corrected by zero
+        and matrix;
         `attitude_B_from_N` (time, quaternion); `wheel_speed_rad_s` (time, wheel).
         Cells without a number give NaN.
     """
@@ -92,7 +93,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
         if sensor is not None and table.has(sensor.names):
             # zero, scale, signs and axes of the vehicle file are applied here
             dimension, value, attrs = sensor.interpret(_numbers(table, sensor.names))
-            variables[variable] = (("time", dimension), value, attrs)
+            variables[variable] = (("time", dimension) if dimension else "time", value, attrs)
     speed_columns = [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
     if speed_columns and table.has(speed_columns):
         speed = np.full((len(table.cells), len(vehicle.wheels)), np.nan)
@@ -102,6 +103,14 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
         attrs = {"units": "rad s-1", "long_name": "speed of each wheel relative to the body"}
         variables["wheel_speed_rad_s"] = (("time", "wheel"), speed, attrs)
     return variables
+
+
+def read_columns(table: Table, names: Sequence[str]) -> dict[str, Any]:
+    """Return the variable `column_reading` (time, column): numbers of columns as the file has them, NaN for fill values."""
+    if not names:
+        return {}
+    about = {"units": "1", "long_name": "reading of a column, as the file has it"}
+    return {"column_reading": (("time", "column"), _numbers(table, list(names)), about)}
 
 
 def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:

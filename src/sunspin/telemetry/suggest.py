@@ -1,7 +1,8 @@
 """A `[telemetry]` section for a file whose columns the vehicle file does not know, from the names and values of its columns.
 
-A face of the spacecraft is recognised by its axis and sign: `px`, `+X`, `iXm`, `solar_panel_x_plus_current`, `I_ny [mA]`. Columns
-whose names differ only in the face form a group, such as all currents. The group with the most faces is taken.
+Readings may be currents, powers, or angles of the Sun at each panel and their cosines. A face of the spacecraft is recognised by
+its axis and sign: `px`, `+X`, `iXm`, `solar_panel_x_plus_current`, `I_ny [mA]`. Columns whose names differ only in the face form a
+group, such as all currents. The group with the most faces is taken.
 """
 
 from __future__ import annotations
@@ -46,6 +47,25 @@ WORDS = {
     ),
 }
 """Words in the name of a column -> its quantity; empty for readings that are not of panels' currents or powers."""
+
+ANGLE_WORDS = {
+    "elevation_deg": ("el", "elev", "elevation", "elevations", "altitude"),
+    "incidence_deg": ("inc", "aoi", "incidence", "incident", "zenith"),
+    "cosine": ("cos", "cosine", "cosines"),
+    "": ("angle", "angles", "ang"),
+}
+"""Words in the name of a column -> quantity of angles of the Sun; empty: by the values."""
+
+DEG_PER_RAD = 57.29578
+
+ANGLE_UNITS = {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": DEG_PER_RAD}
+"""Unit of an angle in small letters -> its size in degrees."""
+
+OPPOSITE = 0.1
+"""Elevations of the Sun at two opposite panels, and cosines, cancel: their sum is less than this part of the largest one."""
+
+LARGEST_COSINE, LARGEST_RAD = 1.2, 3.3
+"""A cosine is no larger, and an angle in rad, noise included."""
 
 MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
@@ -125,9 +145,57 @@ def _split_unit(name: str) -> tuple[str, str]:
     The unit is in brackets, or the last word after a blank or underscore.
     """
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name) or re.fullmatch(
-        r"(.*)[_ ](mA|uA|A|mW|W)", name
+        r"(.*)[_ ](mA|uA|A|mW|W|deg|rad)", name
     )
     return (match[1], match[2].strip().lower()) if match else (name, "")
+
+
+def _judge_angles(
+    table: Table, words: set[str], unit: str, columns: dict[str, str]
+) -> tuple[str, float, str] | None:
+    """Return quantity, factor to degrees and the reason for a group of angles of the Sun or of cosines; None if it is no such.
+
+    By the words of the names, then by the values: of opposite panels elevations and cosines cancel, and angles from the normal add
+    to half a turn. No panel gives a negative power.
+    """
+    named = [name for name, known in ANGLE_WORDS.items() if words & set(known)]
+    other_words = {word for known in WORDS.values() for word in known}
+    if (unit and unit not in ANGLE_UNITS) or (not named and words & other_words):
+        return None
+    value = {face: table.numbers([column])[:, 0] for face, column in columns.items()}
+    largest = max(float(np.nanmax(np.abs(one), initial=0.0)) for one in value.values())
+    below = any(np.nanmin(one, initial=0.0) < -0.1 * largest for one in value.values())
+    pairs = [(value.get(f"+{axis}"), value.get(f"-{axis}")) for axis in "XYZ"]
+    sums = [
+        float(np.nanmedian(first + second))
+        for first, second in pairs
+        if first is not None and second is not None and np.isfinite(first + second).any()
+    ]
+    opposite = bool(sums) and max(map(abs, sums)) < OPPOSITE * largest
+    size = f"(up to {largest:.4g})"
+    if "cosine" in named or not (named or unit) and below and opposite and largest < LARGEST_COSINE:
+        how = (
+            "by the header"
+            if named
+            else f"check this: by opposite panels, whose readings cancel {size}"
+        )
+        return ("cosine", 1.0, f"cosines, {how}") if largest < LARGEST_COSINE else None
+    if not named and not unit and not (below and opposite):
+        return None
+    reason = f"{unit}, by the header"
+    factor = ANGLE_UNITS.get(unit, DEG_PER_RAD if largest < LARGEST_RAD else 1.0)
+    if not unit:
+        reason = f"{'deg' if factor == 1.0 else 'rad'}, guessed by the size {size}"
+    quantity = next((name for name in named if name), "")
+    if not quantity and (below or opposite):
+        quantity, reason = "elevation_deg", f"{reason}; negative behind the panel"
+    elif not quantity:
+        sure = largest * factor > 100.0  # an elevation is at most 90 deg
+        quantity = "incidence_deg"
+        reason += (
+            "; more than 90 deg behind the panel" if sure else "; check this: or elevation_deg"
+        )
+    return quantity, factor, reason
 
 
 def _words(name: str) -> str:
@@ -167,6 +235,8 @@ def _judge_quantity(
     if unit in UNITS:
         return *UNITS[unit], f"{unit.replace('w', 'W').replace('a', 'A')}, by the header"
     words = set(re.findall(r"[a-z]+", template))
+    if (angles := _judge_angles(table, words, unit, columns)) is not None:
+        return angles
     quantities = [name for name, known in WORDS.items() if words & set(known)]
     if unit or quantities == [""]:
         return "", 1.0, ""

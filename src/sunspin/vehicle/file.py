@@ -49,6 +49,7 @@ class VehicleFile(Part):
     sun_sensor: tuple[sensors.SunSensor, ...] = ()
     sun_vector: sensors.SunVector | None = None
     gyro: sensors.Gyro | None = None
+    rate_size: sensors.RateSize | None = None
     attitude: sensors.Attitude | None = None
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()

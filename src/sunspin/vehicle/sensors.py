@@ -28,7 +28,12 @@ from sunspin.vehicle.part import (
     unit,
 )
 
-VARIABLES = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N"}
+VARIABLES = {
+    "gyro": "gyro_B",
+    "rate_size": "rate_size",
+    "magnetometer": "field_B",
+    "attitude": "attitude_B_from_N",
+}
 """Table of a sensor in a vehicle file -> variable of the telemetry."""
 
 REVERSED = "-"
@@ -39,7 +44,8 @@ QUATERNION_TOLERANCE = 0.02
 
 
 class SensorVariable(NamedTuple):
-    """A telemetry variable: name of its second dimension (the first is time), values (n, 3 or 4), attributes."""
+    """A telemetry variable: name of its second dimension (the first is time; empty if there is none), values (n, 3 or 4) or
+    (n), attributes."""
 
     dimension: str
     values: np.ndarray
@@ -215,6 +221,41 @@ class Gyro(ThreeAxes):
         return SensorVariable("axis", value, about)
 
 
+@part
+class RateSize(Part):
+    """One column with the size of the body rate, without its axis: the size (rad/s) is `scale_rad_s` times the reading.
+
+    `noise_rad_s` is that of one sample; the error `scale_sigma` is common to all samples of a pass.
+    """
+
+    column: Name
+    scale_rad_s: Number
+    noise_rad_s: Positive
+    scale_sigma: Annotated[float, _sigma_validator("rate_size.scale_rad_s")] = Field(
+        default=0.0, validation_alias=AliasPath("scale_rad_s", "sigma")
+    )
+
+    def __post_init__(self) -> None:
+        if self.scale_rad_s <= 0:
+            raise VehicleError("{path}.scale_rad_s must be positive", got=self.scale_rad_s)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Return its one column, as other sensors list theirs."""
+        return (self.column,)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns in a telemetry file."""
+        return (self.column,)
+
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
+        """Return sizes (n) in rad/s from readings (n, 1) of the column; NaN for a negative one, which is no size."""
+        value = self.scale_rad_s * reading[:, 0]
+        about = {"units": "rad s-1", "long_name": "size of the body rate as it was read"}
+        return SensorVariable("", np.where(value >= 0, value, np.nan), about)
+
+
 def _is_invertible(matrix: FloatArray) -> bool:
     """Return whether an array is a finite matrix (3, 3) that can be inverted (condition number below 1e6)."""
     return (
@@ -337,6 +378,7 @@ class Sensors(Part):
     sun_sensors: tuple[SunSensor, ...] = ()
     sun_vector: SunVector | None = None
     gyro: Gyro | None = None
+    rate_size: RateSize | None = None
     attitude: Attitude | None = None
     magnetometer: Magnetometer | None = None
     disturbance: Disturbance = Disturbance()

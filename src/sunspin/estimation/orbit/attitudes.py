@@ -31,7 +31,8 @@ from sunspin.solve.rotations import cross_matrix, rotate_attitude, tangent_basis
 from sunspin.vehicle import Vehicle
 
 SHIFT, DRIFT, SENSORS, EACH = 12, 13, 14, 5
-"""Places of the along-track offset (s), of its drift (s/day) and of the first Sun sensor among the unknowns, five to a sensor."""
+"""Indices of the along-track offset (s), of its drift (s/day) and of the first Sun sensor among the unknowns. A sensor has five:
+biases of x and y, scales of x, y and turned y, less one."""
 
 WEAK, ROUNDING = 1e-4, 1e-12
 """Information (1/rad^2) that keeps an attitude finite which no reading constrains, and the same as a part of all information."""
@@ -63,8 +64,11 @@ class Residuals(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """Attitudes (n, 3, 3) that fit the unknowns best, residuals (n, R) there and their slopes (n, R, D) by the unknowns when the
-    attitudes follow these; `taken` (n, R): share of each residual that the attitude takes up."""
+    """What is left of the readings when the attitude of each sample is projected out.
+
+    `attitude` (n, 3, 3): those that fit the unknowns best; `value` (n, R): residuals there; `slope` (n, R, D): by the unknowns
+    while the attitudes follow them; `taken` (n, R): share of each residual that the attitude takes up.
+    """
 
     attitude: np.ndarray
     value: np.ndarray
@@ -74,10 +78,11 @@ class Settled(NamedTuple):
 
 @dataclass(frozen=True)
 class AttitudeLaw:
-    """Residuals of readings whose field is in its unit; R of a sample: two of each Sun sensor, two of panels, three of the field.
+    """Residuals of readings in an orbit: R of a sample, two of each of F Sun sensors, two of panels, three of the field.
 
-    `precision` (D, D): of the unknowns before the data; `scatter`: of Sun sensors and of panels over their sigmas, and of the
-    field.
+    The D unknowns: matrix less one (9), zero (3), offset, drift, five of each Sun sensor. Fields are in units of `unit_T`, readings
+    of them in their own. `precision` (D, D): of the unknowns before the data; `scatter` (3): noise of Sun sensors and of panels
+    over their sigmas, and of the field.
     """
 
     vehicle: Vehicle
@@ -89,7 +94,7 @@ class AttitudeLaw:
 
     @cached_property
     def kinds(self) -> np.ndarray:
-        """Place (R) of each residual's noise in `scatter`."""
+        """Index (R) of each residual's noise in `scatter`."""
         return np.repeat([0, 1, 2], [2 * len(self.vehicle.sensors.sun_sensors), 2, 3])
 
     @cached_property
@@ -106,47 +111,56 @@ class AttitudeLaw:
         return np.maximum(count - np.where(of_sun & self.readings.has_field, 3, 2), 0)
 
     def residuals(self, unknown: np.ndarray, attitude: np.ndarray) -> Residuals:
-        """Return the residuals at attitudes (n, 3, 3)."""
-        sun, field = self._turned(unknown, attitude)
-        true, by_sun = self._angles(sun)
+        """Return the residuals at attitudes (n, 3, 3): predicted less read. A turn t of the body moves a vector v by v x t."""
+        sun, field = self._in_body(unknown, attitude)
+        n = len(sun)
+        # Sun sensors: scale angle + bias
+        true_angle, by_sun = self._angles(sun)
         scale, bias = self._of_sensors(unknown)
         sigma = self._sensor_sigma
-        n = len(sun)
-        off = ((scale * true + bias - self.readings.angle) / sigma).reshape(n, -1)
+        of_sensors = ((scale * true_angle + bias - self.readings.angle) / sigma).reshape(n, -1)
         slope = (scale / sigma)[..., None] * by_sun
-        by_turn = slope.reshape(n, -1, 3) @ cross_matrix(sun)
+        sensors_by_turn = slope.reshape(n, -1, 3) @ cross_matrix(sun)
 
-        seen = np.where(np.isfinite(self.readings.panel_sun), self.readings.panel_sun, UP)
-        side = np.stack(tangent_basis(seen), axis=1)
-        weight = 1 / (self.readings.panel_sigma * self.scatter[1])
-        off_panels = (side @ sun[..., None])[..., 0] * weight[:, None]
-        by_panels = side @ cross_matrix(sun) * weight[:, None, None]
+        # panels: the Sun's two components across the direction that they have read
+        direction = np.where(np.isfinite(self.readings.panel_sun), self.readings.panel_sun, UP)
+        across = np.stack(tangent_basis(direction), axis=1)
+        inverse = 1 / (self.readings.panel_sigma * self.scatter[1])
+        of_panels = (across @ sun[..., None])[..., 0] * inverse[:, None]
+        panels_by_turn = across @ cross_matrix(sun) * inverse[:, None, None]
 
+        # magnetometer: (1 + M) field + zero
         matrix = np.eye(3) + unknown[MATRIX].reshape(3, 3)
-        off_field = (field @ matrix.T + unknown[ZERO] - self.readings.field) / self.scatter[2]
-        by_field = matrix @ cross_matrix(field) / self.scatter[2]
-        value = np.concatenate([off, off_panels, off_field], axis=1)
-        turn = np.concatenate([by_turn, by_panels, by_field], axis=1)
+        of_field = (field @ matrix.T + unknown[ZERO] - self.readings.field) / self.scatter[2]
+        field_by_turn = matrix @ cross_matrix(field) / self.scatter[2]
+
+        value = np.concatenate([of_sensors, of_panels, of_field], axis=1)
+        by_turn = np.concatenate([sensors_by_turn, panels_by_turn, field_by_turn], axis=1)
         was_read = self.was_read
-        return Residuals(np.where(was_read, value, 0.0), np.where(was_read[..., None], turn, 0.0))
+        return Residuals(
+            np.where(was_read, value, 0.0), np.where(was_read[..., None], by_turn, 0.0)
+        )
 
     def by_unknowns(self, unknown: np.ndarray, attitude: np.ndarray) -> np.ndarray:
         """Return the slopes (n, R, D) of the residuals by the unknowns, at attitudes (n, 3, 3) that are held."""
-        sun, field = self._turned(unknown, attitude)
+        sun, field = self._in_body(unknown, attitude)
         n, count, d = len(sun), len(self.kinds), len(unknown)
-        slope = np.zeros((n, count, d))
-        sigma, (true, _) = self._sensor_sigma, self._angles(sun)
-        sample, sensor, side = np.indices(true.shape)
+        slope = np.zeros((n, count, d))  # panels know no unknowns
+        # each angle of a sensor (n, F, 2) has a bias and a scale of its own
+        sigma, (true_angle, _) = self._sensor_sigma, self._angles(sun)
+        sample, sensor, side = np.indices(true_angle.shape)
         row = 2 * sensor + side
-        slope[sample, row, SENSORS + EACH * sensor + side] = 1 / sigma
-        slope[sample, row, self._scale_places] = true / sigma
+        bias_index = SENSORS + EACH * sensor + side
+        slope[sample, row, bias_index] = 1 / sigma
+        slope[sample, row, self._scale_index] = true_angle / sigma
 
         matrix = np.eye(3) + unknown[MATRIX].reshape(3, 3)
         _, by_shift = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
         along = np.einsum("ij,njk,nk->ni", matrix, attitude, by_shift / self.unit_T)
-        of_field = slope[:, -3:]  # a view
+        of_field = slope[:, -3:]  # a view of the last three residuals
         for i in range(3):
-            of_field[:, i, 3 * i : 3 * i + 3] = field
+            row_of_matrix = slice(3 * i, 3 * i + 3)
+            of_field[:, i, row_of_matrix] = field
             of_field[:, i, ZERO.start + i] = 1.0
         of_field[:, :, SHIFT], of_field[:, :, DRIFT] = along, along * self.sky.days[:, None]
         of_field /= self.scatter[2]
@@ -156,23 +170,25 @@ class AttitudeLaw:
         """Return the attitudes that fit best near these (n, 3, 3), and what is left there: Gauss-Newton, each sample by itself."""
         for _ in range(INNER):
             value, by_turn = self.residuals(unknown, attitude)
-            turn = np.linalg.solve(
-                _information(by_turn), np.einsum("nri,nr->ni", by_turn, value)[..., None]
-            )
+            gradient = np.einsum("nri,nr->ni", by_turn, value)
+            turn = np.linalg.solve(_information(by_turn), gradient[..., None])
             attitude = rotate_attitude(attitude, np.clip(-turn[..., 0], -0.5, 0.5))
         value, by_turn = self.residuals(unknown, attitude)
-        transposed = np.swapaxes(by_turn, -1, -2)
-        share = np.linalg.solve(_information(by_turn), transposed)
+        # When the unknowns change residuals by r, the attitude turns by -answer r, which takes by_turn answer r of them back.
+        answer = np.linalg.solve(_information(by_turn), np.swapaxes(by_turn, -1, -2))
         slope = self.by_unknowns(unknown, attitude)
-        slope = slope - by_turn @ (share @ slope)
-        return Settled(attitude, value, slope, np.einsum("nri,nir->nr", by_turn, share))
+        slope = slope - by_turn @ (answer @ slope)
+        return Settled(attitude, value, slope, np.einsum("nri,nir->nr", by_turn, answer))
 
     def weights(self, value: np.ndarray) -> np.ndarray:
         """Return how much each sample (n) counts under Student's law."""
         return (STUDENT + self.conditions) / (STUDENT + (value**2).sum(axis=1))
 
     def linearise(self, state: OrbitState) -> DenseSystem:
-        """Return the normal equations of minus the log posterior of the unknowns, the attitudes projected out."""
+        """Return the normal equations of minus the log posterior of the unknowns, the attitudes projected out.
+
+        `extras` of the system are the attitudes that fit, from which the next step begins.
+        """
         unknown = state.unknown[0]
         best = self.settle(unknown, state.attitude[0])
         weight = self.weights(best.value)
@@ -210,18 +226,21 @@ class AttitudeLaw:
         return law, state
 
     def with_scatter(self, state: OrbitState) -> AttitudeLaw:
-        """Return the law with the likeliest noise, given the weights and how much of the residuals has been fitted."""
+        """Return the law with the likeliest noise of each kind of sensor: the weighted squares over their degrees of freedom.
+
+        These are one for a residual, less what its attitude and what the unknowns have taken up of it.
+        """
         best = self.settle(state.unknown[0], state.attitude[0])
         weight = self.weights(best.value)
         covariance = np.linalg.inv(self.precision + summed(weight, best.slope))
-        fitted = weight[:, None] * ((best.slope @ covariance) * best.slope).sum(axis=2)
-        freedom = np.where(self.was_read, 1 - best.taken - fitted, 0.0)
+        by_unknowns = weight[:, None] * ((best.slope @ covariance) * best.slope).sum(axis=2)
+        freedom = np.where(self.was_read, 1 - best.taken - by_unknowns, 0.0)
         scatter = []
         for k, old in enumerate(self.scatter):
-            which = self.kinds == k
-            left = freedom[:, which].sum()
-            square = (weight[:, None] * best.value**2)[:, which].sum()
-            ratio = np.sqrt(square / left) if left > 3 else 1.0
+            of_kind = self.kinds == k
+            of_freedom = freedom[:, of_kind].sum()
+            square = (weight[:, None] * best.value**2)[:, of_kind].sum()
+            ratio = np.sqrt(square / of_freedom) if of_freedom > 3 else 1.0
             scatter.append(float(np.clip(old * ratio, 1e-3, 100)))
         if self.readings.has_field.sum() < FEW:
             scatter[2] = max(scatter[2], FEW_SCATTER)
@@ -241,29 +260,34 @@ class AttitudeLaw:
         """Return the median residuals of the field's strength (T) and of its angle to the Sun (rad)."""
         field_N, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
         toward = (field_N * self.sky.sun).sum(axis=1)
-        predicted = Predicted(np.linalg.norm(field_N, axis=1)[None], toward[None], toward[None])
+        unused = toward[None]  # in place of the light
+        predicted = Predicted(np.linalg.norm(field_N, axis=1)[None], toward[None], unused)
         inverse = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3))
         field = (self.readings.field - unknown[ZERO]) @ inverse.T * self.unit_T
         return residuals_left(field, self._sun_read(unknown), predicted)
 
     def triads(self, unknown: np.ndarray) -> np.ndarray:
-        """Return attitudes (n, 3, 3) to begin with: the field as it was read, and the Sun next to it."""
+        """Return attitudes (n, 3, 3) to begin with, by two vectors (TRIAD): the field exactly, the Sun as near as it allows.
+
+        Axes that are made of both in the body and in space are the same axes.
+        """
         inverse = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3))
-        field = np.nan_to_num((self.readings.field - unknown[ZERO]) @ inverse.T)
-        sun = np.nan_to_num(self._sun_read(unknown))
+        field_B = np.nan_to_num((self.readings.field - unknown[ZERO]) @ inverse.T)
+        sun_B = np.nan_to_num(self._sun_read(unknown))
         field_N, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
-        has_sun = (sun != 0).any(axis=1, keepdims=True)
+        has_sun = (sun_B != 0).any(axis=1, keepdims=True)
         in_N = _frame(field_N * self.readings.has_field[:, None], self.sky.sun * has_sun)
-        return _frame(field, sun) @ np.swapaxes(in_N, -1, -2)
+        return _frame(field_B, sun_B) @ np.swapaxes(in_N, -1, -2)
 
     def _sun_read(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the direction to the Sun (n, 3) that all sensors of a sample have read, NaN without any."""
+        """Return the direction to the Sun (n, 3) that all sensors of a sample have read, weighted; NaN without any."""
         r, sensors = self.readings, self.vehicle.sensors.sun_sensors
         total = np.nan_to_num(r.panel_sun) / r.panel_sigma[:, None] ** 2
         if sensors:
             scale, bias = self._of_sensors(unknown)
             angle = (r.angle - bias) / scale
             known = np.isfinite(angle[..., 0])
+            # a sensor's angles are those of the Sun's components x and y over that along the normal
             tangent = np.tan(np.nan_to_num(angle))
             direction = self._axes[:, 2] + np.einsum("nfs,fsi->nfi", tangent, self._axes[:, :2])
             direction /= np.linalg.norm(direction, axis=2, keepdims=True)
@@ -286,31 +310,36 @@ class AttitudeLaw:
         return np.array(sigma).reshape(-1, 2) * self.scatter[0]
 
     @cached_property
-    def _scale_places(self) -> np.ndarray:
-        """Places (n, F, 2) of the scales of each angle among the unknowns."""
+    def _scale_index(self) -> np.ndarray:
+        """Indices (n, F, 2) of the scales of each angle among the unknowns: a turned sensor has another one for y."""
         turned = self.readings.y_turned
         first = SENSORS + EACH * np.arange(turned.shape[1])
-        return np.stack([np.broadcast_to(first + 2, turned.shape), first + 3 + turned], axis=2)
+        x_scale, y_scale = np.broadcast_to(first + 2, turned.shape), first + 3 + turned
+        return np.stack([x_scale, y_scale], axis=2)
 
     def _of_sensors(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return scale (n, F, 2) and bias (F, 2) of each angle."""
         bias = unknown[SENSORS:].reshape(-1, EACH)[:, :2]
-        return 1 + unknown[self._scale_places], bias
+        return 1 + unknown[self._scale_index], bias
 
-    def _turned(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the directions to the Sun (n, 3) and the fields (n, 3), in their unit, in the body."""
-        field, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
-        sun, field = (np.einsum("nij,nj->ni", attitude, v) for v in (self.sky.sun, field))
-        return sun, field / self.unit_T
+    def _in_body(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the directions to the Sun (n, 3) and the fields (n, 3), in units of `unit_T`, in the body."""
+        field_N, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
+        sun_B = np.einsum("nij,nj->ni", attitude, self.sky.sun)
+        return sun_B, np.einsum("nij,nj->ni", attitude, field_N) / self.unit_T
 
     def _angles(self, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the true angles (n, F, 2) of Suns (n, 3) at each Sun sensor, and their slopes (n, F, 2, 3) by the Sun."""
-        part = np.einsum("fsi,ni->nfs", self._axes, sun)
-        wide, high = part[..., :2], part[..., 2:]
+        """Return the true angles (n, F, 2) of Suns (n, 3) at each Sun sensor, and their slopes (n, F, 2, 3) by the Sun.
+
+        The angle of the components a across the sensor and b along its normal is arctan(a / b), of slope (b da - a db) / (a^2 +
+        b^2).
+        """
+        component = np.einsum("fsi,ni->nfs", self._axes, sun)
+        a, b = component[..., :2], component[..., 2:]
         across, normal = self._axes[:, :2], self._axes[:, 2:]
-        slope = high[..., None] * across - wide[..., None] * normal
-        square = np.maximum(high**2 + wide**2, 1e-6)
-        return np.arctan2(wide, high), slope / square[..., None]
+        slope = b[..., None] * across - a[..., None] * normal
+        square = np.maximum(b**2 + a**2, 1e-6)
+        return np.arctan2(a, b), slope / square[..., None]
 
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -331,14 +360,16 @@ def summed(weight: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 
 def _frame(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return axes (n, 3, 3), as columns, along the first vector (n, 3) and across it toward the second; a zero vector is any
-    one."""
-    known = (first != 0).any(axis=1, keepdims=True)
-    first = np.where(known, first, tangent_basis(second + UP * 1e-9)[0])
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
+    """Return axes (n, 3, 3), as columns: along the first vector (n, 3), across both, and across these two.
+
+    A vector that is zero may be any: then the axes are across the other one, or about it, anyhow.
+    """
+    is_known = (first != 0).any(axis=1, keepdims=True)
+    first = np.where(is_known, first, tangent_basis(second + UP * 1e-9)[0])
+    x = first / np.linalg.norm(first, axis=1, keepdims=True)
     size = np.linalg.norm(second, axis=1, keepdims=True)
-    across = np.cross(first, second / np.where(size > 0, size, 1.0))
-    flat = np.linalg.norm(across, axis=1, keepdims=True) < 1e-6
-    across = np.where(flat, tangent_basis(first)[0], across)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    return np.stack([first, across, np.cross(first, across)], axis=2)
+    y = np.cross(x, second / np.where(size > 0, size, 1.0))
+    is_parallel = np.linalg.norm(y, axis=1, keepdims=True) < 1e-6
+    y = np.where(is_parallel, tangent_basis(x)[0], y)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=2)

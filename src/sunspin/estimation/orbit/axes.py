@@ -10,8 +10,8 @@ from sunspin.estimation.orbit.invariants import (
     FEWEST,
     Predicted,
     angles,
-    calibrated,
     field_of,
+    fit_magnetometer,
 )
 from sunspin.estimation.orbit.readings import Readings
 from sunspin.telemetry.assess import Assessment
@@ -27,7 +27,7 @@ def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> C
     """Return the change of axes with which a magnetometer's angle to the Sun is the predicted one, if with those of the file it is
     not.
 
-    Of the predictions the first place counts. None also if other axes fit as well. The strength of the field determines zero and
+    Of the predictions the first offset counts. None also if other axes fit as well. The strength of the field determines zero and
     matrix but for a rotation or a mirror, so the angle alone compares the ways. If all axes point the other way, this is for the
     check of the orbit to say.
     """
@@ -35,16 +35,17 @@ def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> C
     if readings.has_angle.sum() < FEWEST or vehicle.sensors.magnetometer is None:
         return None
     readings, predicted = readings.take(use), predicted.take(use).at([0])
-    _, state, scales = calibrated(readings.without_sun(), predicted)
+    # by the strength alone
+    _, state, scales = fit_magnetometer(readings.without_sun(), predicted)
     field, known = field_of(readings.field, scales.in_T(state.unknown)[0]), predicted.angles()
     ways = changes_of_sensor(vehicle, "field_B")  # that of the file comes first
     off = [angles(field @ axes_matrix(way).T, readings.sun) - known for way in ways]
-    left = np.nanmedian(np.abs(off), axis=1)
-    best, second = np.argsort(left)[:2]
+    median = np.nanmedian(np.abs(off), axis=1)
+    best, second = np.argsort(median)[:2]
     if np.array_equal(axes_matrix(ways[best]), -np.eye(3)):
         return None
-    clear = left[best] < min(CLEARER * min(left[0], left[second]), LARGEST_ANGLE_RAD)
-    return ways[best] if clear else None
+    is_clear = median[best] < min(CLEARER * min(median[0], median[second]), LARGEST_ANGLE_RAD)
+    return ways[best] if is_clear else None
 
 
 def axes_matrix(way: Change) -> np.ndarray:
@@ -53,7 +54,7 @@ def axes_matrix(way: Change) -> np.ndarray:
 
 
 def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
-    """Return whether `FEWEST` samples or more show an angle between field and Sun that is not the predicted one (first place)."""
+    """Return whether `FEWEST` samples or more contradict the angle between field and Sun predicted at the first offset."""
     off = np.abs(angles(field_of(readings.field, calibration), readings.sun) - predicted.angles())
     known = np.isfinite(off)
     if known.sum() < FEWEST:

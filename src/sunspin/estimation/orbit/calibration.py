@@ -33,8 +33,8 @@ from sunspin.estimation.orbit.invariants import (
     ZERO,
     ZERO_SIGMA,
     Sky,
-    calibrated,
     field_of,
+    fit_magnetometer,
     residuals_left,
 )
 from sunspin.estimation.orbit.readings import Readings, read
@@ -63,8 +63,8 @@ FIRST_ROUNDS = 2
 WORSE = 1.3
 """A fit that leaves more of the field's strength than its start by this factor rests in another minimum."""
 
-CLUSTERS = 6
-"""Parts of a file, at least, that are left out in turn: passes, in pieces if they are fewer."""
+FEWEST_PARTS = 6
+"""Parts of a file, at least, that are left out in turn, as each may err as one: passes, in pieces if they are fewer."""
 
 OF_NORMAL = 0.83
 """Scale of Student's law with four degrees of freedom that fits normal noise of one sigma."""
@@ -116,8 +116,10 @@ class FieldCalibration:
 
         `field_along_N` (n, 3): change of the field by one sigma along the track, T.
         """
-        moved = self.errors[:, SHIFT:]  # (13, 1): how far each error moves the place
-        return moved * field_along_N[:, None]
+        by_error = self.errors[
+            :, SHIFT:
+        ]  # (13, 1): how far each error moves the place along the track, in sigmas
+        return by_error * field_along_N[:, None]
 
     def sigma_T(
         self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
@@ -129,10 +131,11 @@ class FieldCalibration:
         """
         field = self.field(reading)
         size, strength = np.linalg.norm(field, axis=1), np.linalg.norm(field_N, axis=1)
-        own = np.einsum("nei,ni->ne", self.columns(reading), field / size[:, None])
-        place = np.einsum("nei,ni->ne", self.along(field_along_N), field_N / strength[:, None])
+        # what one sigma of each error (n, e) changes in the strength that was read, and in the one that the orbit has
+        in_read = np.einsum("nei,ni->ne", self.columns(reading), field / size[:, None])
+        in_orbit = np.einsum("nei,ni->ne", self.along(field_along_N), field_N / strength[:, None])
         noise = np.hypot(self.noise_T, MODEL_SIGMA_T)
-        expected = np.sqrt(noise**2 + ((own - place) ** 2).sum(axis=1))
+        expected = np.sqrt(noise**2 + ((in_read - in_orbit) ** 2).sum(axis=1))
         return noise * np.fmax(np.abs(size - strength) / expected, 1.0)
 
     def of_axes(self, axes: np.ndarray) -> FieldCalibration:
@@ -218,15 +221,19 @@ class Calibration:
         return 1 + self.values[SENSORS:].reshape(self.sensors, EACH)[:, 2:]
 
     def of_field(self, shift_s: float, sigma_s: float) -> FieldCalibration:
-        """Return the magnetometer's part at another offset (s) with another sigma, as the covariance carries it there."""
+        """Return the magnetometer's part at another offset (s) with another sigma.
+
+        Given the offset, the other unknowns are where the regression on it has them. The errors are then turned from those of the
+        fit, reading = (1 + M) field + zero, to those of field = matrix reading - zero.
+        """
         covariance = self.covariance[FIELD, FIELD]
-        by_place = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]
+        by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]
         values = self.values.copy()
-        values[FIELD] += by_place * (shift_s - self.shift_s)
+        values[FIELD] += by_shift * (shift_s - self.shift_s)
         moved = replace(self, values=values)
-        other_sigma = sigma_s**2 - covariance[SHIFT, SHIFT]
-        covariance = covariance + other_sigma * np.outer(by_place, by_place)
-        # derivatives of matrix, zero and place by the unknowns; the matrix of a field is the inverse of one of a reading
+        added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
+        covariance = covariance + added_variance * np.outer(by_shift, by_shift)
+        # matrix is the inverse of 1 + M, so that its change is -matrix dM matrix; by rows that is a Kronecker product
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
         slope = np.zeros((13, 13))
         slope[MATRIX, MATRIX] = -np.kron(matrix, matrix.T) / self.scale_T
@@ -245,6 +252,8 @@ def along_orbit(
     `local`: the environment, in J2000 or in axes along the Sun. `known`: the fit by which the check of this orbit has estimated
     its along-track offset; else one is made here. Few readings give little more back than the priors, which are wide: then a fit
     of the motion estimates the rest.
+
+    The magnetometer is fitted to strength and angle first, which needs no start, then with the attitudes projected out.
     """
     orbit = local.orbit if isinstance(local, SunAlongZ) else local
     if not isinstance(orbit, Orbit) or "field_B" not in assessment.telemetry:
@@ -262,7 +271,7 @@ def along_orbit(
         way = turned_axes(readings, predicted, assessment.vehicle)
     axes = np.eye(3) if way is None else axes_matrix(way)
     readings = readings.with_axes(axes)
-    _, state, scales = calibrated(readings.take(use), predicted.take(use))
+    _, state, scales = fit_magnetometer(readings.take(use), predicted.take(use))
     values = scales.in_T(state.unknown)[0]
     left, _ = residuals_left(field_of(readings.field, values), readings.sun, predicted)
     start = Start(values[MATRIX].reshape(3, 3), values[ZERO], left_T=left)
@@ -321,7 +330,7 @@ def fit_along(
 ) -> Calibration:
     """Return the sensors calibrated by these readings, with the along-track offset and its drift.
 
-    `start`: near enough, as :func:`.invariants.calibrated` gets from anywhere. `prior` (D): as :func:`priors` gives it.
+    `start`: near enough, as :func:`.invariants.fit_magnetometer` gets from anywhere. `prior` (D): as :func:`priors` gives it.
     """
     half = int(np.clip(np.ceil(REACH * prior[SHIFT] / STEP_S), 4, MOST_STEPS))
     shifts = REACH * prior[SHIFT] / half * np.arange(-half, half + 1)
@@ -350,35 +359,44 @@ def fit_along(
         unknown = state.unknown[0]
         matrix = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3)) * unit_T / unit
         start = Start(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
-    return _answer(law, state, unit)
+    return _described(law, state, unit)
 
 
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
-    """Return the inverse covariance (D, D) of the unknowns before the data; the scale of the matrix is free."""
+    """Return the inverse covariance (D, D) of the unknowns before the data; the scale of the matrix is free.
+
+    `prior` (D): sigmas, that of the zero in readings; `unit`: of readings in the fit. The scale is the mean of the diagonal: along
+    its direction among the nine elements the sigma is :data:`SCALE_FREE`.
+    """
     sigma = prior.copy()
     sigma[ZERO] /= unit
     precision = np.diag(sigma**-2.0)
-    scale = (SCALE_FREE**-2 - MATRIX_SIGMA**-2) * np.outer(ISOTROPIC, ISOTROPIC)
-    precision[MATRIX, MATRIX] += scale
+    precision[MATRIX, MATRIX] += (SCALE_FREE**-2 - MATRIX_SIGMA**-2) * np.outer(
+        ISOTROPIC, ISOTROPIC
+    )
     return precision
 
 
-def _answer(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
-    """Return the answer of a fit whose readings of the field are in this unit."""
+def _described(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
+    """Return the calibration that a fit ends with, and its covariances; `unit`: of its readings of the field.
+
+    The jackknife leaves out each part of the file in turn. Where the unknowns go without it is one Newton step, as the gradients of
+    the remaining samples add to minus that of the part.
+    """
     unknown, r = state.unknown[0], law.readings
     best = law.settle(unknown, state.attitude[0])
     gradients = law.gradients(best)
     # expected weight of a sample under Student's law
     expected = (STUDENT + law.conditions) / (STUDENT + law.conditions + 2)
-    whole = law.precision + summed(expected, best.slope)
-    covariance, parts = np.linalg.inv(whole), _clusters(r.pass_of)
+    information = law.precision + summed(expected, best.slope)
+    covariance, part_of = np.linalg.inv(information), _parts_left_out(r.pass_of)
     steps = []
-    for k in range(parts.max() + 1):  # where the unknowns go without a part of the file
-        part = parts == k
-        rest = whole - summed(expected[part], best.slope[part])
-        steps.append(np.linalg.solve(rest, gradients[part].sum(axis=0)))
-    apart = np.array(steps) - np.mean(steps, axis=0)
-    robust = (1 - 1 / len(apart)) * apart.T @ apart + covariance @ law.precision @ covariance
+    for k in range(part_of.max() + 1):
+        part = part_of == k
+        of_rest = information - summed(expected[part], best.slope[part])
+        steps.append(np.linalg.solve(of_rest, gradients[part].sum(axis=0)))
+    off = np.array(steps) - np.mean(steps, axis=0)
+    robust = (1 - 1 / len(off)) * off.T @ off + covariance @ law.precision @ covariance
     residuals = np.array([law.left(law.stated_unknown(unknown)), law.left(unknown)])
     return Calibration(
         unknown,
@@ -402,10 +420,11 @@ def _answer(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
     )
 
 
-def _clusters(pass_of: np.ndarray) -> np.ndarray:
-    """Return the number (n), from zero, of the part of a file that may err as one: passes, in even pieces if they are few."""
+def _parts_left_out(pass_of: np.ndarray) -> np.ndarray:
+    """Return the number (n), from zero, of the part of a file that a sample is in: passes, in even pieces if they are few."""
     _, passes, counts = np.unique(pass_of, return_inverse=True, return_counts=True)
-    pieces = -(-CLUSTERS // len(counts))
-    # place of a sample in its pass; samples are in the order of time
-    place = np.arange(len(passes)) - np.searchsorted(passes, passes)
-    return np.unique(passes * pieces + place * pieces // counts[passes], return_inverse=True)[1]
+    pieces = -(-FEWEST_PARTS // len(counts))
+    # which sample of its pass it is; samples are in the order of time
+    index_in_pass = np.arange(len(passes)) - np.searchsorted(passes, passes)
+    piece = index_in_pass * pieces // counts[passes]
+    return np.unique(passes * pieces + piece, return_inverse=True)[1]

@@ -29,11 +29,11 @@ from sunspin.estimation.orbit.invariants import (
     FEWEST,
     MATRIX,
     ZERO,
-    Fits,
+    OffsetFits,
     Predicted,
     Sky,
     field_of,
-    fit,
+    fit_at_offsets,
     residuals_left,
 )
 from sunspin.estimation.orbit.readings import Readings, read
@@ -112,26 +112,27 @@ def check_orbit(
     s, assessment = settings, assess(vehicle, telemetry)
     shown = read(assessment, s.samples)
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-    prior = OrbitCheck(
+    unchecked = OrbitCheck(
         orbit.shift_s,
         along,
         drift_s_day=orbit.drift_s_day,
         drift_sigma_s_day=orbit.drift_sigma_s_day,
     )
     if not len(shown.t_s):
-        return prior
+        return unchecked
     # angles that are too few judge no orbit
     judging = shown if shown.has_angle.sum() >= FEWEST else shown.without_sun()
     trial = Trial(judging, along, s)
     here = trial.predicted(orbit)
-    own = trial.fits(here)
+    own = trial.fit(here)
     way = None
     if "sun_sensor_angle" not in assessment.telemetry:
         way = turned_axes(judging, here.at([own.best]), vehicle)
     if way is not None:  # from here on as if the vehicle file named the axes rightly
         trial = replace(trial, readings=judging.with_axes(axes_matrix(way)))
-        own = trial.fits(here)
+        own = trial.fit(here)
 
+    # the rank among comparison orbits, and what may overrule it: too little to rank by, and Sun in the shadow, which comes last
     rank = trial.rank(orbit, own, here, seed)
     readings, at_best = trial.readings, here.at([own.best])
     calibration = own.calibration[own.best]
@@ -153,7 +154,7 @@ def check_orbit(
     shift_s, shift_sigma_s, border = trial.shift(orbit, own)
     in_shadow = np.isfinite(readings.light) & (here.lit[own.best] < 0.5)
     answer = replace(
-        prior,
+        unchecked,
         shift_s=orbit.shift_s + shift_s,
         shift_sigma_s=shift_sigma_s,
         verdict=verdict,
@@ -217,27 +218,27 @@ class Trial:
         """Return what an orbit, or a comparison orbit, predicts at every offset."""
         return Sky.along(orbit, self.readings.t_s, self.shifts, node_rad, phase_s).invariants()
 
-    def fits(
+    def fit(
         self,
         predicted: Predicted,
         reach: float = np.inf,
         readings: Readings | None = None,
         scatter: np.ndarray | None = None,
-    ) -> Fits:
-        """Return an orbit's fits; only at every third offset if none of these comes near the cost `reach`, which would count.
+    ) -> OffsetFits:
+        """Return an orbit's fits at all offsets; at every third only, if none of these comes near the cost `reach` of its rival.
 
-        `readings`, `scatter`: others than those of the file and their noise.
+        `readings`, `scatter`: in place of those of the file and of their estimated noise.
         """
         readings = self.readings if readings is None else readings
         prior = self.prior(self.shifts)
         if np.isfinite(reach):
             third = slice(1, None, 3)
-            coarse = fit(readings, predicted.at(third), prior[third], scatter)
+            coarse = fit_at_offsets(readings, predicted.at(third), prior[third], scatter)
             if coarse.cost.min() > reach + self.s.near:
                 return coarse
-        return fit(readings, predicted, prior, scatter)
+        return fit_at_offsets(readings, predicted, prior, scatter)
 
-    def rank(self, orbit: Orbit, own: Fits, predicted: Predicted, seed: int) -> Rank:
+    def rank(self, orbit: Orbit, own: OffsetFits, predicted: Predicted, seed: int) -> Rank:
         """Return how an orbit compares with copies of random node and phase, and with other nodes.
 
         `own`, `predicted`: its fits, and what it predicts at every offset.
@@ -246,35 +247,36 @@ class Trial:
         nodes = rng.uniform(0, 2 * np.pi, count)
         phases = rng.uniform(0, orbit.elements[0].period_s, count)
         copies = [self.predicted(orbit, *pair) for pair in zip(nodes, phases, strict=True)]
-        ranked = [self.fits(copy, reach=float(own.cost.min())) for copy in copies]
+        ranked = [self.fit(copy, reach=float(own.cost.min())) for copy in copies]
         better = sum(int(copy.cost.min() <= own.cost.min()) for copy in ranked)
         winner = min([own, *ranked], key=lambda fits: fits.cost.min())
         mistaken = self.mistaken(predicted.at([own.best]), copies, winner)
         return Rank(better, mistaken, *self.other_node(orbit, own), float(winner.cost.min()))
 
-    def mistaken(self, right: Predicted, copies: list[Predicted], winner: Fits) -> float:
+    def mistaken(self, right: Predicted, copies: list[Predicted], winner: OffsetFits) -> float:
         """Return how many copies would fit better by chance if the orbit were right, by the noise of the best of all orbits.
 
-        `right`: its predictions at one offset. Without noise every copy leaves something of the data that `right` predicts, the
-        mean of the D by which its cost is higher. Noise of the data makes D vary by sqrt(2 D).
+        `right`: the predictions of the orbit at one offset, which become noiseless readings. The cost of a copy for these is higher
+        than that of the orbit by D. With noise the difference is normal, of mean D and sigma sqrt(2 D). It is negative, and the
+        copy fits better, with the probability erfc(sqrt(D) / 2) / 2.
         """
         scatter = np.minimum(winner.scatter[winner.best], self.s.most_scatter)
-        clean = as_predicted(self.readings, right, winner.calibration[winner.best])
-        zero = float(fit(clean, right, np.zeros(1), scatter).cost[0])
-        costs = [self.fits(copy, zero, clean, scatter).cost.min() for copy in copies]
-        higher = np.maximum(np.array(costs) - zero, 0)
+        noiseless = as_predicted(self.readings, right, winner.calibration[winner.best])
+        own_cost = float(fit_at_offsets(noiseless, right, np.zeros(1), scatter).cost[0])
+        costs = [self.fit(copy, own_cost, noiseless, scatter).cost.min() for copy in copies]
+        higher = np.maximum(np.array(costs) - own_cost, 0)
         return float((erfc(np.sqrt(higher) / 2) / 2).sum())
 
-    def other_node(self, orbit: Orbit, own: Fits) -> tuple[float, float]:
+    def other_node(self, orbit: Orbit, own: OffsetFits) -> tuple[float, float]:
         """Return the rotation of the node (rad) with which the orbit fits best, and how many times smaller residuals are then.
 
-        (0, 1) if none fits better.
+        That is (0, 1) if none fits better. N residuals that are all smaller by a factor lower the cost by N times its log.
         """
         count = self.readings.has_field.sum()
         if count < FEWEST:
             return 0.0, 1.0
         nodes = np.radians(self.s.nodes_deg)
-        costs = np.array([self.fits(self.predicted(orbit, node)).cost.min() for node in nodes])
+        costs = np.array([self.fit(self.predicted(orbit, node)).cost.min() for node in nodes])
         gain = (own.cost.min() - costs.min()) / (count + self.readings.has_angle.sum())
         return (float(nodes[costs.argmin()]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 
@@ -285,27 +287,27 @@ class Trial:
         """
         clocks = 3600.0 * np.array(self.s.hours)
         other = [replace(orbit, clock_s=orbit.clock_s + clock) for clock in clocks]
-        costs = [self.fits(self.predicted(one), lowest).cost.min() for one in other]
+        costs = [self.fit(self.predicted(one), lowest).cost.min() for one in other]
         return float(clocks[np.argmin(costs)]) if min(costs) < lowest - self.s.clearly else 0.0
 
     def opposite(self, at: Predicted) -> float:
         """Return the cost of the field with the opposite sign at one offset, without the offset's prior."""
         opposite = self.readings._replace(field=-self.readings.field)
-        return float(fit(opposite, at, np.zeros(1)).cost[0])
+        return float(fit_at_offsets(opposite, at, np.zeros(1)).cost[0])
 
-    def shift(self, orbit: Orbit, own: Fits) -> tuple[float, float, bool]:
-        """Return the offset in addition to the orbit's own, its sigma, and whether it is at the border of what was tried.
+    def shift(self, orbit: Orbit, own: OffsetFits) -> tuple[float, float, bool]:
+        """Return the offset in addition to the orbit's own (s), its sigma, and whether it is at the border of what was tried.
 
-        They are those of the density that falls with the cost, all minima counted. The sigma is at least what leaving out each
-        part of the file changes (jackknife): calibration drifts, and beacons of a pass err as one.
+        They are mean and sigma of the density exp(-cost), all minima counted. The sigma is at least what leaving out each part of
+        the file changes (jackknife): calibration drifts, and beacons of a pass err as one. `own`: the fits at all offsets.
         """
         s, tried = self.s, self.shifts
         step = tried[1] - tried[0]
-        deep = tried[own.cost < own.cost.min() + s.deep]
-        fine = np.linspace(deep.min() - step, deep.max() + step, s.fine)
+        likely = tried[own.cost < own.cost.min() + s.deep]
+        fine = np.linspace(likely.min() - step, likely.max() + step, s.fine)
         t_s = self.readings.t_s
         predicted = Sky.along(orbit, t_s, fine).invariants()
-        cost = fit(self.readings, predicted, self.prior(fine)).cost
+        cost = fit_at_offsets(self.readings, predicted, self.prior(fine)).cost
         mean, sigma = _moments(fine, cost)
         at_border = own.best < 2 or own.best > len(tried) - 3
         if len(t_s) < s.blocks * FEWEST / 2:
@@ -315,29 +317,32 @@ class Trial:
         means = []
         for block in np.array_split(np.arange(len(t_s)), s.blocks):
             rest = np.setdiff1d(np.arange(len(t_s)), block)
-            cost = fit(self.readings.take(rest), predicted.take(rest), self.prior(near)).cost
+            cost = fit_at_offsets(
+                self.readings.take(rest), predicted.take(rest), self.prior(near)
+            ).cost
             means.append(_moments(near, cost)[0])
-        apart = (1 - 1 / s.blocks) * ((np.array(means) - np.mean(means)) ** 2).sum()
-        return mean, max(sigma, s.few * float(np.sqrt(apart))), at_border
+        jackknife = (1 - 1 / s.blocks) * ((np.array(means) - np.mean(means)) ** 2).sum()
+        return mean, max(sigma, s.few * float(np.sqrt(jackknife))), at_border
 
 
 def as_predicted(readings: Readings, right: Predicted, calibration: np.ndarray) -> Readings:
     """Return the readings without noise: as they would be if the orbit were right, at its one offset.
 
     The field has the predicted strength and angle to the Sun, in the half plane where it was read; it is dark in the shadow.
+    `calibration` (12): matrix and zero by which fields become readings again.
     """
     dark = np.isfinite(readings.light) & (right.lit[0] < 0.5)
     readings = readings._replace(light=np.where(dark, 0.0, readings.light))
     if not np.isfinite(calibration).all():
         return readings
-    sun, unit = readings.sun, field_of(readings.field, calibration)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    across = unit - (unit * sun).sum(axis=1, keepdims=True) * sun
+    sun, read_unit = readings.sun, field_of(readings.field, calibration)
+    read_unit /= np.linalg.norm(read_unit, axis=1, keepdims=True)
+    across = read_unit - (read_unit * sun).sum(axis=1, keepdims=True) * sun
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     strength = right.strength[0][:, None]
     cosine = right.toward[0][:, None] / strength
-    turned = cosine * sun + np.sqrt(1 - cosine**2) * across
-    field = strength * np.where(np.isfinite(turned), turned, unit)
+    unit = cosine * sun + np.sqrt(1 - cosine**2) * across  # NaN without a Sun
+    field = strength * np.where(np.isfinite(unit), unit, read_unit)
     matrix = calibration[MATRIX].reshape(3, 3)
     return readings._replace(field=np.linalg.solve(matrix, (field + calibration[ZERO]).T).T)
 
@@ -381,7 +386,7 @@ def _calibrated(
 def _with_few_angles(answer: OrbitCheck, trial: Trial, at: Predicted) -> OrbitCheck:
     """Return the answer with the residual of angles that are too few to judge an orbit, and with the sign that they show."""
     readings = trial.readings
-    own = fit(readings, at, np.zeros(1))
+    own = fit_at_offsets(readings, at, np.zeros(1))
     clearly = trial.opposite(at) < own.cost[0] - trial.s.clearly
     field = field_of(readings.field, own.calibration[0])
     return replace(
@@ -416,9 +421,9 @@ def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, assessment: Assessment) 
 
 
 def _moments(shifts: np.ndarray, cost: np.ndarray) -> tuple[float, float]:
-    """Return mean and sigma of the offset (K) under the density that falls with the cost (K)."""
+    """Return mean and sigma in s of the offset under the density exp(-cost), given at even offsets `shifts` (K)."""
     weight = np.exp(cost.min() - cost)
     weight /= weight.sum()
     mean = float(weight @ shifts)
-    spacing = (shifts[1] - shifts[0]) ** 2 / 12
-    return mean, float(np.sqrt(weight @ (shifts - mean) ** 2 + spacing))
+    within_step = (shifts[1] - shifts[0]) ** 2 / 12  # variance of an even density over one step
+    return mean, float(np.sqrt(weight @ (shifts - mean) ** 2 + within_step))

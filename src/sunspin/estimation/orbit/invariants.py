@@ -1,8 +1,8 @@
 """Field strength, its angle to the Sun, and light: what a sample shows at any attitude, and a magnetometer calibrated by it.
 
-They are what is left of a sample's readings when its attitude is projected out. They depend on the place along the orbit alone, so
-that many places can be compared. At each of them the magnetometer is fitted: field = matrix reading - zero, where the matrix holds
-scale, soft iron and axes. Residuals have Student tails, and the scatter of strength and of angle is estimated.
+They are what is left of a sample's readings when its attitude is projected out. They depend on the along-track offset of an orbit
+alone, so that K offsets can be compared at once. At each of them the magnetometer is fitted: field = matrix reading - zero, where
+the matrix holds scale, soft iron and axes. Residuals have Student tails, and the scatter of strength and of angle is estimated.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ MATRIX, ZERO = slice(0, 9), slice(9, 12)
 
 
 class Sky(NamedTuple):
-    """Sun and field at n samples for K places along an orbit, in Earth-fixed axes.
+    """Sun and field at n samples for K along-track offsets of an orbit, in Earth-fixed axes.
 
     `shifts` (K): seconds of flight ahead of the orbit, evenly spaced; the orbit's own drift is included. `sun` (n, 3): unit
     directions; `field` (K, n, 3) in T; `lit` (K, n): visible part of the Sun; `days` (n) from the middle of the file.
@@ -80,7 +80,7 @@ class Sky(NamedTuple):
         node_rad: float = 0.0,
         phase_s: float = 0.0,
     ) -> Sky:
-        """Return the sky of an orbit, or of a comparison orbit: its node rotated, and `phase_s` farther along."""
+        """Return the sky at offsets `shifts` (K) of an orbit, or of a comparison orbit: node rotated, `phase_s` ahead."""
         when = orbit.instants(t_s)
         ahead = orbit.ahead_s(when) + phase_s + shifts[:, None]
         position, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, ahead)
@@ -101,12 +101,13 @@ class Sky(NamedTuple):
         They are those of cubics through four neighbouring shifts. Beyond the first and the last shift the field stays the same.
         """
         step, last = self.shifts[1] - self.shifts[0], len(self.shifts) - 1
-        place = (shift_s + drift_s_day * self.days - self.shifts[0]) / step
-        place = np.clip(place, 0.0, last)
-        first = np.clip(place.astype(int) - 1, 0, last - 3)
-        powers = np.vander(place - first, 4, increasing=True)  # 1, x, x^2, x^3, from the first
-        slopes = np.column_stack([np.zeros(len(place)), powers[:, :3] * [1.0, 2.0, 3.0]])
-        nodes = self.field[first[:, None] + np.arange(4), np.arange(len(place))[:, None]]
+        # the shift of each sample in steps from the first one, and the first of its four neighbours
+        steps = (shift_s + drift_s_day * self.days - self.shifts[0]) / step
+        steps = np.clip(steps, 0.0, last)
+        first = np.clip(steps.astype(int) - 1, 0, last - 3)
+        powers = np.vander(steps - first, 4, increasing=True)  # 1, x, x^2, x^3, from the first
+        slopes = np.column_stack([np.zeros(len(steps)), powers[:, :3] * [1.0, 2.0, 3.0]])
+        nodes = self.field[first[:, None] + np.arange(4), np.arange(len(steps))[:, None]]
         value, slope = (np.einsum("nk,nki->ni", part @ CUBIC.T, nodes) for part in (powers, slopes))
         return value, slope / step
 
@@ -121,29 +122,32 @@ CUBIC = np.linalg.inv(np.vander(np.arange(4.0), 4, increasing=True)).T
 
 
 class Predicted(NamedTuple):
-    """Predictions for K places: field strength (K, n) in T, its component toward the Sun (K, n) in T, visible part of the Sun (K,
+    """Predictions at K offsets: field strength (K, n) in T, its component toward the Sun (K, n) in T, visible part of the Sun (K,
     n)."""
 
     strength: np.ndarray
     toward: np.ndarray
     lit: np.ndarray
 
-    def at(self, places: Any) -> Predicted:
-        """Return the predictions for some places."""
-        return Predicted(*(part[places] for part in self))
+    def at(self, offsets: Any) -> Predicted:
+        """Return the predictions at some of the offsets, by index or slice."""
+        return Predicted(*(part[offsets] for part in self))
 
     def take(self, which: np.ndarray) -> Predicted:
         """Return the predictions for some samples."""
         return Predicted(*(part[:, which] for part in self))
 
     def angles(self) -> np.ndarray:
-        """Return the angles (n) in rad between field and Sun at the first place."""
+        """Return the angles (n) in rad between field and Sun at the first offset."""
         return np.arccos(np.clip(self.toward[0] / self.strength[0], -1, 1))
 
 
-class Fits(NamedTuple):
-    """Fits at K places: `cost` (K); `calibration` (K, 12), matrix and zero, NaN without a magnetometer; `scatter` (K, 2) of
-    strength, over the field, and of the component toward the Sun, in sigmas of the Sun."""
+class OffsetFits(NamedTuple):
+    """What fits of an orbit at K offsets give: minus their log posterior, and the magnetometer.
+
+    `cost` (K); `calibration` (K, 12): matrix and zero, NaN without a magnetometer; `scatter` (K, 2) of strength, over the field,
+    and of the component toward the Sun, in sigmas of the Sun.
+    """
 
     cost: np.ndarray
     calibration: np.ndarray
@@ -151,40 +155,42 @@ class Fits(NamedTuple):
 
     @property
     def best(self) -> int:
-        """Number of the place with the lowest cost."""
+        """Index of the offset with the lowest cost."""
         return int(self.cost.argmin())
 
 
-def fit(
+def fit_at_offsets(
     readings: Readings, predicted: Predicted, prior: np.ndarray, scatter: np.ndarray | None = None
-) -> Fits:
-    """Return the cost of K places in addition to their `prior` (K), with the magnetometer fitted at each.
+) -> OffsetFits:
+    """Return the cost of K offsets in addition to that of their `prior` (K), with the magnetometer fitted at each.
 
-    `scatter` (2): as in :class:`Fits`, if it is given and not estimated. All calibrations count, not the best alone: the cost has
-    the determinant of the unknowns' covariance (Laplace).
+    `scatter` (2): as in :class:`OffsetFits`, if it is given and not estimated. All calibrations count, not the best alone: the cost
+    has the determinant of the unknowns' covariance (Laplace).
     """
     use = readings.has_field
     cost = prior + eclipse_cost(readings.light, predicted.lit)
     if use.sum() < FEWEST:
         nothing = np.full((len(prior), 14), np.nan)
-        return Fits(cost, nothing[:, :12], nothing[:, 12:])
-    law, state, scales = calibrated(readings.take(use), predicted.take(use), scatter)
+        return OffsetFits(cost, nothing[:, :12], nothing[:, 12:])
+    law, state, scales = fit_magnetometer(readings.take(use), predicted.take(use), scatter)
     system = law.linearise(state)
     cost = cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2
-    return Fits(cost, scales.in_T(state.unknown), state.scatter)
+    return OffsetFits(cost, scales.in_T(state.unknown), state.scatter)
 
 
 def eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Return minus the log likelihood (K) of light and dark (n) where a part (K, n) of the Sun is predicted.
 
-    How often it is dark in the Sun is fitted: a side that no panel sees, an idle panel.
+    A sample is dark with a probability that is high in the shadow (:data:`SEEN_IN_SHADOW`). In the Sun, where no panel may look
+    there or a panel may be idle, it is the share of sunny samples that are dark, for each offset.
     """
     known = np.isfinite(light)
     dark, sunny = light[known] == 0, part[:, known]
     dark_in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
     dark_in_sun = np.clip(dark_in_sun, 0.5 / max(len(dark), 1), 1 - SEEN_IN_SHADOW)[:, None]
-    chance = sunny * dark_in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
-    return -np.where(dark, np.log(chance), np.log1p(-chance)).sum(axis=1)
+    probability_dark = sunny * dark_in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
+    log_likelihood = np.where(dark, np.log(probability_dark), np.log1p(-probability_dark))
+    return -log_likelihood.sum(axis=1)
 
 
 # -------------------------------------------------------------------------------------------------------------- the magnetometer
@@ -203,10 +209,11 @@ class Scales(NamedTuple):
 
 
 class MagnetometerState(NamedTuple):
-    """Fits at K places in the units of :class:`Scales`.
+    """A magnetometer at K offsets, while it is fitted, in the units of :class:`Scales`.
 
     `unknown` (K, 12): matrix less one, by rows, and zero. `strength`, `toward` (K, n): predictions. `scatter` (K, 2): as in
-    :class:`Fits`. `scale` (K): scale of the matrix, with which its soft iron grows; the first one is wrong if the zero is large.
+    :class:`OffsetFits`. `scale` (K): scale of the matrix, with which its soft iron grows; the first one is wrong if the zero is
+    large.
     """
 
     unknown: np.ndarray
@@ -216,13 +223,14 @@ class MagnetometerState(NamedTuple):
     scale: np.ndarray
 
 
-def calibrated(
+def fit_magnetometer(
     readings: Readings, predicted: Predicted, scatter: np.ndarray | None = None
 ) -> tuple[MagnetometerLaw, MagnetometerState, Scales]:
-    """Return the magnetometer's fit at each of K places by n samples that all have a field; `scatter` (2): if it is given.
+    """Return a magnetometer fitted at each of K offsets by n samples that all have a field; `scatter` (2): if it is given.
 
-    The strength of the field is fitted first, which gets near from anywhere. But noise in the readings draws such a fit to a
-    matrix that is too small, with far too large a zero (regression dilution). So the distance of the readings is fitted then.
+    First the strength is fitted as |matrix reading - zero| = predicted strength, which gets near from anywhere. But noise in the
+    readings draws such a fit to a matrix that is too small, with far too large a zero (regression dilution). Then, from there, the
+    distance of each reading from all readings of that strength is fitted, which has no such error.
     """
     size = np.linalg.norm(readings.field, axis=1)
     usual = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
@@ -236,23 +244,23 @@ def calibrated(
         np.tile(FIRST_SCATTER if scatter is None else scatter, (count, 1)),
         np.ones(count),
     )
-    # A search that begins without a zero may miss one that is several times the field.
-    zero, scale = sphere(readings.field / scales.reading, state.strength)
+    # A fit that begins without a zero may miss one that is several times the field: the better of two starts.
+    zero, scale = fit_sphere(readings.field / scales.reading, state.strength)
     unknown = np.column_stack([(scale - 1)[:, None] * np.eye(3).ravel(), scale[:, None] * zero])
-    round_start = state._replace(unknown=unknown, scale=scale)
-    state = law.settled(law.better(state, round_start), free)
+    from_sphere = state._replace(unknown=unknown, scale=scale)
+    state = law.settled(law.better(state, from_sphere), free)
 
     law = MagnetometerLaw(readings, scales, of_readings=True)
     if not free:
         return law, law.settled(state, free), scales
     state = law.settled(state._replace(scatter=law.scatter(state)), free)
-    # Each place may rest in a minimum of its own: begin again from the calibration of the best one.
+    # Each offset may rest in a minimum of its own: begin again from the calibration at the best one.
     best = np.full(count, law.linearise(state).cost.argmin())
     again = {name: getattr(state, name)[best] for name in ("unknown", "scatter", "scale")}
     return law, law.better(state, law.settled(state._replace(**again), free)), scales
 
 
-def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fit_sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the zero (K, 3) of readings (n, 3) and one scale for all axes (K), by field strengths (K, n).
 
     The condition |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2. It reads
@@ -265,9 +273,10 @@ def sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.nd
     normal = transposed @ design
     weak = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(5)
     best = np.linalg.solve(normal + weak, transposed @ square[:, None])[..., 0]
-    inverse_square, real = best[:, 4], best[:, 4] > 0
-    scale = np.where(real, np.maximum(inverse_square, 1e-12) ** -0.5, 1.0)
-    zero = np.where(real[:, None], best[:, :3], 0.0)
+    inverse_square = best[:, 4]
+    is_sphere = inverse_square > 0
+    scale = np.where(is_sphere, np.maximum(inverse_square, 1e-12) ** -0.5, 1.0)
+    zero = np.where(is_sphere[:, None], best[:, :3], 0.0)
     return zero, scale.clip(LEAST_SCALE, 1 / LEAST_SCALE)
 
 
@@ -295,25 +304,34 @@ class MagnetometerLaw:
         self.tied[MATRIX, MATRIX] = (np.eye(9) - np.outer(ISOTROPIC, ISOTROPIC)) / MATRIX_SIGMA**2
 
     def residuals(self, state: MagnetometerState) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return residuals (K, .) of strength and component, in units of their scatter, each with its Jacobian (K, ., 12)."""
+        """Return residuals (K, .) of strength and component, in units of their scatter, each with its Jacobian (K, ., 12).
+
+        With the matrix A, the field f = A reading - zero and its direction e, the residual of the strength is d = |f| - strength. A
+        change of the reading changes |f| by g = A^T e. So `of_readings` d / |g| is the distance of the reading, to first order,
+        from all readings of that strength.
+        """
         matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
         field = self.reading @ np.swapaxes(matrix, 1, 2) - state.unknown[:, None, ZERO]
         length = np.maximum(np.linalg.norm(field, axis=2), 1e-9)
         unit = field / length[..., None]
-        off, slope = length - state.strength, unit
-        steep, by_reading = np.ones(length.shape), unit @ matrix
+        off = length - state.strength  # d
+        by_field, by_reading = (
+            unit,
+            unit @ matrix,
+        )  # slopes of d by the field, and by the reading: g
+        steepness = np.ones(length.shape)  # |g|
         if self.of_readings:
-            # A reading changes the strength by matrix^T unit: divided by its size, the residual is a distance of readings. The
-            # Jacobian has the slope of that size, by the direction of the field here and by the matrix below.
-            steep = np.maximum(np.linalg.norm(by_reading, axis=2), 1e-9)
-            bent = by_reading @ np.swapaxes(matrix, 1, 2) - (steep**2)[..., None] * unit
-            slope = unit - (off / length / steep**2)[..., None] * bent
-        size = (steep * state.scatter[:, :1])[..., None]
-        by_strength = _by_unknown(slope / size, self.reading)
+            # The slope of d / |g| has that of |g| too. As e turns with f, |g| d|g| / df = (A g - |g|^2 e) / |f|; A follows below.
+            steepness = np.maximum(np.linalg.norm(by_reading, axis=2), 1e-9)
+            turning = by_reading @ np.swapaxes(matrix, 1, 2) - (steepness**2)[..., None] * unit
+            by_field = unit - (off / length / steepness**2)[..., None] * turning
+        size = (steepness * state.scatter[:, :1])[..., None]
+        by_strength = _by_unknown(by_field / size, self.reading)
         if self.of_readings:
-            part = (off / steep**2)[..., None] * unit / size
-            spun = part[..., :, None] * by_reading[..., None, :]
-            by_strength[..., MATRIX] -= spun.reshape(*off.shape, 9)
+            # |g| d|g| / dA = e g^T
+            outer = unit[..., :, None] * by_reading[..., None, :]
+            of_matrix = (off / steepness**2)[..., None, None] / size[..., None] * outer
+            by_strength[..., MATRIX] -= of_matrix.reshape(*off.shape, 9)
 
         sigma = state.strength[:, self.with_sun] * self.sigma * state.scatter[:, 1:]
         toward = (field[:, self.with_sun] * self.sun).sum(axis=2) - state.toward[:, self.with_sun]
@@ -336,7 +354,7 @@ class MagnetometerLaw:
         return DenseSystem(cost, matrix, slope)
 
     def settled(self, state: MagnetometerState, free: bool) -> MagnetometerState:
-        """Return the unknowns, their scale and, if `free`, the scatters, fitted in turn."""
+        """Return the state with unknowns and scale fitted and, if `free`, the scatters, in turn."""
         for _ in range(ROUNDS if free else 1):
             solution = least_squares(
                 self.linearise, _stepped, solve_dense, state, steps=STEPS, tolerance=TOLERANCE
@@ -360,14 +378,16 @@ class MagnetometerLaw:
         return np.stack(scatters, axis=1)
 
     def better(self, first: MagnetometerState, second: MagnetometerState) -> MagnetometerState:
-        """Return, for each place, the state that costs less."""
+        """Return, at each offset, the state that costs less."""
         wins = self.linearise(second).cost < self.linearise(first).cost
-        return MagnetometerState(
-            *(
-                np.where(wins.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
-                for old, new in zip(first, second, strict=True)
-            )
-        )
+        parts = []
+        for of_first, of_second in zip(
+            first, second, strict=True
+        ):  # the first axis of each part are the offsets
+            part = of_first.copy()
+            part[wins] = of_second[wins]
+            parts.append(part)
+        return MagnetometerState(*parts)
 
 
 ISOTROPIC = np.eye(3).ravel() / np.sqrt(3)
@@ -375,7 +395,7 @@ ISOTROPIC = np.eye(3).ravel() / np.sqrt(3)
 
 
 def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
-    """Return what the unknowns (K, m, 12) change in the component of the field along vectors (K, m, 3), at readings (m, 3)."""
+    """Return the slope (K, m, 12) by the unknowns of the field's component along vectors (K, m, 3), at readings (m, 3)."""
     jacobian = np.empty((*direction.shape[:2], 12))
     by_matrix = direction[..., :, None] * reading[:, None, :]
     jacobian[..., MATRIX] = by_matrix.reshape(*direction.shape[:2], 9)
@@ -405,7 +425,7 @@ def field_of(reading: np.ndarray, calibration: np.ndarray) -> np.ndarray:
 
 
 def residuals_left(field: np.ndarray, sun: np.ndarray, predicted: Predicted) -> tuple[float, float]:
-    """Return the median residuals of fields (n, 3) in T at the first place: of the strength (T), and of the angle to the Sun (rad).
+    """Return the median residuals of fields (n, 3) in T at the first offset: of the strength (T), of the angle to the Sun (rad).
 
     `sun` (n, 3): NaN where it was not read; the second is NaN if no sample shows both.
     """

@@ -14,7 +14,7 @@ from sunspin.telemetry.sun import SunStatus, signals
 from sunspin.vehicle.response.panels import opposite_panels
 
 WITH_BOTH = 0.5
-"""Share of the samples that is kept for those with field and Sun. The night shows the strength of the field and the shadow."""
+"""Share of the samples that is kept for those with field and Sun. The rest, the night too, shows the strength and the shadow."""
 
 EARTH_SHARE, EARTH_RAD, EARTH_ALIKE = 0.3, 0.1, 10
 """Nothing in a file separates the Sun from the Earth's light on a panel without an opposite one. Such a panel counts as sunlit
@@ -91,12 +91,15 @@ def _whole(vectors: np.ndarray) -> np.ndarray:
 
 
 def read(assessment: Assessment, most: int) -> Readings:
-    """Return at most `most` samples that show field, Sun or light, spread over the file; those with field and Sun come first."""
+    """Return at most `most` samples that show field, Sun or light, spread over the file; those with field and Sun come first.
+
+    A direction to the Sun is that of the panels or, where they were read, that of the Sun sensors.
+    """
     telemetry, vehicle = assessment.sensors, assessment.vehicle
     time = telemetry["time"].values
-    n, faces = len(time), len(vehicle.sensors.sun_sensors)
+    n, n_sensors = len(time), len(vehicle.sensors.sun_sensors)
     field = telemetry["field_B"].values if "field_B" in telemetry else np.full((n, 3), np.nan)
-    angle, y_turned = np.full((n, faces, 2), np.nan), np.zeros((n, faces), dtype=bool)
+    angle, y_turned = np.full((n, n_sensors, 2), np.nan), np.zeros((n, n_sensors), dtype=bool)
     if "sun_sensor_angle" in telemetry:
         angle = telemetry["sun_sensor_angle"].values
         y_turned = telemetry["sun_sensor_y_turned"].values != 0
@@ -111,7 +114,8 @@ def read(assessment: Assessment, most: int) -> Readings:
         status = directions["status"].values
         light = np.where(status == SunStatus.DARK, 0.0, 1.0)
         light[status == SunStatus.MISSING] = np.nan
-    panel_sun, of_panels = sun, by_earth
+    # what the panels alone show, for fits in which the Sun sensors may be off
+    panel_sun, panels_by_earth = sun, by_earth
     if "sun_sensor_B" in telemetry:
         stated = telemetry["sun_sensor_B"].values
         known = _whole(stated)
@@ -120,7 +124,7 @@ def read(assessment: Assessment, most: int) -> Readings:
         covariance = np.where(known[:, None, None], own, covariance)
         light = np.where(known, 1.0, np.where(np.isfinite(light), light, 0.0))
         by_earth = by_earth & ~known
-        if vehicle.sensors.sun_vector is not None and not faces and not assessment.has_panels:
+        if vehicle.sensors.sun_vector is not None and not n_sensors and not assessment.has_panels:
             panel_sun = stated
             panel_variance = np.full(n, vehicle.sensors.sun_vector.sigma_rad**2)
     # a direction without an error is no reading
@@ -134,14 +138,12 @@ def read(assessment: Assessment, most: int) -> Readings:
     )
     shows = readings.has_field | readings.has_sun | np.isfinite(light)
     use = spread_evenly(telemetry, shows, most, readings.has_field & readings.has_sun)
-    by_earth, of_panels, readings = by_earth[use], of_panels[use], readings.take(use)
-    # errors by the Earth's light, which the samples have in common
-    covariance = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
+    by_earth, panels_by_earth, readings = by_earth[use], panels_by_earth[use], readings.take(use)
+    # errors by the Earth's light, which the samples have in common; `panel_sigma` still holds a variance
+    added = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
     variance = np.nan_to_num(readings.panel_sigma, nan=1.0) + PANEL_RAD**2
-    variance = variance + earth_variance(of_panels.sum()) * of_panels
-    return readings._replace(
-        covariance=readings.covariance + covariance, panel_sigma=np.sqrt(variance)
-    )
+    variance = variance + earth_variance(panels_by_earth.sum()) * panels_by_earth
+    return readings._replace(covariance=readings.covariance + added, panel_sigma=np.sqrt(variance))
 
 
 def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
@@ -160,7 +162,10 @@ def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
 
 
 def earth_variance(count: int) -> float:
-    """Return the variance (rad^2) of each component of a direction that the Earth's light may disturb, as it is in `count`."""
+    """Return the variance (rad^2) of each component of a direction that the Earth's light may disturb, in `count` samples.
+
+    The mean of them is off by no less than that of :data:`EARTH_ALIKE` independent ones: their variance grows with the count.
+    """
     return EARTH_RAD**2 * max(count / EARTH_ALIKE, 1.0)
 
 
@@ -171,16 +176,17 @@ def spread_evenly(
 
     Of the samples that come `first` (n), as many are kept as an even spread has, or `WITH_BOTH` of all if this is more.
     """
-    use = np.flatnonzero(shows & ~find_late_frames(telemetry))
-    even, wanted = _even(use, most), use[first[use]]
-    enough = min(len(wanted), int(WITH_BOTH * most))
-    if len(even) == len(use) or first[even].sum() >= enough:
+    usable = np.flatnonzero(shows & ~find_late_frames(telemetry))
+    even, preferred = _even(usable, most), usable[first[usable]]
+    enough = min(len(preferred), int(WITH_BOTH * most))
+    if len(even) == len(usable) or first[even].sum() >= enough:
         return even
-    kept = _even(wanted, enough)
-    return np.sort(np.concatenate([kept, _even(np.setdiff1d(use, wanted), most - len(kept))]))
+    kept = _even(preferred, enough)
+    others = _even(np.setdiff1d(usable, preferred), most - len(kept))
+    return np.sort(np.concatenate([kept, others]))
 
 
 def _even(index: np.ndarray, most: int) -> np.ndarray:
     """Return at most `most` of these numbers, evenly spaced in their order."""
-    places = np.linspace(0, len(index) - 1, min(len(index), most)) if len(index) else []
-    return index[np.unique(np.asarray(places, dtype=int))]
+    which = np.linspace(0, len(index) - 1, min(len(index), most)) if len(index) else []
+    return index[np.unique(np.asarray(which, dtype=int))]

@@ -109,9 +109,11 @@ def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInS
     half_period = orbit.elements[0].period_s / 2
     prior_sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     reach = min(sigmas * prior_sigma + LEEWAY_S, half_period)
-    sunny, every, against = counts(np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1))
-    if not against.all():
+    within_prior = np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1)
+    sunny, every, contradicted = counts(within_prior)
+    if not contradicted.all():
         return SunInShadow()
+    # refused: which offsets beyond the prior, over the whole orbit, would be consistent
     steps = int(half_period / COARSE_S)
     offsets_s = COARSE_S * np.arange(-steps, steps + 1)
     consistent = offsets_s[~counts(offsets_s)[2]]
@@ -164,9 +166,9 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
     clear = np.asarray(sound & (assessment.sun["delta"].values < MISFIT))
     if clear.any() and vehicle.gain_unit != UNITS[vehicle.telemetry.quantity]:
         # full Sun is what the brighter samples of the file give, which may be noise
-        shine = brightness(vehicle, np.nan_to_num(value[sound]))
-        low, middle, high = np.quantile(shine, [0.16, 0.5, 0.84])
-        if clear.sum() < ALIKE * sound.sum() or high - low > 2 * SCATTER * middle:
+        of_sound = brightness(vehicle, np.nan_to_num(value[sound]))
+        low, median, high = np.quantile(of_sound, [0.16, 0.5, 0.84])
+        if clear.sum() < ALIKE * sound.sum() or high - low > 2 * SCATTER * median:
             clear = np.zeros_like(clear)
     return np.asarray(bright.any(axis=1)), clear
 
@@ -174,7 +176,10 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 def _in_full_shadow(
     orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
 ) -> np.ndarray:
-    """Return whether samples (K, n) are in the full shadow at along-track offsets (K) in s for every drift within the prior."""
+    """Return whether samples (K, n) at times t_s (n) are in the full shadow at along-track offsets (K) in s.
+
+    They are if they are so for every drift of the offset within so many `sigmas` of its prior.
+    """
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
     drift_s = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))
@@ -183,7 +188,7 @@ def _in_full_shadow(
     dark = np.ones(ahead_s.shape, dtype=bool)
     for side in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
         position, _ = orbit.states(when, ahead_s + side * drift_s)
-        # a place farther out sees the Earth as a smaller one is seen
+        # the shadow of an Earth smaller by DEPTH_M, seen from farther out in proportion
         outward = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
         dark &= sunlit_fraction(outward, np.broadcast_to(sun, position.shape)) == 0
     return dark

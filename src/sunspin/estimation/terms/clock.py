@@ -1,4 +1,4 @@
-"""How late the sensors other than the Sun's are behind the Sun of their row: one number, estimated with the motion."""
+"""The latency of all sensors other than the Sun's relative to the Sun of their row: one number, estimated with the motion."""
 
 from __future__ import annotations
 
@@ -35,5 +35,5 @@ class Latency(Term):
         return (Unknown("late_s", "clock", "s", self.late_s, self.sigma_s),)
 
     def for_search(self) -> list[Self]:
-        """Return none: a search takes the sensors for prompt, as it takes them for no better than its starts."""
+        """Return a latency of zero: it is small against the errors of starts, which a search adds to those of the sensors."""
         return [replace(self, late_s=0.0, sigma_s=0.0)]

@@ -88,35 +88,41 @@ class SunDirections(Term):
         )
 
     def without(self, sample: int) -> tuple[Self, float]:
-        """Return the directions without one, and its log density on a sphere: Student's law fills 2 pi times both its sigmas."""
+        """Return the directions without one, and its log density if it could be any direction.
+
+        The integral of Student's law of two numbers is 2 pi sigma_1 sigma_2, the area of the sphere is 4 pi.
+        """
         arrays = {name: getattr(self, name).copy() for name in self.per_sample}
         for array in arrays.values():
             array[sample] = np.nan
         covariance, direction = self.covariance[sample], self.direction_B[sample]
-        area = np.sqrt(np.linalg.det(covariance) / (direction @ covariance @ direction))
-        return replace(self, **arrays), float(min(np.log(area / 2), 0.0))
+        # the determinant is the product of the variances across the direction and along it
+        across = np.sqrt(np.linalg.det(covariance) / (direction @ covariance @ direction))
+        return replace(self, **arrays), float(min(np.log(across / 2), 0.0))
 
     def starts(self, sample: int) -> Starts:
-        """Return the direction or directions that a sample means, if it is sharp."""
-        if not (self.present()[sample] and np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2):
+        """Return the direction or directions that the reading of a sample may mean, if its error is small."""
+        sharp = np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2
+        if not (self.present()[sample] and sharp):
             return Starts()
         meanings = np.stack([self.direction_B[sample], self.other_B[sample]])
         return Starts(directions=meanings[np.isfinite(meanings[:, 0])])
 
     @cached_property
     def _whitened(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return both meanings: directions (n, 3) and roots (n, 3, 3) of inverse covariances, zero where there is none."""
-        pairs = []
-        for direction, covariance in (
-            (self.direction_B, self.covariance),
-            (self.other_B, self.other_covariance),
-        ):
+        """Return for the first and the second meaning: directions (n, 3), and W (n, 3, 3) that makes errors of unit size.
+
+        W^T W is the inverse covariance; both are zero where nothing was read.
+        """
+        first, second = (self.direction_B, self.covariance), (self.other_B, self.other_covariance)
+        meanings = []
+        for direction, covariance in (first, second):
             read = np.isfinite(covariance[:, 0, 0])
             white = np.zeros((len(read), 3, 3))
             inverse = np.linalg.inv(covariance[read])
             white[read] = np.swapaxes(np.linalg.cholesky(inverse), -1, -2)
-            pairs.append((np.where(read[:, None], direction, 0.0), white))
-        return pairs
+            meanings.append((np.where(read[:, None], direction, 0.0), white))
+        return meanings
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the whitened difference (K, n, 3) of predicted and read direction; of two meanings the nearer one counts."""
@@ -135,7 +141,10 @@ class SunDirections(Term):
 
 
 def _full_rank(direction: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return covariances (n, 3, 3) with an error along the direction (n, 3) too, NaN where there is no direction."""
+    """Return covariances (n, 3, 3) with an error along the direction (n, 3) too, NaN where there is no direction.
+
+    A unit vector has none, so that the covariance as it was read could not be inverted.
+    """
     along = np.einsum("ni,nij,nj->n", direction, covariance, direction)
     added = np.where(along < RADIAL_SIGMA**2, RADIAL_SIGMA**2, 0.0)
     projector = direction[:, :, None] * direction[:, None, :]

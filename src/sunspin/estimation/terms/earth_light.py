@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -34,17 +35,19 @@ LEAST_LIGHT = 1e-12
 AZIMUTHS = 8
 """Turns about the Sun from which a fit begins if nothing but the known light shows it."""
 
-CORNERS = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T / np.sqrt(3)
+CORNERS = np.array(list(product([-1.0, 1.0], repeat=3))) / np.sqrt(3)
 FIRST_DIRECTIONS, FIRST_SHARES = np.vstack([np.eye(3), -np.eye(3), CORNERS]), (0.4, 0.8)
-"""Where a fit begins: the best of these directions in N, with these parts of the prior's sigma."""
+"""Where a fit begins: the best of these directions in N, those to the faces and corners of a cube, with these parts of the prior's
+sigma."""
 
 
 @dataclass(frozen=True)
 class EarthLight:
-    """The light of a pass at n samples, in shares of full Sun.
+    """The prior of the light of a pass at n samples, in shares of full Sun.
 
-    `light_N` (n, b, 3): one sigma of each unknown of the vector; `zeros` (p), unit of the readings: one sigma of what each panel
-    reads too much; `known_N` (n, 3): the light that an orbit predicts, None without one.
+    The light is a vector: `known_N` (n, 3), which an orbit predicts, or zero without one, and b unknowns in addition. `light_N` (n,
+    b, 3): one sigma of each of them. `zeros` (p), unit of the readings: one sigma of what each panel reads too much. The unknowns u
+    (K, b + p) are those of the vector, then those of the zeros.
     """
 
     light_N: np.ndarray
@@ -62,12 +65,13 @@ class EarthLight:
         zeros = EARTH_ZERO * share * full
         if known_N is None:
             return cls(drifting(t_s, EARTH_WIDER * share / np.sqrt(3), LIGHT_TURN), zeros)
-        bright = np.linalg.norm(known_N, axis=1)
-        most = float(bright.max())
-        left = drifting(t_s, EARTH_KNOWN * max(most, share) / np.sqrt(3), LIGHT_TURN)
-        left = left * (bright / max(most, 1e-300))[:, None, None]
+        # one unknown for the reflectivity of the ground; six for what clouds and coasts add, in proportion to the light
+        brightness = np.linalg.norm(known_N, axis=1)
+        brightest = float(brightness.max())
+        clouds = drifting(t_s, EARTH_KNOWN * max(brightest, share) / np.sqrt(3), LIGHT_TURN)
+        clouds = clouds * (brightness / max(brightest, 1e-300))[:, None, None]
         reflectivity = REFLECTIVITY_SIGMA / REFLECTIVITY * known_N
-        return cls(np.concatenate([reflectivity[:, None], left], axis=1), zeros, known_N)
+        return cls(np.concatenate([reflectivity[:, None], clouds], axis=1), zeros, known_N)
 
     def take(self, samples: Any) -> EarthLight:
         """Return the light at some of the samples."""
@@ -83,20 +87,13 @@ class EarthLight:
         """Return those of the vector and the zero of each panel."""
         sizes = np.linalg.norm(self.light_N, axis=2).max(axis=0)
         names = [f"earth_light_{i}" for i in range(len(sizes))]
+        limits = np.full(len(sizes), np.inf)
         if self.known_N is not None:
             names = ["earth_reflectivity", *names[:-1]]
+            limits[0] = REFLECTIVITY / REFLECTIVITY_SIGMA  # no ground reflects less than nothing
         vector = [
-            Unknown(
-                name,
-                "earth_light",
-                "1",
-                0.0,
-                float(size),
-                i,
-                # no ground reflects less than nothing
-                REFLECTIVITY / REFLECTIVITY_SIGMA if name == "earth_reflectivity" else np.inf,
-            )
-            for i, (name, size) in enumerate(zip(names, sizes, strict=True))
+            Unknown(names[i], "earth_light", "1", 0.0, float(sizes[i]), i, float(limits[i]))
+            for i in range(len(sizes))
         ]
         zeros = [
             Unknown(f"zero_{name}", "panel_zero", "reading", 0.0, float(size), i)
@@ -107,9 +104,10 @@ class EarthLight:
     def on_panels(
         self, response: PanelResponse, gain: np.ndarray, attitude: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the light (K, n, p) on panels with factors `gain`, and its derivative (K, n, p, 3 + b + p).
+        """Return the light (K, n, p) on panels with factors `gain`, equation (earthlight) of docs/model.md, and its derivatives.
 
-        By a turn, and by the unknowns of the light and of the zeros, of which it does not hold the latter.
+        The derivatives (K, n, p, 3 + b + p) are those by a turn of the body, by the unknowns of the vector and by those of the
+        zeros. What the zeros add is not in the light (:meth:`zero`).
         """
         light_N = np.einsum("km,nmj->knj", u[:, self.of_light], self.light_N)
         light_N = light_N if self.known_N is None else light_N + self.known_N
@@ -122,8 +120,9 @@ class EarthLight:
         return power, np.concatenate([by_light @ cross_matrix(light_B), by_u, by_zero], axis=-1)
 
     def zero(self, u: np.ndarray) -> np.ndarray:
-        """Return what panels read too much (K, 1, p)."""
-        return (u[:, self.light_N.shape[1] :] * self.zeros)[:, None]
+        """Return what panels read too much (K, 1, p), alike in all samples."""
+        of_zeros = slice(self.of_light.stop, None)
+        return (u[:, of_zeros] * self.zeros)[:, None]
 
     def begin(
         self,
@@ -138,29 +137,37 @@ class EarthLight:
         """
         count, m = len(attitude), self.light_N.shape[1] + len(self.zeros)
         u, least, best = np.zeros((count, m)), np.full(count, np.inf), attitude
-        for back, trial in self._trials(m, about_sun):
-            new = cost(np.tile(trial, (count, 1)), attitude @ back)
+        for back, trial in self._first_guesses(m, about_sun):
+            turned = attitude @ back
+            new = cost(np.tile(trial, (count, 1)), turned)
             better = new < least
             u = np.where(better[:, None], trial, u)
-            best = np.where(better[:, None, None, None], attitude @ back, best)
+            best = np.where(better[:, None, None, None], turned, best)
             least = np.minimum(new, least)
         return best, u
 
-    def _trials(self, m: int, about_sun: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield places at which a fit may begin: what turns the attitudes (3, 3), and the unknowns (m)."""
+    def _first_guesses(self, m: int, about_sun: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield first guesses of the light: a rotation (3, 3) and the unknowns (m).
+
+        The rotation takes components in axes with z to the Sun to those in axes with z along the sum of Sun and Earth's light.
+        """
         if self.known_N is not None:
-            along = SUN_N + self.known_N.mean(axis=0)
-            across = np.cross(along / np.linalg.norm(along), SUN_N)
-            back = _rotation_by_sine(across)
+            # the light is known in N; if the turn about the Sun is not, several are tried
+            both = SUN_N + self.known_N.mean(axis=0)
+            back = _rotation_by_sine(np.cross(both / np.linalg.norm(both), SUN_N))
             for angle in 2 * np.pi / AZIMUTHS * np.arange(1 if about_sun else AZIMUTHS):
                 yield Rotation.from_rotvec(angle * SUN_N).as_matrix() @ back, np.zeros(m)
             return
         sigma = np.linalg.norm(self.light_N[0, 0])
         for direction in FIRST_DIRECTIONS:
             for share in FIRST_SHARES:
-                light, trial = share * np.sqrt(3) * direction, np.zeros(m)
-                back = _sun_first(sigma * light)
-                trial[:3] = light @ back
+                in_sigmas, trial = share * np.sqrt(3) * direction, np.zeros(m)
+                # Light is guessed in axes with z along the sum. Across z, Sun and light cancel.
+                light = sigma * in_sigmas
+                across = np.array([light[0], light[1], 0.0])
+                sun = -across + SUN_N * np.sqrt(max(1 - across @ across, 0.0))
+                back = _rotation_by_sine(np.cross(SUN_N, sun))
+                trial[:3] = in_sigmas @ back
                 yield back, trial
 
 
@@ -168,19 +175,20 @@ def pairs_differing(
     facing_B: np.ndarray,
     full: np.ndarray,
     readings: tuple[np.ndarray, np.ndarray],
-    alone: np.ndarray,
+    sigma_light_noise: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return readings and sigmas (n, p) with those of two opposite panels replaced by their difference, on the brighter one.
 
-    `readings`: values and sigmas if the Earth's light is modelled; `alone` (n, p): sigmas of a panel without an opposite one, with
-    the Earth's light as noise.
+    The darker one reads zero: so does a panel without Earth's light that faces away from the Sun. `facing_B` (p, 3): normals;
+    `full` (p): readings of full Sun; `readings`: values and sigmas (n, p) if the Earth's light is modelled; `sigma_light_noise` (n,
+    p): sigmas with that light as noise, for panels without an opposite one.
     """
     share, error = readings[0] / full, readings[1] / full
-    power, sigma = readings[0].copy(), alone.copy()
-    for i, j in np.argwhere(opposite_panels(facing_B)):
-        pair = np.isfinite(error[:, i]) & np.isfinite(error[:, j])
-        power[pair, i] = full[i] * np.maximum(share[pair, i] - share[pair, j], 0.0)
-        sigma[pair, i] = full[i] * np.hypot(error[pair, i], error[pair, j])
+    power, sigma = readings[0].copy(), sigma_light_noise.copy()
+    for i, j in np.argwhere(opposite_panels(facing_B)):  # each pair twice, as (i, j) and (j, i)
+        both = np.isfinite(error[:, i]) & np.isfinite(error[:, j])
+        power[both, i] = full[i] * np.maximum(share[both, i] - share[both, j], 0.0)
+        sigma[both, i] = full[i] * np.hypot(error[both, i], error[both, j])
     return power, sigma
 
 
@@ -188,10 +196,3 @@ def _rotation_by_sine(across: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) about a vector (3) that is as long as the sine of its angle."""
     size = np.linalg.norm(across)
     return Rotation.from_rotvec(across * np.arcsin(min(size, 1.0)) / max(size, 1e-300)).as_matrix()
-
-
-def _sun_first(light: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) from axes with z to the Sun to those with z to Sun and light together, in which light is (3)."""
-    across = np.array([light[0], light[1], 0.0])
-    sun = -across + SUN_N * np.sqrt(max(1 - across @ across, 0.0))
-    return _rotation_by_sine(np.cross(SUN_N, sun))

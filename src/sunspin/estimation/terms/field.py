@@ -14,9 +14,10 @@ from typing import ClassVar, Protocol, Self
 
 import numpy as np
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from sunspin.environment import Surroundings
-from sunspin.estimation.model import States, Unknown
+from sunspin.estimation.model import SUN_N, States, Unknown
 from sunspin.estimation.settings import FIELD_TURN
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.term import Residual, Term, drifting, facing, gaussian
@@ -27,9 +28,12 @@ from sunspin.vehicle.sensors import VARIABLES, Magnetometer
 FIELD_FACTOR = 5.0
 """A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
 
-WINDOW_S, FEWEST_IN_WINDOW, ALIKE = 300.0, 8, 30
+WINDOW_S, FEWEST_IN_WINDOW, SAME_ERROR = 300.0, 8, 30
 """The strength of the field changes by a parabola in so many s of a low orbit; a window with fewer readings is not used; soft iron
-makes the errors of so many neighbouring readings one."""
+gives so many neighbouring readings the same error, so that they count as one."""
+
+ZERO_ROUNDS, ZERO_OUTLIER = 3, 6.0
+"""Fits of a magnetometer's own zero, and the residual, over the median one, beyond which a reading is left out of the next."""
 
 SOFT_IRON = 0.05
 """One sigma of each element of the matrix of a magnetometer that is not calibrated: iron that bends the field, axes off by three
@@ -71,8 +75,13 @@ class FieldCalibration(Protocol):
 class FieldChange(Term):
     """Fields (n, 3) at times `t_s` (n), NaN where not read, with one `sigma`, in any unit: neighbours are compared.
 
-    `turn_rate` (rad/s): what the field turns any way in addition to its drift, of which `drift_N` (n, d, 3) is one sigma of each
-    unknown; `zero_B` (z, 3): one sigma of each error of the zero; `matrix_sigma`: of each element of the matrix of the sensor.
+    R is the turn of the body since the sample before, dt the time between both, e the error of a reading. Compared are
+
+        R (field_before - e_before) + dt drift    and    field - e.
+
+    `drift_N` (n, d, 3): one sigma of each unknown of the field's change in N, per s; `turn_rate` (rad/s): what the field turns any
+    way in addition, as noise. The error e is that of the zero, `zero_B` (z, 3) being one sigma of each of its unknowns, and that of
+    nine elements of the sensor's matrix, `matrix_sigma` each.
     """
 
     name: ClassVar[str] = "field"
@@ -111,9 +120,9 @@ class FieldChange(Term):
     def with_own_zero(self) -> Self:
         """Return the fields less the zero that their strengths show, and with its errors.
 
-        As a body turns, readings stay on a sphere about the zero, whose radius changes slowly: in each window of time the squares
-        of the readings less twice their product with the zero are a parabola. Only for a zero that the vehicle file states with a
-        sigma.
+        As a body turns, readings b stay on a sphere about the zero z, whose radius changes slowly: |b|^2 - 2 b . z is |b - z|^2 -
+        |z|^2, in each window of time a parabola. With the parabolas projected out that is linear in z. Only for a zero that the
+        vehicle file states with a sigma.
         """
         if not self.zero_B.any():
             return self
@@ -125,6 +134,7 @@ class FieldChange(Term):
             if len(here) < FEWEST_IN_WINDOW:
                 continue
             parabola = np.linalg.qr(np.vander((t_s[here] - t_s[here].mean()) / WINDOW_S, 3))[0]
+            # columns 0 to 2: slope of the condition by the zero; column 3: its value
             rows = np.column_stack([2 * self.field_B[here], (self.field_B[here] ** 2).sum(axis=1)])
             rows = rows - parabola @ (parabola.T @ rows)
             slopes.append(rows[:, :3])
@@ -134,14 +144,15 @@ class FieldChange(Term):
         slope, value = np.concatenate(slopes), np.concatenate(values)
         prior = np.linalg.inv(self.zero_B.T @ self.zero_B)
         zero, keep = np.zeros(3), np.ones(len(value), dtype=bool)
-        for _ in range(3):  # outliers leave, and the size of the field follows the zero
+        for _ in range(ZERO_ROUNDS):  # outliers leave, and the size of the field follows the zero
             size = np.nanmedian(np.linalg.norm(self.field_B - zero, axis=1))
             scatter = np.mean((value - slope @ zero)[keep] ** 2)
-            variance = max(scatter, (2 * size * self.sigma) ** 2) * ALIKE
+            # a square is off by twice the field times the noise; the soft iron's errors are alike in neighbours
+            variance = max(scatter, (2 * size * self.sigma) ** 2) * SAME_ERROR
             precision = prior + slope[keep].T @ slope[keep] / variance
             zero = np.linalg.solve(precision, slope[keep].T @ value[keep] / variance)
             off = np.abs(value - slope @ zero)
-            keep = off < 6 * np.median(off) + 1e-300
+            keep = off < ZERO_OUTLIER * np.median(off) + 1e-300
         covariance = np.linalg.inv(precision) + (SOFT_IRON * size) ** 2 * np.eye(3)
         return replace(self, field_B=self.field_B - zero, zero_B=np.linalg.cholesky(covariance).T)
 
@@ -166,71 +177,66 @@ class FieldChange(Term):
         return np.where(self.present(), inverse, 0.0)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return drift and change of the drift, the zero, and the matrix of the sensor."""
+        """Return drift and change of the drift, the zero, and the nine elements of the sensor's matrix by rows."""
         if not (self.present().any() and self.drift_N.shape[1]):
             return ()
-        sizes = np.linalg.norm(self.drift_N, axis=2).max(axis=0)
-        drift = [
-            Unknown(f"field_drift_{i}", "field_drift", "field s-1", 0.0, float(size), i)
-            for i, size in enumerate(sizes)
-        ]
-        zero = [
-            Unknown(f"field_zero_{i}", "field_zero", "field", 0.0, float(size), i)
-            for i, size in enumerate(np.linalg.norm(self.zero_B, axis=1))
-        ]
-        matrix = [
-            Unknown(f"field_matrix_{i}", "field_matrix", "1", 0.0, self.matrix_sigma, i)
-            for i in range(9 if self.matrix_sigma else 0)
-        ]
-        return (*drift, *zero, *matrix)
+        sigmas = {
+            "field_drift": ("field s-1", np.linalg.norm(self.drift_N, axis=2).max(axis=0)),
+            "field_zero": ("field", np.linalg.norm(self.zero_B, axis=1)),
+            "field_matrix": ("1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0)),
+        }
+        return tuple(
+            Unknown(f"{kind}_{i}", kind, unit, 0.0, float(sigma), i)
+            for kind, (unit, of_kind) in sigmas.items()
+            for i, sigma in enumerate(of_kind)
+        )
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the field of the sample before, carried by the turn of the body, and the errors in common, less the reading."""
+        """Yield the comparison (K, n, 3) of each field with the one before it, as the class has it, in sigmas."""
         there = self.present()
         if not there.any():
             return
         inverse = self._inverse_sigma()[:, None]
         read = np.nan_to_num(self.field_B)
-        before = np.concatenate([read[:1], read[:-1]])
-        previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
-        relative = states.attitude @ np.swapaxes(previous, -1, -2)
+        relative = states.attitude @ np.swapaxes(_before(states.attitude, axis=1), -1, -2)
         errors, by_u = np.zeros((len(u), *read.shape)), None
         drift = np.zeros_like(errors)
         if u.size:
-            # one sigma of each error of the sensor: zero, and elements of the matrix row by row
-            own = np.broadcast_to(self.zero_B.T, (len(read), 3, len(self.zero_B)))
+            # what one sigma of each unknown adds to a reading (n, 3, z + 9): zero, and elements of the matrix by rows
+            by_error = np.broadcast_to(self.zero_B.T, (len(read), 3, len(self.zero_B)))
             if self.matrix_sigma:
                 rows = np.einsum("ij,nk->nijk", np.eye(3), read).reshape(-1, 3, 9)
-                own = np.concatenate([own, self.matrix_sigma * rows], axis=-1)
+                by_error = np.concatenate([by_error, self.matrix_sigma * rows], axis=-1)
+            # and to the field (K, n, 3, d) since the sample before
             dt = np.diff(self.t_s, prepend=self.t_s[0])[:, None, None]
-            by_drift = np.concatenate([self.drift_N[:1], self.drift_N[:-1]]) * dt
-            by_drift = np.einsum("knij,nmj->knim", states.attitude, by_drift)
+            by_drift = np.einsum("knij,nmj->knim", states.attitude, _before(self.drift_N) * dt)
             of_drift = slice(0, by_drift.shape[-1])
+            of_errors = slice(of_drift.stop, None)
             drift = np.einsum("knim,km->kni", by_drift, u[:, of_drift])
-            errors = np.einsum("nim,km->kni", own, u[:, of_drift.stop :])
-            # what a sensor reads too much stays where it is while the field is carried on
-            before_own = np.concatenate([own[:1], own[:-1]])
-            by_u = np.concatenate([by_drift, own - relative @ before_own], axis=-1)
+            errors = np.einsum("nim,km->kni", by_error, u[:, of_errors])
+            by_u = np.concatenate([by_drift, by_error - relative @ _before(by_error)], axis=-1)
             by_u = by_u * inverse[..., None]
-        start = before - np.concatenate([errors[:, :1], errors[:, :-1]], axis=1)
-        carried = (relative @ start[..., None])[..., 0] + drift
-        value = (carried - read + errors) * inverse
+        true_before = _before(read) - _before(errors, axis=1)
+        expected = (relative @ true_before[..., None])[..., 0] + drift
+        value = (expected - (read - errors)) * inverse
         # a turn t moves a vector v of space by v x t
-        by_turn = cross_matrix(carried) * inverse[..., None]
-        by_previous = -relative @ cross_matrix(start) * inverse[..., None]
+        by_turn = cross_matrix(expected) * inverse[..., None]
+        by_previous = -relative @ cross_matrix(true_before) * inverse[..., None]
         yield Residual(value, by_turn, by_previous=by_previous, by_u=by_u, law=gaussian)
 
     def for_search(self) -> list[Self]:
-        """Return the fields as uncertain as the errors in common make neighbours, in a field that turns any way."""
+        """Return the fields without unknowns, whose errors are added to the noise, in a field that turns any way."""
         there = self.present()
         change = np.diff(self.field_B, axis=0, prepend=np.nan)[there]
         sigma = self.sigma
         if len(change) and self.zero_B.any():
-            # along the axis of a spin a zero moves no neighbour against the other: as the field's change weighs it
+            # Only the part of the zero across the axis of a spin moves neighbours against each other, and so does the field: the
+            # variance of the zero along the field's changes, weighed by their squares. An element of the matrix adds its share of
+            # each change.
             square = (change**2).sum()
-            moved = ((change @ self.zero_B.T) ** 2).sum() / square
-            moved += self.matrix_sigma**2 * square / len(change)
-            sigma = float(np.hypot(sigma, np.sqrt(moved)))
+            variance = ((change @ self.zero_B.T) ** 2).sum() / square
+            variance += self.matrix_sigma**2 * square / len(change)
+            sigma = float(np.hypot(sigma, np.sqrt(variance)))
         return [
             replace(
                 self,
@@ -243,21 +249,22 @@ class FieldChange(Term):
         ]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the fields with what a drift of the start turns them."""
+        """Return the fields with what drifts (n) of a start, in rad, turn the largest field added to their errors."""
         size = np.linalg.norm(np.nan_to_num(self.field_B), axis=1).max(initial=0.0)
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad.max() * size / 2)))
 
     def without(self, sample: int) -> tuple[Self, float]:
         """Return the fields without one, and the log density of its comparisons if its direction were any.
 
-        That is the mean of the law over the sphere to which the field before can be carried.
+        That is the mean of exp(-|a - b|^2 / (2 sigma^2)) over all directions between fields of the sizes a and b. With k = a b /
+        sigma^2 it is exp(-(a - b)^2 / (2 sigma^2)) (1 - exp(-2 k)) / (2 k).
         """
         there = np.flatnonzero(self.present())
         lost = there[(there == sample) | (there == sample + 1)]
-        start, end = (np.linalg.norm(self.field_B[lost - back], axis=1) for back in (1, 0))
+        before, after = (np.linalg.norm(self.field_B[lost - back], axis=1) for back in (1, 0))
         precision = self._inverse_sigma()[lost] ** 2
-        both = start * end * precision
-        log = np.log(-np.expm1(-2 * both) / (2 * both)) - (start - end) ** 2 * precision / 2
+        k = before * after * precision
+        log = np.log(-np.expm1(-2 * k) / (2 * k)) - (before - after) ** 2 * precision / 2
         fields = self.field_B.copy()
         fields[sample] = np.nan
         return replace(self, field_B=fields), float(log.sum())
@@ -267,8 +274,9 @@ class FieldChange(Term):
 class KnownField(Term):
     """Readings `read_B` (n, 3) in T, NaN where none, `sigma_T` (n) of each component, and the field there `field_N` (n, 3).
 
-    `own_B`, `along_N` (n, e, 3): what one sigma of each of e errors changes in both. They are errors of the sensor's zero and
-    matrix and, with them, of the place along the track, which moves the field of all samples together. `noise_T`: of a component.
+    There are e errors that all samples have in common: of the sensor's zero and matrix and of the place along the track, as the
+    calibration has left them. One sigma of each changes a reading by `own_B` (n, e, 3), and the field there by `along_N` (n, e, 3).
+    `noise_T`: of a component.
     """
 
     name: ClassVar[str] = "field"
@@ -322,7 +330,7 @@ class KnownField(Term):
         )
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the known field less the reading, both with the errors in common."""
+        """Yield the known field less the reading (K, n, 3), both with the errors in common, in sigmas."""
         there = self.present()
         if not there.any():
             return
@@ -330,11 +338,12 @@ class KnownField(Term):
         field_B = np.einsum("knij,nj->kni", states.attitude, self.field_N)
         read, by_u = np.nan_to_num(self.read_B), None
         if u.size:
-            along = np.einsum("knij,nej->knie", states.attitude, self.along_N)
-            own = np.swapaxes(np.nan_to_num(self.own_B), 1, 2)
-            field_B = field_B + np.einsum("knie,ke->kni", along, u)
-            read = read + np.einsum("nie,ke->kni", own, u)
-            by_u = (along - own) * inverse[..., None]
+            # axes: candidate k, sample n, component i, error e
+            by_place = np.einsum("knij,nej->knie", states.attitude, self.along_N)
+            by_sensor = np.swapaxes(np.nan_to_num(self.own_B), 1, 2)
+            field_B = field_B + np.einsum("knie,ke->kni", by_place, u)
+            read = read + np.einsum("nie,ke->kni", by_sensor, u)
+            by_u = (by_place - by_sensor) * inverse[..., None]
         by_turn = cross_matrix(field_B) * inverse[..., None]
         yield Residual((field_B - read) * inverse, by_turn, by_u=by_u)
 
@@ -346,35 +355,32 @@ class KnownField(Term):
             return attitude, u
         read_N = np.einsum("knji,nj->kni", states.attitude[:, there], self.read_B[there])
         known, weight = self.field_N[there], 1 / self.sigma_T[there] ** 2
-        # N is turned by the angle about z that carries the known field to the one read, as far as both lie across z
+        # the angle about z, the Sun, that takes the components across z of the known fields to those of the readings: weighted
+        # sums of |known| |read| times its sine and its cosine
         sine = ((known[:, 0] * read_N[..., 1] - known[:, 1] * read_N[..., 0]) * weight).sum(axis=1)
         cosine = ((known[:, :2] * read_N[..., :2]).sum(axis=2) * weight).sum(axis=1)
-        angle = np.arctan2(sine, cosine)
-        about = np.zeros((len(angle), 3, 3))
-        about[:, 0, 0] = about[:, 1, 1] = np.cos(angle)
-        about[:, 1, 0], about[:, 0, 1] = np.sin(angle), -np.sin(angle)
-        about[:, 2, 2] = 1.0
-        return attitude @ about[:, None], u
+        about_z = Rotation.from_rotvec(np.arctan2(sine, cosine)[:, None] * SUN_N).as_matrix()
+        return attitude @ about_z[:, None], u
 
     def for_search(self) -> list[Term]:
         """Return the comparison of neighbours: a search does not know the turn about the Sun."""
-        # a zero turns with the body, so neighbours differ by its error; axes that are turned turn all readings alike
-        own = np.sqrt(
-            np.nanmedian((_not_turned(self.own_B, self.read_B) ** 2).sum(axis=(1, 2))) / 3
-        )
-        none = np.zeros((len(self.t_s), 0, 3))
-        return [
-            FieldChange(self.t_s, self.read_B, float(np.hypot(self.noise_T, own)), drift_N=none)
-        ]
+        # An error of the axes turns all readings alike, which no comparison of neighbours shows: it is left out of the sigma.
+        left = _without_rotation(self.own_B, self.read_B)
+        own_T = np.sqrt(np.nanmedian((left**2).sum(axis=(1, 2))) / 3)
+        sigma, none = float(np.hypot(self.noise_T, own_T)), np.zeros((len(self.t_s), 0, 3))
+        return [FieldChange(self.t_s, self.read_B, sigma, drift_N=none)]
 
     def without_errors(self) -> Self:
-        """Return the readings without errors in common, as uncertain as these make them."""
+        """Return the readings without unknowns, whose errors are added to the noise."""
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, own)
         return replace(self, sigma_T=sigma, own_B=self.own_B[:, :0], along_N=self.along_N[:, :0])
 
     def without(self, sample: int) -> tuple[Self, float]:
-        """Return the readings without one, and its log density: a direction to a sigma fills that part of the sphere."""
+        """Return the readings without one, and its log density if its direction were any.
+
+        A direction known to an angle a fills 2 pi a^2 of the sphere's 4 pi.
+        """
         share = self.sigma_T[sample] ** 2 / (2 * (self.field_N[sample] ** 2).sum())
         read = self.read_B.copy()
         read[sample] = np.nan
@@ -390,17 +396,17 @@ class KnownField(Term):
         return SunDirections.of(unit, variance[:, None, None] * np.eye(3))
 
     def frames(self) -> np.ndarray:
-        """Return matrices (n, 3, 3) from N to axes with z along the field, which turn as little as the field does."""
+        """Return matrices (n, 3, 3) from N to axes with z along the field, without a turn about the field from one to the next."""
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
-        made = [facing(unit[0]).T]
+        frames = [facing(unit[0]).T]
         for before, after in zip(unit, unit[1:], strict=False):
-            # the rotation that takes the new direction to the old one, column by column
+            # the smallest rotation that takes the new direction to the old one, column by column
             back = rotate_by_smallest(np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3)).T
-            made.append(made[-1] @ back)
-        return np.array(made)
+            frames.append(frames[-1] @ back)
+        return np.array(frames)
 
     def turning(self) -> np.ndarray:
-        """Return the rates (n, 3) in rad/s, in N, at which these axes turn."""
+        """Return the rates (n, 3) in rad/s, in N, at which the axes of :meth:`frames` turn: unit x d(unit)/dt."""
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
         return np.cross(unit, np.gradient(unit, self.t_s, axis=0))
 
@@ -442,13 +448,22 @@ def without_outliers(fields: np.ndarray) -> np.ndarray:
     return np.where((size <= FIELD_FACTOR * usual)[:, None], fields, np.nan)
 
 
-def _not_turned(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """Return what is left of errors (n, e, 3) of fields (n, 3) after the common rotation that is most like each."""
+def _without_rotation(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:
+    """Return errors (n, e, 3) of fields b (n, 3) less their part r x b, with one rotation r for all samples.
+
+    Least squares for each error: (sum of |b|^2 - b b^T) r = sum of b x error.
+    """
     read = np.isfinite(fields).all(axis=1)
     field_B, error = fields[read], errors[read]
-    spread = (field_B**2).sum() * np.eye(3) - field_B.T @ field_B
+    normal = (field_B**2).sum() * np.eye(3) - field_B.T @ field_B
     moment = np.cross(field_B[:, None], error).sum(axis=0)
-    rotation = moment @ np.linalg.pinv(spread, rcond=1e-6, hermitian=True)
+    rotation = moment @ np.linalg.pinv(normal, rcond=1e-6, hermitian=True)
     left = errors.copy()
     left[read] -= np.cross(rotation, field_B[:, None])
     return left
+
+
+def _before(values: np.ndarray, axis: int = 0) -> np.ndarray:
+    """Return values with those of the sample before in place of each, and the first twice; `axis`: that of the samples."""
+    index = np.maximum(np.arange(values.shape[axis]) - 1, 0)
+    return np.take(values, index, axis=axis)

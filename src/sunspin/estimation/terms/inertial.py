@@ -61,14 +61,14 @@ class Gyro(Term):
 
     @property
     def _columns(self) -> np.ndarray:
-        """Return what one sigma of each unknown adds to the readings (n, 3, m) in rad/s."""
-        # in the order of `unknowns`; an error of the scale is in proportion to the rate, for which the reading stands
-        read = self.present()[:, None, None]
-        zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]
-        columns = [np.broadcast_to(zero, (len(read), *zero.shape))]
+        """Return what one sigma of each unknown, in their order, adds to the readings (n, 3, m) in rad/s."""
+        was_read = self.present()[:, None, None]
+        zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]  # of axes whose zero is not known
+        columns = [np.broadcast_to(zero, (len(was_read), *zero.shape))]
         if self.scale_sigma:
+            # in proportion to the rate, for which the reading stands
             columns.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
-        return read * np.concatenate(columns, axis=-1)
+        return was_read * np.concatenate(columns, axis=-1)
 
     def unknowns(self) -> tuple[Unknown, ...]:
         """Return the zero of each axis and the scale, if they are not known."""
@@ -94,12 +94,12 @@ class Gyro(Term):
         return (*zeros, *([scale] if self.scale_sigma else []))
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the rate and the errors in common less the reading."""
-        read = self.present()[:, None]
-        if not read.any():
+        """Yield the rate and the errors in common less the reading (K, n, 3), in sigmas."""
+        was_read = self.present()[:, None]
+        if not was_read.any():
             return
-        value = read * (states.omega - np.nan_to_num(self.rate_B)) / self.sigma
-        by_rate = np.broadcast_to(read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
+        value = was_read * (states.omega - np.nan_to_num(self.rate_B)) / self.sigma
+        by_rate = np.broadcast_to(was_read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
         if not u.size:
             yield Residual(value, by_rate=by_rate)
             return
@@ -109,7 +109,10 @@ class Gyro(Term):
         yield Residual(value, by_rate=by_rate, by_u=by_u)
 
     def for_search(self) -> list[Self]:
-        """Return the gyro without errors in common, as uncertain as they make it; a zero that is not stated is believed."""
+        """Return the gyro without unknowns, whose errors are added to the noise.
+
+        A zero whose sigma the file does not state is left out: 3 deg/s, the largest it may be, would be no gyro.
+        """
         columns = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._columns
         common = np.sqrt((columns**2).sum(axis=(1, 2)).mean() / 3) if columns.size else 0.0
         sigma = float(np.hypot(self.sigma, common))
@@ -120,16 +123,20 @@ class Gyro(Term):
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
     def without(self, sample: int) -> tuple[Self, float]:
-        """Return the gyro without a reading, and its log density among rates of the size of those that it reads."""
+        """Return the gyro without a reading, and its log density among rates of the size of those that it reads.
+
+        A bad reading comes from a normal law of their mean square s^2. In the measure of the cost its log density is the log of the
+        integral of Student's law, less 3/2 log(2 pi s^2) + |reading|^2 / (2 s^2).
+        """
         read = self.rate_B[self.present()]
-        square = max(float((read**2).mean()), self.sigma**2)
-        # the integral of Student's law over three numbers with this sigma
-        filled = (FREEDOM * np.pi * self.sigma**2) ** 1.5 * gamma((FREEDOM - 1) / 2)
-        filled /= gamma((FREEDOM + 2) / 2)
-        size = (self.rate_B[sample] ** 2).sum() / (2 * square)
+        variance = max(float((read**2).mean()), self.sigma**2)
+        # the integral over three numbers of (1 + |x|^2 / (FREEDOM sigma^2)) to the power -(FREEDOM + 2) / 2
+        integral = (FREEDOM * np.pi * self.sigma**2) ** 1.5 * gamma((FREEDOM - 1) / 2)
+        integral /= gamma((FREEDOM + 2) / 2)
+        exponent = (self.rate_B[sample] ** 2).sum() / (2 * variance)
         rates = self.rate_B.copy()
         rates[sample] = np.nan
-        log_density = np.log(filled) - 1.5 * np.log(2 * np.pi * square) - size
+        log_density = np.log(integral) - 1.5 * np.log(2 * np.pi * variance) - exponent
         return replace(self, rate_B=rates), float(min(log_density, 0.0))
 
     def starts(self, sample: int) -> Starts:
@@ -173,17 +180,21 @@ class AttitudeChange(Term):
         return read & np.concatenate([[False], read[:-1]])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the turn since the sample before less that of the attitudes: both nearly alike, so that turns add as vectors."""
+        """Yield the turn (K, n, 3) of the body since the sample before less the one read, in sigmas.
+
+        Both are nearly alike, so that small turns add as vectors: that gives the derivatives.
+        """
         there = self.present()
         if not there.any():
             return
         before = np.concatenate([self.B_from_N[:1], self.B_from_N[:-1]])
-        given = self.B_from_N @ np.swapaxes(before, -1, -2)
-        given = np.where(there[:, None, None], given, np.eye(3))
+        turn_read = self.B_from_N @ np.swapaxes(before, -1, -2)
+        turn_read = np.where(there[:, None, None], turn_read, np.eye(3))
         previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
         relative = states.attitude @ np.swapaxes(previous, -1, -2)
         inverse = np.where(there, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
-        value = rotation_between(np.broadcast_to(given, relative.shape), relative) * inverse
+        turn_read = np.broadcast_to(turn_read, relative.shape)
+        value = rotation_between(turn_read, relative) * inverse
         by_turn = np.broadcast_to(np.eye(3) * inverse[..., None], relative.shape)
         by_previous = -relative * inverse[..., None]
         yield Residual(value, by_turn, by_previous=by_previous, law=gaussian)
@@ -193,13 +204,16 @@ class AttitudeChange(Term):
         return replace(self, sigma_rad=float(np.hypot(self.sigma_rad, drift_rad.max())))
 
     def without(self, sample: int) -> tuple[Self, float]:
-        """Return the attitudes without one, and the log density of its comparisons among all turns, whose measure is 8 pi^2."""
+        """Return the attitudes without one, and the log density of its comparisons if its turn were any.
+
+        Each comparison, a normal law of variance 2 sigma^2, fills (4 pi sigma^2)^(3/2) of the 8 pi^2 of all turns.
+        """
         there = self.present()
         lost = int(there[sample]) + int(sample + 1 < len(there) and there[sample + 1])
-        filled = (2 * np.pi * 2 * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
+        share = (4 * np.pi * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
         read = self.B_from_N.copy()
         read[sample] = np.nan
-        return replace(self, B_from_N=read), lost * min(float(np.log(filled)), 0.0)
+        return replace(self, B_from_N=read), lost * min(float(np.log(share)), 0.0)
 
     def starts(self, sample: int) -> Starts:
         """Return the rates of the turn from a sample to the next, with whole turns more and less."""

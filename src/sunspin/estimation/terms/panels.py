@@ -1,8 +1,13 @@
 """Powers or currents of solar panels. By what law they see light only the vehicle's response knows.
 
-Distance to the Sun, temperature and battery change all readings of a sample by one factor. It is put at its best for each motion
-(variable projection, Kaufman 1975, BIT 15, 49): the prior of the factor is one more residual, so that a factor known, half known
-and free are one formula. Gains are unknowns of a pass.
+The reading of panel p at a sample is predicted as
+
+    factor * scale * (gain_p * (sun_up * sunlight_p + earthlight_p) + zero_p)
+
+Gains are unknowns of a pass; Earth's light and zeros are too, if there is such light (:mod:`.earth_light`). The factor, near one,
+is what distance to the Sun, temperature and battery do to all readings of a sample alike. It is no unknown of the fit: for each
+motion it is put at its best (variable projection, Kaufman 1975, BIT 15, 49). Its prior, (factor - 1) / scale_sigma, is one more
+residual, so that a factor known, half known and free are one formula.
 """
 
 from __future__ import annotations
@@ -74,16 +79,17 @@ class Instants(NamedTuple):
 
 @dataclass(frozen=True)
 class Panels(Term):
-    """Readings `power` (n, p) with `sigma` (n, p), infinite where nothing was read.
+    """Readings `power` (n, p) with the `sigma` (n, p) that counts, infinite where nothing was read.
 
     `gain` (p): factors on the gains of the `response`; `gain_errors` (e, p): one sigma of each independent error of them.
     `scale` (n) with `scale_sigma` (n), relative: the factor of all readings of a sample. `names` (p); `ever_shown` (p): whether a
     panel counts in any sample of the file.
 
-    `earth_share`: the light on sides that look at the Earth, as a share of full Sun; `alone` (n, p): sigmas with that light as
-    noise, which count unless `earth`, the light of one pass, is modelled; `modelled` (n, p): those that count then. `known_N` (n,
-    3): the light that an orbit predicts, None without one. `lit` (n): the part of the Sun that is up; `dark_sigma` (n, p): of
-    readings in the shadow of the Earth.
+    `earth_share`: the Earth's light on sides that look at the Earth, as a share of full Sun; `earth`: its model for one pass, None
+    if there is none. `sigma_light_noise` (n, p): sigmas with that light as noise, which count without a model;
+    `sigma_light_modelled` (n, p): those that count with it. `known_N` (n, 3): the light that an orbit predicts, None without one.
+
+    `sun_up` (n): 1 in the Sun, 0 in the Earth's shadow; `dark_sigma` (n, p): sigmas of readings in the shadow.
     """
 
     name: ClassVar[str] = "panels"
@@ -92,12 +98,12 @@ class Panels(Term):
     per_sample: ClassVar[tuple[str, ...]] = (
         "power",
         "sigma",
-        "alone",
-        "modelled",
+        "sigma_light_noise",
+        "sigma_light_modelled",
         "dark_sigma",
         "scale",
         "scale_sigma",
-        "lit",
+        "sun_up",
     )
 
     power: np.ndarray
@@ -110,10 +116,10 @@ class Panels(Term):
     names: tuple[str, ...]
     instants: Instants
     ever_shown: np.ndarray
-    alone: np.ndarray
-    modelled: np.ndarray
+    sigma_light_noise: np.ndarray
+    sigma_light_modelled: np.ndarray
     dark_sigma: np.ndarray
-    lit: np.ndarray
+    sun_up: np.ndarray
     earth_share: float = 0.0
     known_N: np.ndarray | None = None
     earth: EarthLight | None = None
@@ -166,15 +172,16 @@ class Panels(Term):
         if here.lit is None or here.lit_sigma is None:
             return placed
         dark = here.lit + here.lit_sigma < LEAST_LIT
-        open_still = ~dark & (here.lit - here.lit_sigma < 1 - LEAST_LIT)
+        # neither surely in the shadow nor surely in the Sun
+        at_edge = ~dark & (here.lit - here.lit_sigma < 1 - LEAST_LIT)
         free = np.maximum(self.scale_sigma, LIMITED_SCALE)
         return replace(
             placed,
-            lit=np.where(dark, 0.0, 1.0),
-            scale_sigma=np.where(open_still, free, self.scale_sigma),
+            sun_up=np.where(dark, 0.0, 1.0),
+            scale_sigma=np.where(at_edge, free, self.scale_sigma),
             **{
                 name: np.where(dark[:, None], self.dark_sigma, getattr(self, name))
-                for name in ("sigma", "alone", "modelled")
+                for name in ("sigma", "sigma_light_noise", "sigma_light_modelled")
             },
         )
 
@@ -182,8 +189,8 @@ class Panels(Term):
         """Return the panels with the Earth's light as an unknown, unless it is faint."""
         if self.earth_share <= FAINT:
             return self
-        earth = EarthLight.prior(t_s, self.earth_share, self.full, self.known_N)
-        return replace(self, sigma=self.modelled, earth=earth)
+        earth = EarthLight.prior(t_s, self.earth_share, self.full_sun, self.known_N)
+        return replace(self, sigma=self.sigma_light_modelled, earth=earth)
 
     def take(self, samples: Any) -> Self:
         """Return the panels at some samples."""
@@ -193,15 +200,15 @@ class Panels(Term):
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading that counts, and the Sun up."""
-        return np.any(np.isfinite(self.sigma), axis=1) & (self.lit > 0)
+        return np.any(np.isfinite(self.sigma), axis=1) & (self.sun_up > 0)
 
     def freedom(self) -> np.ndarray:
         """Return how many panels of each sample (n) were read."""
         return np.isfinite(self.sigma).sum(axis=1)
 
     @property
-    def full(self) -> np.ndarray:
-        """Return what each panel (p) reads of a Sun that it looks at."""
+    def full_sun(self) -> np.ndarray:
+        """Return what each panel (p) reads if it faces the Sun at scale one, in the unit of the readings."""
         return self.gain * self.response.power(self.response.facing_B).diagonal()
 
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -219,15 +226,19 @@ class Panels(Term):
         return slice(0, len(self.gain_errors))
 
     def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's."""
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's.
+
+        A search takes both lights together for the Sun. Of some first guesses of the Earth's light the one that fits best counts.
+        """
         attitude, u = super().begin(states, about_sun)
         if self.earth is None:
             return attitude, u
         earth = slice(len(self.gain_errors), None)
 
-        def cost(light: np.ndarray, turned: np.ndarray) -> np.ndarray:
+        def cost(u_earth: np.ndarray, turned: np.ndarray) -> np.ndarray:
+            """Return the cost (K) of unknowns of the light (K, b + p) at attitudes (K, n, 3, 3)."""
             trial = u.copy()
-            trial[:, earth] = light
+            trial[:, earth] = u_earth
             (residual,) = self.residuals(States(turned, states.omega), trial)
             return residual.law(residual.value)[0].sum(axis=1)
 
@@ -235,19 +246,20 @@ class Panels(Term):
         return attitude, u
 
     def for_search(self) -> list[Self]:
-        """Return the panels with known gains, whose readings are as uncertain as the gains make them; in one plane also others.
+        """Return the panels without unknowns: the errors of the gains are added to the sigmas of the readings.
 
-        Under the Earth's light only the differences of opposite panels count, and no panel is brighter than its sample by that
-        light.
+        Under the Earth's light only the differences of opposite panels count, which that light leaves as they are, and the factor
+        of a sample may be off by its share. Panels in one plane are returned twice if they may have another full scale.
         """
-        relative = np.linalg.norm(self.gain_errors, axis=0) / np.maximum(self.gain, 1e-300)
-        power, sigma, scale_sigma = self.power, self.alone, self.scale_sigma
+        gain_sigma = np.linalg.norm(self.gain_errors, axis=0) / np.maximum(self.gain, 1e-300)
+        power, sigma, scale_sigma = self.power, self.sigma_light_noise, self.scale_sigma
         if self.earth is not None:
+            modelled = self.power, self.sigma_light_modelled
             power, sigma = pairs_differing(
-                self.response.facing_B, self.full, (self.power, self.modelled), self.alone
+                self.response.facing_B, self.full_sun, modelled, self.sigma_light_noise
             )
             scale_sigma = np.hypot(scale_sigma, self.earth_share)
-        sigma = np.hypot(sigma, np.nan_to_num(power) * relative)
+        sigma = np.hypot(sigma, np.nan_to_num(power) * gain_sigma)
         loose = replace(
             self,
             power=power,
@@ -258,36 +270,45 @@ class Panels(Term):
         )
         if self.blind_axis() is None:
             return [loose]
-        # In one plane, panels whose brightest samples do not look like full Sun were never faced by it, or have a wrong full scale.
-        full = float(np.quantile(np.linalg.norm(self.relative(), axis=1), BRIGHTEST))
-        return (
-            [loose]
-            if abs(full - 1) < OTHER_SCALE
-            else [loose, replace(loose, gain=self.gain * full)]
-        )
+        # Panels around four sides read full Sun, in the root of the sum of squares, only if the Sun comes into their plane. If the
+        # brightest samples do not, either it never came there, or the full scale is wrong: both are searched.
+        share = np.nan_to_num(self.power) / self.full_sun / self.scale[:, None]
+        share = np.where(np.isfinite(self.sigma), share, 0.0)
+        brightest = float(np.quantile(np.linalg.norm(share, axis=1), BRIGHTEST))
+        if abs(brightest - 1) < OTHER_SCALE:
+            return [loose]
+        return [loose, replace(loose, gain=self.gain * brightest)]
 
     def held(self, u: np.ndarray) -> Self:
-        """Return the panels with gains that are known to be off by u (m) sigmas, and the Earth's light as a search has it."""
+        """Return the panels without unknowns: gains that are off by u (m) sigmas, and the Earth's light as in a search."""
         gain = self.gain + u[self.of_gains] @ self.gain_errors
         known = replace(self, gain=gain, gain_errors=self.gain_errors[:0])
         return known if self.earth is None else known.for_search()[0]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the panels with what a drift of the start changes at most added to their errors."""
-        drift = drift_rad[:, None] * self.full * self.scale[:, None]
+        """Return the panels with the most that drifts (n) of a start, in rad, change added to their errors.
+
+        A reading changes by at most full Sun for each radian, as the cosine of the angle to the Sun does.
+        """
+        drift = drift_rad[:, None] * self.full_sun * self.scale[:, None]
         return replace(self, sigma=np.hypot(self.sigma, drift))
 
     def blind_axis(self) -> np.ndarray | None:
-        """Return the direction (3) along which no panel looks, so that a mirror across its plane changes no reading; else None."""
-        seeing = np.isfinite(self.sigma).any(axis=0)
-        size, axes = np.linalg.svd(self.response.facing_B[seeing])[1:]
-        if np.count_nonzero(size > FLAT) != 2:
+        """Return the normal (3) of the plane in which all panels with readings look, if a mirror there changes no reading.
+
+        None if there is no such plane.
+        """
+        was_read = np.isfinite(self.sigma).any(axis=0)
+        size, axes = np.linalg.svd(self.response.facing_B[was_read])[1:]
+        if np.count_nonzero(size > FLAT) != 2:  # the normals span a line, or space
             return None
+        across = axes[2]
+        # a response need not be that of flat panels: whether the mirror is blind is tried
         around = sphere(LOOKS)
-        mirrored = around - 2 * (around @ axes[2])[:, None] * axes[2]
+        mirrored = around - 2 * (around @ across)[:, None] * across
         change = self.response.power(mirrored) - self.response.power(around)
-        alike = np.abs(change[:, seeing]).max() < FLAT * self.response.largest_power
-        return axes[2] if alike else None
+        alike = np.abs(change[:, was_read]).max() < FLAT * self.response.largest_power
+        return across if alike else None
 
     def images(self) -> np.ndarray:
         """Return mirrors and rotations (m, 3, 3) of the body that change no reading, or little, the identity first."""
@@ -298,19 +319,15 @@ class Panels(Term):
         new = [one for one in mirrored if np.abs(images - one).max(axis=(1, 2)).min() > FLAT]
         return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
 
-    def relative(self) -> np.ndarray:
-        """Return readings (n, p) as shares of full Sun, zero where nothing was read."""
-        share = np.nan_to_num(self.power) / self.full / self.scale[:, None]
-        return np.where(np.isfinite(self.sigma), share, 0.0)
-
     def without(self, sample: int) -> tuple[Self, float]:
         """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
+        # the readings of this sample asked of a body at rest that sees the Sun in each direction in turn (K = EVERYWHERE, n = 1)
         around = facing(sphere(EVERYWHERE))[:, None]
         states = States(around, np.zeros((EVERYWHERE, 1, 3)))
-        alone = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
-        (residual,) = alone.residuals(states, np.zeros((EVERYWHERE, 0)))
+        of_sample = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
+        (residual,) = of_sample.residuals(states, np.zeros((EVERYWHERE, 0)))
         cost = residual.law(residual.value)[0][:, 0]
-        names = "sigma", "alone", "modelled"
+        names = "sigma", "sigma_light_noise", "sigma_light_modelled"
         sigmas = {name: getattr(self, name).copy() for name in names}
         for sigma in sigmas.values():
             sigma[sample] = np.inf
@@ -320,43 +337,48 @@ class Panels(Term):
         """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""
         if not np.isfinite(self.sigma).any():
             return
+        # `predicted`: what a factor and a scale of one would read (K, n, p); its slopes (..., 3 + m) by a turn and by the unknowns
         gain = (self.gain + u[:, self.of_gains] @ self.gain_errors)[:, None]
-        light, by_turn = self._light(states, gain)
-        light, by_turn, parts = light * self.lit[:, None], by_turn * self.lit[:, None, None], []
-        added = 0.0
+        sunlight, sunlight_by_turn = self._sunlight(states, gain)
+        predicted = sunlight * self.sun_up[:, None]
+        by_turn = sunlight_by_turn * self.sun_up[:, None, None]
+        by_earth, zero = [], 0.0
         if self.earth is not None:
-            of_earth = u[:, len(self.gain_errors) :]
-            more, by_state = self.earth.on_panels(self.response, gain, states.attitude, of_earth)
-            light, by_turn = light + more, by_turn + by_state[..., :3]
-            parts, added = [by_state[..., 3:]], self.earth.zero(of_earth)
-        by_gain = (light / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
-        light = light + added
-        change = np.concatenate([by_turn, by_gain, *parts], axis=-1)
+            u_earth = u[:, len(self.gain_errors) :]
+            earthlight, slopes = self.earth.on_panels(self.response, gain, states.attitude, u_earth)
+            predicted, by_turn = predicted + earthlight, by_turn + slopes[..., :3]
+            by_earth, zero = [slopes[..., 3:]], self.earth.zero(u_earth)
+        # light is proportional to the gain, a zero is not
+        by_gain = (predicted / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
+        predicted = predicted + zero
+        slopes = np.concatenate([by_turn, by_gain, *by_earth], axis=-1)
 
-        # shape: what a factor of one would read, in sigmas; target: what was read
+        # All that follows is in sigmas, with the factor's prior as row p + 1: difference = factor * shape - target, which is least
+        # at factor = shape . target / shape . shape. No factor is negative.
         inverse = np.where(np.isfinite(self.sigma), 1 / self.sigma, 0.0)
         size = inverse * self.scale[:, None]
-        prior = np.broadcast_to((1 / self.scale_sigma)[:, None], (*light.shape[:2], 1))
-        shape = np.concatenate([light * size, prior], axis=-1)
+        prior = np.broadcast_to((1 / self.scale_sigma)[:, None], (*predicted.shape[:2], 1))
+        shape = np.concatenate([predicted * size, prior], axis=-1)
         target = np.concatenate([np.nan_to_num(self.power) * inverse, prior[0]], axis=-1)
         square = np.einsum("knp,knp->kn", shape, shape)[..., None]
         factor = np.maximum(np.einsum("knp,np->kn", shape, target)[..., None] / square, 0.0)
 
         # Kaufman's slope: the change of the shape without its part along the shape, which the factor takes up
-        still = np.zeros((*change.shape[:2], 1, change.shape[-1]))
-        change = np.concatenate([size[..., None] * change, still], axis=-2) * factor[..., None]
-        along = np.einsum("knp,knpi->kni", shape, change) / square
-        change = change - shape[..., None] * along[..., None, :]
+        still = np.zeros((*slopes.shape[:2], 1, slopes.shape[-1]))  # the prior's row does not move
+        slopes = np.concatenate([size[..., None] * slopes, still], axis=-2) * factor[..., None]
+        along = np.einsum("knp,knpi->kni", shape, slopes) / square
+        slopes = slopes - shape[..., None] * along[..., None, :]
         yield Residual(
             factor * shape - target,
-            by_turn=change[..., :3],
-            by_u=change[..., 3:] if u.size else None,
+            by_turn=slopes[..., :3],
+            by_u=slopes[..., 3:] if u.size else None,
         )
 
-    def _light(self, states: States, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return readings (K, n, p) in full brightness and their derivative (K, n, p, 3) by a turn, at their instants.
+    def _sunlight(self, states: States, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return readings (K, n, p) of full Sun and their derivative (K, n, p, 3) by a turn, at the instants of the readings.
 
-        That the body turns until then by its rate changes the derivative little, and is left out of it.
+        The Sun is moved from the time of the row to that of the reading by the rate. That the derivative depends on the rate is
+        left out.
         """
         light, by_turn = 0.0, 0.0
         across = cross_matrix(states.sun_B)  # a turn t of the body moves the Sun by sun x t

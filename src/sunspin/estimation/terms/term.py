@@ -1,7 +1,11 @@
 """A term of a model: what one sensor read, and what it would read of a motion; or what a torque does.
 
 A fit asks each term for the differences of its predictions from its readings, in sigmas, with their derivatives. On what a term
-depends it says by the derivatives that it returns.
+depends it says by the derivatives that it returns. Who asks for what:
+
+- `observe`: `take`, `of_pass`, `present`; the fit (`chain`): `unknowns`, `residuals`, or of torques `added_by_*`;
+- the search (`starts`, `field_led`): `for_search`, `starts`, `loosened`, and `begin` when its motions go on to the fit;
+- other models (`alternatives`, `swings`): `without`, `held`; the verdict (`dense`): `freedom`.
 """
 
 from __future__ import annotations
@@ -23,7 +27,10 @@ Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return cost and weight (...) of the readings at a sample (..., r) under Student's law: one bad cause spoils all."""
+    """Return cost and weight (...) of the readings at a sample (..., r) under Student's law, which they share.
+
+    What makes one reading of a sample bad mostly makes all of them bad. The constant (FREEDOM + 2) / 2 is that of two numbers.
+    """
     square = np.einsum("...r,...r->...", value, value)
     return (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM), (FREEDOM + 2) / (FREEDOM + square)
 
@@ -52,8 +59,8 @@ class Residual(NamedTuple):
 class Starts(NamedTuple):
     """What a term knows at a sample from which a search may start.
 
-    Directions to the Sun (c, 3) in B that it allows, best first; rates (r, 3) in rad/s, and their sigma (rad/s) if they leave no
-    doubt about whole turns to the next sample, else infinity.
+    `directions` (c, 3): those to the Sun, in B, that it allows, the best first. `rates` (r, 3) in rad/s; `rate_sigma` (rad/s):
+    their sigma if they leave no doubt about whole turns to the next sample, else infinity.
     """
 
     directions: np.ndarray = np.zeros((0, 3))
@@ -63,7 +70,7 @@ class Starts(NamedTuple):
 
 @dataclass(frozen=True)
 class Term:
-    """What every term can be asked; n are its samples. By default it says nothing, knows no errors in common, and is trusted."""
+    """What every term can be asked; n are its samples. By default it has no readings and no unknowns."""
 
     name: ClassVar[str]
     """Its name in files."""
@@ -91,7 +98,7 @@ class Term:
         return np.zeros(0, dtype=bool)
 
     def freedom(self) -> np.ndarray:
-        """Return how many numbers each reading (n) has."""
+        """Return how many independent numbers each reading (n) has, 0 where there is none."""
         return 3 * self.present()
 
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -99,7 +106,7 @@ class Term:
         return ()
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the differences for motions whose unknowns of this term are u (K, m)."""
+        """Yield the differences of motions from readings; u (K, m): the unknowns of this term, in sigmas."""
         yield from ()
 
     def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray | None:
@@ -113,10 +120,6 @@ class Term:
         """
         return None
 
-    def under(self, acceleration: float) -> Self:
-        """Return the term of a body on which unknown torques of this strength act (rad/s^1.5)."""
-        return self
-
     def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit of motions that a search has found begins.
 
@@ -129,11 +132,11 @@ class Term:
         return [self]
 
     def held(self, u: np.ndarray) -> Self:
-        """Return the term with its unknowns held at u (m)."""
+        """Return the term without unknowns, which are held at u (m)."""
         return self
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the term trusted no further than a start that is off by turns (n) and by this rate."""
+        """Return the term with larger sigmas, for a start that may be off by turns (n) in rad and by this rate (rad/s)."""
         return self
 
     def without(self, sample: int) -> tuple[Self, float]:
@@ -149,17 +152,19 @@ class Term:
 
 
 def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
-    """Return one sigma (n, 6, 3) of each unknown of a vector that drifts evenly over a pass at times (n).
+    """Return one sigma (n, 6, 3) of each of the six unknowns of a vector that drifts evenly over a pass at times (n).
 
-    They are its three components at the mean time, and the drift of each, which is as fast as a turn at this rate.
+    The vector at t is `sigma` (u[0:3] + `rate_rad_s` (t - mean time) u[3:6]): it drifts as fast as a turn at this rate makes it.
     """
     away = rate_rad_s * (t_s - t_s.mean())
-    sizes = sigma * np.stack([np.ones(len(t_s)), away], axis=1)
-    return (sizes[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
+    sigmas = sigma * np.stack(
+        [np.ones(len(t_s)), away], axis=1
+    )  # (n, 2): of the mean, and of the drift
+    return (sigmas[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
 
 
 def facing(sun_B: np.ndarray) -> np.ndarray:
-    """Return an attitude (..., 3, 3), B_from_N, that shows the Sun in the direction `sun_B` (..., 3)."""
+    """Return an attitude (..., 3, 3), B_from_N, that shows the Sun in the direction `sun_B` (..., 3); the turn about it is any."""
     aside = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     x = cross(aside, sun_B)
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)

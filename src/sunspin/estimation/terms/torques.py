@@ -70,22 +70,27 @@ class ConstantTorque(Term):
     def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6, 3) that one sigma of each component adds over the intervals dt (n - 1).
 
-        The equations are linear in turn t, rate r and torque T (docs/model.md), with the mean rate w of the interval:
-        dt/ds = -w x t + r, I dr/ds = (I w + h) x r - w x (I r) + T; in space T is a vector of the body that turns: dT/ds = -w x T.
+        Small changes of a motion follow linear equations in time s, in body axes. They are a turn t, a rate r and a torque T:
+
+            dt/ds = -w x t + r;  I dr/ds = (I w + h) x r - w x (I r) + T;  dT/ds = 0, or -w x T for one constant in space.
+
+        Here w is the mean rate of the interval, I the inertia, h the momentum of the wheels. The matrix of this system is constant:
+        its exponential gives t and r at the end for each T at the start.
         """
+        turn, rate, torque = slice(0, 3), slice(3, 6), slice(6, 9)
         omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
         turning = cross_matrix(omega)
         inverse = np.linalg.inv(self.inertia)
         momentum = omega @ self.inertia + (self.momentum[:-1] + self.momentum[1:]) / 2
-        change = np.zeros((*omega.shape[:2], 9, 9))
-        change[..., :3, :3] = -turning
-        change[..., :3, 3:6] = np.eye(3)
-        change[..., 3:6, 3:6] = inverse @ (cross_matrix(momentum) - turning @ self.inertia)
-        change[..., 3:6, 6:] = inverse
+        system = np.zeros((*omega.shape[:2], 9, 9))
+        system[..., turn, turn] = -turning
+        system[..., turn, rate] = np.eye(3)
+        system[..., rate, rate] = inverse @ (cross_matrix(momentum) - turning @ self.inertia)
+        system[..., rate, torque] = inverse
         if self.frame == "N":
-            change[..., 6:, 6:] = -turning
-        push = self.sigma * exponential(change * dt[:, None, None])[..., :6, 6:]
-        return push if self.frame == "B" else push @ states.attitude[:, :-1]
+            system[..., torque, torque] = -turning
+        added = self.sigma * exponential(system * dt[:, None, None])[..., :6, torque]
+        return added if self.frame == "B" else added @ states.attitude[:, :-1]
 
 
 @dataclass(frozen=True)
@@ -145,42 +150,51 @@ class MagneticTorque(Term):
         """
         if not self.sigma:
             return None
-        span, (even, early) = dt[:, None, None], averaged_attitudes(states, dt)
+        # An acceleration a(s) adds the rate dt <a> and the turn dt^2 / 2 <a>_early: a mean with the weight 2 (dt - s) / dt, as what
+        # acts early turns the body longer. Of a field that is linear in s these means are at a half and at a third of the interval.
+        even, early = averaged_attitudes(states, dt)
         if self.field_N is None:
-            size, each = self.sigma / np.sqrt(6), (_products(early), _products(even))
+            size = self.sigma / np.sqrt(6)
+            for_turn, for_rate = _products(early), _products(even)
         else:
             first, last = self.field_N[:-1], self.field_N[1:]
-            fields = (early, (2 * first + last) / 3), (even, (first + last) / 2)
             size = self.sigma / np.sqrt(2)
             # e_j x b is what the matrix of -b x does to e_j
-            each = tuple(-cross_matrix(np.einsum("knij,nj->kni", *pair)) for pair in fields)
-        return size * np.concatenate([span**2 / 2 * each[0], span * each[1]], axis=2)
+            for_turn = -cross_matrix(np.einsum("knij,nj->kni", early, (2 * first + last) / 3))
+            for_rate = -cross_matrix(np.einsum("knij,nj->kni", even, (first + last) / 2))
+        span = dt[:, None, None]
+        return size * np.concatenate([span**2 / 2 * for_turn, span * for_rate], axis=2)
 
 
 def averaged_attitudes(states: States, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return attitudes (K, n - 1, 3, 3) averaged over each interval of a body that keeps its first rate.
 
-    Evenly, and with a weight that falls evenly to zero at the end: what happens early turns the body longer. The averages of
-    exp(-[v x] u), v being the turn, over u from 0 to 1 are closed.
+    First evenly, then with the weight 2 (1 - u) of a time u from 0 to 1. Rodrigues' formula gives the turn by x u about the axis e
+    as cos I + (1 - cos) e e^T - sin [e x]. So only the means of cos(x u) and sin(x u) are needed. With sinc x = sin(x) / x:
+
+        evenly: sinc x and (x / 2) sinc(x / 2)^2;
+        early: sinc(x / 2)^2 and 2 (1 - sinc x) / x.
     """
     angle = states.omega[:, :-1] * dt[:, None]
     x = np.linalg.norm(angle, axis=-1)[..., None, None]
     axis = angle[..., None, :] / np.maximum(x, 1e-300)
     across, along = cross_matrix(axis[..., 0, :]), np.swapaxes(axis, -1, -2) @ axis
-    whole, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi)) ** 2
-    # mean sine and cosine of the turn under both weights
-    averages = (x / 2 * half, whole), (2 * (1 - whole) / np.maximum(x, 1e-300), half)
+    whole, half = (
+        np.sinc(x / np.pi),
+        np.sinc(x / (2 * np.pi)) ** 2,
+    )  # sin(x) / x, and that of x / 2 squared
+    means = (whole, x / 2 * half), (half, 2 * (1 - whole) / np.maximum(x, 1e-300))
     even, early = (
         (cosine * np.eye(3) + (1 - cosine) * along - sine * across) @ states.attitude[:, :-1]
-        for sine, cosine in averages
+        for cosine, sine in means
     )
     return even, early
 
 
 def _products(attitude: np.ndarray) -> np.ndarray:
-    """Return e_j x A e_l (..., 3, 9) for all j and l."""
-    pull = np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude)
-    return pull.reshape(*attitude.shape[:-1], 9)
+    """Return the torques e_j x A e_l (..., 3, 9) of dipoles along j in fields along l of space, for all j and l in this order."""
+    torque = np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude)
+    return torque.reshape(*attitude.shape[:-1], 9)
 
 
 @dataclass(frozen=True)
@@ -199,16 +213,17 @@ class StatedDipole(Term):
     field_B: np.ndarray
 
     def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray:
-        """Return turn and rate (K, n - 1, 6) that the torque adds in intervals dt."""
-        pull, span = np.cross(self.dipole, self.field_B), dt[:, None]
-        first, last = pull[:-1], pull[1:]
+        """Return turn and rate (K, n - 1, 6) that the torque adds in intervals dt (n - 1)."""
+        acceleration, span = np.cross(self.dipole, self.field_B), dt[:, None]
+        first, last = acceleration[:-1], acceleration[1:]
+        # integrals of an acceleration that is linear in time
         added = [span**2 * (2 * first + last) / 6, span * (first + last) / 2]
         return np.broadcast_to(np.concatenate(added, axis=1), (*states.omega[:, 1:].shape[:2], 6))
 
 
 @dataclass(frozen=True)
 class GravityGradient(Term):
-    """The torque 3 n^2 nadir x (I nadir) of the Earth's attraction, equation (23) of docs/model.md.
+    """The torque 3 n^2 nadir x (I nadir) of the Earth's attraction, equation (gravity_gradient) of docs/model.md.
 
     `nadir_N` (n, 3); `strength` (n): 3 n^2 in 1/s2; `inertia` (3, 3) in mean moments.
     """
@@ -225,21 +240,25 @@ class GravityGradient(Term):
     def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6) that the torque adds, summed over instants of a body that keeps its first rate."""
         inverse, added = np.linalg.inv(self.inertia), 0.0
-        for place, weight in zip(*INSTANTS, strict=True):
-            share = (1 + place) / 2
+        for node, weight in zip(*INSTANTS, strict=True):  # Gauss's quadrature over the interval
+            share = (1 + node) / 2
             attitude = rotate_attitude(
                 states.attitude[:, :-1], share * dt[:, None] * states.omega[:, :-1]
             )
             nadir = (1 - share) * self.nadir_N[:-1] + share * self.nadir_N[1:]
             nadir_B = np.einsum("knij,nj->kni", attitude, nadir)
             torque = self.strength[:-1, None] * cross(nadir_B, nadir_B @ self.inertia)
-            change = weight / 2 * dt[:, None] * (torque @ inverse)
-            added = added + np.concatenate([(1 - share) * dt[:, None] * change, change], axis=-1)
+            rate = weight / 2 * dt[:, None] * (torque @ inverse)
+            # a rate that is gained now turns the body for the rest of the interval
+            added = added + np.concatenate([(1 - share) * dt[:, None] * rate, rate], axis=-1)
         return np.asarray(added)
 
 
 def exponential(matrix: np.ndarray) -> np.ndarray:
-    """Return the exponentials of matrices (..., d, d): the series of a small part, squared again and again."""
+    """Return the exponentials of matrices (..., d, d): exp(M) is exp(M / 2^s) squared s times, and that is a short series.
+
+    All matrices have the same s, which makes the norm of each at most a half.
+    """
     largest = float(np.abs(matrix).sum(axis=-1).max(initial=0.0))
     halvings = max(0, int(np.ceil(np.log2(max(largest, 1e-300)))) + 1)
     small, eye = matrix / 2.0**halvings, np.eye(matrix.shape[-1])

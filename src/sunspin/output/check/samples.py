@@ -110,7 +110,7 @@ def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
     sensors |= {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
     sensors |= {"wheel_speed_rad_s": "wheel speeds"}
     sample_counts = {
-        label: int(np.isfinite(samples[name].values).all(axis=1).sum())
+        label: int(_is_read(samples[name]).sum())
         for name, label in sensors.items()
         if name in samples
     }
@@ -120,6 +120,12 @@ def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
         lines.append(f"  other sensors: {counts}")
     sampling = _describe_sampling(assessment)
     return Findings(summary | sampling.summary, lines + sampling.lines)
+
+
+def _is_read(readings: xr.DataArray) -> np.ndarray:
+    """Return in which samples (n) a sensor was read: all of its numbers, or its only one."""
+    values = readings.values
+    return np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
 
 
 def _describe_panels(assessment: Assessment) -> Findings:
@@ -231,7 +237,7 @@ def _shows_motion(assessment: Assessment) -> np.ndarray:
         shows |= (status == SunStatus.MISSING) & nearly_complete & lit
     for name in ("sun_B", "sun_sensor_B", *VARIABLES.values()):
         if name in samples:
-            shows |= np.isfinite(assessment.sensors[name].values).all(axis=1)
+            shows |= _is_read(assessment.sensors[name])
     return shows
 
 

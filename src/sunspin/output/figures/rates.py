@@ -13,7 +13,12 @@ from sunspin.output.text import clock_text
 SHOWN = 8
 """Passes that are drawn; more would not be legible."""
 
-OTHER_SENSORS = {"gyro": "gyro", "field": "magnetometer", "attitude": "attitude"}
+OTHER_SENSORS = {
+    "gyro": "gyro",
+    "rate_size": "size of the rate",
+    "field": "magnetometer",
+    "attitude": "attitude",
+}
 """Sensors other than the Sun's, by the attributes of a result that say which were used -> what the title calls them."""
 
 

@@ -57,6 +57,13 @@ class Decoded(NamedTuple):
     version: str
 
 
+def require_decoder_name(decoder: str) -> None:
+    """Raise `InputError` if a text cannot be the name of a decoder, which a program and a folder get."""
+    if not DECODER_NAME.fullmatch(decoder):
+        what, do = "a decoder has a name of letters, digits and _", "give one such as cubebel1"
+        raise InputError(what, got=decoder, do=do)
+
+
 def decode_by_program(decoder: str, path: Path) -> Decoded:
     """Decode raw frames of a folder, a zip archive or a SatNOGS export with a decoder of satnogs-decoders.
 
@@ -67,9 +74,7 @@ def decode_by_program(decoder: str, path: Path) -> Decoded:
     TelemetryError
         No frame can be read.
     """
-    if not DECODER_NAME.fullmatch(decoder):
-        what, do = "a decoder has a name of letters, digits and _", "give one such as cubebel1"
-        raise InputError(what, got=decoder, do=do)
+    require_decoder_name(decoder)
     # also next to this Python, whose environment need not be active
     folders = os.pathsep.join([os.environ.get("PATH", ""), str(Path(sys.executable).parent)])
     program = shutil.which(PROGRAM, path=folders)

@@ -1,0 +1,318 @@
+"""All readings of a lander's panels, dark ones too, with one brightness over the whole stretch.
+
+A lit reading is the panel's power with Gaussian noise. A dark one says that noise keeps the power below the threshold: panels
+turned away say nothing. Any reading may, with a small probability, have nothing to do with the Sun: a shadow, a spike.
+
+If a full battery throttles the panels, a sample has an unknown factor. It is put at its best for each motion (variable
+projection, Kaufman 1975) and integrated out: that leaves one power of the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from sunspin.estimation.model import States, Unknown
+from sunspin.estimation.settings import SPOILT, SPOILT_DARK, SPOILT_LARGEST
+from sunspin.estimation.terms.term import Law, Residual, Term
+from sunspin.solve.rotations import cross, tangent_basis
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.flat import PanelResponse
+
+LOG_2PI = float(np.log(2 * np.pi))
+
+HALF_WEIGHT, ROUNDS = 5.0, 3
+"""Sigmas at which a reading counts half for the factor of a throttled sample, and how often the factor is computed again."""
+
+MEAN_LIT_SINE = 2 / 3
+"""Mean square of the sine of the angle between a normal and the Suns that light its panel."""
+
+LARGEST_LOG_NOISE = 5.0
+"""Sigmas of its prior up to which the noise is sought."""
+
+
+@dataclass(frozen=True)
+class SunStates(States):
+    """K motions of a lander at n samples, as its sensors see them: rates and directions to the Sun, `sun` (K, n, 3).
+
+    The turn about the Sun is not seen, so that there is no attitude.
+    """
+
+    sun: np.ndarray
+
+    @classmethod
+    def of(cls, sun: np.ndarray, omega: np.ndarray) -> SunStates:
+        """Return directions (K, n, 3) with rates (K, n, 3)."""
+        return cls(np.zeros((0, 0, 3, 3)), omega, sun)
+
+    @property
+    def sun_B(self) -> np.ndarray:
+        """Return the directions to the Sun (K, n, 3)."""
+        return self.sun
+
+
+@dataclass(frozen=True)
+class PanelPowers(Term):
+    """Readings `power` (n, p) of inputs, of which those `used` (n, p) count, with their stated `sigma` (p).
+
+    `threshold`: readings above it are lit; `largest` reading of the stretch. `own`: its unknowns, log brightness (its centre is a
+    first guess), log noise, log gains and tilts of panels. `turns` (m, n_panel, 3): rotation (rad, B) of each panel by one sigma of
+    each of them. `brightness`: first guess of the signal of a panel of gain one at normal incidence. `throttled`: all readings of
+    a sample are lowered by one unknown factor.
+    """
+
+    name: ClassVar[str] = "panels"
+    label: ClassVar[str] = "Sun"
+    of_sun: ClassVar[bool] = True
+    per_sample: ClassVar[tuple[str, ...]] = ("power", "used")
+
+    power: np.ndarray
+    used: np.ndarray
+    sigma: np.ndarray
+    threshold: float
+    largest: float
+    response: PanelResponse
+    brightness: float
+    throttled: bool = False
+    own: tuple[Unknown, ...] = ()
+    turns: np.ndarray | None = None
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) have a reading that counts, dark or lit."""
+        return np.any(self.used, axis=1)
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return brightness, noise, gains and tilts."""
+        return self.own
+
+    @cached_property
+    def lit(self) -> np.ndarray:
+        """Return which readings (n, p) count and are above the threshold."""
+        return self.used & (self.power > self.threshold)
+
+    @property
+    def explained(self) -> float:
+        """Return how many numbers a motion must explain: the lit readings."""
+        return float(self.lit.sum())
+
+    @cached_property
+    def free_factors(self) -> np.ndarray:
+        """Return which samples (n) have a factor that readings determine, and so one reading fewer for all else."""
+        return np.logical_and(self.throttled, self.lit.any(axis=1))
+
+    def place(self, kind: str) -> list[int]:
+        """Return where the unknowns of a kind stand among its own."""
+        return [i for i, unknown in enumerate(self.own) if unknown.kind == kind]
+
+    def gain(self, u: np.ndarray) -> np.ndarray:
+        """Return factors (K, p) on the gains of the response: the brightness, and each input's own."""
+        log = np.zeros((len(u), len(self.sigma)))
+        for i, unknown in enumerate(self.own):
+            if unknown.kind == "scale":
+                log += (unknown.centre + unknown.sigma * u[:, i])[:, None]
+            elif unknown.kind == "gain":
+                log[:, unknown.index] += unknown.sigma * u[:, i]
+        return np.exp(log)
+
+    def tilt(self, u: np.ndarray) -> np.ndarray | None:
+        """Return rotations (K, 1, n_panel, 3) of the panels (rad, B); None if they stand as drawn."""
+        return None if self.turns is None else np.tensordot(u, self.turns, axes=1)[:, None]
+
+    def log_noise(self, u: np.ndarray) -> np.ndarray:
+        """Return the log (K) of the noise over the stated one."""
+        places = self.place("noise")
+        return self.own[places[0]].sigma * u[:, places[0]] if places else np.zeros(len(u))
+
+    # ---- what a fit asks ---------------------------------------------------------------------------------------------------
+
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
+        """Yield predicted less read powers (K, n, p) in stated sigmas.
+
+        A dark reading differs by what the prediction is above the threshold.
+        """
+        slopes = self.response.slopes(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        light, to_sun = slopes.power, slopes.to_sun
+        by_u = np.zeros((*light.shape, len(self.own)))
+        for i, unknown in enumerate(self.own):
+            if unknown.kind == "scale":
+                by_u[..., i] = unknown.sigma * light
+            elif unknown.kind == "gain":
+                by_u[..., unknown.index, i] = unknown.sigma * light[..., unknown.index]
+            elif unknown.kind in (TILT, COMMON_TILT):
+                assert self.turns is not None and slopes.to_tilt is not None
+                by_u[..., i] = np.einsum("knpi,pi->knp", slopes.to_tilt, self.turns[i])
+        # a turn t of the body moves the Sun by sun x t, and so the power by t . (slope x sun)
+        by_turn = cross(to_sun, states.sun_B[..., None, :])
+        power, by_turn, by_u = self._throttle(light, by_turn, by_u)
+        above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
+        counts = (self.used & (self.lit | (power > self.threshold)))[..., None] / self.sigma[
+            :, None
+        ]
+        yield Residual(
+            np.where(self.used, above, 0.0) / self.sigma,
+            by_turn=by_turn * counts,
+            by_u=by_u * counts,
+            law=self.law(u),
+        )
+
+    def _throttle(
+        self, light: np.ndarray, by_turn: np.ndarray, by_u: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return powers (K, n, p) and their derivatives under the factors of throttled samples, which follow at their best."""
+        if not self.throttled:
+            return light, by_turn, by_u
+        factor, weight = self.best_factor(light)
+        size = np.sum(weight * light**2, axis=-1)[..., None, None]
+        along = (weight * light)[..., None]
+
+        def following(slope: np.ndarray) -> np.ndarray:
+            # Kaufman's slope: the change of the light without its part along the light itself
+            part = np.sum(along * slope, axis=-2, keepdims=True)
+            share = np.divide(part, size, out=np.zeros_like(part), where=size > 0)
+            return factor[..., None] * (slope - light[..., None] * share)
+
+        return factor * light, following(by_turn), following(by_u)
+
+    def best_factor(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factor (K, n, 1) of each sample that fits its readings best, one without any, and their weights (K, n, p).
+
+        Readings count by their noise; one far from what is predicted hardly counts.
+        """
+        read = np.maximum(self.power, 0.0)
+        by_noise = self.used * (np.min(self.sigma) / self.sigma) ** 2
+        weight = np.broadcast_to(by_noise, light.shape)
+        factor = np.ones((*light.shape[:-1], 1))
+        for again in range(ROUNDS + 1):
+            if again:
+                off = (self.power - factor * light) / (HALF_WEIGHT * self.sigma)
+                weight = by_noise / (1.0 + off**2)
+            size = np.sum(weight * light**2, axis=-1, keepdims=True)
+            along = np.sum(weight * read * light, axis=-1, keepdims=True)
+            factor = np.divide(along, size, out=np.ones_like(size), where=size > 0)
+        return factor, weight
+
+    def law(self, u: np.ndarray, factor: float = 1.0) -> Law:
+        """Return cost and weight of differences (K, n, p) under `factor` times the noise that u (K, m) say.
+
+        Two per cent of readings are anything: the weight of a difference is the probability that it is not one of these. Costs
+        (K, n) are relative to readings just as predicted under the stated noise. Dark readings are taken for Gaussian too.
+        """
+        log_noise = (self.log_noise(u) + np.log(factor))[:, None, None]
+        noise = np.exp(log_noise)
+        as_stated = np.log1p(-SPOILT) - np.where(self.lit, np.log(self.sigma) + LOG_2PI / 2, 0.0)
+        largest = np.logaddexp(as_stated, self._spoilt)
+
+        def weigh(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            good = as_stated - np.where(self.lit, log_noise, 0.0) - 0.5 * (value / noise) ** 2
+            total = np.logaddexp(good, self._spoilt)
+            cost = np.where(self.used, largest - total, 0.0).sum(axis=-1)
+            weight = np.where(self.used, np.exp(good - total) / noise**2, 0.0)
+            return cost - self.free_factors * log_noise[..., 0], weight
+
+        return weigh
+
+    @cached_property
+    def _spoilt(self) -> np.ndarray:
+        """Return the log density (n, p) of each reading if it is anything, times the prior probability of that."""
+        density = (1 - SPOILT_DARK) / (SPOILT_LARGEST * self.largest)
+        return np.log(SPOILT * np.where(self.lit, density, SPOILT_DARK))
+
+    def best_noise(
+        self, value: np.ndarray, u: np.ndarray, answered: np.ndarray, least: float
+    ) -> np.ndarray:
+        """Return unknowns (K, m) with the noise at its best for differences `value` (K, n, p), by Newton steps in its logarithm.
+
+        `answered` (K): how many readings the numbers that were fitted answer for; `least` (sigmas): the noise is not sought below.
+        """
+        places = self.place("noise")
+        if not places:
+            return u
+        at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
+        spent = answered + self.free_factors.sum()
+        for _ in range(8):
+            weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
+            squares = np.sum(weight * value**2, axis=(1, 2))
+            good = np.sum(weight, axis=(1, 2)) * np.exp(2 * self.log_noise(u))
+            count = np.maximum(good - spent, 0.0)
+            slope = sigma * (count - squares) + u[:, at]
+            bend = 2 * sigma**2 * np.maximum(squares, 0.3 * count) + 1
+            step = np.clip(slope / bend, -1, 1)
+            u[:, at] = np.clip(u[:, at] - step, least, LARGEST_LOG_NOISE)
+        return u
+
+    def noise_curvature(self, value: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the second derivative (K) of the cost of differences (K, n, p) by one sigma of the log noise."""
+        weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
+        sigma = self.own[self.place("noise")[0]].sigma
+        return 2 * sigma**2 * np.sum(weight * value**2, axis=(1, 2))
+
+    def log_density(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K) of all readings, dark ones by the probability that noise keeps them below the threshold.
+
+        That is relative to no power at all, so that panels turned away say nothing.
+        """
+        power = self.response.power(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        if self.throttled:
+            power = self.best_factor(power)[0] * power
+        log_noise = self.log_noise(u)
+        sigma = self.sigma * np.exp(log_noise)[:, None, None]
+        lit = -0.5 * ((self.power - power) / sigma) ** 2 - np.log(sigma) - LOG_2PI / 2
+        dark = log_ndtr((self.threshold - power) / sigma) - log_ndtr(self.threshold / sigma)
+        good = np.where(self.lit, lit, dark) + np.log1p(-SPOILT)
+        each = np.where(self.used, np.logaddexp(good, self._spoilt), 0.0)
+        return each.sum(axis=(1, 2)) + self.free_factors.sum() * log_noise
+
+    # ---- what a search asks ------------------------------------------------------------------------------------------------
+
+    def with_tilts_as_noise(self) -> PanelPowers:
+        """Return the readings with what each panel's own tilt adds to their noise, for a search that leaves these tilts alone.
+
+        It is the root mean square over panels, and over Suns in front of them, and the same for all.
+        """
+        own = self.place(TILT)
+        if not own:
+            return self
+        assert self.turns is not None
+        across = cross(self.turns[own], self.response.normals_B)
+        square = (across**2).sum(axis=(0, 2)) / 2  # to either side
+        size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_LIT_SINE)
+        return replace(self, sigma=np.hypot(self.sigma, size * self.brightness))
+
+
+TILT, COMMON_TILT = "tilt", "tilt_common"
+"""Kinds of unknowns: two angles of a panel about axes across its normal, and one rotation of all panels."""
+
+
+def tilt_unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> tuple[Unknown, ...]:
+    """Return tilts with sigmas `own_rad` (n_panel) of each panel to either side and `common_rad` of all about each axis.
+
+    A tilt changes a panel's reading in all samples alike. As noise of each reading it would be taken for many independent errors.
+    """
+    own = (
+        Unknown(f"tilt_{panel.name}_{side + 1}_rad", TILT, "rad", 0.0, float(sigma), 2 * j + side)
+        for j, (panel, sigma) in enumerate(zip(vehicle.panels, own_rad, strict=True))
+        for side in range(2)
+    )
+    common = (
+        Unknown(f"tilt_all_{axis}_rad", COMMON_TILT, "rad", 0.0, common_rad, i)
+        for i, axis in enumerate("xyz")
+    )
+    return tuple(x for x in (*own, *common) if x.sigma > 0)
+
+
+def panel_turns(vehicle: Vehicle, unknowns: tuple[Unknown, ...]) -> np.ndarray | None:
+    """Return rotations (m, n_panel, 3) of the panels by one sigma of each unknown (rad, B); None if no unknown is a tilt."""
+    turns = np.zeros((len(unknowns), len(vehicle.panels), 3))
+    across = np.stack(tangent_basis(vehicle.panel_normals_B), axis=1)
+    for i, unknown in enumerate(unknowns):
+        if unknown.kind == TILT:
+            panel, side = divmod(unknown.index, 2)
+            turns[i, panel] = unknown.sigma * across[panel, side]
+        elif unknown.kind == COMMON_TILT:
+            turns[i, :, unknown.index] = unknown.sigma
+    return turns if turns.any() else None

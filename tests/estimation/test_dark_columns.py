@@ -1,0 +1,44 @@
+"""Columns that hardly saw the Sun: the samples by themselves cannot tell them apart, but a motion follows what little they read."""
+
+import json
+
+import numpy as np
+import pytest
+
+from sunspin.estimation.rates import rates
+from validation.passes import make
+
+CASE = "exchanged, six panels", 0, 12
+"""A body that turns about z with the Sun near -z; the columns of -x and -y are exchanged."""
+
+
+@pytest.fixture(scope="module")
+def spinner():
+    return make(*CASE)
+
+
+def estimate(simulated, telemetry):
+    limit = simulated.max_rate_rad_s
+    return rates(simulated.vehicle, telemetry, max_rate_rad_s=limit, column_tests=True)
+
+
+def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
+    result = estimate(spinner, spinner.telemetry)
+    assert result["fits"].values.all() and not result["decided"].values.any()
+    assert "columns, signs or axes" in str(result["why_not_decided"].values[0])
+    changes = json.loads(result.attrs["columns_changes"])
+    named = {change["what"]: change for change in changes}
+    right = named["the columns of panels -x and -y exchanged"]
+    at = np.argmin(np.abs(spinner.telemetry["time"].values - right["at_s"]))
+    np.testing.assert_allclose(right["omega_deg_s"], np.degrees(spinner.omega[at]), atol=0.3)
+    # the mirror of that motion, with the columns that look the same, is all else that is named
+    assert set(named) - {right["what"]} == {"the columns of panels +x and +y exchanged"}
+
+
+def test_a_right_file_with_dark_columns_is_not_accused(spinner):
+    power = spinner.telemetry["power_W"].values[:, [0, 1, 2, 4, 3, 5]]
+    result = estimate(spinner, spinner.telemetry.assign(power_W=(("time", "panel"), power)))
+    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    omega = [result[f"omega_{axis}"].values[0, 0] for axis in "xyz"]
+    at = len(spinner.omega) // 2
+    assert np.degrees(np.linalg.norm(omega - spinner.omega[at])) < 0.5

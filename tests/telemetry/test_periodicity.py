@@ -1,0 +1,138 @@
+"""Periods found in a column: of noise alone hardly any, of light curves the rotation with its error and what it may be instead."""
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import InputError
+from sunspin.telemetry.column_periods import describe_periods, read_column_periods
+from sunspin.telemetry.periodicity import FALSE_ALARM, find_period, find_periods
+
+TRUE_S = 47.0
+SHORTEST_S = 15.0
+
+
+def times(rng, count=60, span_s=1200.0):
+    """Return uneven times (s)."""
+    return np.sort(rng.uniform(0.0, span_s, count))
+
+
+def light_curve(seed, noise=0.5, count=60):
+    """Return times and a curve with two unequal flashes in a rotation, on a slow trend."""
+    rng = np.random.default_rng(seed)
+    t_s = times(rng, count)
+    phase = 2 * np.pi * t_s / TRUE_S + rng.uniform(0, 2 * np.pi)
+    value = 0.4 * np.sin(phase) + np.sin(2 * phase + 1) + 3e-6 * (t_s - 500.0) ** 2 - 90.0
+    return t_s, value + noise * rng.normal(size=count)
+
+
+@pytest.mark.parametrize("wanders", [False, True], ids=["white", "wandering"])
+def test_noise_alone_has_no_period_in_99_of_100(wanders):
+    found = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        t_s, noise = times(rng, 30), rng.normal(size=30)
+        found += (
+            find_period(t_s, noise.cumsum() if wanders else noise, SHORTEST_S).found is not None
+        )
+    assert found <= 1
+
+
+def test_a_light_curve_with_a_strong_second_harmonic_has_the_period_of_its_rotation():
+    normalised = []
+    for seed in range(20):
+        stretch = find_period(*light_curve(seed), SHORTEST_S)
+        assert stretch.found is not None and stretch.false_alarm <= FALSE_ALARM
+        every = stretch.found.every
+        assert sum(one.probability for one in every) == pytest.approx(1.0)
+        assert [one.probability for one in every] == sorted(
+            (one.probability for one in every), reverse=True
+        )
+        near = [one for one in every if abs(one.period_s - TRUE_S) < 0.03 * TRUE_S]
+        normalised.append((near[0].period_s - TRUE_S) / near[0].sigma_s)
+    assert 0.6 < np.sqrt(np.mean(np.square(normalised))) < 1.5
+
+
+def test_a_pure_sine_may_be_that_of_half_a_rotation():
+    rng = np.random.default_rng(1)
+    t_s = times(rng)
+    value = np.sin(2 * np.pi * t_s / TRUE_S) + 0.3 * rng.normal(size=len(t_s))
+    found = find_period(t_s, value, SHORTEST_S).found
+    assert found.period_s == pytest.approx(TRUE_S, abs=4 * found.sigma_s)
+    double = [one for one in found.aliases if abs(one.period_s - 2 * TRUE_S) < 4 * one.sigma_s]
+    assert len(double) == 1 and 0.2 < double[0].probability < 0.45
+
+
+def test_even_samples_leave_aliases_above_half_the_sampling_rate():
+    rng = np.random.default_rng(2)
+    t_s = 20.0 * np.arange(60)
+    value = np.sin(2 * np.pi * t_s / 47.0) + 0.2 * rng.normal(size=60)
+    found = find_period(t_s, value, 15.0).found
+    alias = 1 / (1 / 20.0 - 1 / 47.0)
+    assert any(abs(one.period_s - alias) < 4 * one.sigma_s for one in found.every)
+
+
+def test_stretches_between_gaps_are_searched_by_themselves():
+    t_s, value = light_curve(3)
+    gap = np.concatenate([t_s, t_s + 1e5, t_s[:5] + 2e5])
+    noise = np.random.default_rng(0).normal(size=len(t_s))
+    values = np.concatenate([value, noise, value[:5]])
+    values[7] = np.nan
+    order = np.random.default_rng(1).permutation(len(gap))
+    first, second = find_periods(gap[order], values[order], SHORTEST_S)
+    assert first.readings == 59 and first.found is not None and second.found is None
+    assert first.found.t_s == pytest.approx((t_s[0] + t_s[-1]) / 2)
+
+
+def test_a_column_that_does_not_change_has_no_period():
+    t_s, _ = light_curve(3)
+    (one,) = find_periods(t_s, np.full(len(t_s), 7.0), SHORTEST_S)
+    assert one.found is None and one.false_alarm == 1.0
+    assert find_periods(t_s[:8], t_s[:8], SHORTEST_S) == []
+    with pytest.raises(InputError, match="shortest period"):
+        find_periods(t_s, t_s, 0.0)
+    with pytest.raises(InputError, match="too many periods"):
+        find_periods(t_s, np.sin(t_s), 1e-3)
+
+
+VEHICLE = """
+name = "with a signal strength"
+[telemetry]
+time_format = "elapsed"
+epoch_utc = "2026-01-01T00:00:00Z"
+[sun_vector]
+columns = ["sx", "sy", "sz"]
+sigma_rad = 0.02
+"""
+
+
+@pytest.fixture
+def with_signal(tmp_path):
+    """Return the path of telemetry with a signal strength that has a period, and a vehicle that does not read it."""
+    t_s, value = light_curve(3)
+    rows = [f"{t:.3f},1,0,0,{v:.4f},7" for t, v in zip(t_s, value, strict=True)]
+    (tmp_path / "telemetry.csv").write_text("\n".join(["time,sx,sy,sz,rssi,same", *rows]), "utf-8")
+    (tmp_path / "vehicle.toml").write_text(VEHICLE, "utf-8")
+    return tmp_path / "telemetry.csv", ss.load_vehicle(tmp_path / "vehicle.toml")
+
+
+def test_a_column_that_no_sensor_reads_is_read_on_request(with_signal):
+    path, vehicle = with_signal
+    data = ss.read_telemetry(path, vehicle, columns=["rssi"])
+    assert data["column_reading"].dims == ("time", "column")
+    assert np.allclose(data["column_reading"].values[:, 0], light_curve(3)[1], atol=1e-3)
+    assert data.attrs["unused_columns"] == "same"
+    with pytest.raises(ss.TelemetryError, match=r"'rsi'.* did you mean 'rssi'"):
+        ss.read_telemetry(path, vehicle, columns=["rsi"])
+
+
+def test_columns_of_a_file_have_periods_in_the_part_that_is_used(with_signal):
+    path, vehicle = with_signal
+    found = read_column_periods(path, vehicle, ["rssi", "same"], 0.4, (-np.inf, np.inf))
+    lines = describe_periods(found, "{:.0f} s".format)
+    assert " 47." in lines[0] and "(60 readings)" in lines[0]
+    assert "no significant period" in lines[1] and "unchanged" in lines[1]
+    none = read_column_periods(path, vehicle, ["rssi"], 0.4, (0.0, 100.0))
+    assert "no stretch has enough readings" in describe_periods(none, str)[0]
+    with pytest.raises(InputError, match="which the estimate uses already"):
+        read_column_periods(path, vehicle, ["sx"], 0.4, (-np.inf, np.inf))
