@@ -470,6 +470,7 @@ def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
     for one in passes:
         of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
         model = of_pass.for_search(stated.noise)[0]
+        # whether the direction of the Sun is known at a sample, and was at the one before
         known = False
         for sample in range(len(one.kept)):
             allowed = allowed_directions(model, sample)
