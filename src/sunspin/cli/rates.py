@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import sys
-from contextlib import suppress
 
 import click
 
-from sunspin.base.errors import InputError, printable
+from sunspin.base.errors import InputError
 from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, read_inputs, shared
 from sunspin.cli.values import Parsed, parse_effort, parse_period, select_interval
@@ -53,8 +51,8 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "--effort",
     type=Parsed(parse_effort, "float"),
     default="1.0",
-    help="Computing budget of the run, in propagated motions: 1 takes up to about 2 minutes of one core, inf is unlimited. Results "
-    "do not depend on the machine's speed. A pass whose search is incomplete is not decided.",
+    help="Computing budget of each pass, in fitted motions: 1 is ten times what a usual pass takes, inf is unlimited. Results do "
+    "not depend on the machine's speed. A pass whose search is incomplete is not decided.",
 )
 @click.option(
     "--without",
@@ -107,8 +105,8 @@ def rates(
       sunspin rates skcube skcube/skcube_adcs.csv --compare gyro --data DIR --out skcube-rates
     """
     from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.estimate.rates.estimate import rates as estimate_rates
+    from sunspin.estimation.orbit.judged import elements_of
+    from sunspin.estimation.rates import rates as estimate_rates
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.withheld import parse_withheld, read_withheld
@@ -142,20 +140,16 @@ def rates(
         what = "--no-orbit contradicts the elements or their shift that are given"
         raise InputError(what, do="give one")
 
-    def announce(line: str) -> None:
-        """Print a line of progress on standard error."""
-        with suppress(OSError):  # a log that cannot be written does not stop the work
-            print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
-
-    # a terminal shows a progress bar instead of these lines
-    progress = output.progress if output.quiet or output.progress else announce
+    # a terminal shows a progress bar instead of lines
+    in_lines = not (output.quiet or output.progress)
+    progress = output.announce if in_lines else output.progress
     chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
-        if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
-            announce(f"{samples.sizes['time']} samples; the elements are checked first")
+        if in_lines and elements_of(craft, elements, shift_sigma) is not None:
+            output.announce(f"{samples.sizes['time']} samples; the elements are checked first")
         chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
-        if chosen_orbit.orbit is None and chosen_orbit.summary and progress is announce:
-            announce("the elements do not fit the telemetry; continuing without the orbit")
+        if chosen_orbit.orbit is None and chosen_orbit.summary and in_lines:
+            output.announce("the elements do not fit the telemetry; continuing without the orbit")
     result = estimate_rates(
         craft,
         used,

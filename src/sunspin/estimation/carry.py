@@ -37,7 +37,7 @@ LOST_RAD_S = 1e6
 """rad/s; rate of a motion that no step is fine enough for: it must cost much, not fail."""
 
 TURN, RATE = slice(0, 3), slice(3, 6)
-"""Places of a turn (rad, B) and of a rate (rad/s) in the six numbers of a state."""
+"""Where the turn (rad, B) and the rate (rad/s) stand among the six numbers of a state."""
 
 
 class Step(NamedTuple):

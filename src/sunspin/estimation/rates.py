@@ -9,6 +9,7 @@ from itertools import repeat
 
 import numpy as np
 import xarray as xr
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import with_units
@@ -71,9 +72,16 @@ from sunspin.estimation.settings import (
     SearchSettings,
 )
 from sunspin.estimation.solutions import Solutions, solutions
-from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
+from sunspin.estimation.starts import (
+    allowed_directions,
+    fine_up_to,
+    pair_starts,
+    pairs_to_try,
+    relatives,
+)
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
+from sunspin.estimation.terms.panels import Panels
 from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.estimation.wheel_signs import (
     Reversed,
@@ -93,8 +101,17 @@ ALONG_Z = 1e-6
 LONGEST_PASSES = 2
 """Passes, those with the most samples, that say what the wheels do."""
 
+WIDE_RAD = 1.0
+"""A sample that allows directions to the Sun so far apart leaves its direction open."""
+
 UNSEEN_RAD = 0.05
 """Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+
+
+class PassBar(tqdm):
+    """A progress bar without a thread that watches it: a process with a second thread is not copied for workers."""
+
+    monitor_interval = 0
 
 
 def rates(
@@ -155,7 +172,7 @@ def rates(
     workers : int
         Processes that estimate passes side by side; the result does not depend on it.
     progress : bool, or a function of a line
-        A function is called once, when the inputs are accepted and the search begins.
+        Show a progress bar of passes; a function is called once, when the inputs are accepted and the search begins.
     settings : RatesSettings
         What tunes the estimate.
 
@@ -186,7 +203,7 @@ def rates(
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    # the same estimate of another vehicle or another file, of one pass: to try other columns
+    # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
@@ -207,19 +224,23 @@ def rates(
     if callable(progress):
         progress(_said_before(passes))
 
+    require_directions(stated, passes)
     tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     with process_pool(min(worker_count(workers), tasks)) as pool:
         run = map if pool is None else pool.map
         # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
+        # all samples of each pass, and the models of those that the search keeps
         whole = [stated.obs.of_pass(one.samples) for one in passes]
         models = [
-            replace(stated, obs=obs.take(one.places))
+            replace(stated, obs=obs.take(one.kept_in_pass))
             for obs, one in zip(whole, passes, strict=True)
         ]
         open_still = [k for k in range(len(passes)) if k not in done]
         fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
+        if progress is True:
+            fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
         done |= dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
         doubt = doubted_wheels(
@@ -229,7 +250,7 @@ def rates(
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
     solved = [
-        solutions(one, obs, p.places, settings.solutions, settings.search)
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
         for one, obs, p in zip(fits, whole, passes, strict=True)
     ]
     solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
@@ -275,15 +296,15 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     s = settings
     budget = replace(budget)  # passes work side by side, each with its own
 
-    def found(noise: float) -> list[Fit]:
-        """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
+    def fits_under(noise: float) -> list[Fit]:
+        """Return fits on all rungs of the motions that a search under unknown torques of this strength leaves."""
         motions = []
         # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
         led = field_of(stated) is not None
         of_search = replace(s.search, more_places=0) if led else s.search
         for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            one = search(chain, starts, of_search, budget, places(loose, s.search))
+            one = search(chain, starts, of_search, budget, pairs_to_try(loose, s.search))
             motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
         fits = []
         for one in motions:
@@ -291,12 +312,12 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             fits += ladder(stated, begin, s.ladder, s.search, noise)
         return united(fits, s.ladder, s.search)
 
-    fits = found(s.search.noise)
+    fits = fits_under(s.search.noise)
     limit = stated.obs.cost_limit
     # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
     # motion, as under the strongest torques nearly everything fits.
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, found(s.ladder.strong), key=likeliest_cost)
+        fits = min(fits, fits_under(s.ladder.strong), key=likeliest_cost)
     if not any(len(one) for one in fits):
         raise InputError(
             "no motion has a well-defined probability",
@@ -378,7 +399,7 @@ def decide_wheels(
             stated,
             obs=with_momentum(seen, momenta[name])
             .obs.of_pass(passes[k].samples)
-            .take(passes[k].places),
+            .take(passes[k].kept_in_pass),
         )
         for name in names
         for k in longest
@@ -437,6 +458,34 @@ def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> Pass
         return one_pass(stated, settings, budget)
     except InputError:
         return None
+
+
+def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
+    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
+
+    `stated`: the nominal model of the whole file. Other sensors may do without directions.
+    """
+    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
+    if not panels or not sees_sun_alone(stated.obs):
+        return
+    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
+    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
+    if read >= count:
+        return
+    for one in passes:
+        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
+        model = of_pass.for_search(stated.noise)[0]
+        known = False
+        for sample in range(len(one.kept)):
+            allowed = allowed_directions(model, sample)
+            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if before and known:
+                return
+    raise InputError(
+        "too few Sun directions to estimate a rate",
+        got=f"rows with readings of {read} of {count} panels at most",
+        do="set sample_span_s under [telemetry] to the time in which all are read",
+    )
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:

@@ -141,7 +141,7 @@ def doubted_signs(
             continue
         whole = replace(obs, momentum=momentum).of_pass(passes[0].samples)
         longest = solutions(
-            new_fits[0], whole, passes[0].places, settings.solutions, settings.search
+            new_fits[0], whole, passes[0].kept_in_pass, settings.solutions, settings.search
         )
         agree = all(misfit(part[0]).fits for part in longest.residual.values())
         fits_well = bool(agree and longest.track.cost[0] <= longest.cost_limit)
