@@ -45,7 +45,8 @@ class Fit:
     """K motions fitted under a model.
 
     `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m) of
-    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown.
+    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown. `lowest`:
+    the motions where their cost is least, if `motions` are means over several sigmas of unknowns.
     """
 
     model: Model
@@ -53,6 +54,7 @@ class Fit:
     log_evidence: np.ndarray
     u_covariance: np.ndarray
     answer: np.ndarray
+    lowest: Track | None = None
 
     def __len__(self) -> int:
         """Return the number of motions."""
@@ -66,7 +68,13 @@ class Fit:
             self.log_evidence[which],
             self.u_covariance[which],
             self.answer[which],
+            None if self.lowest is None else self.lowest.take(which),
         )
+
+    @property
+    def to_begin_from(self) -> Track:
+        """Return the motions from which another fit begins: means over sigmas of a torque leave the equations of motion."""
+        return self.motions if self.lowest is None else self.lowest
 
 
 class Whitening(NamedTuple):

@@ -346,7 +346,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         rung = nominal.model.noise.acceleration
         rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
         top = float(best.log_evidence.max())
-        begin = restated(begin, nominal.model, model)
+        begin = restated(begin, nominal.model, model.under(rung))
         more = ladder(model, begin, shorter, s.search, rung, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
