@@ -51,8 +51,8 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "--effort",
     type=Parsed(parse_effort, "float"),
     default="1.0",
-    help="Computing budget of the run, in propagated motions: 1 takes up to about 2 minutes of one core, inf is unlimited. Results "
-    "do not depend on the machine's speed. A pass whose search is incomplete is not decided.",
+    help="Computing budget of each pass, in fitted motions: 1 is ten times what a usual pass takes, inf is unlimited. Results do "
+    "not depend on the machine's speed. A pass whose search is incomplete is not decided.",
 )
 @click.option(
     "--without",
@@ -105,8 +105,8 @@ def rates(
       sunspin rates skcube skcube/skcube_adcs.csv --compare gyro --data DIR --out skcube-rates
     """
     from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.estimate.rates.estimate import rates as estimate_rates
+    from sunspin.estimation.orbit.judged import elements_of
+    from sunspin.estimation.rates import rates as estimate_rates
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.withheld import parse_withheld, read_withheld

@@ -9,6 +9,7 @@ from itertools import repeat
 
 import numpy as np
 import xarray as xr
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import with_units
@@ -71,9 +72,16 @@ from sunspin.estimation.settings import (
     SearchSettings,
 )
 from sunspin.estimation.solutions import Solutions, solutions
-from sunspin.estimation.starts import fine_up_to, pair_starts, pairs_to_try, relatives
+from sunspin.estimation.starts import (
+    allowed_directions,
+    fine_up_to,
+    pair_starts,
+    pairs_to_try,
+    relatives,
+)
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
+from sunspin.estimation.terms.panels import Panels
 from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.estimation.wheel_signs import (
     Reversed,
@@ -93,8 +101,17 @@ ALONG_Z = 1e-6
 LONGEST_PASSES = 2
 """Passes, those with the most samples, that say what the wheels do."""
 
+WIDE_RAD = 1.0
+"""A sample that allows directions to the Sun so far apart leaves its direction open."""
+
 UNSEEN_RAD = 0.05
 """Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+
+
+class PassBar(tqdm):
+    """A progress bar without a thread that watches it: a process with a second thread is not copied for workers."""
+
+    monitor_interval = 0
 
 
 def rates(
@@ -155,7 +172,7 @@ def rates(
     workers : int
         Processes that estimate passes side by side; the result does not depend on it.
     progress : bool, or a function of a line
-        A function is called once, when the inputs are accepted and the search begins.
+        Show a progress bar of passes; a function is called once, when the inputs are accepted and the search begins.
     settings : RatesSettings
         What tunes the estimate.
 
@@ -207,6 +224,7 @@ def rates(
     if callable(progress):
         progress(_said_before(passes))
 
+    require_directions(stated, passes)
     tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     with process_pool(min(worker_count(workers), tasks)) as pool:
         run = map if pool is None else pool.map
@@ -221,6 +239,8 @@ def rates(
         ]
         open_still = [k for k in range(len(passes)) if k not in done]
         fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
+        if progress is True:
+            fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
         done |= dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
         doubt = doubted_wheels(
@@ -438,6 +458,34 @@ def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> Pass
         return one_pass(stated, settings, budget)
     except InputError:
         return None
+
+
+def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
+    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
+
+    `stated`: the nominal model of the whole file. Other sensors may do without directions.
+    """
+    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
+    if not panels or not sees_sun_alone(stated.obs):
+        return
+    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
+    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
+    if read >= count:
+        return
+    for one in passes:
+        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
+        model = of_pass.for_search(stated.noise)[0]
+        known = False
+        for sample in range(len(one.kept)):
+            allowed = allowed_directions(model, sample)
+            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if before and known:
+                return
+    raise InputError(
+        "too few Sun directions to estimate a rate",
+        got=f"rows with readings of {read} of {count} panels at most",
+        do="set sample_span_s under [telemetry] to the time in which all are read",
+    )
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:

@@ -1,6 +1,6 @@
 """The result of `rates` on the template: variables, dimensions, kinds of numbers, units and attributes are those of a stored list.
 
-Output, landing and the paper's study read a result by this list. It is asked of both estimation packages.
+Output and the paper's study read a result by this list.
 """
 
 import json
@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.rates import estimate
-from sunspin.estimation import rates as estimation
 from sunspin.output.template import write_templates
 
 STORED = json.loads(Path(__file__).with_name("schema_rates.json").read_text("utf-8"))
@@ -42,8 +40,7 @@ def template(tmp_path_factory):
     return craft, ss.read_telemetry(telemetry, craft)
 
 
-@pytest.mark.parametrize("package", [estimate, estimation], ids=["estimate", "estimation"])
-def test_result_of_rates_has_the_stored_schema(package, template):
-    found = schema(package.rates(*template))
+def test_result_of_rates_has_the_stored_schema(template):
+    found = schema(ss.rates(*template))
     assert found["variables"] == STORED["variables"]
     assert found["attrs"] == STORED["attrs"]

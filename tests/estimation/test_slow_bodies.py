@@ -4,12 +4,6 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.observe import observations
-from sunspin.estimate.rates.search import first_tracks
-from sunspin.estimate.rates.smooth import costs
-from sunspin.estimate.rates.state import Motion
-from sunspin.estimate.rates.valley import BASIN_RAD, neighbours
 from validation.passes import judge, make
 
 KIND = "slow, wide range"
@@ -80,38 +74,3 @@ def test_rates_keep_their_list_at_every_larger_max_rate(i):
     for k, narrow in enumerate(results):
         for wide in results[k + 1 :]:
             assert not len(missing(narrow, wide, np.radians(0.3))), wide.attrs["max_rate_rad_s"]
-
-
-@pytest.fixture(scope="module")
-def first_window():
-    """The samples of the first window of a slow pass, the motions fitted to them, and how they move."""
-    made = make(KIND, *LOST[0])
-    o = observations(made.vehicle, made.telemetry)[0]
-    rate_max = np.radians(8.0)
-    motion = Motion(Body.of(made.vehicle), 1e-4, rate_max / 2)
-    track, low, high = first_tracks(o, 0, motion, rate_max)
-    return o.part(low, high), track, motion
-
-
-def test_neighbouring_starts_lie_along_the_valley_within_reach_of_a_fit(first_window):
-    o, track, motion = first_window
-    more = neighbours(o, track, motion)
-    assert len(more.omega) >= 4
-    middle, half_s = len(o) // 2, np.ptp(o.t_s) / 2
-    apart = np.linalg.norm(more.omega[:, middle] - track.omega[0, middle], axis=1)
-    steps = np.sort(apart)[::2]
-    assert np.diff(steps, prepend=0.0).max() < 2.5 * BASIN_RAD / half_s
-    # the Sun alone tells hardly anything of the spin about its direction: that is where the valley lies
-    along = np.abs((more.omega[:, middle] - track.omega[0, middle]) @ track.sun_B[0, middle])
-    assert (along > 0.8 * apart).all()
-    nearest = np.argsort(apart)[:2]
-    assert costs(o, more.take(nearest)).sum(axis=1).max() < track.cost[0] + 6
-
-
-def test_a_well_known_rate_has_no_neighbouring_starts(first_window):
-    o, track, motion = first_window
-    sure = track.covariance.copy()
-    sure[..., 3:, 3:] *= 1e-6
-    known = type(track)(track.attitude, track.omega, track.cost, track.log_weight, sure)
-    assert not len(neighbours(o, known, motion).omega)
-    assert not len(neighbours(o, type(track)(track.attitude, track.omega), motion).omega)

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.inertia import ASSUMED, inertia_errors, stated_sigma
-from sunspin.estimate.rates.common_errors import THINNEST, of_a_body
-from sunspin.estimate.rates.estimate import not_met
-from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.noise import HIGHER_NOISES
-from sunspin.estimate.rates.state import Motion
+from sunspin.estimation.model import THINNEST, Body
+from sunspin.estimation.settings import INERTIA
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
 from tests.support import any_vehicle
 from tests.support.vehicles import LOWER_CASE_FACES
@@ -68,30 +64,21 @@ def test_moments_of_inertia_with_a_sigma_are_estimated(spin, reached):
 
 
 def test_an_unstated_inertia_sigma_is_one_percent_of_the_moments():
-    assert stated_sigma(CUBE) is None
     moments = np.diag(TRUE)
-    assumed = ASSUMED * np.where(np.eye(3), TRUE, moments.mean())
-    np.testing.assert_allclose(inertia_errors(CUBE).sum(axis=0), assumed, rtol=1e-12, atol=0)
-    errors = inertia_errors(told(1e-4))
-    assert (
-        errors.shape == (6, 3, 3)
-        and np.all(errors == np.swapaxes(errors, 1, 2))
-        and np.all(errors.max(axis=(1, 2)) == 1e-4)
-    )
+    assumed = INERTIA * np.where(np.eye(3), TRUE, moments.mean()) / moments.mean()
+    np.testing.assert_allclose(Body.of(CUBE).errors.sum(axis=0), assumed, rtol=1e-12, atol=0)
+    errors = Body.of(told(1e-4)).errors * moments.mean()
+    assert errors.shape == (6, 3, 3) and np.all(errors == np.swapaxes(errors, 1, 2))
+    np.testing.assert_allclose(errors.max(axis=(1, 2)), 1e-4)
 
 
 def test_every_trial_inertia_is_physical():
-    """Errors of four sigmas where no inertia is known would make moments negative; small ones stay as they are."""
+    """Errors of four sigmas of a body without an inertia would make moments negative; small ones stay as they are."""
     body = Body.of(replace(CUBE, inertia_kg_m2=None))
     errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
-    drawn = of_a_body(body, errors)
-    assert (
-        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", errors, body.errors)).min() < 0
-    )  # control
-    assert (
-        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", drawn, body.errors)).min()
-        >= THINNEST
-    )
+    drawn = body.possible(errors)
+    assert np.linalg.eigvalsh(body.inertia_at(errors)).min() < 0  # control
+    assert np.linalg.eigvalsh(body.inertia_at(drawn)).min() >= THINNEST
     assert np.all(drawn[2] == errors[2])
 
 
@@ -102,20 +89,6 @@ def test_a_body_of_unknown_inertia_is_not_estimated_as_a_sphere(i):
     found = any_vehicle.judge_rates(0, i)
     assert not found["inertia"] and found["word"] == "decided"
     assert max(found["pulls"]) < 3.5 and max(found["miss_deg_s"]) < 0.15
-
-
-def test_a_sphere_that_needs_strong_torques_leaves_the_search_incomplete():
-    """Only where nobody gave the noise, and the inertia is not told."""
-    unknown, known = (
-        Body.of(replace(CUBE, inertia_kg_m2=one)) for one in (None, CUBE.inertia_kg_m2)
-    )
-    quiet, strong = 0.3 * HIGHER_NOISES[0], HIGHER_NOISES[0]
-    assert unknown.spherical and not_met(Motion(unknown, strong, 0.1), None, 10.0)
-    assert not not_met(Motion(unknown, quiet, 0.1), None, 40.0) and not not_met(
-        Motion(unknown, strong, 0.1), strong, 60.0
-    )
-    assert not_met(Motion(unknown, quiet, 0.1), None, 60.0), "a nutation between samples"
-    assert not any(not_met(Motion(known, noise, 0.1), None, 60.0) for noise in (quiet, strong))
 
 
 @pytest.mark.long
