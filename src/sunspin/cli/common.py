@@ -116,6 +116,13 @@ class Output:
         """Return whether to show a progress bar: not with --quiet, and only if stderr (file descriptor 2) is a terminal."""
         return not self.quiet and os.isatty(2)
 
+    def announce(self, line: str) -> None:
+        """Print a line of progress on standard error, unless --quiet is given."""
+        if not self.quiet:
+            with suppress(OSError):  # a log that cannot be written does not stop the work
+                text = "\n".join(map(printable, line.split("\n")))
+                print(f"sunspin: {self.command}: {text}", file=sys.stderr, flush=True)
+
     def claim(self) -> None:
         """Create the results folder, or refuse it, before the work begins."""
         if self.folder is not None:

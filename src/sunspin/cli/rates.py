@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import sys
-from contextlib import suppress
 
 import click
 
-from sunspin.base.errors import InputError, printable
+from sunspin.base.errors import InputError
 from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, read_inputs, shared
 from sunspin.cli.values import Parsed, parse_effort, parse_period, select_interval
@@ -142,20 +140,16 @@ def rates(
         what = "--no-orbit contradicts the elements or their shift that are given"
         raise InputError(what, do="give one")
 
-    def announce(line: str) -> None:
-        """Print a line of progress on standard error."""
-        with suppress(OSError):  # a log that cannot be written does not stop the work
-            print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
-
-    # a terminal shows a progress bar instead of these lines
-    progress = output.progress if output.quiet or output.progress else announce
+    # a terminal shows a progress bar instead of lines
+    in_lines = not (output.quiet or output.progress)
+    progress = output.announce if in_lines else output.progress
     chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
-        if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
-            announce(f"{samples.sizes['time']} samples; the elements are checked first")
+        if in_lines and elements_of(craft, elements, shift_sigma) is not None:
+            output.announce(f"{samples.sizes['time']} samples; the elements are checked first")
         chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
-        if chosen_orbit.orbit is None and chosen_orbit.summary and progress is announce:
-            announce("the elements do not fit the telemetry; continuing without the orbit")
+        if chosen_orbit.orbit is None and chosen_orbit.summary and in_lines:
+            output.announce("the elements do not fit the telemetry; continuing without the orbit")
     result = estimate_rates(
         craft,
         used,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimation.carry import step
+from sunspin.estimation.carry import RATE, TURN, step
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.model import Model, Noise, Observations, States, Track
 from sunspin.estimation.settings import SearchSettings
@@ -29,9 +29,6 @@ from sunspin.solve.linear import (
     solve_dense,
 )
 from sunspin.solve.rotations import rotate_attitude, rotation_between
-
-TURN, RATE = slice(0, 3), slice(3, 6)
-"""Where the turn (rad, B) and the rate (rad/s) of a sample stand among its six unknowns."""
 
 TURN_PRIOR = 10.0
 """rad; holds the turn about the Sun, which nothing measures, without telling anything."""
@@ -99,7 +96,12 @@ class Whitening(NamedTuple):
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
+
+    A residual r with the slope A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has blocks of
+    turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). To the m unknowns
+    belong a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    """
     k, n = motions.omega.shape[:2]
     m = motions.u.shape[1]
     diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
@@ -110,6 +112,7 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     for residual, place in readings(model, motions):
         part, weight = residual.law(residual.value)
         cost += part.sum(axis=1)
+        # by turn and by rate: where they stand, A, and w A^T
         columns = [
             (rows, derivative, np.swapaxes(weight[..., None, None] * derivative, -1, -2))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
@@ -344,15 +347,16 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
 def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
-    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer.
+    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer. With the matrix H of
+    the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
     """
     system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
     variances = []
     for row in range(weights.shape[2]):
-        (nodes, _), _ = solve_bordered(
-            system._replace(slope=-weights[..., row, :]), np.zeros(len(one))
-        )
-        variances.append(np.einsum("kni,kni->k", weights[..., row, :], nodes))
+        # a solver returns the step -H^-1 slope
+        w = weights[..., row, :]
+        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
+        variances.append(np.einsum("kni,kni->k", w, nodes))
     by_u = np.einsum("knri,knim->krm", weights, one.answer)
     of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
@@ -506,17 +510,17 @@ class Chain:
 def along_the_valley(
     model: Model, motions: Track, middle: int, s: SearchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return attitudes (K, 3, 3) and rates (K, 3) at a sample along the least certain direction of each motion's rate.
+    """Return further attitudes (K, 3, 3) and rates (K, 3) at the sample `middle`, on either side of motions.
 
-    A few samples of the Sun hardly tell the spin about the Sun's direction, so that the cost has a long flat valley in which a fit
-    rests anywhere. As the window grows, the valley bends and breaks into several minima: a slow body was lost so, as a motion that
-    begins at one place ends in the nearest of them. Here the valley is sampled as densely as a fit moves. Motions that do not fit
-    have none, as their covariance says nothing, nor have those far from the best.
+    They are along the least certain direction of each motion's rate. A few samples of the Sun hardly tell the spin about the Sun's
+    direction, so that the cost has a long flat valley in which a fit rests anywhere. As the window grows, the valley bends and
+    breaks into several minima: a slow body was lost so, as a motion that begins at one place ends in the nearest of them. Here the
+    valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
+    far from the best.
     """
-    good = motions.cost < min(
-        s.poor * model.obs.cost_limit, motions.cost.min(initial=np.inf) + s.valley_leading
-    )
-    motions = motions.take(np.flatnonzero(good))
+    limit = s.poor * model.obs.cost_limit
+    limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
+    motions = motions.take(np.flatnonzero(motions.cost < limit))
     covariance = np.nan_to_num(motions.covariance[:, middle])
     variance, axes = np.linalg.eigh(covariance[:, RATE, RATE])
     sigma, axis = np.sqrt(np.maximum(variance[:, -1], 0.0)), axes[:, :, -1]
@@ -528,8 +532,9 @@ def along_the_valley(
     turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
     # motions come best first: what is cut off belongs to the worse ones
     which = np.repeat(np.arange(len(sigma)), 2 * sides)[: s.valley_most]
-    places = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
-    change = spacing * np.concatenate([np.zeros(0), *places])[: s.valley_most, None]
+    # 1, ..., n and -1, ..., -n steps of the spacing from each motion
+    steps = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
+    change = spacing * np.concatenate([np.zeros(0), *steps])[: s.valley_most, None]
     omega = motions.omega[which, middle] + change * axis[which]
     attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
     slow = np.linalg.norm(omega, axis=1) < 2 * model.rate_sigma

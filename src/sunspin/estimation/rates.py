@@ -29,6 +29,7 @@ from sunspin.estimation.evidence import (
     leading,
     likeliest,
     likeliest_cost,
+    restated,
     share_noise,
     united,
 )
@@ -75,7 +76,7 @@ from sunspin.estimation.starts import (
     allowed_directions,
     fine_up_to,
     pair_starts,
-    places,
+    pairs_to_try,
     relatives,
 )
 from sunspin.estimation.swings import swings_by_all_ways
@@ -202,7 +203,7 @@ def rates(
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    # the same estimate of another vehicle or another file, of one pass: to try other columns
+    # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
@@ -230,9 +231,10 @@ def rates(
         # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
+        # all samples of each pass, and the models of those that the search keeps
         whole = [stated.obs.of_pass(one.samples) for one in passes]
         models = [
-            replace(stated, obs=obs.take(one.places))
+            replace(stated, obs=obs.take(one.kept_in_pass))
             for obs, one in zip(whole, passes, strict=True)
         ]
         open_still = [k for k in range(len(passes)) if k not in done]
@@ -248,7 +250,7 @@ def rates(
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
     solved = [
-        solutions(one, obs, p.places, settings.solutions, settings.search)
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
         for one, obs, p in zip(fits, whole, passes, strict=True)
     ]
     solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
@@ -294,15 +296,15 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     s = settings
     budget = replace(budget)  # passes work side by side, each with its own
 
-    def found(noise: float) -> list[Fit]:
-        """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
+    def fits_under(noise: float) -> list[Fit]:
+        """Return fits on all rungs of the motions that a search under unknown torques of this strength leaves."""
         motions = []
         # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
         led = field_of(stated) is not None
         of_search = replace(s.search, more_places=0) if led else s.search
         for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            one = search(chain, starts, of_search, budget, places(loose, s.search))
+            one = search(chain, starts, of_search, budget, pairs_to_try(loose, s.search))
             motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
         fits = []
         for one in motions:
@@ -310,12 +312,12 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             fits += ladder(stated, begin, s.ladder, s.search, noise)
         return united(fits, s.ladder, s.search)
 
-    fits = found(s.search.noise)
+    fits = fits_under(s.search.noise)
     limit = stated.obs.cost_limit
     # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
     # motion, as under the strongest torques nearly everything fits.
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, found(s.ladder.strong), key=likeliest_cost)
+        fits = min(fits, fits_under(s.ladder.strong), key=likeliest_cost)
     if not any(len(one) for one in fits):
         raise InputError(
             "no motion has a well-defined probability",
@@ -343,6 +345,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         rung = nominal.model.noise.acceleration
         rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
         top = float(best.log_evidence.max())
+        begin = restated(begin, nominal.model, model)
         more = ladder(model, begin, shorter, s.search, rung, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
@@ -396,7 +399,7 @@ def decide_wheels(
             stated,
             obs=with_momentum(seen, momenta[name])
             .obs.of_pass(passes[k].samples)
-            .take(passes[k].places),
+            .take(passes[k].kept_in_pass),
         )
         for name in names
         for k in longest

@@ -68,23 +68,24 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
     for place, first in enumerate(_pairs(model)):
         window = slice(max(0, first - s.around), min(len(model.obs), first + 2 + s.around))
         around, sample = model.seeing(window), first - window.start
+        # further pairs are tried if nothing fits: then the gyro may be what is wrong
         suns, rates, apart = starts(around, sample, s, trusted and not place)
         if len(rates) > s.crowd:
             suns, rates = _thinned(around, sample, suns, rates, apart, s)
         if not len(rates):
             continue
         motions = _best(around, sample, suns, rates, apart, s.tried[2])
+        # each round trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
             motions = shot(_loosened(around, sample, share * apart), sample, motions, 4)
             motions = _distinct(motions, around, s.tried[2], s)
         yield window, motions
 
 
-def places(model: Model, s: SearchSettings) -> int:
+def pairs_to_try(model: Model, s: SearchSettings) -> int:
     """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out."""
-    if (
-        len(images_of(model)) > 1
-    ):  # panels bound the Sun so little that one pair may start from nothing
+    if len(images_of(model)) > 1:
+        # panels bound the Sun so little that one pair may start from nothing
         return s.places_if_flat
     first = _pairs(model)[0]
     dense = np.diff(model.obs.t_s)[:3].max() * 2 * model.rate_sigma < DENSE_RAD
@@ -95,10 +96,10 @@ def _pairs(model: Model) -> np.ndarray:
     """Return the first samples (n - 1) of all pairs of neighbours, the most promising first: short, and sharp directions."""
     obs = model.obs
     sharp = [any(len(term.starts(i).directions) for term in obs.terms) for i in range(len(obs))]
-    quality = np.where(sharp, 1.0, BOUNDED) * np.where(
-        obs.sees_sun | (not obs.sees_sun.any()), 1.0, UNSEEN
-    )
-    return np.argsort(np.diff(obs.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+    sees_sun = obs.sees_sun | (not obs.sees_sun.any())
+    # the interval counts as longer the worse the directions at both ends are
+    penalty = np.where(sharp, 1.0, BOUNDED) * np.where(sees_sun, 1.0, UNSEEN)
+    return np.argsort(np.diff(obs.t_s) * (penalty[1:] + penalty[:-1]), kind="stable")
 
 
 def gyro_decides(model: Model, first: int) -> bool:
@@ -134,10 +135,11 @@ def starts(
     read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
     read = read[np.linalg.norm(read, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
+    # `each`: rates (m, 3) for each direction to the Sun
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
         each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
-    elif not _steady(model, first):
+    elif not _steady(model, first):  # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
         each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
     else:
@@ -145,7 +147,9 @@ def starts(
         each = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
+            if (ends @ sun).max() > np.cos(
+                ANY_AXIS_RAD
+            ):  # whole turns about any axis end there too
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
             each.append(np.concatenate([rest, *rates, read]))
         apart = s.step_rad

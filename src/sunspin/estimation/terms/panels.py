@@ -385,6 +385,7 @@ class Panels(Term):
         for shift, weight in self.instants.shifts():
             sun, moves = states.sun_B, across
             if shift:
+                # the Sun, and column by column what moves it, as the body turns until the reading
                 sun = components_after_rotation(sun, shift * states.omega)
                 columns = np.swapaxes(across, -1, -2)
                 moves = components_after_rotation(columns, shift * states.omega[..., None, :])

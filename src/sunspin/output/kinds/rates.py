@@ -30,6 +30,7 @@ from sunspin.output.text import (
     times_text,
     with_sigma,
 )
+from sunspin.output.windows import window_drawings, window_lines, window_numbers, window_tables
 
 MOST_UNSEEN = 6
 """Largest number of column changes, which the telemetry cannot distinguish from the vehicle file, that are named."""
@@ -145,6 +146,8 @@ def rates_summary(result: Any) -> Summary:
             f"  {in_passes} samples used in passes; the search keeps {searched} of them, the others refine what it finds"
         )
     lines += [f"  {count:6d} samples  {reason}" for reason, count in numbers["samples"].items()]
+    numbers |= window_numbers(result)
+    lines += window_lines(result)
     compared, compared_lines = compared_summary(result)
     numbers |= compared
     lines += compared_lines
@@ -298,6 +301,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "in sigmas of what was assumed: noise, and of panels also other light. Farther out than six: at the edge. A wave, or "
             "many readings beyond three sigma, mean that the solution is wrong.",
         )
+    yield from window_drawings(result)
     yield from compared_drawings(result)
     if context.telemetry is None or context.vehicle is None:
         return
@@ -343,6 +347,7 @@ def rates_tables(result: Any) -> Iterator[Table]:
     N_in_words = "z to the Sun, local" if frame_N == SUN_Z_LOCAL else frame_N
     comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {N_in_words}"
     yield passes_table(result)
+    yield from window_tables(result)
     yield from compared_tables(result)
     if result.sizes.get("estimate"):
         names = ["estimate_value", "estimate_sigma", "estimate_unit"]
