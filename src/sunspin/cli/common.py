@@ -191,7 +191,8 @@ SHARED: dict[str, dict[str, Any]] = {
         "multiple": True,
         "metavar": "S+-SIGMA@TIME",
         "help": "Observed rotation period (s), from radio fading or a light curve, for example 13.0+-0.5@15:50. It may be that of "
-        "the precession, the spin or the sum of both rates: all are tried. Used to weight the solutions. Repeatable.",
+        "the precession, the spin or the sum of both rates: all are tried. Used to weight the solutions. Repeatable. For "
+        "`rates` also a column, such as a light curve: its period is searched.",
     },
     "--tle --omm --ephemeris elements": {
         "type": PATH,

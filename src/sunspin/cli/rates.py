@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +13,9 @@ from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, read_inputs, shared
 from sunspin.cli.values import Parsed, parse_effort, parse_period, select_interval
 from sunspin.vehicle.sensors import VARIABLES
+
+if TYPE_CHECKING:
+    from sunspin.telemetry.periodicity import Stretch
 
 SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 """Sensors that `--without` may name -> the variable of the telemetry that it removes."""
@@ -46,6 +51,9 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option(
     "--no-column-tests", is_flag=True, help="Do not test swapped columns or signs on a poor fit."
 )
+@click.option(
+    "--no-windows", is_flag=True, help="Do not estimate the rate in short windows on a poor fit."
+)
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
@@ -77,6 +85,7 @@ def rates(
     begin,
     end,
     no_column_tests,
+    no_windows,
     elements,
     shift_sigma,
     no_orbit,
@@ -107,8 +116,10 @@ def rates(
     from sunspin.compute.pool import worker_count
     from sunspin.estimation.orbit.judged import elements_of
     from sunspin.estimation.rates import rates as estimate_rates
+    from sunspin.estimation.windows import rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
+    from sunspin.telemetry.column_periods import describe_periods, read_column_periods
     from sunspin.telemetry.withheld import parse_withheld, read_withheld
 
     craft, samples = read_inputs(vehicle, telemetry)
@@ -134,7 +145,19 @@ def rates(
         used = whole_file
     else:
         used = assess(craft, select_interval(samples_used, begin, end).drop_vars(left_out))
-    observed_periods = [parse_period(text, samples.attrs.get("epoch_utc")) for text in periods]
+    epoch = samples.attrs.get("epoch_utc")
+    # a period in numbers has a time; anything else is a column
+    observed_periods = [
+        parse_period(text, epoch) for text in periods if "@" in text or "+-" in text
+    ]
+    columns = [text for text in periods if not ("@" in text or "+-" in text)]
+    limit = None if max_rate is None else math.radians(max_rate)
+    of_columns: dict[str, list[Stretch]] = {}
+    if columns:
+        kept = used.telemetry["time"].values[[0, -1]]
+        of_columns = read_column_periods(telemetry, craft, columns, limit, kept)
+    stretches = [one for each in of_columns.values() for one in each]
+    observed_periods += [one.found for one in stretches if one.found is not None]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit contradicts the elements or their shift that are given"
@@ -153,7 +176,7 @@ def rates(
     result = estimate_rates(
         craft,
         used,
-        max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
+        max_rate_rad_s=limit,
         column_tests=not no_column_tests,
         environment=chosen_orbit.orbit,
         calibration=chosen_orbit.calibration,
@@ -162,11 +185,25 @@ def rates(
         **settings,
         progress=progress,
     )
+    if not no_windows and not result["fits"].values.all():
+        output.announce("no motion fits all passes; the rate is estimated in short windows")
+        also_given = {key: settings[key] for key in ("source", "acceleration_noise", "effort")}
+        result = rates_in_windows(
+            craft,
+            used.telemetry,
+            result,
+            max_rate_rad_s=limit,
+            environment=chosen_orbit.orbit,
+            calibration=chosen_orbit.calibration,
+            workers=worker_count(workers),
+            **also_given,
+        )
     # imported late, because the import takes a third of a second
     from sunspin.output.check.repeats import describe_repeats
     from sunspin.output.check.samples import describe_mismatches
     from sunspin.output.compared import compare_with
     from sunspin.output.pointing import with_track
+    from sunspin.output.text import clock_text
 
     result = with_track(result, chosen_orbit.orbit)
     for sensor, values in zip(withheld, readings, strict=True):
@@ -177,5 +214,6 @@ def rates(
     also = {key: mismatches.summary[key] for key in keys} | repeats.summary | chosen_orbit.summary
     # of the mismatches only wrong units and axes, which make the rates wrong
     wrong = [line for line in mismatches.lines if "WRONG" in line]
-    lines = [*wrong, *repeats.lines, *chosen_orbit.lines]
+    seen = describe_periods(of_columns, partial(clock_text, samples))
+    lines = [*wrong, *repeats.lines, *chosen_orbit.lines, *seen]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

@@ -131,7 +131,11 @@ def steps_of_the_rate(
 
 
 def _size_of_step(model: Model, motion: Track, interval: int) -> float:
-    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size."""
+    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size.
+
+    The motion is fitted with a step that is as free as the rate itself. What it then leaves of the equations of motion in the
+    interval, undone from its whitening, is the change of the rate: the size is the root mean square of its components.
+    """
     widest = model.rate_sigma
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     wide = replace(model, noise=noise)
