@@ -343,10 +343,10 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     system, inverse = solution.system, invert_bordered(solution.system)
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
-    torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
     # Laplace's method. Left out is what all models of a pass share: powers of 2 pi, and the widths of the priors of the first rate
     # and of the turn about the Sun
-    log_evidence = model.log_prior - system.cost - determinants - torques
+    log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
@@ -548,5 +548,5 @@ def along_the_valley(
     change = spacing * np.concatenate([np.zeros(0), *steps])[: s.valley_most, None]
     omega = motions.omega[which, middle] + change * axis[which]
     attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
-    slow = np.linalg.norm(omega, axis=1) < 2 * model.rate_sigma
+    slow = np.linalg.norm(omega, axis=1) < model.rate_max
     return attitude[slow], omega[slow]

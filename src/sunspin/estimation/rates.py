@@ -363,7 +363,7 @@ def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
     """
     speed = np.linalg.norm(motions.omega, axis=2).mean(axis=1)
-    slow = np.flatnonzero(speed <= 2 * model.rate_sigma)
+    slow = np.flatnonzero(speed <= model.rate_max)
     fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
     return motions.take(slow) if fits else motions
 
