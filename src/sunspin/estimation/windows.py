@@ -159,8 +159,9 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     if len(use) < FEWEST_WINDOWS or fits.mean() < MOST_FIT:
         return ""
     body, omega = Body.of(vehicle), windows["window_omega_B"].values[use]
-    at = np.searchsorted(telemetry["time"].values, windows["window_time"].values[use])
     times = windows["window_time"].values[use]
+    # rows that came late need not be in the order of time
+    at = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
     found = None
     # wheels without a measured speed may be held or coast: none of that may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
