@@ -32,6 +32,7 @@ STEP_S = 0.25
 CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
 """Change of the rate by a torque or a step over a pass in rad/s, and that by a strong torque."""
 
+# The position of a kind is part of its seed: new kinds are appended.
 KINDS = {
     "right model": 24,
     "steady torque": 12,

@@ -1,7 +1,9 @@
 """What else may have moved the body: models with one entry changed, fitted from the motions of the nominal model.
 
 Each has the prior probability of the nominal model. Sigmas are never enlarged by hand: an alternative that explains the
-readings adds its own motion and errors to the sum.
+readings adds its own motion and errors to the sum. All samples between the kept ones are filled from both
+sides by the equations of the nominal model (:func:`sunspin.estimation.dense.filled`). So an alternative may add torques and change
+sensors, but not the momentum of the wheels, which :func:`sunspin.estimation.rates.decide_wheels` decides for the whole file.
 """
 
 from __future__ import annotations
@@ -131,7 +133,11 @@ def steps_of_the_rate(
 
 
 def _size_of_step(model: Model, motion: Track, interval: int) -> float:
-    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size."""
+    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size.
+
+    The motion is fitted with a step that is as free as the rate itself. What it then leaves of the equations of motion in the
+    interval, undone from its whitening, is the change of the rate: the size is the root mean square of its components.
+    """
     widest = model.rate_sigma
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     wide = replace(model, noise=noise)

@@ -45,7 +45,8 @@ class Fit:
     """K motions fitted under a model.
 
     `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m) of
-    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown.
+    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown. `lowest`:
+    the motions where their cost is least, if `motions` are means over several sigmas of unknowns.
     """
 
     model: Model
@@ -53,6 +54,7 @@ class Fit:
     log_evidence: np.ndarray
     u_covariance: np.ndarray
     answer: np.ndarray
+    lowest: Track | None = None
 
     def __len__(self) -> int:
         """Return the number of motions."""
@@ -66,7 +68,13 @@ class Fit:
             self.log_evidence[which],
             self.u_covariance[which],
             self.answer[which],
+            None if self.lowest is None else self.lowest.take(which),
         )
+
+    @property
+    def to_begin_from(self) -> Track:
+        """Return the motions from which another fit begins: means over sigmas of a torque leave the equations of motion."""
+        return self.motions if self.lowest is None else self.lowest
 
 
 class Whitening(NamedTuple):
@@ -335,10 +343,10 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     system, inverse = solution.system, invert_bordered(solution.system)
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
-    torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
     # Laplace's method. Left out is what all models of a pass share: powers of 2 pi, and the widths of the priors of the first rate
     # and of the turn about the Sun
-    log_evidence = model.log_prior - system.cost - determinants - torques
+    log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
@@ -390,35 +398,38 @@ def _one_step(model: Model, omega: np.ndarray, start: int, end: int, derivatives
 def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
     """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
 
-    Where samples are close together a chain is too stiff to move: a step that bends with the turns breaks the motion. Six numbers
-    of one sample bend nothing. The model has no unknowns.
+    Where samples are close together a chain is too stiff to move: its steps are straight in the turns of all samples, and the
+    equations of motion bend. Six numbers of one sample bend nothing. The model has no unknowns. `motions` (K): their state at
+    `sample` is where the fit begins; returned at all samples.
     """
     n = len(model.obs)
     longest = RATE_LIMIT * model.rate_sigma
 
     def linearise(state: tuple[np.ndarray, np.ndarray]) -> DenseSystem:
-        attitude, omega = state
+        """Return cost and normal equations (K, 6, 6) of attitudes (K, 3, 3) and rates (K, 3) at the sample."""
+        omega = state[1]
         k = len(omega)
+        # motions at all samples, and their derivatives (K, n, 6, 6) by turn and rate at the sample: products of those of the steps
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
-        answer = np.empty((k, n, 6, 6))
-        track.attitude[:, sample], track.omega[:, sample], answer[:, sample] = *state, np.eye(6)
+        by_state = np.empty((k, n, 6, 6))
+        track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, n):
             made = _one_step(model, track.omega[:, start], start, end, derivatives=True)
             track.attitude[:, end] = made.turned[:, 0] @ track.attitude[:, start]
             track.omega[:, end] = made.omega[:, 0]
-            answer[:, end] = made.by_start[:, 0] @ answer[:, start]
+            by_state[:, end] = made.by_start[:, 0] @ by_state[:, start]
+        previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:
             for residual in term.residuals(track, track.u):
                 part, weight = residual.law(residual.value)
                 cost += part.sum(axis=1)
-                before = np.concatenate([answer[:, :1], answer[:, :-1]], axis=1)
-                derivative = sum(
-                    by @ of_state[..., rows, :]
-                    for of_state, rows, by in (
-                        (answer, TURN, residual.by_turn),
-                        (answer, RATE, residual.by_rate),
-                        (before, TURN, residual.by_previous),
+                derivative = sum(  # chain rule
+                    by @ of_sample[..., rows, :]
+                    for of_sample, rows, by in (
+                        (by_state, TURN, residual.by_turn),
+                        (by_state, RATE, residual.by_rate),
+                        (previous_by_state, TURN, residual.by_previous),
                     )
                     if by is not None
                 )
@@ -537,5 +548,5 @@ def along_the_valley(
     change = spacing * np.concatenate([np.zeros(0), *steps])[: s.valley_most, None]
     omega = motions.omega[which, middle] + change * axis[which]
     attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
-    slow = np.linalg.norm(omega, axis=1) < 2 * model.rate_sigma
+    slow = np.linalg.norm(omega, axis=1) < model.rate_max
     return attitude[slow], omega[slow]

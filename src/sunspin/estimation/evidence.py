@@ -101,7 +101,7 @@ def _fitted(
 
     What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
     """
-    one = fit(model, motions, steps)
+    one = fit(model, motions, steps, s.tolerance)
     shared = over_shares(one, s.beyond_fit)
     which = _distinct(shared, s, copies)
     return one.take(which), shared.take(which)
@@ -194,7 +194,8 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
         one.motions.covariance + state_widening,
     )
     log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
-    return Fit(one.model, motions, log_evidence, one.u_covariance + widening, one.answer)
+    u_covariance = one.u_covariance + widening
+    return Fit(one.model, motions, log_evidence, u_covariance, one.answer, one.motions)
 
 
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
@@ -219,7 +220,7 @@ def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
     stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
     if not stated:
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
-    motions = Track.joined([one.motions for one in stated])
+    motions = Track.joined([one.to_begin_from for one in stated])
     log = np.concatenate([one.log_evidence for one in stated])
     apart = copies.copies_rad, copies.copies_sigmas
     t_s = stated[0].model.obs.t_s
@@ -250,4 +251,6 @@ def _joined(fits: list[Fit]) -> Fit:
     """Return the motions of several fits of one model."""
     parts = ((one.log_evidence, one.u_covariance, one.answer) for one in fits)
     motions = Track.joined([one.motions for one in fits])
-    return Fit(fits[0].model, motions, *(np.concatenate(p) for p in zip(*parts, strict=True)))
+    lowest = Track.joined([one.to_begin_from for one in fits])
+    joined = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Fit(fits[0].model, motions, *joined, lowest)

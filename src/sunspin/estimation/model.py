@@ -235,6 +235,11 @@ class Model:
         return (*self.body.unknowns, *of_terms)
 
     @property
+    def rate_max(self) -> float:
+        """Return the largest rate (rad/s) that is searched: two sigmas of the prior."""
+        return 2 * self.rate_sigma
+
+    @property
     def of_body(self) -> slice:
         """Return where the errors of the inertia stand among the unknowns."""
         return slice(0, len(self.body.errors))

@@ -206,8 +206,10 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
     if fields and gap_s is None:
         read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
         ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
+    # a field of unknown direction turns unevenly over a long pass; in a known one the search must not be left with too few samples
     known = any(isinstance(term, KnownField) for term in seen.obs.terms)
-    longest = s.longest_field_s if fields or known and s.longest_s > s.many * usual else s.longest_s
+    many = known and s.longest_s > s.many * usual
+    longest = s.longest_field_s if fields or many else s.longest_s
     passes = []
     for part in np.split(use, np.asarray(ends, dtype=int) + 1):
         duration = t_s[part[-1]] - t_s[part[0]]

@@ -86,6 +86,7 @@ from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.estimation.wheel_signs import (
     Reversed,
     doubted_signs,
+    log_evidence,
     momentum_of_each,
     reversed_momenta,
 )
@@ -345,7 +346,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         rung = nominal.model.noise.acceleration
         rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
         top = float(best.log_evidence.max())
-        begin = restated(begin, nominal.model, model)
+        begin = restated(begin, nominal.model, model.under(rung))
         more = ladder(model, begin, shorter, s.search, rung, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
@@ -362,7 +363,7 @@ def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
     """
     speed = np.linalg.norm(motions.omega, axis=2).mean(axis=1)
-    slow = np.flatnonzero(speed <= 2 * model.rate_sigma)
+    slow = np.flatnonzero(speed <= model.rate_max)
     fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
     return motions.take(slow) if fits else motions
 
@@ -405,22 +406,16 @@ def decide_wheels(
         for k in longest
     ]
     fits = list(run(_pass_if_any, models, repeat(settings), repeat(budget)))
-    evidence = np.array(
-        [
-            -np.inf
-            if one is None
-            else np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung)
-            for one in fits
-        ]
-    )
+    evidence = np.array([-np.inf if one is None else log_evidence(one) for one in fits])
     if not np.isfinite(evidence).any():
-        one_pass(models[0], settings, budget)  # says why there is no motion
+        one_pass(models[0], settings, budget)  # raises an error that says why there is no motion
+    # models are in the order of names, then of passes
     total = evidence.reshape(len(names), len(longest)).sum(axis=1)
     best = int(np.argmax(total))
     above = total[best] - np.delete(total, best).max()
     words = f"{names[best]} (evidence {above:.1f} above any other)"
-    of_best = zip(longest, fits[best * len(longest) :], strict=False)
-    done = {k: one for k, one in of_best if one is not None}
+    of_best = fits[best * len(longest) : (best + 1) * len(longest)]
+    done = {k: one for k, one in zip(longest, of_best, strict=True) if one is not None}
     return with_momentum(seen, momenta[names[best]]), words, done
 
 
@@ -475,6 +470,7 @@ def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
     for one in passes:
         of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
         model = of_pass.for_search(stated.noise)[0]
+        # whether the direction of the Sun is known at a sample, and was at the one before
         known = False
         for sample in range(len(one.kept)):
             allowed = allowed_directions(model, sample)
@@ -566,6 +562,7 @@ def doubts_of(
     no_sphere = []
     for model, one in zip(models, solved, strict=True):
         shortest = float(np.diff(model.obs.t_s).min())
+        # what torques turn a body over the shortest interval T: noise T^1.5 / sqrt(3)
         far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
         strong = one.noise[0] >= settings.ladder.strong
         no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))

@@ -279,7 +279,7 @@ def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
             for k, name in enumerate(term.names):
                 rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
         if isinstance(term, Panels) and term.earth is not None:
-            earth, light = term.earth, every[where][len(term.gain_errors) :]
+            earth, light = term.earth, every[where][term.of_earth]
             centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
             change = earth.light_N.mean(axis=0).T @ light[earth.of_light]
             for k, axis in enumerate("xyz"):

@@ -88,7 +88,7 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
         # panels bound the Sun so little that one pair may start from nothing
         return s.places_if_flat
     first = _pairs(model)[0]
-    dense = np.diff(model.obs.t_s)[:3].max() * 2 * model.rate_sigma < DENSE_RAD
+    dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
     return 1 if dense or gyro_decides(model, first) or not _steady(model, first) else s.places
 
 
@@ -112,7 +112,7 @@ def _steady(model: Model, first: int) -> bool:
     """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
     wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
-    turning = wheels + 2 * model.rate_sigma * (high - low) / middle
+    turning = wheels + model.rate_max * (high - low) / middle
     return bool(turning * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < PRECESSION_RAD)
 
 
@@ -124,7 +124,7 @@ def starts(
     And how far (rad) the turn between the two samples may be from that of the nearest start. Rest is always among the starts.
     """
     dt = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
-    rate_max = 2 * model.rate_sigma
+    rate_max = model.rate_max
     if not rate_max * dt < 2 * np.pi * s.most_turns:
         raise InputError(
             "too many whole turns fit between two samples to try them all",
@@ -235,7 +235,7 @@ def relatives(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     dt = np.diff(model.obs.t_s)
     first = int(np.argmin(dt))
     uneven = dt / dt[first] - np.round(dt / dt[first])
-    turn, rate_max = 2 * np.pi / dt[first], 2 * model.rate_sigma
+    turn, rate_max = 2 * np.pi / dt[first], model.rate_max
     if 2 * np.pi * np.abs(uneven).max() < s.even_rad and not gyro_decides(model, first):
         most = int(2 * rate_max / turn)
         more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
@@ -269,7 +269,7 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
-    if _steady(model, first) or grid_step(1, dt, 2 * model.rate_sigma, s) * dt <= COARSE_RAD:
+    if _steady(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
         return np.inf
     return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
 
@@ -283,7 +283,7 @@ def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])
     off_rad_s = BLUR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
-    off_rad_s = np.hypot(off_rad_s, model.body.wander * 2 * model.rate_sigma)
+    off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
     drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
     drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))
     terms = tuple(term.loosened(drift, drift_rad_s) for term in obs.terms)
