@@ -102,7 +102,7 @@ class SearchSettings:
     """Candidates that cost more than the best by this get no further ones."""
 
     places: int = 3
-    """Pairs of samples to start from, unless one is enough (:func:`sunspin.estimation.starts.places`)."""
+    """Pairs of samples to start from, unless one is enough (:func:`sunspin.estimation.starts.pairs_to_try`)."""
 
     places_if_flat: int = 4
     """The same if panels lie in one plane or share inputs, and bound the Sun so little."""
@@ -142,6 +142,10 @@ class LadderSettings:
     first_steps: int = 20
     """Steps of the fit on the first rung."""
 
+    tolerance: float = 1e-3
+    """Predicted gain in cost below which a fit ends: 0.045 sigma. With a tenth of it fits of few samples take 1.4 times the steps,
+    as many of them overshoot. No evidence changes by more than 0.012."""
+
     hopeless: float = 18.0
     """Log evidence by which a motion, or a rung, is too improbable to go on with."""
 
@@ -179,6 +183,9 @@ class AlternativeSettings:
 
     bad_odds: float = float(np.log(0.1 / 0.9))
     """Log odds that a reading is bad."""
+
+    zero_odds: float = float(np.log(0.05 / 0.95))
+    """Log odds that the zero of a gyro is off by more than the vehicle file states."""
 
     swings_rad: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2)
     """Turns of a swinging body about each axis between two samples, one sigma each; each is another model."""
@@ -226,6 +233,127 @@ class RatesSettings:
 
 RATES = RatesSettings()
 """What `rates` uses by default."""
+
+
+@dataclass(frozen=True)
+class SamplingSettings:
+    """How the posterior about fitted motions is drawn."""
+
+    rounds: int = 8
+    """Rounds of draws, at most."""
+
+    soft_rad: float = 0.25
+    """A direction of rate and Sun with a larger sigma, as a turn within the window while the unknowns are held, is weakly
+    constrained. Philae's second one has 0.08 (5.3 if the unknowns vary): as an outer coordinate it left 45 draws of 16,000."""
+
+    most_softs: int = 2
+    """Weakly constrained directions, at most."""
+
+    trace: int = 180
+    """Points at each width from which the curve of a ridge is learnt: four for each term of the regression of a lander."""
+
+    trace_small: int = 70
+    """The same of a ridge with less probability than `small` of the likeliest, by Laplace's method."""
+
+    trace_widths: tuple[float, ...] = (0.3, 0.7, 1.3)
+    """How far about its motion a ridge is followed, in sigmas of Laplace's method, one after the other."""
+
+    small: float = 0.01
+    """Part of the likeliest ridge's probability."""
+
+    draws: int = 2000
+    """Draws of each further round, of all ridges together."""
+
+    block: int = 500
+    """Draws that are settled together: their derivatives are kept in memory."""
+
+    wanted: float = 3000.0
+    """Effective draws with which sampling ends; 700 make a verdict sure."""
+
+    good_tail: float = 0.5
+    """Pareto index k with which it ends; up to 0.55 a verdict is sure."""
+
+    freedom: float = 5.0
+    """Degrees of freedom of the Student laws: heavier than the tails of a posterior with a few unknowns."""
+
+    widened: float = 1.3
+    """Factor on the covariances of Laplace's method in the first round."""
+
+    inner_width: float = 1.1
+    """Factor on the sigmas of the stiff coordinates given the others."""
+
+    standing_noise: tuple[float, ...] = (2.0, 1.0)
+    """Factors on the noise in the steps to the best gains, brightness and misalignments given a motion."""
+
+    standing_step: float = 2.0
+    """Such a step is no longer than this, in sigmas of the prior."""
+
+    defence: float = 0.15
+    """Part of the outer law that stays with Laplace's method, with twice its covariance."""
+
+    poor: float = 0.4
+    """Share of effective draws below which further components stand on draws."""
+
+    local: int = 40
+    """How many of these."""
+
+    local_share: float = 0.6
+    """Their part of the learnt law."""
+
+    local_size: float = 0.6
+    """Their sigmas, as a part of those of the law that proposed the draw."""
+
+    least: float = 5e-5
+    """Probability, relative to the likeliest, below which a ridge is left out. Solutions are listed down to twice this."""
+
+    most_ridges: int = 60
+    """Ridges that are drawn, at most."""
+
+    on_ridge: float = 9.0
+    """Squared distance for each coordinate, in sigmas, within which a fitted motion lies on the ridge of another."""
+
+    far_torque: float = 3.0
+    """Times a share of its sigma beyond which linear theory of a torque is not believed."""
+
+    points_per_term: float = 1.5
+    """Draws for each term of a regression, at least."""
+
+    off_ridge: float = 6.0
+    """Draws farther from the regression than this many times the median are left out of it."""
+
+    connected: float = 0.02
+    """Ridges that share this part of the posterior of one of them are one region."""
+
+    no_weight: float = 1e-5
+    """A model with less probability is left out."""
+
+    one_region: float = 9.0
+    """Squared distance, in sigmas of the wider, below which regions under two models are one."""
+
+    bent_rad: float = 1.0
+    """rad by which two models may bend one motion apart within the window; others differ by whole turns."""
+
+    sun_rad: float = 0.3
+    """The same of the direction at the reference."""
+
+    walkers: int = 200
+    """Chains that start from draws, to see whether the proposals cover what is around these."""
+
+    walk_steps: int = 20
+    """Steps of each."""
+
+    walk_size: float = 1.5
+    """Length of a step, in sigmas over the root of the number of coordinates."""
+
+    cold_runs: float = 12.0
+    """Runs of a motion that a draw of the first round takes, for the computing budget."""
+
+    warm_runs: float = 3.0
+    """The same of later rounds."""
+
+
+SAMPLING = SamplingSettings()
+"""How draws are made by default."""
 
 
 @dataclass(frozen=True)

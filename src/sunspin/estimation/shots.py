@@ -166,6 +166,7 @@ class Draws:
     effective: float
     tail: float
     evidence: float
+    outside: float = 0.0
 
     def __len__(self) -> int:
         """Return the number of draws."""

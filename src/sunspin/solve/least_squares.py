@@ -124,8 +124,8 @@ def least_squares(
         stop[active[converged]], stop[active[no_descent]] = Stop.CONVERGED, Stop.NO_DESCENT
         running[active] = ~(converged | no_descent)
         improved = np.flatnonzero(better)
-        state = _replace_problems(state, active[better], _take_sorted(trial, improved))
-        system = _replace_problems(system, active[better], _take_sorted(new, improved))
+        state = replace_problems(state, active[better], _take_sorted(trial, improved))
+        system = replace_problems(system, active[better], _take_sorted(new, improved))
     return Solution(state, system, stop)
 
 
@@ -164,12 +164,10 @@ def _take_sorted(tree: Any, rows: np.ndarray) -> Any:
     return _map_arrays(lambda part: part if len(rows) == len(part) else part[rows], tree)
 
 
-def _replace_problems(tree: Any, rows: np.ndarray, new: Any) -> Any:
+def replace_problems(tree: Any, rows: np.ndarray, new: Any) -> Any:
     """Return a copy in which the problems `rows` (in increasing order) have the values of `new`; `new` itself if these are all."""
     if isinstance(tree, tuple):
-        parts = [
-            _replace_problems(part, rows, value) for part, value in zip(tree, new, strict=True)
-        ]
+        parts = [replace_problems(part, rows, value) for part, value in zip(tree, new, strict=True)]
         return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
     if tree is None or len(rows) == len(tree):
         return new
