@@ -167,8 +167,7 @@ class Shooting:
         """
         s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
-            held = window.stop - window.start < s.held
-            motions = with_neighbours(motions, reach_s, self.model.max_rate, s, held).trials
+            motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
             motions = replace(motions, normal=motions.normal[:0])
         allowed = np.ones(len(motions), dtype=bool)
@@ -283,19 +282,14 @@ class Shooting:
             parts.append(fitted)
             normals.append(normal)
         every, curvature = Shots.joined(parts), np.concatenate(normals)
-        kept, count = distinct_fits(every, curvature, np.tile(starts, len(begins)), self.s)
+        evidence = log_evidence(self.model, every.cost, curvature)
+        whole = ShotFit(self.model, every, curvature, evidence, np.tile(starts, len(begins)))
+        kept = distinct_fits(whole, self.s)
         if len(kept) > self.s.most_fitted:
             self._note(f"more than {self.s.most_fitted} modes", complete=True)
-            kept, count = kept[: self.s.most_fitted], count[: self.s.most_fitted]
-        return ShotFit(
-            self.model,
-            every.take(kept),
-            curvature[kept],
-            log_evidence(self.model, every.cost[kept], curvature[kept]),
-            -(-count // len(begins)),
-            self.complete,
-            tuple(self.notes),
-        )
+            kept = kept.take(slice(self.s.most_fitted))
+        once = -(-kept.starts // len(begins))
+        return replace(kept, starts=once, complete=self.complete, notes=tuple(self.notes))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:
