@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimation.model import Unknown
-from sunspin.estimation.ridges import Chart, Equations, Slopes, monomials, ridges_of
+from sunspin.estimation.ridges import Chart, Equations, Law, Slopes, monomials, ridges_of
 from sunspin.estimation.sample import mixed, resampled, sample
 from sunspin.estimation.settings import SAMPLING
 from sunspin.estimation.shots import Draws, ShotFit, Shots
@@ -167,6 +167,23 @@ def test_evidence_and_moments_of_a_bent_ridge():
     weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
     bright = weight @ draws.shots.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
+
+
+def test_a_component_does_not_count_for_the_draw_on_which_it_stands():
+    """It stands there because the weight was large; if it counted, evidences would be short."""
+    target = one()
+    (ridge,) = ridges_of(target, target.fit([0]), None, SAMPLING)
+    d = ridge.chart.dimensions
+    y = np.stack([np.zeros(d), np.full(d, 2.0)])
+    spread = np.tile(0.01 * np.eye(d), (2, 1, 1))
+    wide = Law(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
+    local = Law(np.ones(2), y, spread, np.array([0, 1]))
+    ridge.laws = [(2, Law.joined([(0.5, wide), (0.5, local)]))]
+    found = ridge.log_outer(y, 5.0, draws=True)
+    each = ridge.laws[0][1].log_densities(y, 5.0)
+    expected = [logsumexp(each[0, [0, 2]]), logsumexp(each[1, [0, 1]])]
+    assert found == pytest.approx(expected)
+    assert ridge.log_outer(y, 5.0) == pytest.approx(logsumexp(each, axis=1))
 
 
 def test_draws_stay_on_the_ridge():

@@ -1,7 +1,7 @@
 """Draws from the posterior of a lander: importance sampling along the exact ridges of :mod:`sunspin.estimation.ridges`.
 
-All rounds count: the outer laws of a ridge are pooled as one mixture, of which the rounds are the strata. A motion that several
-ridges may propose is divided between them, so that copies of a motion do not count twice.
+All rounds count: the outer laws of a ridge are pooled as one mixture, of which the rounds are the strata (Cornuet et al. 2012). A
+motion that several ridges may propose is divided between them, so that copies of a motion do not count twice.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def sample(
             budget.spend(float(counts.sum()) * s.warm_runs)
         draws, weights = pooled(ridges, s)
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
-        if (turn and good) or (budget is not None and budget.exhausted()):
+        spent = budget is not None and budget.exhausted()
+        if (turn and good) or spent or turn + 1 == s.rounds:
             break
         for ridge, own in zip(ridges, weights, strict=True):
             learn(ridge, own, rng, s)
@@ -105,7 +106,7 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
         [
             ridge.pool.log_mass
             - ridge.pool.log_inner
-            - ridge.log_outer(ridge.pool.y, s.freedom)
+            - ridge.log_outer(ridge.pool.y, s.freedom, draws=True)
             - np.log(ridge.drawn)
             for ridge in drawn
             if ridge.pool is not None
@@ -179,14 +180,14 @@ def learn(
         spread = (own[:, None] * (pool.y - mean[i])).T @ (pool.y - mean[i])
         covariance[i] = keep * spread + (1 - keep) * covariance[i]
     covariance = covariance + 1e-9 * np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
-    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance)
+    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1))
     wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
     ridge.law = Law.joined([(s.defence, wide), (1 - s.defence, ridge.learnt)])
     if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
         pick = rng.choice(len(weight), s.local, p=weight)
         owner = np.argmax(part[np.ix_(pick, used)], axis=1)
         shrunk = s.local_size**2 * covariance[owner]
-        local = Law(np.full(s.local, 1 / s.local), pool.y[pick], shrunk)
+        local = Law(np.full(s.local, 1 / s.local), pool.y[pick], shrunk, pick)
         share = s.local_share * (1 - s.defence)
         ridge.law = Law.joined(
             [(s.defence, wide), (1 - s.defence - share, ridge.learnt), (share, local)]
@@ -244,7 +245,7 @@ def walked_out(
         inner_log = student_log_density(white, s.freedom)
         inner_log = inner_log - np.log(np.einsum("kii->ki", own)).sum(axis=1)
         log_weight = mass - inner_log - ridge.log_outer(y, s.freedom)
-        largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom)
+        largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom, draws=True)
         left += int(np.sum(log_weight > largest.max() + np.log(INSIDE_TAIL)))
     return left / s.walkers
 
