@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from sunspin.estimation.model import Unknown
 from sunspin.estimation.ridges import Chart, Equations, Law, Slopes, monomials, ridges_of
-from sunspin.estimation.sample import mixed, resampled, sample
+from sunspin.estimation.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimation.settings import SAMPLING
 from sunspin.estimation.shots import Draws, ShotFit, Shots
 from sunspin.solve.rotations import tangent_basis
@@ -101,6 +101,10 @@ class Bananas:
         return Equations(
             cost, slope, matrix, Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
         )
+
+    def log_replicated(self, seen, u, rng) -> np.ndarray:
+        """Log likelihood of six normal readings about the motions."""
+        return -np.sum(rng.normal(size=(len(u), 6)) ** 2, axis=1) / 2
 
     @property
     def log_integral(self) -> float:
@@ -327,3 +331,18 @@ def test_resampled_draws_are_proportional_to_the_weights():
     draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
     picked = resampled(draws, 800, np.random.default_rng(0))
     assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
+
+
+def test_readings_that_no_motion_explains_have_no_chance():
+    """Six readings off by a sigma each are usual; off by six sigmas they come from no motion."""
+    target = one()
+    fit = target.fit([0])
+    for sigmas, low, high in ((1.0, 0.2, 0.8), (6.0, 0.0, 0.002)):
+        omega = np.tile(fit.motions.omega + sigmas * RATE, (100, 1))
+        u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
+        side = np.concatenate(
+            [np.zeros((1, 3)), sigmas * TURN * np.ones((1, 2)), np.zeros((1, 2))], 1
+        )
+        sun = np.tile(fit.motions.moved(side).sun, (100, 1))
+        checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
+        assert low <= checked.p <= high

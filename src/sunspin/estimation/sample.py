@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -248,6 +249,34 @@ def walked_out(
         largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom, draws=True)
         left += int(np.sum(log_weight > largest.max() + np.log(INSIDE_TAIL)))
     return left / s.walkers
+
+
+class Checked(NamedTuple):
+    """`p`: share of simulated readings that fit their motion worse than the real ones; `noise_sigmas`: how far the noise is from
+    the stated one, in sigmas of its prior."""
+
+    p: float
+    noise_sigmas: float
+
+
+class Replicating(Target, Protocol):
+    """A posterior whose readings can be simulated."""
+
+    def log_replicated(self, seen: Any, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return the log likelihood (K) of readings that were simulated from the motions, each set under its own motion."""
+        ...
+
+
+def predictive_check(
+    target: Replicating, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+) -> Checked:
+    """Return whether readings that fit as badly as the real ones would come from these motions, which are draws of equal weight."""
+    some = shots.take(slice(0, s.checked))
+    seen = target.run(some)
+    real = target.log_likelihood(seen, some.u)
+    worse = [target.log_replicated(seen, some.u, rng) <= real for _ in range(s.copies)]
+    noise = [i for i, one in enumerate(target.unknowns) if one.kind == "noise"]
+    return Checked(float(np.mean(worse)), float(some.u[:, noise].mean()) if noise else 0.0)
 
 
 def mixed(
