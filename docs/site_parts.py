@@ -86,11 +86,54 @@ def variables() -> str:
 
 
 GALLERY = {
-    "rates": "rates vehicle.toml telemetry.csv --out {out}",
-    "ambiguous": "rates vehicle.toml telemetry.csv --max-rate-deg-s 30 --to 70 --out {out}",
-    "sun": "sun vehicle.toml telemetry.csv --out {out}",
+    "rates": ("rates vehicle.toml telemetry.csv --out rates",),
+    "ambiguous": ("rates vehicle.toml telemetry.csv --max-rate-deg-s 30 --to 70 --out ambiguous",),
+    "sun": ("sun vehicle.toml telemetry.csv --out sun",),
+    "pointing": (
+        "rates vehicle.toml telemetry.csv --out rates",
+        "pointing rates --axis +z --axis -x --step 5 --out pointing",
+    ),
+    "history": (
+        "rates vehicle.toml week.csv --max-rate-deg-s 3 --out week",
+        "history week --out history",
+    ),
+    "plan": (
+        "plan vehicle.toml --every 10,60 --samples 12 --max-rate-deg-s 3 --passes 6 --out plan",
+    ),
 }
-"""Picture of the gallery -> the command that makes it, on the files of `sunspin init`."""
+"""Picture of the gallery -> the commands that make it, on the files of `sunspin init` and :func:`write_week`; the last one has the
+folder of that name."""
+
+PICTURES = {"ambiguous": "rates"}
+"""Picture of the gallery -> file of its folder, if that has another name."""
+
+PASSES, DAY_S = 10, 86_400.0
+"""Passes of the week in the gallery."""
+
+
+def write_week(place: Path) -> None:
+    """Write a week of synthetic telemetry of the example satellite, whose spin slows down, to week.csv."""
+    import numpy as np
+
+    import sunspin as ss
+    from sunspin.telemetry.synthetic import csv_text
+
+    vehicle, rng = ss.load_vehicle(place / "vehicle.toml"), np.random.default_rng(0)
+    lines: list[str] = []
+    for k in range(PASSES):
+        t_s = 0.7 * DAY_S * k + 15.0 * np.arange(30)
+        speed = np.radians(1.4 - 0.09 * k + 0.02 * rng.normal())
+        axis = np.array([0.3, 0.2, 1.0]) + 0.05 * rng.normal(size=3)
+        sun = rng.normal(size=3)
+        truth = {
+            "omega_B": speed * axis / np.linalg.norm(axis),
+            "sun_B": sun / np.linalg.norm(sun),
+            "t_s": t_s,
+            "wheel_mode": "hold",
+        }
+        header, *rows = csv_text(vehicle, ss.twin(vehicle, truth, seed=k), []).splitlines()
+        lines += rows if lines else [header, *rows]
+    (place / "week.csv").write_text("\n".join(["# Synthetic week", *lines]) + "\n", "utf-8")
 
 
 def draw_gallery(folder: Path) -> None:
@@ -108,11 +151,12 @@ def draw_gallery(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
         run = CliRunner()
         run.invoke(cli, ["init", "."], catch_exceptions=False)
+        write_week(Path())
+        commands = dict.fromkeys(command for name in missing for command in GALLERY[name])
+        for command in commands:
+            run.invoke(cli, [*command.split(), "--quiet"], catch_exceptions=False)
         for name in missing:
-            words = GALLERY[name].format(out=name).split()
-            run.invoke(cli, [*words, "--quiet"], catch_exceptions=False)
-            picture = "sun" if name == "sun" else "rates"
-            shutil.copy(Path(name) / f"{picture}.png", folder / f"{name}.png")
+            shutil.copy(Path(name) / f"{PICTURES.get(name, name)}.png", folder / f"{name}.png")
 
 
 def write_pages(app) -> None:

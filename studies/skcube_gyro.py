@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from studies.skcube_data import FREE_S, LAST_DAY, add_data_option, read_beacons, utc
-from sunspin.estimate.terms.term import student
+from sunspin.estimation.terms.term import student
 from validation.campaign import command, study_parser
 
 LONGEST_S = 60.0
@@ -88,7 +88,7 @@ def cost(unknowns: np.ndarray, pairs: Pairs, acceleration_noise: float) -> float
     covariance += drift[:, None, None] * np.eye(3)
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     residuals = np.einsum("nij,nj->ni", whitening, pairs.second - propagated)
-    return float(student(residuals)[1].sum() + np.log(np.linalg.det(covariance)).sum() / 2)
+    return float(student(residuals)[0].sum() + np.log(np.linalg.det(covariance)).sum() / 2)
 
 
 def fit(pairs: Pairs, acceleration_noise: float) -> tuple[np.ndarray, np.ndarray, float]:

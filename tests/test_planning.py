@@ -264,6 +264,26 @@ def test_command_writes_table_passes_and_figure_and_shows_the_first_round(tmp_pa
     assert (tmp_path / "beacons" / "plan_passes.csv").exists()
 
 
+def test_plan_leaves_out_the_orbit_of_the_vehicle_file_on_request(tmp_path, monkeypatch):
+    orbits = []
+
+    def refuse(*_, orbit, **__):
+        orbits.append(len(orbit))
+        raise InputError("no further")
+
+    monkeypatch.setattr(planning, "plan", refuse)
+    monkeypatch.chdir(tmp_path)
+    write_templates(tmp_path)
+    file = tmp_path / "vehicle.toml"
+    text = file.read_text("utf-8").replace("# [orbit]", "[orbit]").replace("# tle =", "tle =")
+    file.write_text(text, "utf-8")
+    for words in ("plan vehicle.toml", "plan vehicle.toml --no-orbit"):
+        assert "no further" in str(CliRunner().invoke(cli, words.split()).exception)
+    assert orbits == [1, 0]
+    done = CliRunner().invoke(cli, ["plan", "vehicle.toml", "--no-orbit", "--tle", "my.tle"])
+    assert "--no-orbit contradicts" in str(done.exception)
+
+
 @pytest.mark.long
 def test_slow_body_with_dense_beacons_is_decided_and_right():
     result = plan(CUBE, [10.0], samples=12, max_rate_rad_s=0.02, passes=3, seed=1)

@@ -200,3 +200,26 @@ def test_a_wrong_response_is_refused_in_one_sentence(table, words):
     with pytest.raises(ss.VehicleError) as error:
         parse_vehicle(FILE + table, "my.toml")
     assert all(word in str(error.value) for word in ["my.toml", *words])
+
+
+def test_the_albedo_model_is_that_of_a_wide_disk(reached):
+    """Integrated over an evenly bright disk of 66 degrees' radius, for panels turned away from its middle by up to 180 degrees."""
+    radius = np.arcsin(6371 / (6371 + 550))  # of the disk from 550 km, rad
+    away, about = (
+        np.stack(x)
+        for x in np.meshgrid(
+            (np.arange(300) + 0.5) / 300 * radius, np.arange(300) / 300 * 2 * np.pi
+        )
+    )
+    ray = np.stack(
+        [np.sin(away) * np.cos(about), np.sin(away) * np.sin(about), np.cos(away)], axis=-1
+    )
+    turned = np.linspace(0, np.pi, 19)
+    normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
+    area = np.sin(away) * radius / 300 * 2 * np.pi / 300 / (np.pi * np.sin(radius) ** 2)
+    true = (np.maximum(ray @ normals.T, 0) * area[..., None]).sum(axis=(0, 1))
+    panels = [Panel(f"p{i}", normal, 1.0) for i, normal in enumerate(normals)]
+    faces = Vehicle("faces", panels=panels)
+    modelled, _ = faces.response_in().earthlight(np.array([0.0, 0.0, 1.0]), np.array(1.0))
+    reached("light of the Earth on a panel", np.abs(modelled - true), "of the most", limit=0.06)
+    assert np.abs(modelled - true).max() < 0.06

@@ -16,11 +16,11 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli import cli
-from sunspin.estimate.orbit import check as orbit_check
 from sunspin.telemetry.assess import panel_quality
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.sun import LIT_FRACTION, is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
+from tests.support.orbit_cases import with_few_copies
 from tests.support.satellite_files import UNSTATED, Spinner
 
 COLUMNS = [
@@ -110,7 +110,7 @@ def unsure(value: np.ndarray, sigma: np.ndarray) -> bool:
 @pytest.fixture
 def few_copies(monkeypatch, undrawn):
     """An orbit is compared with few others; figures are not drawn."""
-    monkeypatch.setattr(orbit_check, "COPIES", 10)
+    with_few_copies(monkeypatch, 10)
 
 
 def everything(spinner: Spinner, folder: Path, seed: int, *commands: str) -> None:

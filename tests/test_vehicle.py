@@ -8,7 +8,9 @@ import pytest
 
 import sunspin as ss
 from sunspin.vehicle import SpinDown, SunRule, TelemetryForm
+from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.part import Part
+from sunspin.vehicle.sensors import Clock
 
 GOOD = """
 name = "v"
@@ -225,3 +227,12 @@ def test_a_vehicle_file_needs_only_what_is_used(tmp_path):
     )
     with pytest.raises(ss.VehicleError, match=r"inertia_kg_m2 under \[body\]"):
         ss.propagate(vehicle, [0, 0, 0.1], [1, 0, 0], None, [0.0, 1.0])
+
+
+def test_the_time_offset_of_a_vehicle_file_is_read():
+    stated = (
+        'name = "a"\n[clock]\nsensors_late_s = { value = 1.5, sigma = 2.0, source = "guess" }\n'
+    )
+    assert parse_vehicle(stated, "a").sensors.clock == Clock(1.5, 2.0)
+    with pytest.raises(ss.SunspinError, match=r"sigma of clock\.sensors_late_s"):
+        parse_vehicle(stated.replace("2.0", "-2.0"), "a")

@@ -76,7 +76,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
 
 def _any_vehicle(seed: int, i: int) -> Row:
     """Run and judge `rates` on random vehicle `i`."""
-    from sunspin.estimate.rates.result import DECIDED
+    from sunspin.estimation.verdict import DECIDED
     from tests.support.any_vehicle import judge_rates
 
     row = judge_rates(seed, i)

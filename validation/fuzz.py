@@ -17,7 +17,7 @@ from unittest import mock
 import click
 import numpy as np
 
-from sunspin.estimate.rates.motion import _runge_kutta
+from sunspin.estimation import carry
 from validation import hostile, pool
 from validation.border import Accepted, judge, sunspin
 from validation.pool import Suite, Verdict
@@ -57,11 +57,9 @@ class Fuzz(Suite):
         make_stock(self.stock)
         for change in shorten_work():
             self.stack.enter_context(change)
-        self.stack.enter_context(
-            mock.patch(
-                "sunspin.estimate.rates.motion._runge_kutta", self._limit_search(_runge_kutta)
-            )
-        )
+        for name in ("_run", "_turn_evenly"):
+            limited = self._limit_search(getattr(carry, name))
+            self.stack.enter_context(mock.patch.object(carry, name, limited))
         self.commands = command_table()
 
     def _limit_search(self, function: Any) -> Any:

@@ -17,8 +17,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import SunspinError
-from sunspin.estimate.rates.result import DECIDED
-from sunspin.estimate.verdict import NARROWER
+from sunspin.estimation.verdict import DECIDED, NARROWER
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
 from validation.subject import rates
@@ -33,6 +32,7 @@ STEP_S = 0.25
 CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
 """Change of the rate by a torque or a step over a pass in rad/s, and that by a strong torque."""
 
+# The position of a kind is part of its seed: new kinds are appended.
 KINDS = {
     "right model": 24,
     "steady torque": 12,

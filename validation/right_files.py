@@ -47,7 +47,7 @@ def _accusations(verdict: str) -> list[str]:
 def judge(folder: Path, seed: int, i: int, command: str) -> dict[str, Any]:
     """Return the accusations of one file by the command "check" or "rates": "form" has its features, "accused" the texts."""
     vehicle, telemetry, form = make(folder, seed, i)
-    if command == "rates" and subject.room() != "estimate":  # a package without a command yet
+    if command == "rates" and subject.room() != subject.OF_COMMANDS:
         craft = load_vehicle(vehicle)
         result = subject.rates(craft, read_telemetry(telemetry, craft))
         return {"form": form, "accused": _accusations(result.attrs["verdict"])}

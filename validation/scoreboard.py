@@ -28,7 +28,7 @@ import numpy as np
 
 from sunspin.base import atomic_write
 from validation.campaign import load_or_make, rows_folder
-from validation.subject import ROOMS, judge_room
+from validation.subject import OF_COMMANDS, ROOMS, judge_room
 
 ROOT = Path(__file__).parents[1]
 
@@ -83,7 +83,7 @@ def run_tasks(
     folder: Path,
     workers: int,
     say: Callable[[str], None],
-    room: str = "estimate",
+    room: str = OF_COMMANDS,
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Run the tasks without a row in `folder` and return the rows by set and case.
 
@@ -348,7 +348,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="measure processor times too, beside this commit in an environment of its own",
     )
     parser.add_argument(
-        "--room", choices=list(ROOMS), default="estimate", help="the package that is judged"
+        "--room", choices=list(ROOMS), default=OF_COMMANDS, help="the package that is judged"
     )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.set_defaults(level="quick")
@@ -371,7 +371,7 @@ def main(options: argparse.Namespace) -> int:
     ]
     state = package_state()
     # one package is not judged by the rows of another
-    folder = options.rows / (state if options.room == "estimate" else f"{state}-{options.room}")
+    folder = options.rows / (state if options.room == OF_COMMANDS else f"{state}-{options.room}")
     rows = run_tasks(
         tasks, folder, options.workers, lambda text: print(text, flush=True), options.room
     )

@@ -9,15 +9,10 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-ROOMS = {"estimate": "sunspin.estimate.rates.estimate", "estimation": "sunspin.estimation.rates"}
+ROOMS = {"estimation": "sunspin.estimation.rates"}
 """Packages that can be judged -> the module of each that has the function `rates`."""
 
 ORBIT = {
-    "estimate": {
-        "check_orbit": "sunspin.estimate.orbit.check",
-        "orbit_of": "sunspin.estimate.orbit.judged",
-        "calibrate_sensors": "sunspin.estimate.calibrate.sensors",
-    },
     "estimation": {
         "check_orbit": "sunspin.estimation.orbit.check",
         "orbit_of": "sunspin.estimation.orbit.judged",
@@ -26,7 +21,7 @@ ORBIT = {
 }
 """Packages that can be judged -> functions of orbits and sensors -> their modules."""
 
-OF_COMMANDS = "estimate"
+OF_COMMANDS = "estimation"
 """The package that the commands use."""
 
 _judged = [OF_COMMANDS]

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from sunspin.estimate.scan.lines import fit_lines as fit_lines
     from sunspin.estimate.scan.metrics import direction_error as direction_error, emd as emd
     from sunspin.estimate.posterior.estimate import posterior as posterior
-    from sunspin.estimate.calibrate.sensors import calibrate_sensors as calibrate_sensors
-    from sunspin.estimate.rates.estimate import rates as rates
+    from sunspin.estimation.calibrate import calibrate_sensors as calibrate_sensors
+    from sunspin.estimation.rates import rates as rates
     from sunspin.estimate.terms.period import Period as Period
     from sunspin.estimate.scan.volume import (
         Propagation as Propagation,
@@ -89,8 +89,8 @@ _MODULES = {
     "SunStatus": "sunspin.telemetry.sun",
     "panel_health": "sunspin.telemetry.health",
     "panel_quality": "sunspin.telemetry.assess",
-    "calibrate_sensors": "sunspin.estimate.calibrate.sensors",
-    "rates": "sunspin.estimate.rates.estimate",
+    "calibrate_sensors": "sunspin.estimation.calibrate",
+    "rates": "sunspin.estimation.rates",
     "Period": "sunspin.estimate.terms.period",
     "propagate": "sunspin.dynamics.propagate",
     "impact": "sunspin.dynamics.impact",

@@ -17,7 +17,7 @@ from sunspin.compute.pool import process_pool
 from sunspin.dynamics.propagate import propagate
 from sunspin.environment.ephemeris import Ephemeris, utc_from_jd
 from sunspin.environment.orbit import Orbit, Source, in_orbit
-from sunspin.estimate.rates.estimate import rates
+from sunspin.estimation.rates import rates
 from sunspin.solve.rotations import matrix_from_quaternion
 from sunspin.telemetry.synthetic import (
     TIME_STEP_S,

@@ -6,8 +6,9 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimate.terms.sun_direction import SunDirection
-from sunspin.estimate.terms.term import Seen, facing, normal
+from sunspin.estimation.model import States
+from sunspin.estimation.terms.directions import SunDirections
+from sunspin.estimation.terms.term import facing, student
 from sunspin.telemetry.sensors import AGREE
 from sunspin.vehicle.file import parse_vehicle
 
@@ -141,8 +142,10 @@ def test_a_sun_sensor_near_its_switching_intensity_keeps_both_readings(tmp_path)
         np.isnan(other[[0, 3, 4]]).all()
         and np.isnan(data["sun_sensor_other_cov_B"].values[0]).all()
     )
-    sun, _ = SunDirection.read(vehicle, data, "sun_sensor")
-    cost = normal(sun, Seen(facing(np.tile(down, (1, 5, 1))), np.zeros((1, 5, 3))))[2][0]
+    sun, _ = SunDirections.read(data, "sun_sensor")
+    seen = States(facing(np.tile(down, (1, 5, 1))), np.zeros((1, 5, 3)))
+    (residual,) = sun.residuals(seen, np.zeros((1, 0)))
+    cost = student(residual.value)[0][0]
     assert cost[0] > 5 and cost[1:] == pytest.approx(
         np.zeros(4), abs=1e-9
     )  # the better of the two counts

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
-from sunspin.estimate.orbit import check as orbit_check
+from tests.support.orbit_cases import with_few_copies
 
 TLE = """1 25544U 98067A   26001.50000000  .00010000  00000-0  10000-3 0  9999
 2 25544  51.6400 120.0000 0006000  30.0000  40.0000 15.49000000    03
@@ -58,7 +58,7 @@ def test_wrong_elements_are_refused_in_one_sentence(satellite):
 
 
 def test_a_file_of_many_satellites_serves_with_the_number_or_name_of_one(satellite, monkeypatch):
-    monkeypatch.setattr(orbit_check, "COPIES", 3)
+    with_few_copies(monkeypatch, 3)
     other = TLE.replace("25544", "25545").replace("999\n", "990\n").replace("03\n", "04\n")
     (satellite / "group.tle").write_text(f"MINE\n{TLE}SISTER\n{other}", "utf-8")
     words = ["vehicle.toml", "telemetry.csv", "--tle", "group.tle"]
@@ -74,7 +74,7 @@ def test_a_file_of_many_satellites_serves_with_the_number_or_name_of_one(satelli
 def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_the_vehicle_file(
     satellite, monkeypatch
 ):
-    monkeypatch.setattr(orbit_check, "COPIES", 10)
+    with_few_copies(monkeypatch, 10)
     words = ["check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"]
     done = CliRunner().invoke(cli, words, catch_exceptions=False)
     assert (
@@ -92,7 +92,7 @@ def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_th
 
 def test_rates_with_an_orbit_hold_its_positions_for_pointing(satellite, monkeypatch, undrawn):
     """Without a magnetometer the attitude about the Sun is free, and pointing says so; with one it would use the positions."""
-    monkeypatch.setattr(orbit_check, "COPIES", 3)
+    with_few_copies(monkeypatch, 3)
     few = [
         "--to",
         "120",

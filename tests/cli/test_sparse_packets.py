@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.cli.check import check
-from sunspin.estimate.rates.observe import observations, passes
-from sunspin.estimate.verdict import upper_text
+from sunspin.estimation.observe import observe, split
+from sunspin.estimation.settings import RATES
+from sunspin.estimation.verdict import upper_text
 from sunspin.output.check.samples import noise_lines
 from sunspin.output.template import write_templates
 from sunspin.telemetry.assess import assess
@@ -86,10 +87,12 @@ def test_the_sampling_interval_counts_only_rows_with_a_direction(place, spoil):
 def test_too_few_directions_because_of_shadow_are_explained_by_the_orbit(place):
     vehicle = load_vehicle(place / "vehicle.toml")
     found = assess(vehicle, read_telemetry(place / "telemetry.csv", vehicle))
-    o, why, _ = observations(vehicle, found)
-    dark = replace(o, terms=tuple(replace(t, lit=np.zeros(len(o))) for t in o.terms))
+    seen = observe(found)
+    (panels,) = seen.obs.terms
+    panels = replace(panels, lit=np.zeros(len(seen.obs)))
+    dark = replace(seen, obs=replace(seen.obs, terms=(panels,)))
     with pytest.raises(InputError, match="by the orbit 40 are in the Earth's shadow") as error:
-        passes(dark, why)
+        split(dark, None, RATES.passes)
     assert "dropped" not in str(error.value)
 
 

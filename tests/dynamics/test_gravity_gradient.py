@@ -1,4 +1,4 @@
-"""Gravity gradient in the reference propagator, the kernel, the steps of `rates` and the motion of `posterior`."""
+"""Gravity gradient in the reference propagator, the kernel and the motion of `posterior`."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from sunspin.dynamics import batch
 from sunspin.dynamics.torques import acting
 from sunspin.environment import circular
 from sunspin.estimate.posterior.model import State, model, under
-from sunspin.estimate.rates.motion import FREE, Body, step
 from sunspin.vehicle import Panel, Vehicle
 
 N = 1.1e-3
@@ -51,22 +50,6 @@ def in_the_kernel() -> np.ndarray:
     return seen_nadir(run.attitude[0])
 
 
-def stepped_by_rates() -> np.ndarray:
-    body, attitude, omega = (
-        Body.of(BODY, acting=acting(["gravity_gradient"], ORBIT)),
-        START.as_matrix()[None],
-        OMEGA[None],
-    )
-    seen = [attitude[0] @ ORBIT.at(0.0).nadir_N[0]]
-    for t, t_next in zip(TIMES[:-1], TIMES[1:], strict=True):
-        made, omega = step(
-            body, omega, np.array([t_next - t]), body.seen(FREE, attitude, np.array([t]))
-        )
-        attitude = made @ attitude
-        seen.append(attitude[0] @ ORBIT.at(t_next).nadir_N[0])
-    return np.array(seen)
-
-
 def moved_by_the_posterior() -> np.ndarray:
     """Begun an orbit late, on a clock that counts from there: the model's Sun of a body at the first sample, without a turn."""
     unknown = under(
@@ -79,9 +62,7 @@ def moved_by_the_posterior() -> np.ndarray:
 @pytest.mark.evidence(
     "propagate", "verified", "closed form of a small libration under gravity gradient"
 )
-@pytest.mark.parametrize(
-    "moved", [propagated, in_the_kernel, stepped_by_rates, moved_by_the_posterior]
-)
+@pytest.mark.parametrize("moved", [propagated, in_the_kernel, moved_by_the_posterior])
 def test_a_body_librates_about_the_nadir_at_the_rate_of_the_closed_form(moved, reached):
     nadir = moved()
     angle = np.arctan2(nadir[:, 0], nadir[:, 2])

@@ -21,8 +21,6 @@ from sunspin.estimate.posterior.fit import Fit
 from sunspin.estimate.posterior.importance import Weigh
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model, require_computable
-from sunspin.estimate.rates import period
-from sunspin.estimate.rates.motion import Body
 from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
 from tests.support.vehicles import LOWER_CASE_FACES, small_cube
 
@@ -177,13 +175,6 @@ def test_a_wheel_too_fast_for_the_window_is_refused_with_a_window_that_works():
     assert window is not None
     require_computable(unknown, t * float(window[1]) / 7200.0, 0.1)
     require_computable(model(slow, {"max_rate_rad_s": 0.1}, 1.0)[0], t, 0.1)
-
-
-def test_periods_use_physical_inertias_only():
-    body = Body.of(craft("box", 1.0, 0.5))
-    made = np.array([one.inertia for one in period._bodies(body, np.random.default_rng(0))])
-    assert len(made) == period.INERTIAS and len(np.unique(made[:, 0, 0])) == period.INERTIAS
-    assert is_body(Bodies.rigid(made), Bodies.rigid(body.inertia)).all()
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
-"""Rates and posterior of a body under gravity gradient. All telemetry is synthetic."""
+"""The posterior of a body under gravity gradient. All telemetry is synthetic."""
 
 import json
-from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,14 +14,6 @@ from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood, move_on_sphere
 from sunspin.estimate.posterior.model import State, model, under
 from sunspin.estimate.posterior.predict import drawn_rows
-from sunspin.estimate.rates.motion import (
-    FREE,
-    Body,
-    rotate_attitude,
-    rotation_between,
-    step,
-    step_with_answer,
-)
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 ORBIT = circular(1.1e-3, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
@@ -63,77 +54,6 @@ def tumbling_telemetry() -> tuple[xr.Dataset, xr.Dataset]:
     }
     coords = {"time": t, "panel": list(CUBE.panel_names)}
     return xr.Dataset(variables, coords, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}), run
-
-
-@pytest.mark.long
-@pytest.mark.evidence(
-    "rates", "modelled", "a simulated tumbling CubeSat; without the torque it must fit worse"
-)
-def test_gravity_gradient_determines_the_rotation_about_the_sun_direction():
-    data, run = tumbling_telemetry()
-    found, errors, off_by = {}, {}, {}
-    for torques in ((), TORQUES):
-        result = ss.rates(
-            CUBE,
-            data,
-            acceleration_noise=1e-7,
-            max_rate_rad_s=0.03,
-            environment=ORBIT,
-            torques=torques,
-        )
-        off = result["omega_B"].values - run["omega_B"].sel(time=result["time"]).values
-        errors[torques] = np.sqrt(
-            np.mean(off**2 / np.einsum("nii->ni", result["omega_cov_B"].values))
-        )
-        off_by[torques] = np.sqrt(np.mean(off**2))
-        found[torques] = result
-    free, pulled = found.values()
-    assert (
-        pulled["model"].item() == "as stated" and "torque" in free["model"].item()
-    )  # without it, one is found to be missing
-    assert errors[TORQUES] < 1.5 and off_by[TORQUES] < off_by[()] / 2
-    attitude, truth = (Rotation.from_quat(x["B_from_N"].values) for x in (pulled, run))
-    assert (
-        np.degrees((attitude * truth.inv()).magnitude()).max() < 20.0
-    )  # nothing but the torque says how the body stands about it
-
-
-def test_derivatives_of_a_step_under_torques_agree_with_differences():
-    body, rng = Body.of(CUBE, acting=acting(TORQUES, ORBIT)), np.random.default_rng(1)
-    omega, attitude = rng.normal(size=(3, 3)) * 2e-3, Rotation.random(3, random_state=2).as_matrix()
-    dt = np.array([300.0, 200.0, 100.0])
-    made, rate, answer = step_with_answer(body, omega, dt, body.seen(FREE, attitude, 50.0))
-    for k in range(3):
-        small = 1e-4 * np.eye(3)[k]
-        other = rotate_attitude(attitude, small)
-        ended, rates = step(body, omega, dt, body.seen(FREE, other, 50.0))
-        np.testing.assert_allclose(
-            rotation_between(made @ attitude, ended @ other) / 1e-4, answer[..., :3, k], atol=2e-4
-        )
-        np.testing.assert_allclose((rates - rate) / 1e-4, answer[..., 3:, k], atol=2e-6)
-    assert (
-        np.abs(answer[:, 3:, :3]).max() > 1e-4
-    )  # the control: without torques the rate does not know the attitude
-
-
-@dataclass(frozen=True)
-class Aslant:
-    """An environment whose Sun is not along z of N."""
-
-    frame_N: str = "aslant"
-
-    def at(self, t_s):
-        return replace(ORBIT.at(t_s), sun_N=np.tile([0.0, 0.6, 0.8], (np.size(t_s), 1)))
-
-
-def test_rates_refuses_torques_without_their_environment_and_a_sun_elsewhere():
-    data, _ = tumbling_telemetry()
-    with pytest.raises(
-        ss.InputError, match="rates needs an environment with z of its N to the Sun"
-    ):
-        ss.rates(CUBE, data, environment=Aslant(), torques=TORQUES)
-    with pytest.raises(ss.MotionError, match="'gravity_gradient' needs an environment"):
-        ss.rates(CUBE, data, torques=TORQUES)
 
 
 def likelihood() -> Likelihood:

@@ -1,4 +1,4 @@
-"""Each printed advice of the estimation room is followed literally and has the promised effect. All telemetry is synthetic."""
+"""Each printed advice is followed literally and has the promised effect. All telemetry is synthetic."""
 
 from __future__ import annotations
 
@@ -7,19 +7,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import sunspin as ss
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.orbit import in_orbit
 from sunspin.estimation.model import Body, Model, Noise
 from sunspin.estimation.observe import observe
+from sunspin.estimation.orbit.judged import judged_orbit
 from sunspin.estimation.rates import rates
 from sunspin.estimation.settings import RATES
 from sunspin.estimation.starts import fine_up_to
 from sunspin.estimation.verdict import more_effort, slower
+from sunspin.output.check import orbit as check_words
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
+from tests.support import satellite_files
+from tests.support.orbit_cases import check_case, with_few_copies
 from tests.support.simulate import fast_body, telemetry_of
 from tests.support.vehicles import CUBE_NORMALS
+from validation import spinners
 
 CUBE = Vehicle(
     "cube",
@@ -133,3 +141,98 @@ def test_a_body_whose_inertia_is_stated_is_decided():
     assert not (unknown["decided"].values[0] and wrong.any())
     asked = "GIVE ITS INERTIA" in unknown.attrs["verdict"]
     assert asked is ("give its inertia" in str(unknown["why_not_decided"].values[0]))
+
+
+@pytest.mark.long
+def test_the_advice_to_state_the_zero_of_a_magnetometer_gives_right_rates(tmp_path):
+    """docs/howto/orbit.md: a zero of a third of the field, taken for none, fits no motion; with its sigma the motion comes."""
+    zero, faces = (0.2, -0.3, 0.25), ("-X", "+Y", "-Z", "+X")
+    case = spinners.Case(
+        5, 2, -6.0, 1, 1.0, faces, spinners.AS_MOUNTED, zero, True, 1.3, True, 0.1, 2.0, 150
+    )
+    true = np.array(spinners.make(case, tmp_path)["rates_deg_s"])
+    written = (tmp_path / "vehicle.toml").read_text("utf-8")
+    results = {}
+    for sigma in ("", ", sigma = 10000"):
+        (tmp_path / "vehicle.toml").write_text(
+            re.sub("zero = .*", f"zero = {{ value = [0, 0, 0]{sigma} }}", written), "utf-8"
+        )
+        vehicle = ss.load_vehicle(tmp_path / "vehicle.toml")
+        results[sigma] = ss.rates(vehicle, ss.read_telemetry(tmp_path / "telemetry.csv", vehicle))
+    exact, open_zero = results.values()
+    assert not exact["decided"].any() and open_zero["decided"].all()
+    pull = np.radians(true) - open_zero["omega_B"].values
+    pull /= np.sqrt(np.diagonal(open_zero["omega_cov_B"].values, axis1=1, axis2=2))
+    assert np.abs(pull).max() < 4
+
+
+def test_the_advice_of_check_to_set_the_scale_removes_the_warning(tmp_path):
+    """Readings in W that the vehicle file takes for mW: the line that is named is replaced by what is printed."""
+    from sunspin.output.check.files import describe_telemetry
+
+    made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
+    made.vehicle.write_text(
+        made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001")
+    )
+
+    def wrong() -> list[str]:
+        lines = describe_telemetry(
+            ss.load_vehicle(made.vehicle), made.telemetry, str(made.vehicle)
+        )[2]
+        return [line for line in lines if "WRONG" in line]
+
+    (said,) = wrong()
+    found = re.search(r"set (scale = [\d.e-]+) under \[telemetry\], line (\d+)", said)
+    assert found is not None, said
+    text = made.vehicle.read_text("utf-8").splitlines()
+    text[int(found[2]) - 1] = found[1]
+    made.vehicle.write_text("\n".join(text), "utf-8")
+    assert not wrong()
+
+
+def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
+    return in_orbit(
+        parse_elements("\n".join(given), "twin"),
+        data.attrs["epoch_utc"],
+        data["time"].values,
+        **options,
+    )
+
+
+def test_the_advice_to_reverse_the_matrix_of_the_magnetometer_makes_the_elements_fit(monkeypatch):
+    with_few_copies(monkeypatch, 10)
+    vehicle, data, given, about = check_case(1, 1)
+    orbit, wrong = (
+        in_an_orbit(data, given, shift_sigma_s=about["sigma_s"]),
+        data.assign(field_B=-data["field_B"]),
+    )
+    _, _, words = judged_orbit(orbit, vehicle, wrong)
+    assert "HAS THE OPPOSITE SIGN: change the sign of `matrix`" in words
+    part = vehicle.sensors.magnetometer
+    turned = replace(
+        vehicle, sensors=replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
+    )
+    used, _, words = judged_orbit(
+        orbit, turned, wrong.assign(field_B=-wrong["field_B"])
+    )  # as its columns are read now
+    assert used is not None and "SIGN" not in words
+
+
+def test_the_advice_to_widen_the_along_track_offset_makes_the_elements_fit(monkeypatch):
+    with_few_copies(monkeypatch, 10)
+    vehicle, data, given, about = check_case(1, 1)
+    found = {}
+    for sigma in (abs(about["ahead_s"]) / 6, abs(about["ahead_s"])):
+        found[sigma] = about_orbit_lines(
+            vehicle, data, in_an_orbit(data, given, shift_sigma_s=sigma, shift_s=0.0)
+        )
+    narrow, wide = found.values()
+    assert any("widen --tle-shift-sigma" in line for line in narrow), narrow
+    assert not any("widen" in line for line in wide) and "elements consistent" in wide[0], wide
+
+
+def about_orbit_lines(vehicle, data, orbit) -> list[str]:
+    """What `check` says of an orbit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(check_words, "orbit_of", lambda *_: orbit)
+        return check_words.describe_orbit(assess(vehicle, data), None, None)[1]

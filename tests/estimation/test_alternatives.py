@@ -28,12 +28,13 @@ def names(fits):
     return [one.model.what for one in order]
 
 
-def test_a_quiet_pass_is_asked_for_torques_only():
+def test_a_quiet_pass_is_asked_for_torques_and_the_zero_of_its_gyro_only():
     model, motions = problem(torque=False)
     model = model.seeing(slice(0, 5))
     fits = ladder(model, motions, RATES.ladder, RATES.search, 1e-4)
     tried = [one.what for one in alternatives(model, fits, replace(ALTERNATIVES, few=0))]
-    assert tried == ["a steady torque in body axes", "a steady torque in axes fixed in space"]
+    torques = ["a steady torque in body axes", "a steady torque in axes fixed in space"]
+    assert tried == [*torques, "another zero offset of the gyro"]
 
 
 def test_a_bad_direction_of_five_is_left_out():

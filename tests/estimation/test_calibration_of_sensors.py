@@ -1,18 +1,23 @@
 """Sensors calibrated by their own telemetry: errors within sigmas, nothing written that the data do not determine."""
 
+import tomllib
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 
 import sunspin as ss
+from sunspin.base.errors import SunspinError
+from sunspin.cli import cli
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimation import calibrate
 from sunspin.estimation.calibrate import GyroFit, calibrate_sensors, fit_gyro, gyro_keys, new_values
 from sunspin.estimation.orbit.check import OrbitCheck, Verdict
+from sunspin.vehicle.rewrite import NewValue, rewrite_values
 from sunspin.vehicle.sensors import Gyro
 from tests.support.calibration_cases import calibration_case, deviations
 
@@ -149,3 +154,70 @@ def test_written_keys_of_a_gyro_with_reversed_columns_read_as_the_fit():
     changed = replace(gyro, zero=zero, scale_rad_s=float(scale[0]))
     expected = (gyro.interpret(read).values - values[:3]) / values[3]
     np.testing.assert_allclose(changed.interpret(read).values, expected, atol=1e-12)
+
+
+FILE = """# my satellite
+name = "x"
+[[panel]]
+name = "+X"
+normal_B = [1, 0, 0]
+cells = 7   # of the second batch
+[magnetometer]
+columns = ["a", "b", "c"]
+zero = [0, 0, 0]   # by the data sheet
+# noise = 5
+
+# the gyro
+[gyro]
+columns = ["d", "e", "f"]
+scale_rad_s = { value = 1.0, sigma = 0.1, source = "old" }
+noise_rad_s = 1
+"""
+
+
+def test_the_calibrated_copy_keeps_order_and_comments_of_the_vehicle_file():
+    field = ("magnetometer",)
+    new = [
+        NewValue(("panel", "+X"), "relative_gain", 6.5, 0.1, "s"),
+        NewValue(field, "zero", [1.0, 2.0, 3.0], [0.1] * 3, "s"),
+        NewValue(field, "scale_T", 2e-9, 1e-11, "s"),
+        NewValue(("gyro",), "scale_rad_s", 1.1, 0.01, "s"),
+    ]
+    text = rewrite_values(FILE, new)
+    assert [line for line in text.splitlines() if line not in FILE.splitlines()] == [
+        'relative_gain = {value = 6.5, sigma = 0.1, source = "s"}   # of the second batch',
+        'zero = {value = [1.0, 2.0, 3.0], sigma = [0.1, 0.1, 0.1], source = "s"}   # by the data sheet',
+        'scale_T = {value = 2e-09, sigma = 1e-11, source = "s"}',
+        'scale_rad_s = {value = 1.1, sigma = 0.01, source = "s"}',
+    ]
+    assert (
+        text.index("scale_T") < text.index("# noise = 5")
+        and tomllib.loads(text)["gyro"]["scale_rad_s"]["value"] == 1.1
+    )
+    with pytest.raises(ss.VehicleError, match=r"the vehicle file has no table \[panel\.-X\]"):
+        rewrite_values(FILE, [NewValue(("panel", "-X"), "gain_W", 1.0, 0.1, "s")])
+
+
+def test_calibrate_sensors_writes_a_copy_and_never_overwrites_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    runner = CliRunner()
+    runner.invoke(cli, ["init", "."])
+    before = (tmp_path / "vehicle.toml").read_text("utf-8")
+    done = runner.invoke(
+        cli,
+        ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", "new.toml"],
+        catch_exceptions=False,
+    )
+    assert done.exit_code == 0 and (tmp_path / "vehicle.toml").read_text("utf-8") == before
+    new = (tmp_path / "new.toml").read_text("utf-8")
+    assert {line for line in before.splitlines() if line.startswith("#")} <= set(new.splitlines())
+    for out in ("new.toml", "vehicle.toml"):
+        with pytest.raises(
+            SunspinError, match=f"{out}: this file is there already; choose another --out"
+        ):
+            runner.invoke(
+                cli,
+                ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", out],
+                catch_exceptions=False,
+            )
+    assert (tmp_path / "new.toml").read_text("utf-8") == new

@@ -103,7 +103,7 @@ def test_a_calibration_that_reverses_the_readings_fits_the_sun_only_if_they_are_
         readings = read(assess(nine[0], data), ORBIT.samples)
         trial = Trial(readings, float(np.hypot(given.shift_sigma_s, given.clock_sigma_s)), ORBIT)
         predicted = trial.predicted(given)
-        own = trial.fits(predicted)
+        own = trial.fit(predicted)
         matrix, zero = np.split(own.calibration[own.best], [9])
         field = readings.field @ matrix.reshape(3, 3).T - zero
         at = predicted.at([own.best])

@@ -7,17 +7,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.environment import Surroundings
-from sunspin.estimation.chain import equations
+from sunspin.estimation.chain import equations, fit
 from sunspin.estimation.model import Body, Model, Noise, Observations, States, Track
+from sunspin.estimation.observe import observe
 from sunspin.estimation.settings import FIELD_TURN
 from sunspin.estimation.terms.clock import Latency
 from sunspin.estimation.terms.earth_light import EarthLight
 from sunspin.estimation.terms.field import FieldChange, FieldDirection, KnownField
 from sunspin.estimation.terms.inertial import AttitudeChange, Gyro
 from sunspin.estimation.terms.panels import Instants, Panels
+from sunspin.estimation.terms.term import facing
 from sunspin.estimation.terms.torques import GravityGradient, MagneticTorque, StatedDipole
 from sunspin.solve.rotations import rotate_attitude
+from sunspin.telemetry.assess import assess
+from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle.response.flat import PanelResponse
+from sunspin.vehicle.sensors import Sensors
+from tests.support.simulate import CUBE, MAGNETOMETER, cube_with_faults, cube_with_late_sensor
 
 T_S = np.array([0.0, 11.0, 25.0, 33.0, 48.0, 60.0])
 N = len(T_S)
@@ -291,3 +297,62 @@ def test_directions_of_a_field_have_axes_that_turn():
         FieldDirection.axes_rad_s == FIELD_TURN
         and not known_field(np.random.default_rng(1)).axes_rad_s
     )
+
+
+def bent_by_a_magnetometer(off, zero_sigma, matrix, matrix_sigma):
+    """Return the fit of a cube that a wrong magnetometer watches, begun at its true motion, and the true rates (n, 3)."""
+    data, run = cube_with_late_sensor("field", 0.0, np.random.default_rng(4), 9)
+    part = replace(MAGNETOMETER, zero_sigma=np.full(3, zero_sigma))
+    vehicle = replace(CUBE, sensors=Sensors(magnetometer=part))
+    read = (data["field_B"].values + off) @ matrix.T
+    data = data.assign(field_B=(("time", "axis"), read))
+    obs = observe(assess(vehicle, data)).obs
+    terms = tuple(
+        replace(term, matrix_sigma=matrix_sigma) if isinstance(term, FieldChange) else term
+        for term in obs.terms
+    )
+    obs = replace(obs, terms=terms).of_pass(np.arange(len(obs)))
+    model = Model(obs, Body.of(vehicle), Noise(1e-5), 0.05)
+    attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
+    sun_N = attitude[0].T @ run["sun_B"].values[0]
+    begin = np.zeros((1, len(model.unknowns)))
+    truth = run["omega_B"].values
+    start = Track((attitude @ facing(sun_N))[None], truth[None], begin)
+    return fit(model, start, 60), truth
+
+
+def pull_of(one, truth):
+    """Return the rms of the rates' errors over their sigmas."""
+    off = one.motions.omega[0] - truth
+    covariance = one.motions.covariance[0, :, 3:, 3:]
+    return np.sqrt(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off).mean() / 3)
+
+
+@pytest.mark.evidence(
+    "rates", "modelled", "a simulated magnetometer whose zero is off by its stated sigma"
+)
+def test_an_uncertain_magnetometer_zero_is_estimated():
+    """Taken for exact, a zero off by a third of the field bends the motion by many sigmas; with its sigma stated it does not."""
+    off = np.array([0.3, -0.25, 0.2])
+    exact, known = (bent_by_a_magnetometer(off, sigma, np.eye(3), 0.0) for sigma in (0.0, 0.3))
+    assert pull_of(*known) < 1.6 < 2.5 < pull_of(*exact)
+
+
+@pytest.mark.evidence(
+    "rates", "modelled", "a simulated magnetometer with soft iron and an uncalibrated zero"
+)
+def test_an_uncertain_magnetometer_matrix_is_estimated():
+    """Of a fast spinner soft iron turns the axis by degrees: by more sigmas if the matrix is taken for exact."""
+    rng, pulls = np.random.default_rng(3), []
+    for _ in range(6):
+        matrix = np.eye(3) + 0.05 * rng.normal(size=(3, 3))
+        cases = [bent_by_a_magnetometer(np.zeros(3), 0.0, matrix, sigma) for sigma in (0.0, 0.05)]
+        pulls.append([pull_of(*each) for each in cases])
+    exact, known = np.transpose(pulls)
+    assert np.median(known) < 1.3 and known.max() < 2 and (exact > known).all(), pulls
+
+
+def test_without_albedo_no_light_of_the_earth_is_estimated():
+    data, _ = cube_with_faults((), np.random.default_rng(1))
+    read, _ = Panels.read(assess(CUBE, data))
+    assert read.earth_share < FAINT and read.of_pass(data["time"].values).earth is None

@@ -125,6 +125,9 @@ def test_a_period_that_may_be_another_counts_both():
     assert after.probability == pytest.approx(near / near.sum(), abs=0.02)
     (row,) = json.loads(attrs["periods"])
     assert row["told"] and row["carried"] > 0.99
+    elsewhere = replace(seen, t_s=1e5)
+    unchanged, attrs = pd.weigh_by_periods([one], body, [elsewhere], [0])
+    assert unchanged == [one] and attrs == {}
     sure = replace(seen, probability=1.0, aliases=())
     (after,), _ = pd.weigh_by_periods([one], body, [sure], [0])
     assert after.probability[0] > 0.99

@@ -11,14 +11,15 @@ from sunspin.base.errors import InputError
 from sunspin.environment import circular
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimation.field_led import field_of
 from sunspin.estimation.model import Body, Model, Noise, Track
 from sunspin.estimation.observe import FIELD_ALONE, observe, split, thinned
+from sunspin.estimation.orbit.calibration import along_orbit
 from sunspin.estimation.rates import along_the_sun, no_faster, rates
 from sunspin.estimation.settings import FIELD_TURN, RATES
-from sunspin.estimation.terms.field import KnownField
+from sunspin.estimation.terms.field import FieldChange, KnownField
 from sunspin.estimation.terms.panels import Panels
+from sunspin.output.export import build_attitude
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -33,7 +34,8 @@ def case():
     """Return vehicle, telemetry, orbit, calibration, truth and begin of a pass of a CubeSat with a dipole under clouds."""
     vehicle, data, elements, truth, about = rates_case(1, 3, patches=1000)
     orbit = replace(orbit_of(elements, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
-    return vehicle, data, orbit, field_calibration(orbit, vehicle, data), truth, about["begin_s"][0]
+    calibration = along_orbit(orbit, assess(vehicle, data))
+    return vehicle, data, orbit, calibration, truth, about["begin_s"][0]
 
 
 def middle_rate(result, k=0):
@@ -97,6 +99,20 @@ def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(c
     assert len(no_faster(model, replace(motions, cost=np.array([1e3, 0.5])), RATES.search)) == 2
 
 
+def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(case):
+    """The calibration has the zero's error, in tesla; that of the vehicle file is in the unit of the columns."""
+    vehicle, data, orbit, calibration, _, _ = case
+    part = replace(vehicle.sensors.magnetometer, zero_sigma=np.full(3, 4.0))
+    stated = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=part))
+    found = []
+    for craft in (vehicle, stated):
+        seen = observe(assess(craft, data), None, SunAlongZ(orbit), calibration)
+        (known,) = (term for term in seen.obs.terms if isinstance(term, KnownField))
+        found.append([(one.name, one.sigma) for one in known.unknowns()])
+        assert sum(isinstance(term, FieldChange) for term in seen.obs.terms) == 0
+    assert found[0] == found[1]
+
+
 @pytest.mark.long
 @pytest.mark.evidence("rates", "modelled", "a simulated CubeSat in its orbit, under clouds")
 def test_a_pass_in_its_orbit_has_the_true_rate_and_its_attitude_in_J2000(case):
@@ -109,6 +125,9 @@ def test_a_pass_in_its_orbit_has_the_true_rate_and_its_attitude_in_J2000(case):
     quaternion, of_pass = result["B_from_N"].values, result["pass_of"].values
     same = np.diff(of_pass) == 0
     assert np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1])[same].min() > 0
+    message = build_attitude(result)
+    assert message.number == str(orbit.elements[0].number)
+    assert message.centre == "EARTH" and message.name != "UNKNOWN"
 
 
 @pytest.mark.long
@@ -270,6 +289,14 @@ def test_gravity_determines_the_turn_about_the_sun():
     found = Rotation.from_quat(pulled["B_from_N"].values)
     true = Rotation.from_quat(run["B_from_N"].values)
     assert np.degrees((found * true.inv()).magnitude()).max() < 20.0
+
+
+def test_a_torque_without_the_environment_that_it_needs_is_refused():
+    t_s = np.arange(0.0, 100.0, 10.0)
+    sun = np.tile([1.0, 0.0, 0.0], (10, 1))
+    data = telemetry_dataset(CUBE, t_s, np.ones((10, 1)), sun, "2026-01-01T00:00:00Z", {})
+    with pytest.raises(ss.MotionError, match="'gravity_gradient' needs an environment"):
+        rates(CUBE, data, torques=("gravity_gradient",))
 
 
 def test_an_environment_whose_sun_is_not_along_z_is_refused():

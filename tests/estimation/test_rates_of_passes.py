@@ -11,7 +11,8 @@ from sunspin.estimation.observe import thinned
 from sunspin.estimation.rates import rates
 from sunspin.estimation.settings import RATES, PassSettings
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
-from validation.passes import compare_with_truth, make
+from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
+from validation.passes import observe as observe_passes
 
 
 def two_passes():
@@ -50,7 +51,9 @@ def test_one_pass_of_a_file_can_be_asked_for():
         rates(vehicle, telemetry, pass_id=2)
 
 
-@pytest.mark.parametrize("kind", ["right model", "steady torque", "step of the rate", "slow"])
+@pytest.mark.parametrize(
+    "kind", ["right model", "steady torque", "step of the rate", "slow", "jitter"]
+)
 def test_simulated_passes_are_not_decided_and_wrong(kind):
     simulated = make(kind, 0, 0)
     result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
@@ -129,3 +132,20 @@ def test_settings_are_taken():
     watch = replace(RATES.search, watch=lambda window, motions: windows.append(window))
     rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=0, settings=replace(RATES, search=watch))
     assert windows[-1] == slice(0, 20)
+
+
+@pytest.mark.parametrize("frame", ["body axes", "axes fixed in space"])
+def test_an_unmodelled_torque_is_named_and_the_rates_are_right(frame):
+    torque = 1e-4 * np.array([1.0, -0.5, 0.5])  # rad/s2 over the mean moment
+
+    def push(_, attitude):
+        return (torque if frame == "body axes" else attitude @ torque) * MOMENTS.mean() / MOMENTS
+
+    t_s = np.arange(0.0, 300.0, 10.0)
+    omega, attitude = spin(np.radians([2.0, -1.0, 1.5]), t_s, push)
+    seen = observe_passes(FACES, omega, attitude, t_s, 0.01, np.random.default_rng(3))
+    result = rates(seen.vehicle, seen.telemetry, max_rate_rad_s=0.15)
+    assert result["model"].values[0] == f"a steady torque in {frame}"
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    truth = omega[np.isin(t_s, result["time"].values)]
+    assert np.abs((result["omega_B"].values - truth) / sigma).max() < 4.5

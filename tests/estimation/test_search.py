@@ -12,7 +12,13 @@ from sunspin.estimation.copies import Outline, distinct
 from sunspin.estimation.model import Body, Model, Noise, Observations, Track
 from sunspin.estimation.search import grown, search
 from sunspin.estimation.settings import AlternativeSettings, SearchSettings
-from sunspin.estimation.starts import constant_rates, pair_starts, places, relatives, whole_turns
+from sunspin.estimation.starts import (
+    constant_rates,
+    pair_starts,
+    pairs_to_try,
+    relatives,
+    whole_turns,
+)
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.solve.rotations import rotate_attitude
 
@@ -40,7 +46,7 @@ def watched(deg_s, apart_s=20.0, count=20, sigma=0.03, max_deg_s=8.0, seed=0):
 
 def found(model, s=SEARCH):
     """Return the motions that a search finds."""
-    return search(Chain(model, s), pair_starts(model, s), s, Budget(np.inf), places(model, s))
+    return search(Chain(model, s), pair_starts(model, s), s, Budget(np.inf), pairs_to_try(model, s))
 
 
 def holds(motions, truth, apart_rad=0.35):

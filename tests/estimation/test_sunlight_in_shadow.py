@@ -3,13 +3,18 @@
 Telemetry of panels alone, in orbits of `tests/support/orbits.py`, whose SGP4, Sun and cylinder of shadow are not the package's.
 """
 
+import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
+import sunspin as ss
+from sunspin.cli import cli
 from sunspin.estimation.orbit.check import Verdict, check_orbit
 from sunspin.estimation.orbit.judged import judged_orbit
 from sunspin.estimation.orbit.shadow import FEW, clear_sun, sun_in_shadow
@@ -19,7 +24,8 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Sensors, SunSensor
 from tests.support.flights import CUBE, RELATIVE
 from tests.support.flights import Flight as Simulated
-from tests.support.orbits import EPOCH
+from tests.support.orbit_cases import with_few_copies
+from tests.support.orbits import EPOCH, with_check_digit
 from tests.support.vehicles import CUBE_NORMALS
 
 SEEDS = (0, 1, 5)
@@ -133,3 +139,71 @@ def test_a_sun_sensor_that_freezes_in_the_shadow_contradicts_nothing():
         variables = {"sun_sensor_B": (("time", "axis"), directions), "flag": flag}
         data = xr.Dataset(variables, {"time": flight.t}, attrs)
         assert not flight.against(data, craft).samples
+
+
+TLE = """MYCUBE
+1 A5544U 26123A   25365.91234567  .00012345  00000-0  23456-3 0  9998
+2 A5544  97.4437 295.9456 0012835  41.8426 290.0000 15.20921507  946"""
+"""An orbit that is in the Earth's shadow at the times of the example telemetry, which is in the Sun."""
+
+
+@pytest.fixture
+def satellite(tmp_path, monkeypatch):
+    """Return a folder with the template and elements that do not fit it, for a check with few comparison orbits."""
+    monkeypatch.chdir(tmp_path)
+    with_few_copies(monkeypatch, 5, hours=(1,))
+    assert CliRunner().invoke(cli, ["init", "."]).exit_code == 0
+    name, first, second = TLE.splitlines()
+    elements = "\n".join((name, first, with_check_digit(second)))
+    (tmp_path / "my.tle").write_text(f"{elements}\n", "utf-8")
+    return tmp_path
+
+
+def run(*words: str):
+    return CliRunner().invoke(cli, list(words), catch_exceptions=False)
+
+
+@pytest.mark.long
+def test_check_reports_elements_that_do_not_fit_and_rates_ignore_them(satellite):
+    files = ("vehicle.toml", "telemetry.csv")
+    done = run("check", *files, "--tle", "my.tle")
+    assert "Orbit of MYCUBE (105544): elements not consistent with the telemetry" in done.output
+    contradicted = re.search(
+        r"the elements do not fit: (\d+) of \d+ samples deep in the Earth's shadow", done.output
+    )
+    assert contradicted is not None and int(contradicted[1]) > 20
+    few = ("--to", "120", "--no-column-tests", "--effort", "0.1")
+    done = run("rates", *files, *few, "--tle", "my.tle", "--json")
+    result = json.loads(done.stdout)
+    assert "continuing without the orbit" in done.stderr
+    assert result["orbit"]["used"] is False and result["passes"]
+
+
+def test_the_advice_to_correct_the_clock_makes_the_elements_usable(satellite):
+    minutes = run("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle").output
+    behind, ahead = (
+        60 * int(re.search(rf"(\d+) min or more if it is {side} UTC", minutes)[1])
+        for side in ("behind", "ahead of")
+    )
+    # the vehicle file says by how much UTC is ahead of the clock
+    for clock_s in (behind + 180, -ahead - 180):
+        text = (satellite / "vehicle.toml").read_text("utf-8")
+        text += f"\n[orbit]\nclock_s = {{ value = {clock_s}, sigma = 1 }}\n"
+        (satellite / "clock.toml").write_text(text, "utf-8")
+        done = run("check", "clock.toml", "telemetry.csv", "--tle", "my.tle", "--json")
+        assert json.loads(done.stdout)["orbit"]["verdict"] != "refused"
+    off_s = min(behind, ahead)
+    wider = run(
+        *("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"),
+        *("--tle-shift-sigma", str((off_s + 90) / ORBIT.span), "--json"),
+    )
+    assert json.loads(wider.stdout)["orbit"]["verdict"] != "refused"
+
+
+def test_an_orbit_with_too_few_sunlit_samples_is_named_as_the_reason():
+    flight = Flight(1)
+    data = flight.telemetry(1500.0)
+    shadow = ~flight.sky(0.0)[1]
+    some = data.isel(time=np.flatnonzero(shadow & flight.lit)[2:20])
+    with pytest.raises(ss.InputError, match="by the orbit .* are in the Earth's shadow"):
+        ss.rates(CUBE, some, environment=flight.orbit())

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from sunspin.estimate.passes import PassMotions, table
-from sunspin.estimate.verdict import Misfit, answers
+from sunspin.estimation.verdict import Answers, PassRow, Speed
+from sunspin.estimation.verdict import passes_table as pass_variables
 from sunspin.output.figures import axis_labels, render
 from sunspin.output.folder import Contents, write_contents
 from sunspin.output.kinds.panels import health_lines
@@ -33,18 +33,18 @@ COLUMNS = (
 @pytest.fixture
 def found():
     """A pass with two motions of which y is not constrained, and one that is decided."""
-    fits, sigma = {"Sun": Misfit(9, 0.0, 1.0)}, np.full((2, 3), 0.01)
+    sigma, speed_known = np.full((2, 3), 0.01), Speed(0.1, 0.01, 0.12)
     wide, narrow = (
-        answers(unique, np.array([0.01, sigma_y, 0.01]), 0.1, fits, True, True)
-        for unique, sigma_y in ((False, 0.09), (True, 0.01))
+        Answers(known, (True, known, True), True, True, (), "", speed_known)
+        for known in (False, True)
     )
     omega = np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]])
     speed, shares = np.array([[0.09, 0.1, 0.11], [0.19, 0.2, 0.21]]), np.array([0.7, 0.3])
-    two = PassMotions(9, 0.0, 80.0, 40.5, shares, omega, sigma, speed, wide, "as_stated")
+    two = PassRow(9, 0.0, 80.0, 40.5, shares, omega, sigma, speed, wide, "as_stated")
     last = np.ones(1), omega[1:], sigma[1:], speed[1:]
-    one = PassMotions(5, 900.0, 980.0, 940.0, *last, narrow, "unchecked")
+    one = PassRow(5, 900.0, 980.0, 940.0, *last, narrow, "unchecked")
     return xr.Dataset(
-        table([two, one], "2026-01-01T00:00:00Z"), {"pass_id": [3, 4]}, {"synthetic": 1}
+        pass_variables([two, one], "2026-01-01T00:00:00Z"), {"pass_id": [3, 4]}, {"synthetic": 1}
     )
 
 

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
-from sunspin.estimate.orbit.check import Verdict
-from sunspin.estimate.verdict import Answers
+from sunspin.estimation.orbit.check import Verdict
+from sunspin.estimation.verdict import Answers, Speed
 from sunspin.output.verdicts import ANCHORS, PAGE, find_labels, read_section
 from sunspin.telemetry.sun import RECONSTRUCTED, STATUS_TEXT
 
@@ -34,7 +34,6 @@ WARNINGS = {
     "1 pass: SEARCH STOPPED at the computing budget": "incomplete-search",
     "WHEEL SPEED UNKNOWN (reaction-y): assumed 0": "wheel-speed-unknown",
     "the search assumed a sphere, GIVE ITS INERTIA (inertia_kg_m2)": "give-its-inertia",
-    "gyro, magnetometer or attitude SEEM LATE by 5.30 +- 0.20 s": "seem-late",
     "  WRONG UNIT: readings are thousandths": "messages-of-check",
     "  WRONG AXES: ": "messages-of-check",
     "  WEAK PANEL: px gives 0.8": "messages-of-check",
@@ -50,7 +49,9 @@ WARNINGS = {
 
 def statuses():
     for unique, x, yz, fits, complete in itertools.product([True, False], repeat=5):
-        answers = Answers(unique, (x, yz, yz), fits, complete)
+        cure = "" if complete else "budget reached"
+        known = Speed(0.1, 0.01, 0.12)
+        answers = Answers(unique, (x, yz, yz), fits, complete, (), cure, known)
         yield from [answers.why_not] * (not answers.decided)
     yield from (each.value for each in Verdict if each != Verdict.FITS)
     yield from (text for status, text in STATUS_TEXT.items() if status not in RECONSTRUCTED)

@@ -18,7 +18,7 @@ import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.estimate.inertia import ASSUMED as ASSUMED_INERTIA
 from sunspin.estimate.posterior.model import ASSUMED
-from sunspin.estimate.rates.result import DECIDED
+from sunspin.estimation.verdict import DECIDED
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 from tests.support.simulate import telemetry_of, uneven_times

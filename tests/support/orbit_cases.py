@@ -5,6 +5,7 @@ Orbit, field, Sun, torques and light are those of `tests/support/orbits.py`, not
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -15,8 +16,11 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import SunspinError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimate.orbit.field_calibration import field_calibration
-from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimation.orbit.calibration import along_orbit
+from sunspin.estimation.orbit.check import check_orbit
+from sunspin.estimation.orbit.judged import judged_orbit
+from sunspin.estimation.settings import ORBIT
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Magnetometer, Sensors
@@ -50,6 +54,13 @@ JUDGED = 2
 
 FIELD = Sensors(magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), 600.0))
 PANELS = tuple(Panel(f"p{j}", face, 1.0) for j, face in enumerate(CUBE_NORMALS))
+
+
+def with_few_copies(monkeypatch: Any, copies: int, hours: tuple[int, ...] = ORBIT.hours) -> None:
+    """Compare elements with this number of other orbits, and of clock errors (h), in all that follows: it is quicker."""
+    settings = replace(ORBIT, copies=copies, hours=hours)
+    for function in (check_orbit, judged_orbit):
+        monkeypatch.setitem(function.__kwdefaults__, "settings", settings)
 
 
 def starts_at(data: xr.Dataset, start: datetime) -> xr.Dataset:
@@ -262,7 +273,7 @@ def judge_rates(seed: int, i: int) -> dict[str, Any]:
         calibration = (
             None
             if orbit is None or check is None
-            else field_calibration(orbit, vehicle, data, check.made)
+            else along_orbit(orbit, assess(vehicle, data), check.made)
         )
         dropped = ["power_W", "panel"] if name == "field alone" else []
         about[name] = {"passes": []}

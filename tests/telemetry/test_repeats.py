@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.rates.observe import ALONE, observations, passes
 from sunspin.estimate.scan.window import directions_within
+from sunspin.estimation.observe import ALONE, observe, split
+from sunspin.estimation.settings import RATES
 from sunspin.output.check.repeats import describe_repeats
 from sunspin.output.check.samples import describe_samples
 from sunspin.telemetry.assess import assess
@@ -132,9 +133,8 @@ def test_held_gyro_readings_are_not_used_as_samples():
 def test_a_frozen_time_range_splits_the_pass():
     t, value = tumbling(80)
     value[30:50] = value[29]
-    o, why, _ = observations(CUBE, looked_at(t, value))
-    first, second = passes(o, why)
-    assert first[-1] == 29 and second[0] == 50
+    first, second = split(observe(looked_at(t, value)), None, RATES.passes)
+    assert first.samples[-1] == 29 and second.samples[0] == 50
 
 
 @pytest.mark.parametrize(
@@ -354,8 +354,8 @@ def test_repeated_readings_are_used_by_no_command(fault, noise):
     used = data.used[np.minimum(place, len(data) - 1), panel].reshape(len(rows), -1).any(axis=1)
     assert not (there & used).any() or fault == "late"
     # rates
-    o, why, _ = observations(vehicle, found)
-    sigma = o.terms[0].sigma[rows, panel]
+    seen = observe(found)
+    sigma, why = seen.obs.terms[0].sigma[rows, panel], seen.why
     largest = value[rows].max(axis=1) if fault == "battery-limited" else np.full(len(rows), np.inf)
     assert (sigma.reshape(len(rows), -1).min(axis=1) >= 0.49 * largest).all()
     # of these two the other readings of the sample are used as they are

@@ -4,7 +4,6 @@ from importlib import import_module
 
 import pytest
 
-from sunspin.estimate.rates import estimate
 from sunspin.estimation import rates as estimation
 from validation import subject
 
@@ -17,7 +16,7 @@ def unchanged():
     subject.judge_room(before)
 
 
-@pytest.mark.parametrize(("room", "module"), [("estimate", estimate), ("estimation", estimation)])
+@pytest.mark.parametrize(("room", "module"), [("estimation", estimation)])
 def test_rates_are_those_of_the_package_that_is_judged(room, module, monkeypatch):
     subject.judge_room(room)
     monkeypatch.setattr(module, "rates", lambda vehicle, **options: (vehicle, options))

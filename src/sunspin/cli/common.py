@@ -116,6 +116,13 @@ class Output:
         """Return whether to show a progress bar: not with --quiet, and only if stderr (file descriptor 2) is a terminal."""
         return not self.quiet and os.isatty(2)
 
+    def announce(self, line: str) -> None:
+        """Print a line of progress on standard error, unless --quiet is given."""
+        if not self.quiet:
+            with suppress(OSError):  # a log that cannot be written does not stop the work
+                text = "\n".join(map(printable, line.split("\n")))
+                print(f"sunspin: {self.command}: {text}", file=sys.stderr, flush=True)
+
     def claim(self) -> None:
         """Create the results folder, or refuse it, before the work begins."""
         if self.folder is not None:
@@ -184,7 +191,8 @@ SHARED: dict[str, dict[str, Any]] = {
         "multiple": True,
         "metavar": "S+-SIGMA@TIME",
         "help": "Observed rotation period (s), from radio fading or a light curve, for example 13.0+-0.5@15:50. It may be that of "
-        "the precession, the spin or the sum of both rates: all are tried. Used to weight the solutions. Repeatable.",
+        "the precession, the spin or the sum of both rates: all are tried. Used to weight the solutions. Repeatable. For "
+        "`rates` also a column, such as a light curve: its period is searched.",
     },
     "--tle --omm --ephemeris elements": {
         "type": PATH,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import sys
-from contextlib import suppress
 
 import click
 
+from sunspin.base.errors import InputError
 from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, shared
 from sunspin.cli.values import parse_numbers
@@ -52,8 +51,21 @@ ROUNDS_SHOWN = (1, 3, 10, 30, 100, 300, 1000, 3000)
     type=click.IntRange(1, 32),
     help="Bits of the converter that reads the panels. Default: readings without steps.",
 )
+@click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @shared("--tle", "--seed", "--workers")
-def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, workers, output) -> None:
+def plan(
+    vehicle,
+    every,
+    samples,
+    max_rate,
+    passes,
+    bits,
+    no_orbit,
+    elements,
+    seed,
+    workers,
+    output,
+) -> None:
     """Find out before launch which beacon decides which rates: simulated passes, estimated as real ones.
 
     A pass has the panels of the vehicle file. Their gains have errors of 5 %, and the Earth lights them too. Readings have the
@@ -67,11 +79,14 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
       sunspin plan vehicle.toml --every 10,30,60 --bits 8 --tle my.tle --passes 30 --out beacons
     """
     from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.estimation.orbit.judged import elements_of
     from sunspin.output.kinds.plan import plan_summary
     from sunspin.planning import plan as plan_beacons
     from sunspin.vehicle import load_vehicle
 
+    if no_orbit and elements is not None:
+        what = "--no-orbit contradicts the elements that are given"
+        raise InputError(what, do="give one")
     craft = load_vehicle(vehicle)
     intervals = parse_numbers(every, "--every")
     output.claim()
@@ -79,11 +94,10 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
     def report(so_far) -> None:
         """Print on standard error how far the work is; after those of `ROUNDS_SHOWN` also the table so far."""
         done = int(so_far["passes"].sum()) // so_far.sizes["every"]
-        lines = [f"sunspin: plan: round {done} of {passes}"]
+        lines = [f"round {done} of {passes}"]
         if done in ROUNDS_SHOWN and done < passes:
             lines += plan_summary(so_far).lines[1:]
-        with suppress(OSError):  # a log that cannot be written does not stop the work
-            print("\n".join(lines), file=sys.stderr, flush=True)
+        output.announce("\n".join(lines))
 
     result = plan_beacons(
         craft,
@@ -92,7 +106,7 @@ def plan(vehicle, every, samples, max_rate, passes, bits, elements, seed, worker
         max_rate_rad_s=math.radians(max_rate),
         passes=passes,
         bits=bits,
-        orbit=elements_of(craft, elements) or (),
+        orbit=() if no_orbit else elements_of(craft, elements) or (),
         seed=seed,
         workers=worker_count(workers),
         after_round=None if output.quiet else report,

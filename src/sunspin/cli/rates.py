@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-import sys
-from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING
 
 import click
 
-from sunspin.base.errors import InputError, printable
+from sunspin.base.errors import InputError
 from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, read_inputs, shared
 from sunspin.cli.values import Parsed, parse_effort, parse_period, select_interval
 from sunspin.vehicle.sensors import VARIABLES
+
+if TYPE_CHECKING:
+    from sunspin.telemetry.periodicity import Stretch
 
 SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 """Sensors that `--without` may name -> the variable of the telemetry that it removes."""
@@ -48,13 +51,16 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option(
     "--no-column-tests", is_flag=True, help="Do not test swapped columns or signs on a poor fit."
 )
+@click.option(
+    "--no-windows", is_flag=True, help="Do not estimate the rate in short windows on a poor fit."
+)
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
     type=Parsed(parse_effort, "float"),
     default="1.0",
-    help="Computing budget of the run, in propagated motions: 1 takes up to about 2 minutes of one core, inf is unlimited. Results "
-    "do not depend on the machine's speed. A pass whose search is incomplete is not decided.",
+    help="Computing budget of each pass, in fitted motions: 1 is ten times what a usual pass takes, inf is unlimited. Results do "
+    "not depend on the machine's speed. A pass whose search is incomplete is not decided.",
 )
 @click.option(
     "--without",
@@ -79,6 +85,7 @@ def rates(
     begin,
     end,
     no_column_tests,
+    no_windows,
     elements,
     shift_sigma,
     no_orbit,
@@ -107,10 +114,12 @@ def rates(
       sunspin rates skcube skcube/skcube_adcs.csv --compare gyro --data DIR --out skcube-rates
     """
     from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.estimate.rates.estimate import rates as estimate_rates
+    from sunspin.estimation.orbit.judged import elements_of
+    from sunspin.estimation.rates import rates as estimate_rates
+    from sunspin.estimation.windows import rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
+    from sunspin.telemetry.column_periods import describe_periods, read_column_periods
     from sunspin.telemetry.withheld import parse_withheld, read_withheld
 
     craft, samples = read_inputs(vehicle, telemetry)
@@ -136,30 +145,38 @@ def rates(
         used = whole_file
     else:
         used = assess(craft, select_interval(samples_used, begin, end).drop_vars(left_out))
-    observed_periods = [parse_period(text, samples.attrs.get("epoch_utc")) for text in periods]
+    epoch = samples.attrs.get("epoch_utc")
+    # a period in numbers has a time; anything else is a column
+    observed_periods = [
+        parse_period(text, epoch) for text in periods if "@" in text or "+-" in text
+    ]
+    columns = [text for text in periods if not ("@" in text or "+-" in text)]
+    limit = None if max_rate is None else math.radians(max_rate)
+    of_columns: dict[str, list[Stretch]] = {}
+    if columns:
+        kept = used.telemetry["time"].values[[0, -1]]
+        of_columns = read_column_periods(telemetry, craft, columns, limit, kept)
+    stretches = [one for each in of_columns.values() for one in each]
+    observed_periods += [one.found for one in stretches if one.found is not None]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit contradicts the elements or their shift that are given"
         raise InputError(what, do="give one")
 
-    def announce(line: str) -> None:
-        """Print a line of progress on standard error."""
-        with suppress(OSError):  # a log that cannot be written does not stop the work
-            print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
-
-    # a terminal shows a progress bar instead of these lines
-    progress = output.progress if output.quiet or output.progress else announce
+    # a terminal shows a progress bar instead of lines
+    in_lines = not (output.quiet or output.progress)
+    progress = output.announce if in_lines else output.progress
     chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
-        if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
-            announce(f"{samples.sizes['time']} samples; the elements are checked first")
+        if in_lines and elements_of(craft, elements, shift_sigma) is not None:
+            output.announce(f"{samples.sizes['time']} samples; the elements are checked first")
         chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
-        if chosen_orbit.orbit is None and chosen_orbit.summary and progress is announce:
-            announce("the elements do not fit the telemetry; continuing without the orbit")
+        if chosen_orbit.orbit is None and chosen_orbit.summary and in_lines:
+            output.announce("the elements do not fit the telemetry; continuing without the orbit")
     result = estimate_rates(
         craft,
         used,
-        max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
+        max_rate_rad_s=limit,
         column_tests=not no_column_tests,
         environment=chosen_orbit.orbit,
         calibration=chosen_orbit.calibration,
@@ -168,11 +185,25 @@ def rates(
         **settings,
         progress=progress,
     )
+    if not no_windows and not result["fits"].values.all():
+        output.announce("no motion fits all passes; the rate is estimated in short windows")
+        also_given = {key: settings[key] for key in ("source", "acceleration_noise", "effort")}
+        result = rates_in_windows(
+            craft,
+            used.telemetry,
+            result,
+            max_rate_rad_s=limit,
+            environment=chosen_orbit.orbit,
+            calibration=chosen_orbit.calibration,
+            workers=worker_count(workers),
+            **also_given,
+        )
     # imported late, because the import takes a third of a second
     from sunspin.output.check.repeats import describe_repeats
     from sunspin.output.check.samples import describe_mismatches
     from sunspin.output.compared import compare_with
     from sunspin.output.pointing import with_track
+    from sunspin.output.text import clock_text
 
     result = with_track(result, chosen_orbit.orbit)
     for sensor, values in zip(withheld, readings, strict=True):
@@ -183,5 +214,6 @@ def rates(
     also = {key: mismatches.summary[key] for key in keys} | repeats.summary | chosen_orbit.summary
     # of the mismatches only wrong units and axes, which make the rates wrong
     wrong = [line for line in mismatches.lines if "WRONG" in line]
-    lines = [*wrong, *repeats.lines, *chosen_orbit.lines]
+    seen = describe_periods(of_columns, partial(clock_text, samples))
+    lines = [*wrong, *repeats.lines, *chosen_orbit.lines, *seen]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

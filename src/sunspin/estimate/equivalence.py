@@ -70,11 +70,6 @@ class Change:
     do: str = ""
     errors: int = 1
 
-    def with_wheels(self, wheels: tuple[int, ...], names: Sequence[str]) -> Change:
-        """This change together with reversed wheels."""
-        what = f"{self.what} and {_wheel_words(wheels, names)}"
-        return replace(self, what=what, reversed_wheels=wheels, errors=self.errors + 1)
-
     def applied(self, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Vehicle, xr.Dataset]:
         """Vehicle and telemetry as they are if the file is wrong in this way."""
         if self.reversed_panels:
@@ -116,10 +111,6 @@ def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
     )
 
 
-def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
-    return f"wheel{'s' if len(wheels) > 1 else ''} {' and '.join(names[k] for k in wheels)} turning the other way"
-
-
 def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
     """Each pair of inputs exchanged, and each panel with an input of its own reversed; none without readings of panels."""
     if not any(name in telemetry for name in READINGS):
@@ -135,20 +126,6 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
         )
         for k in alone
     ]
-
-
-def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> Change:
-    """Wheels with the opposite sign."""
-    names = [wheel.name for wheel in vehicle.wheels]
-    do = "look at the signs of its axis_B, speed_rad_s and speed_scale_rad_s"
-    return Change(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
-
-
-def wheel_changes(vehicle: Vehicle) -> list[Change]:
-    """Each wheel reversed, and all of them."""
-    count = len(vehicle.wheels)
-    which = dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))])
-    return [wheel_change(vehicle, one) for one in which if one]
 
 
 @dataclass(frozen=True)

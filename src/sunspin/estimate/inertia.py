@@ -14,9 +14,6 @@ ASSUMED = 0.01
 """Relative sigma of each moment where the vehicle's file states none: known exactly, they would make any answer too sure; and that
 of each product, in units of the mean moment: principal axes are off the body's by a degree or more."""
 
-UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
-"""The same, of the mean moment, where the file has no inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
-
 LEAST_MOMENT = 0.01
 """Least principal moment of a variant with free wheels, as a part of the nominal body's. The rates at a given momentum, and so the
 steps of a run, grow with the inverse of the moment: without a bound, few draws would take longer than all others. A normal prior
@@ -54,11 +51,6 @@ def inertia_errors(vehicle: Vehicle) -> np.ndarray:
         moments = np.diag(tensor)
         sigma = ASSUMED * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
     return _one_by_one(sigma)
-
-
-def unknown_errors() -> np.ndarray:
-    """The same (6, 3, 3) of a sphere of which nothing is known, in units of the mean moment: of each moment and product."""
-    return _one_by_one(np.where(np.eye(3, dtype=bool), UNKNOWN_MOMENT, UNKNOWN_PRODUCT))
 
 
 def _one_by_one(sigma: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The table that `rates` and `posterior` share: a row for every motion of every pass, with what may be believed of it."""
+"""The table of a posterior, with the columns of that of `rates`: a row for every motion, with what may be believed of it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from sunspin.estimate.verdict import Answers, Speed
 from sunspin.vehicle.timeline import utc_after
 
-AS_STATED, UNCHECKED, DOUBTFUL = "as_stated", "unchecked", "doubtful"
-"""Whether the data confirm which column is which: they do; they cannot; other columns explain them, the stated one does not."""
+AS_STATED, UNCHECKED = "as_stated", "unchecked"
+"""Whether the data confirm which column is which: they do; they cannot."""
 
 SPEEDS = (0.05, 0.5, 0.95)
 """Quantiles of the angular speed that are reported."""
@@ -72,21 +72,6 @@ def speed_of(omega: np.ndarray, drawn: list[np.ndarray], probability: np.ndarray
     passed = np.searchsorted(np.cumsum(each[order]), UPPER)
     below = float(speed[order[min(passed, len(order) - 1)]])
     return Speed(value, float(np.sqrt(np.mean((drawn[0] - value) ** 2))), below)
-
-
-def rate_known(result: Any) -> np.ndarray:
-    """Return whether the rate vector of each pass (n_pass) of a result is known well enough to calibrate a gyro with it.
-
-    It is if the pass is decided. It also is if all checks but that of the speed are passed: a body that hardly rotates has known
-    components near zero, but a speed smaller than its error. Such a pass with doubtful columns does not count. A result without the
-    check of the speed has its decided passes only.
-    """
-    if "constrained_speed" not in result:
-        return np.asarray(result["decided"].values)
-    checks = ("unique", "fits", "search_complete", *(f"constrained_{axis}" for axis in "xyz"))
-    all_but_speed = np.all([result[name].values for name in checks], axis=0)
-    columns_certain = result["columns_checked"].values != DOUBTFUL
-    return np.asarray(result["decided"].values | (all_but_speed & columns_certain))
 
 
 def padded(values: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,7 +1,9 @@
 """What else may have moved the body: models with one entry changed, fitted from the motions of the nominal model.
 
 Each has the prior probability of the nominal model. Sigmas are never enlarged by hand: an alternative that explains the
-readings adds its own motion and errors to the sum.
+readings adds its own motion and errors to the sum. All samples between the kept ones are filled from both
+sides by the equations of the nominal model (:func:`sunspin.estimation.dense.filled`). So an alternative may add torques and change
+sensors, but not the momentum of the wheels, which :func:`sunspin.estimation.rates.decide_wheels` decides for the whole file.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from sunspin.estimation.chain import RATE, Fit, Whitening, defects, fit
 from sunspin.estimation.evidence import likeliest
 from sunspin.estimation.model import AS_STATED, Model, Track
 from sunspin.estimation.settings import AlternativeSettings
+from sunspin.estimation.terms.inertial import Gyro
 from sunspin.estimation.terms.torques import WORDS, ConstantTorque
 
 LEAST_STEP = 1e-3
@@ -24,8 +27,8 @@ LEAST_STEP = 1e-3
 def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
     """Yield the models that are tried in addition to the nominal one.
 
-    A constant torque in the body, and one in space; steps of the rate; bad readings in a short pass. `fits`: all so far, which grow
-    as the models are fitted.
+    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate; bad readings in a short pass.
+    `fits`: all so far, which grow as the models are fitted.
     """
     obs = stated.obs
     duration = float(np.ptp(obs.t_s))
@@ -34,8 +37,29 @@ def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> 
             frame, s.torque_turns_rad, duration, stated.body.inertia, obs.momentum
         )
         yield stated.plus(torque, f"a steady torque in {words}")
+    yield from another_zero(stated, s)
     yield from steps_of_the_rate(stated, fits, s)
     yield from without_readings(stated, fits, s)
+
+
+def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
+    """Yield the model of a gyro whose zero is off by more than the vehicle file states, by any of the sizes of an unknown one.
+
+    A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
+    8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
+    """
+    for term in stated.obs.terms:
+        if isinstance(term, Gyro) and term.zero_stated and term.present().any():
+            obs = replace(
+                stated.obs,
+                terms=tuple(
+                    one.with_any_zero() if one is term else one for one in stated.obs.terms
+                ),
+            )
+            log_prior = stated.log_prior + s.zero_odds
+            yield replace(
+                stated, obs=obs, what="another zero offset of the gyro", log_prior=log_prior
+            )
 
 
 def without_readings(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
@@ -109,7 +133,11 @@ def steps_of_the_rate(
 
 
 def _size_of_step(model: Model, motion: Track, interval: int) -> float:
-    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size."""
+    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size.
+
+    The motion is fitted with a step that is as free as the rate itself. What it then leaves of the equations of motion in the
+    interval, undone from its whitening, is the change of the rate: the size is the root mean square of its components.
+    """
     widest = model.rate_sigma
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     wide = replace(model, noise=noise)

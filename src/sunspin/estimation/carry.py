@@ -37,7 +37,7 @@ LOST_RAD_S = 1e6
 """rad/s; rate of a motion that no step is fine enough for: it must cost much, not fail."""
 
 TURN, RATE = slice(0, 3), slice(3, 6)
-"""Places of a turn (rad, B) and of a rate (rad/s) in the six numbers of a state."""
+"""Where the turn (rad, B) and the rate (rad/s) stand among the six numbers of a state."""
 
 
 class Step(NamedTuple):
@@ -115,7 +115,7 @@ def step(
     bare = errors is None or not len(errors)
     if bare and _is_sphere(inertia) and not (momenta[0].any() or momenta[1].any()):
         return _turn_evenly(omega, dt, derivatives)
-    bodies = np.broadcast_to(inertia, (len(omega), 3, 3))
+    bodies = inertia[None] if inertia.ndim == 2 else inertia  # one for all motions, or one of each
     angle = angle_turned(bodies, omega, dt, momenta)
     counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
     if not derivatives:
@@ -192,7 +192,8 @@ def _run(
     states = np.zeros((*shape, 7))
     states[..., of_momentum] = omega @ inertia + start
     states[..., 6] = 1.0  # no turn
-    rows = (int(np.prod(shape[:-1])), shape[-1])
+    bodies = len(inertia) * inertia.shape[1]
+    rows = bodies, int(np.prod(shape)) // max(bodies, 1)  # states of each body, one after the other
     moved = carry_bodies(
         states.reshape(*rows, 7),
         np.broadcast_to(dt, shape).reshape(rows),

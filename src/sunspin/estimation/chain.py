@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimation.carry import step
+from sunspin.estimation.carry import RATE, TURN, step
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.model import Model, Noise, Observations, States, Track
 from sunspin.estimation.settings import SearchSettings
@@ -29,9 +29,6 @@ from sunspin.solve.linear import (
     solve_dense,
 )
 from sunspin.solve.rotations import rotate_attitude, rotation_between
-
-TURN, RATE = slice(0, 3), slice(3, 6)
-"""Where the turn (rad, B) and the rate (rad/s) of a sample stand among its six unknowns."""
 
 TURN_PRIOR = 10.0
 """rad; holds the turn about the Sun, which nothing measures, without telling anything."""
@@ -48,7 +45,8 @@ class Fit:
     """K motions fitted under a model.
 
     `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m) of
-    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown.
+    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown. `lowest`:
+    the motions where their cost is least, if `motions` are means over several sigmas of unknowns.
     """
 
     model: Model
@@ -56,6 +54,7 @@ class Fit:
     log_evidence: np.ndarray
     u_covariance: np.ndarray
     answer: np.ndarray
+    lowest: Track | None = None
 
     def __len__(self) -> int:
         """Return the number of motions."""
@@ -69,7 +68,13 @@ class Fit:
             self.log_evidence[which],
             self.u_covariance[which],
             self.answer[which],
+            None if self.lowest is None else self.lowest.take(which),
         )
+
+    @property
+    def to_begin_from(self) -> Track:
+        """Return the motions from which another fit begins: means over sigmas of a torque leave the equations of motion."""
+        return self.motions if self.lowest is None else self.lowest
 
 
 class Whitening(NamedTuple):
@@ -99,7 +104,12 @@ class Whitening(NamedTuple):
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
+
+    A residual r with the slope A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has blocks of
+    turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). To the m unknowns
+    belong a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    """
     k, n = motions.omega.shape[:2]
     m = motions.u.shape[1]
     diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
@@ -110,6 +120,7 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
     for residual, place in readings(model, motions):
         part, weight = residual.law(residual.value)
         cost += part.sum(axis=1)
+        # by turn and by rate: where they stand, A, and w A^T
         columns = [
             (rows, derivative, np.swapaxes(weight[..., None, None] * derivative, -1, -2))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
@@ -332,10 +343,10 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     system, inverse = solution.system, invert_bordered(solution.system)
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
-    torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
     # Laplace's method. Left out is what all models of a pass share: powers of 2 pi, and the widths of the priors of the first rate
     # and of the turn about the Sun
-    log_evidence = model.log_prior - system.cost - determinants - torques
+    log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
@@ -344,15 +355,16 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
 def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
-    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer.
+    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer. With the matrix H of
+    the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
     """
     system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
     variances = []
     for row in range(weights.shape[2]):
-        (nodes, _), _ = solve_bordered(
-            system._replace(slope=-weights[..., row, :]), np.zeros(len(one))
-        )
-        variances.append(np.einsum("kni,kni->k", weights[..., row, :], nodes))
+        # a solver returns the step -H^-1 slope
+        w = weights[..., row, :]
+        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
+        variances.append(np.einsum("kni,kni->k", w, nodes))
     by_u = np.einsum("knri,knim->krm", weights, one.answer)
     of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
@@ -386,35 +398,38 @@ def _one_step(model: Model, omega: np.ndarray, start: int, end: int, derivatives
 def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
     """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
 
-    Where samples are close together a chain is too stiff to move: a step that bends with the turns breaks the motion. Six numbers
-    of one sample bend nothing. The model has no unknowns.
+    Where samples are close together a chain is too stiff to move: its steps are straight in the turns of all samples, and the
+    equations of motion bend. Six numbers of one sample bend nothing. The model has no unknowns. `motions` (K): their state at
+    `sample` is where the fit begins; returned at all samples.
     """
     n = len(model.obs)
     longest = RATE_LIMIT * model.rate_sigma
 
     def linearise(state: tuple[np.ndarray, np.ndarray]) -> DenseSystem:
-        attitude, omega = state
+        """Return cost and normal equations (K, 6, 6) of attitudes (K, 3, 3) and rates (K, 3) at the sample."""
+        omega = state[1]
         k = len(omega)
+        # motions at all samples, and their derivatives (K, n, 6, 6) by turn and rate at the sample: products of those of the steps
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
-        answer = np.empty((k, n, 6, 6))
-        track.attitude[:, sample], track.omega[:, sample], answer[:, sample] = *state, np.eye(6)
+        by_state = np.empty((k, n, 6, 6))
+        track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, n):
             made = _one_step(model, track.omega[:, start], start, end, derivatives=True)
             track.attitude[:, end] = made.turned[:, 0] @ track.attitude[:, start]
             track.omega[:, end] = made.omega[:, 0]
-            answer[:, end] = made.by_start[:, 0] @ answer[:, start]
+            by_state[:, end] = made.by_start[:, 0] @ by_state[:, start]
+        previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:
             for residual in term.residuals(track, track.u):
                 part, weight = residual.law(residual.value)
                 cost += part.sum(axis=1)
-                before = np.concatenate([answer[:, :1], answer[:, :-1]], axis=1)
-                derivative = sum(
-                    by @ of_state[..., rows, :]
-                    for of_state, rows, by in (
-                        (answer, TURN, residual.by_turn),
-                        (answer, RATE, residual.by_rate),
-                        (before, TURN, residual.by_previous),
+                derivative = sum(  # chain rule
+                    by @ of_sample[..., rows, :]
+                    for of_sample, rows, by in (
+                        (by_state, TURN, residual.by_turn),
+                        (by_state, RATE, residual.by_rate),
+                        (previous_by_state, TURN, residual.by_previous),
                     )
                     if by is not None
                 )
@@ -506,17 +521,17 @@ class Chain:
 def along_the_valley(
     model: Model, motions: Track, middle: int, s: SearchSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return attitudes (K, 3, 3) and rates (K, 3) at a sample along the least certain direction of each motion's rate.
+    """Return further attitudes (K, 3, 3) and rates (K, 3) at the sample `middle`, on either side of motions.
 
-    A few samples of the Sun hardly tell the spin about the Sun's direction, so that the cost has a long flat valley in which a fit
-    rests anywhere. As the window grows, the valley bends and breaks into several minima: a slow body was lost so, as a motion that
-    begins at one place ends in the nearest of them. Here the valley is sampled as densely as a fit moves. Motions that do not fit
-    have none, as their covariance says nothing, nor have those far from the best.
+    They are along the least certain direction of each motion's rate. A few samples of the Sun hardly tell the spin about the Sun's
+    direction, so that the cost has a long flat valley in which a fit rests anywhere. As the window grows, the valley bends and
+    breaks into several minima: a slow body was lost so, as a motion that begins at one place ends in the nearest of them. Here the
+    valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
+    far from the best.
     """
-    good = motions.cost < min(
-        s.poor * model.obs.cost_limit, motions.cost.min(initial=np.inf) + s.valley_leading
-    )
-    motions = motions.take(np.flatnonzero(good))
+    limit = s.poor * model.obs.cost_limit
+    limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
+    motions = motions.take(np.flatnonzero(motions.cost < limit))
     covariance = np.nan_to_num(motions.covariance[:, middle])
     variance, axes = np.linalg.eigh(covariance[:, RATE, RATE])
     sigma, axis = np.sqrt(np.maximum(variance[:, -1], 0.0)), axes[:, :, -1]
@@ -528,9 +543,10 @@ def along_the_valley(
     turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
     # motions come best first: what is cut off belongs to the worse ones
     which = np.repeat(np.arange(len(sigma)), 2 * sides)[: s.valley_most]
-    places = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
-    change = spacing * np.concatenate([np.zeros(0), *places])[: s.valley_most, None]
+    # 1, ..., n and -1, ..., -n steps of the spacing from each motion
+    steps = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
+    change = spacing * np.concatenate([np.zeros(0), *steps])[: s.valley_most, None]
     omega = motions.omega[which, middle] + change * axis[which]
     attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
-    slow = np.linalg.norm(omega, axis=1) < 2 * model.rate_sigma
+    slow = np.linalg.norm(omega, axis=1) < model.rate_max
     return attitude[slow], omega[slow]

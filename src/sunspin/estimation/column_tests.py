@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.equivalence import (
@@ -449,6 +448,9 @@ def _exchanged_by_sensor(
     file as it is written, but for a rotation or mirror M of the body. So its motion is that of the file under M, and no further
     search is needed to compare the sensor with it.
     """
+    # imported late: `check`, which names the ways of a sensor, does not wait for it
+    from scipy.spatial.transform import Rotation
+
     vehicle = observed.vehicle
     sun = np.nan_to_num(motion["sun_B"].values)
     without = replace(observed, sensors=observed.sensors - {name}, sun_B=sun)
@@ -492,6 +494,8 @@ def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle)
     `motion`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
     compared from sample to sample of a pass, as their frame in space is not known.
     """
+    from scipy.spatial.transform import Rotation
+
     sensors = vehicle.sensors
     known = np.asarray(np.isfinite(value).all(axis=1))
     inside = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]

@@ -237,10 +237,12 @@ def _with_other_columns(
 def _with_dark_columns(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> xr.Dataset:
-    """Return the result with the dark columns that fit better if they are exchanged, by the longest pass; all passes fit."""
+    """Return the result with the dark columns that fit better if they are exchanged, by the longest pass, if it is decided."""
     if not observed.panels or observed.sensors or "noise" not in result.attrs:
         return result
     place = _longest(result)
+    if not result["decided"].values[place]:
+        return result
     part = samples_of(result, telemetry, place)
     here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])

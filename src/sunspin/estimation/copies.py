@@ -18,8 +18,9 @@ fit moves no farther: slow motions turn nearly alike between neighbours."""
 class Outline(NamedTuple):
     """What motions (K) at n samples are compared by.
 
-    `steps` (K, n - 1, 3): turns between neighbours; `whole` (K, n - 1, 3): turns from the middle sample; `sun` (K, n, 3); rates
-    `omega` (K, n, 3) and their covariance (K, n, 3, 3), or none (0, ...). Turns are those at the rate of the earlier sample.
+    `steps` (K, n - 1, 3), rad: turns between neighbours, at the rate of the earlier one, as vectors; `whole` (K, n, 3): their sums
+    from the middle sample on; `sun` (K, n, 3): directions; rates `omega` (K, n, 3) and their covariance (K, n, 3, 3), or none (0,
+    ...).
     """
 
     steps: np.ndarray
@@ -44,12 +45,14 @@ class Outline(NamedTuple):
     def copies(self, k: int, others: Outline, apart_rad: float, sigmas: float) -> np.ndarray:
         """Return which of other motions (K), fitted under one model, are copies of motion `k`.
 
-        They turn alike everywhere to `apart_rad`, or lie in one valley: within so many sigmas of each one's own rates. A broad
-        minimum reaches over narrow ones, which are none of its copies.
+        They are if they turn alike from sample to sample, to `apart_rad`, and over the whole window too. If they turn alike from
+        sample to sample only, they are if both lie in one valley: each within so many sigmas of the other's rates. Both must allow
+        it, as the sigmas of a broad minimum reach over narrow ones, which are none of its copies.
         """
-        steps = self._steps_alike(k, others, apart_rad)
-        whole = _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
-        return (steps & whole) | self._within(k, others, steps & ~whole, sigmas, joint=False)
+        steps_alike = self._steps_alike(k, others, apart_rad)
+        whole_alike = _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
+        in_valley = self._within(k, others, steps_alike & ~whole_alike, sigmas, joint=False)
+        return (steps_alike & whole_alike) | in_valley
 
     def same(
         self, k: int, others: Outline, apart_rad: float, near_rad: float, sigmas: float
@@ -66,6 +69,7 @@ class Outline(NamedTuple):
         return alike | self._within(k, others, near & ~alike, sigmas, joint=True)
 
     def _steps_alike(self, k: int, others: Outline, apart_rad: float) -> np.ndarray:
+        """Return which other motions (K) see the Sun as motion `k` does and turn like it between neighbours, to `apart_rad`."""
         suns = _nowhere_farther(self.sun[k], others.sun, apart_rad / SUN_SHARE)
         return _nowhere_farther(self.steps[k], others.steps, apart_rad) & suns
 

@@ -432,15 +432,15 @@ def _wheel_cost(observed: Observed, first: Change, second: Change, m: np.ndarray
 def _sensors_agree(observed: Observed, first: Change, second: Change, m: np.ndarray) -> bool:
     """Return whether the other sensors that were read fit both changes.
 
-    A sensor does if its axes under the second change are those under the first, mapped as its readings are: `mapped`, of which the
-    field allows two.
+    A sensor does if its axes (3, 3) under the second change are those under the first, mapped by m as its readings are: directions
+    by m, rates by det(m) m. `mapped`: the axes that would do.
     """
     side = float(np.linalg.det(m))
     dipole = observed.vehicle.sensors.disturbance.dipole
     for name in observed.sensors:
         axes, second_axes = (change.axes.get(name, np.eye(3)) for change in (first, second))
         mapped: list[np.ndarray] = []
-        if name == "attitude_B_from_N":  # turns between neighbours are known in the body
+        if name == "attitude_B_from_N":  # shows how the body itself turns: no other body will do
             mapped = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
         elif name == "gyro_B":
             mapped = [side * m @ axes]

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 from scipy.special import log_softmax, logsumexp
 
+from sunspin.estimation.carry import RATE, TURN
 from sunspin.estimation.chain import Fit, fit
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.model import AS_STATED, Model, Track
@@ -81,7 +82,8 @@ def ladder(
         for rung in path:
             for level in _levels(last, rung, s.cooling):
                 under = model.under(level)
-                now, shared = _fitted(under, _restated(now, under), s.steps, s, copies)
+                begin_here = restated(now.motions, now.model, under)
+                now, shared = _fitted(under, begin_here, s.steps, s, copies)
             last = rung
             if not len(now):
                 break
@@ -99,18 +101,22 @@ def _fitted(
 
     What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
     """
-    one = fit(model, motions, steps)
+    one = fit(model, motions, steps, s.tolerance)
     shared = over_shares(one, s.beyond_fit)
     which = _distinct(shared, s, copies)
     return one.take(which), shared.take(which)
 
 
-def _restated(now: Fit, under: Model) -> Track:
-    """Return the motions of a fit with their unknowns in the sigmas of another model, of stronger or weaker torques."""
-    before, after = (
-        np.array([unknown.sigma for unknown in model.unknowns]) for model in (now.model, under)
-    )
-    return replace(now.motions, u=now.motions.u * (before / np.where(after > 0, after, 1.0)))
+def restated(motions: Track, before: Model, after: Model) -> Track:
+    """Return motions with their unknowns, in sigmas of the model `before`, in the sigmas of another one with the same unknowns.
+
+    The other one may have more unknowns at the end, which are left out.
+    """
+    pairs = zip(before.unknowns, after.unknowns, strict=False)
+    ratio = np.ones(motions.u.shape[1])
+    for k, (was, now) in enumerate(pairs):
+        ratio[k] = was.sigma / now.sigma if now.sigma > 0 else was.sigma
+    return replace(motions, u=motions.u * ratio)
 
 
 def _levels(last: float, rung: float, cooling: float) -> list[float]:
@@ -128,9 +134,12 @@ def _distinct(one: Fit, s: LadderSettings, copies: SearchSettings) -> np.ndarray
 def over_shares(one: Fit, beyond_fit: float) -> Fit:
     """Return a fit with evidence and moments summed over the shares of its unknowns' sigmas.
 
-    The fit is under the widest sigmas. If the readings answer linearly to the unknowns, a prior with the share c of a sigma adds
-    1/c^2 - 1 to the precision, and everything else is linear algebra. Constant torques turn the body far: the answer is linear only
-    near the fit, so that shares that allow `beyond_fit` times more than the fitted size get nothing.
+    The fit is under the widest sigmas. Its unknowns u have the mean m and the precision P. If the readings depend on them linearly,
+    a prior with the share c of a sigma adds d = 1/c^2 - 1 to the precision of each: P' = P + d, and P' m' = P m. The log evidence
+    changes by (m' P' m' - m P m + log det P - log det P') / 2, less log c for each unknown: the norm of its prior.
+
+    Constant torques turn the body far, and the readings are linear only near the fit: shares that allow `beyond_fit` times more
+    than the fitted size get nothing.
     """
     groups: dict[str, list[int]] = {}
     for i, unknown in enumerate(one.model.unknowns):
@@ -138,23 +147,22 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
             groups.setdefault(unknown.kind, []).append(i)
     if not groups or not len(one):
         return one
-    # only these unknowns (g) change: of all others the answer to them is known
+    # only these unknowns (g) change by themselves; `of_kind`: their indices among the g
     shared = np.concatenate([*groups.values()])
-    place = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
+    of_kind = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
     u = one.motions.u[:, shared]
     precision = np.linalg.pinv(one.u_covariance[:, shared[:, None], shared], hermitian=True)
     slope = (precision @ u[..., None])[..., 0]
-    # the integral over these unknowns is exp((slope . mean - log det precision) / 2); a share gains what its prior changes in it
     before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
 
-    gains, means, covariances = [], [], []
+    gains, means, covariances = [], [], []  # of each combination of shares (c)
     for shares in product(*(one.model.unknowns[group[0]].shares for group in groups.values())):
         added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(one), dtype=bool)
         for share, (kind, group) in zip(shares, groups.items(), strict=True):
-            added[place[kind]] = 1 / share**2 - 1
+            added[of_kind[kind]] = 1 / share**2 - 1
             log_size += len(group) * np.log(share)
             if kind in TORQUES:
-                size = np.abs(u[:, place[kind]]).max(axis=1)
+                size = np.abs(u[:, of_kind[kind]]).max(axis=1)
                 least = min(one.model.unknowns[group[0]].shares)
                 allowed &= share <= beyond_fit * np.maximum(size, least)
         matrix = precision + np.diag(added)
@@ -166,35 +174,36 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
         covariances.append(covariance)
     gain, mean, covariance = np.array(gains), np.array(means), np.array(covariances)
 
+    # mean and covariance of the mixture of all shares
     weight = np.exp(gain - logsumexp(gain, axis=0))
     centre = np.einsum("ck,ckg->kg", weight, mean)
     off = mean - centre
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
-    # all unknowns follow the shared ones by their covariance, and states the unknowns by their answer
-    answer = one.u_covariance[:, :, shared] @ precision
-    moved = (answer @ (centre - u)[..., None])[..., 0]
-    changed = answer @ (spread - one.u_covariance[:, shared[:, None], shared])
-    changed = changed @ np.swapaxes(answer, -1, -2)
-    shift = np.einsum("knim,km->kni", one.answer, moved)
-    states = one.motions.covariance + one.answer @ changed[:, None] @ np.swapaxes(
-        one.answer, -1, -2
-    )
+    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `one.answer`
+    by_shared = one.u_covariance[:, :, shared] @ precision
+    u_change = (by_shared @ (centre - u)[..., None])[..., 0]
+    widening = by_shared @ (spread - one.u_covariance[:, shared[:, None], shared])
+    widening = widening @ np.swapaxes(by_shared, -1, -2)
+    state_change = np.einsum("knim,km->kni", one.answer, u_change)
+    state_widening = one.answer @ widening[:, None] @ np.swapaxes(one.answer, -1, -2)
     motions = Track(
-        rotate_attitude(one.motions.attitude, shift[..., :3]),
-        one.motions.omega + shift[..., 3:],
-        one.motions.u + moved,
+        rotate_attitude(one.motions.attitude, state_change[..., TURN]),
+        one.motions.omega + state_change[..., RATE],
+        one.motions.u + u_change,
         one.motions.cost,
-        states,
+        one.motions.covariance + state_widening,
     )
     log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
-    return Fit(one.model, motions, log_evidence, one.u_covariance + changed, one.answer)
+    u_covariance = one.u_covariance + widening
+    return Fit(one.model, motions, log_evidence, u_covariance, one.answer, one.motions)
 
 
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
     """Return the passes with a prior of each rung that comes in part from the other passes of the file.
 
     The same torques act in all passes of a file, mostly. The share `common` of the prior of a rung comes from the others, the rest
-    is even.
+    is even. What the others say of a rung is the product of their evidences of it, each of them mixed in the same way with its mean
+    evidence: one odd pass must not decide.
     """
     log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
     even = np.full(log.shape[1], -np.log(log.shape[1]))
@@ -211,7 +220,7 @@ def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
     stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
     if not stated:
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
-    motions = Track.joined([one.motions for one in stated])
+    motions = Track.joined([one.to_begin_from for one in stated])
     log = np.concatenate([one.log_evidence for one in stated])
     apart = copies.copies_rad, copies.copies_sigmas
     t_s = stated[0].model.obs.t_s
@@ -242,4 +251,6 @@ def _joined(fits: list[Fit]) -> Fit:
     """Return the motions of several fits of one model."""
     parts = ((one.log_evidence, one.u_covariance, one.answer) for one in fits)
     motions = Track.joined([one.motions for one in fits])
-    return Fit(fits[0].model, motions, *(np.concatenate(p) for p in zip(*parts, strict=True)))
+    lowest = Track.joined([one.to_begin_from for one in fits])
+    joined = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Fit(fits[0].model, motions, *joined, lowest)

@@ -106,12 +106,13 @@ class Neighboured(NamedTuple):
 
 
 def with_neighbours(
-    trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings
+    trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings, held: bool = False
 ) -> Neighboured:
     """Return motions, and neighbours of those that are one of a family at a time `reach_s` from the reference.
 
     A family is free in a combination of rate and direction by more than a share of a radian then. Its neighbours differ along the
-    loosest combinations, alone and together. Unknowns stay: what differs by these alone is found from either.
+    loosest combinations, alone and together, with the unknowns as they are; and farther along the valley that the unknowns make,
+    unless body and wheel are `held`.
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
@@ -134,6 +135,11 @@ def with_neighbours(
         sun = move_on_sphere(own.sun, step[:, 3:])
         parts.append(Shots(own.omega + step[:, :3], sun, own.u, own.cost))
         parents.append(rows)
+    if not held and len(trials) <= s.few_starts:
+        along_valley, rows = _along_valley(trials, size, least, s)
+        parts.append(along_valley.take(due[rows]))
+        parents.append(rows[due[rows]])
+        set_s = np.where(due & np.isin(np.arange(len(trials)), rows), reach_s, set_s)
     every, parent = Shots.joined(parts), np.concatenate(parents)
     _, first = np.unique(boxes(every, reach_s, s), axis=0, return_index=True)
     kept = np.union1d(first, np.arange(len(trials)))
@@ -142,3 +148,29 @@ def with_neighbours(
     return Neighboured(
         Trials(every.take(kept), starts, neighbours_s=set_s[parent[kept]]), parent[kept]
     )
+
+
+def _along_valley(
+    trials: Trials, size: np.ndarray, least: np.ndarray, s: ShootingSettings
+) -> tuple[Shots, np.ndarray]:
+    """Return motions along the loosest direction of each one's valley, and of which each is a neighbour.
+
+    Where inertia, friction and wheel are free they take up a change of the rate, so that the valley is many times longer than with
+    the unknowns as they are: the covariance of rate and direction is that of all coordinates together. `size` (5): rad per unit of
+    rate and direction at the time that counts; `least` (5, 5): information of the prior on them.
+    """
+    covariance = np.linalg.inv(trials.normal + 1e-9 * np.eye(trials.normal.shape[-1]))
+    information = np.linalg.inv(covariance[:, :5, :5])
+    values, vectors = np.linalg.eigh(np.linalg.inv(information + least) * size[:, None] * size)
+    width, along = np.sqrt(values[:, -1].clip(0)), vectors[:, :, -1] / size
+    # the change of all coordinates with the one that is loosest: regression on rate and direction
+    step = np.einsum("kdi,kij,kj->kd", covariance[:, :, :5], information, along)
+    each = np.minimum(s.valley_sigmas * width / s.valley_rad, s.valley_each).astype(int)
+    parts, parents = [], []
+    for count in range(1, s.valley_each + 1):
+        rows = np.flatnonzero(each >= count)
+        for sign in (1, -1):
+            parts.append(trials.shots.take(rows).moved(sign * count * s.valley_rad * step[rows]))
+            parents.append(rows)
+    moved, parent = Shots.joined(parts), np.concatenate(parents)
+    return Shots(moved.omega, moved.sun, moved.u, trials.cost[parent]), parent

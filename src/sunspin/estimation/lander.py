@@ -6,7 +6,7 @@ motion, so that the equations themselves determine inertia and friction (docs/po
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -44,6 +44,13 @@ LEAST_MOMENT = 0.01
 
 PRIOR_DRAWS = 20_000
 """Draws by which the part of the prior that describes bodies is measured: a half of it to 1 %, 3 % of it to 4 %."""
+
+
+Sizes = Mapping[str, int]
+"""Kinds of unknowns whose sigma is one of several -> index of the one that is taken."""
+
+ALL_SIZES: Sizes = {}
+"""All of them count, by how likely they are."""
 
 
 class Carried(NamedTuple):
@@ -137,20 +144,18 @@ class LanderModel:
                 odds = np.array([1 - LOOSER_CHANCE, LOOSER_CHANCE])
             yield places, shares, np.log(odds)
 
-    def prior_cost(
-        self, u: np.ndarray, share: float | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def prior_cost(self, u: np.ndarray, sizes: Sizes = ALL_SIZES) -> tuple[np.ndarray, np.ndarray]:
         """Return minus the log prior density (K) of unknowns, over that of m standard normal numbers at zero, and weights (K, m).
 
         The weights are those of the squares in a step of a fit, as a Student's law has them. An unknown whose sigma is one of
-        several has a mixture of normal laws. `share`: the sigma of a constant torque is this part of its largest.
+        several has a mixture of normal laws; `sizes`: kinds of which one sigma is taken, by its index.
         """
         cost, weight = 0.5 * u**2, np.ones_like(u)
         total = cost.sum(axis=1)
         for places, shares, log_odds in self._shared():
             some = u[:, places]
-            if share is not None and self.unknowns[places[0]].kind == "steady_torque":
-                shares, log_odds = np.array([share]), np.zeros(1)
+            if (size := sizes.get(self.unknowns[places[0]].kind)) is not None:
+                shares, log_odds = shares[[size]], log_odds[[size]]
             square = 0.5 * np.sum(some**2, axis=1)[:, None]
             each = log_odds - square / shares**2 - len(places) * np.log(shares)
             whole = logsumexp(each, axis=1)
@@ -252,7 +257,10 @@ class LanderModel:
         return self.possible(np.clip(u, -most, most), inside)
 
     def wheel_speeds(self, u: np.ndarray) -> np.ndarray:
-        """Return the speeds (K, n_wheel) of the wheels at the reference, rad/s."""
+        """Return the speeds (K, n_wheel) of the wheels at the reference, rad/s.
+
+        They run down as in a body whose rate is constant: for Philae that is good to 1e-4.
+        """
         wheels = self.vehicle.wheels
         first = np.array([wheel.speed_rad_s for wheel in wheels])
         speeds = first + self._deviation(u, "wheel_speed", len(wheels))

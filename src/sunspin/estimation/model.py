@@ -28,8 +28,8 @@ AS_STATED = "as stated"
 THINNEST = 0.1
 """No principal moment is less than this part of the mean one, and no second moment of the masses less than minus this."""
 
-DRAWN_IN, BY = 10, 0.8
-"""A trial inertia that no body has is drawn towards that of the vehicle file by the factor, so many times at most."""
+MOST_SHRINKS, SHRINK = 10, 0.8
+"""Errors of a trial inertia that no body has are multiplied by the factor, so many times at most."""
 
 SWINGS_PER_INTERVAL = 30.0, 2.0
 """How often a swing that the samples do not resolve forgets itself in an interval, at most and at least."""
@@ -107,13 +107,13 @@ class Body:
         return self.inertia + np.einsum("ke,eij->kij", u, self.errors)
 
     def possible(self, u: np.ndarray) -> np.ndarray:
-        """Return errors (K, e) in sigmas, those drawn in whose tensor belongs to no body.
+        """Return errors (K, e) in sigmas, smaller where their tensor belongs to no body, else as they are.
 
-        A principal moment is positive and at most the sum of the other two; equivalently the second moments of the masses are
-        positive. A little less is allowed, as a stated tensor has errors.
+        A principal moment is positive and at most the sum of the other two. Equivalently the second moments of the masses, trace(I)
+        / 2 - I, are positive. A little less is allowed, as a stated tensor has errors.
         """
         u = u.copy()
-        for _ in range(DRAWN_IN if u.size else 0):
+        for _ in range(MOST_SHRINKS if u.size else 0):
             inertia = self.inertia_at(u)
             masses = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
             wrong = (np.linalg.eigvalsh(masses)[:, 0] < -THINNEST) | (
@@ -121,7 +121,7 @@ class Body:
             )
             if not wrong.any():
                 return u
-            u[wrong] *= BY
+            u[wrong] *= SHRINK
         return u
 
     @property
@@ -168,12 +168,14 @@ class Noise:
     def hidden_variance(self, dt: np.ndarray) -> float:
         """Return the variance (rad2/s2) of a component of the rate at an instant about the mean rate between samples.
 
-        It is noise^2 over twice the time in which a swing forgets itself: so many times per interval dt as
-        :data:`SWINGS_PER_INTERVAL` says, log-uniform.
+        A rate that forgets itself in the time T (Ornstein and Uhlenbeck) and makes the attitude wander by `rate` has the variance
+        rate^2 / (2 T). In the mean over T, log-uniform, as often per interval dt as :data:`SWINGS_PER_INTERVAL` says.
         """
         quickest, slowest = SWINGS_PER_INTERVAL
-        mean = (quickest - slowest) / np.log(quickest / slowest)
-        return float(self.rate**2 / (2 * np.median(dt)) * mean)
+        mean_count = (quickest - slowest) / np.log(
+            quickest / slowest
+        )  # of forgetting times in an interval
+        return float(self.rate**2 / (2 * np.median(dt)) * mean_count)
 
 
 @dataclass(frozen=True)
@@ -231,6 +233,11 @@ class Model:
         """Return all numbers that are estimated with a motion: those of the body, then those of each term."""
         of_terms = (one for term in self.obs.terms for one in term.unknowns())
         return (*self.body.unknowns, *of_terms)
+
+    @property
+    def rate_max(self) -> float:
+        """Return the largest rate (rad/s) that is searched: two sigmas of the prior."""
+        return 2 * self.rate_sigma
 
     @property
     def of_body(self) -> slice:

@@ -66,11 +66,9 @@ class FileReadings:
     @property
     def usable(self) -> np.ndarray:
         """Indices of the samples that show the Sun, or a field whose direction is known, and are not dropped."""
-        dropped, alone = (
-            np.array([text.startswith(word) for text in self.why])
-            for word in ("dropped", FIELD_ALONE)
-        )
-        return np.flatnonzero((self.obs.sees_sun | alone) & ~dropped)
+        dropped = np.array([text.startswith("dropped") for text in self.why])
+        field_alone = np.array([text.startswith(FIELD_ALONE) for text in self.why])
+        return np.flatnonzero((self.obs.sees_sun | field_alone) & ~dropped)
 
 
 @dataclass(frozen=True)
@@ -81,8 +79,8 @@ class Pass:
     kept: np.ndarray
 
     @property
-    def places(self) -> np.ndarray:
-        """Places of the kept samples among all of the pass."""
+    def kept_in_pass(self) -> np.ndarray:
+        """Indices of the kept samples among those of the pass."""
         return np.searchsorted(self.samples, self.kept)
 
 
@@ -208,8 +206,10 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
     if fields and gap_s is None:
         read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
         ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
+    # a field of unknown direction turns unevenly over a long pass; in a known one the search must not be left with too few samples
     known = any(isinstance(term, KnownField) for term in seen.obs.terms)
-    longest = s.longest_field_s if fields or known and s.longest_s > s.many * usual else s.longest_s
+    many = known and s.longest_s > s.many * usual
+    longest = s.longest_field_s if fields or many else s.longest_s
     passes = []
     for part in np.split(use, np.asarray(ends, dtype=int) + 1):
         duration = t_s[part[-1]] - t_s[part[0]]
@@ -257,44 +257,49 @@ def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: 
 def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
     """Return from which of the samples of a pass a search may begin, by which of them (n) show the Sun.
 
-    The first if half of those next to it do, else the one whose next ones do most often: a pass may begin in the shadow.
+    The first if half of the next `s.dense` do, else the one whose next ones do most often: a pass may begin in the shadow.
     """
-    after = np.convolve(sees_sun, np.ones(s.dense))[s.dense - 1 :]
-    return 0 if after[0] >= s.dense / 2 or len(sees_sun) <= s.kept else int(np.argmax(after))
+    if len(sees_sun) <= s.kept:
+        return 0
+    count_of_next = np.convolve(sees_sun, np.ones(s.dense))[s.dense - 1 :]
+    return 0 if count_of_next[0] >= s.dense / 2 else int(np.argmax(count_of_next))
 
 
 def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
-    """Return at most `s.kept` places of `count` samples, the first and the last among them.
+    """Return the indices of at most `s.kept` of `count` samples, the first and the last among them.
 
-    Close together where the rate is determined first, at `dense_from`, then ever farther apart: each step is at most `s.growth`
-    times the one before, so that what is known of the rate always predicts the next sample.
+    Close together where the rate is determined first, at `dense_from`, then ever farther apart to both sides: each step is at most
+    `s.growth` times the one before, so that what is known of the rate always predicts the next sample. Of all ways to share the
+    samples between the two sides the one whose widest step is smallest.
     """
     if count <= s.kept:
         return np.arange(count)
     after, before = np.arange(dense_from, count), np.arange(dense_from, -1, -1)
-    best: tuple[float, np.ndarray] = np.inf, _growing(np.arange(count), s.kept, s.growth)
+    least, best = np.inf, _growing(np.arange(count), s.kept, s.growth)
     for n in range(2, s.kept) if dense_from else ():
         sides = _growing(after, s.kept + 1 - n, s.growth), _growing(before, n, s.growth)
         # steps that grow to both sides do not reach the ends of a very long pass
         if sides[0][-1] == count - 1 and sides[1][-1] == 0:
             widest = max(np.abs(np.diff(side)).max(initial=0) for side in sides)
-            if widest < best[0]:
-                best = widest, np.unique(np.concatenate(sides))
-    return best[1]
+            if widest < least:
+                least, best = widest, np.unique(np.concatenate(sides))
+    return best
 
 
-def _growing(places: np.ndarray, most: int, growth: float) -> np.ndarray:
-    """Return at most so many of some places, in steps that grow by a factor up to even ones; the first among them."""
-    if len(places) <= most:
-        return places
+def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
+    """Return at most so many of some indices, in steps of 1, growth, growth^2, ... up to even ones; the first among them."""
+    if len(indices) <= most:
+        return indices
     growing = growth ** np.arange(most - 1)
-    low, high = 1.0, float(len(places))
-    for _ in range(60):  # bisection for the largest step with which the steps reach the end
+    low, high = 1.0, float(len(indices))
+    for _ in range(
+        60
+    ):  # bisection for the smallest bound of the steps with which they reach the end
         widest = (low + high) / 2
-        reached = np.minimum(growing, widest).sum() >= len(places) - 1
+        reached = np.minimum(growing, widest).sum() >= len(indices) - 1
         low, high = (low, widest) if reached else (widest, high)
-    place = np.concatenate([[0.0], np.cumsum(np.minimum(growing, high))])
-    return places[np.unique(np.minimum(np.round(place), len(places) - 1).astype(int))]
+    taken = np.concatenate([[0.0], np.cumsum(np.minimum(growing, high))])
+    return indices[np.unique(np.minimum(np.round(taken), len(indices) - 1).astype(int))]
 
 
 def _why_unused(seen: FileReadings) -> str:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.estimation.carry import step
+from sunspin.estimation.carry import RATE, step
 from sunspin.estimation.model import Body
 from sunspin.estimation.solutions import Solutions
 from sunspin.estimation.verdict import padded
@@ -95,6 +95,8 @@ def weigh_by_periods(
     the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
     of the solution that is the likeliest now, and of the one that was then.
     """
+    # a column may have a period where there is no pass
+    seen = [one for one in seen if not isinstance(one, FoundPeriod) or _in_a_pass(passes, one)]
     if not seen:
         return list(passes), {}
     of_pass = [pass_of_period(passes, one) for one in seen]
@@ -193,6 +195,13 @@ def weigh_draws(
     return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
 
 
+def _in_a_pass(passes: Sequence[Solutions], seen: PeriodSeen) -> bool:
+    """Return whether a period was seen in a pass, or no further from its ends than samples are from each other."""
+    times = [one.obs.t_s for one in passes]
+    near = [(t[0] - np.diff(t).max(), t[-1] + np.diff(t).max()) for t in times]
+    return any(first <= seen.t_s <= last for first, last in near)
+
+
 def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
     """Return the pass in which a period was seen, or from whose ends it is no further away than samples are from each other."""
     times = [one.obs.t_s for one in passes]
@@ -219,16 +228,16 @@ def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
     at = int(np.argmin(np.abs(t_s - seen.t_s)))
     # the rate wanders between that sample and the time of the period
     wander = one.noise**2 * abs(seen.t_s - t_s[at])
-    covariance = one.track.covariance[:, at, 3:, 3:] + wander[:, None, None] * np.eye(3)
+    covariance = one.track.covariance[:, at, RATE, RATE] + wander[:, None, None] * np.eye(3)
     variance, axes = np.linalg.eigh(covariance)
-    spread = axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]
+    root = axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]  # root root^T is the covariance
     momentum = np.stack(
         [np.interp(instants, t_s, one.obs.momentum[:, i]) for i in range(3)], axis=1
     )
     parts = []
     for inertia in drawn_inertias(body, rng):
         normal = rng.standard_normal((DRAWS, 3))
-        omega = one.track.omega[:, at, None] + np.einsum("kij,nj->kni", spread, normal)
+        omega = one.track.omega[:, at, None] + np.einsum("kij,nj->kni", root, normal)
         rates = _euler_rates_of(inertia, omega.reshape(-1, 3), instants - t_s[at], momentum, body)
         with np.errstate(divide="ignore"):
             periods = 2 * np.pi / np.abs(rates)

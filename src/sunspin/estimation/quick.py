@@ -11,7 +11,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.chain import Chain
 from sunspin.estimation.evidence import ladder
-from sunspin.estimation.model import Model, Noise
+from sunspin.estimation.model import Model, Noise, Track
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import RatesSettings
 from sunspin.estimation.starts import pair_starts
@@ -24,18 +24,24 @@ MOTIONS = 8
 """Motions of a search whose probabilities are summed, at most."""
 
 
-def quick_evidence(stated: Model, settings: RatesSettings, budget: Budget) -> float:
+def quick_evidence(
+    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
+) -> float:
     """Return the log of the probability of a pass, up to a constant that only the number of readings decides.
 
     Minus infinity if no motion is possible. Inertia and gains are those of the file, the search begins at one pair of samples, and
-    the better one of two strengths of torques counts.
+    the better one of two strengths of torques counts. `known`: the motions of the pass, if a search has found them already.
     """
     s = replace(settings.search, more_places=0)
     few = replace(settings.ladder, rungs=RUNGS)
     log = np.full(len(RUNGS), -np.inf)
     for loose in stated.for_search(Noise(s.noise)):
         try:
-            motions = search(Chain(loose, s), pair_starts(loose, s), s, budget, 1)
+            motions = (
+                search(Chain(loose, s), pair_starts(loose, s), s, budget, 1)
+                if known is None
+                else Track.free(known.attitude, known.omega)
+            )
         except InputError:
             continue
         for one in ladder(loose, motions.take(slice(MOTIONS)), few, s, s.noise):

@@ -9,6 +9,7 @@ from itertools import repeat
 
 import numpy as np
 import xarray as xr
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import with_units
@@ -28,6 +29,7 @@ from sunspin.estimation.evidence import (
     leading,
     likeliest,
     likeliest_cost,
+    restated,
     share_noise,
     united,
 )
@@ -70,13 +72,21 @@ from sunspin.estimation.settings import (
     SearchSettings,
 )
 from sunspin.estimation.solutions import Solutions, solutions
-from sunspin.estimation.starts import fine_up_to, pair_starts, places, relatives
+from sunspin.estimation.starts import (
+    allowed_directions,
+    fine_up_to,
+    pair_starts,
+    pairs_to_try,
+    relatives,
+)
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
+from sunspin.estimation.terms.panels import Panels
 from sunspin.estimation.verdict import more_effort, rates_words, slower
 from sunspin.estimation.wheel_signs import (
     Reversed,
     doubted_signs,
+    log_evidence,
     momentum_of_each,
     reversed_momenta,
 )
@@ -92,8 +102,17 @@ ALONG_Z = 1e-6
 LONGEST_PASSES = 2
 """Passes, those with the most samples, that say what the wheels do."""
 
+WIDE_RAD = 1.0
+"""A sample that allows directions to the Sun so far apart leaves its direction open."""
+
 UNSEEN_RAD = 0.05
 """Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+
+
+class PassBar(tqdm):
+    """A progress bar without a thread that watches it: a process with a second thread is not copied for workers."""
+
+    monitor_interval = 0
 
 
 def rates(
@@ -154,7 +173,7 @@ def rates(
     workers : int
         Processes that estimate passes side by side; the result does not depend on it.
     progress : bool, or a function of a line
-        A function is called once, when the inputs are accepted and the search begins.
+        Show a progress bar of passes; a function is called once, when the inputs are accepted and the search begins.
     settings : RatesSettings
         What tunes the estimate.
 
@@ -185,7 +204,7 @@ def rates(
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    # the same estimate of another vehicle or another file, of one pass: to try other columns
+    # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
@@ -206,19 +225,23 @@ def rates(
     if callable(progress):
         progress(_said_before(passes))
 
+    require_directions(stated, passes)
     tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     with process_pool(min(worker_count(workers), tasks)) as pool:
         run = map if pool is None else pool.map
         # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
         stated = replace(stated, obs=seen.obs)
+        # all samples of each pass, and the models of those that the search keeps
         whole = [stated.obs.of_pass(one.samples) for one in passes]
         models = [
-            replace(stated, obs=obs.take(one.places))
+            replace(stated, obs=obs.take(one.kept_in_pass))
             for obs, one in zip(whole, passes, strict=True)
         ]
         open_still = [k for k in range(len(passes)) if k not in done]
         fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
+        if progress is True:
+            fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
         done |= dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
         doubt = doubted_wheels(
@@ -228,7 +251,7 @@ def rates(
     # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     fits = share_noise(fits, settings.ladder)
     solved = [
-        solutions(one, obs, p.places, settings.solutions, settings.search)
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
         for one, obs, p in zip(fits, whole, passes, strict=True)
     ]
     solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
@@ -274,15 +297,15 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
     s = settings
     budget = replace(budget)  # passes work side by side, each with its own
 
-    def found(noise: float) -> list[Fit]:
-        """Return fits on all rungs of the motions that are found under unknown torques of this strength."""
+    def fits_under(noise: float) -> list[Fit]:
+        """Return fits on all rungs of the motions that a search under unknown torques of this strength leaves."""
         motions = []
         # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
         led = field_of(stated) is not None
         of_search = replace(s.search, more_places=0) if led else s.search
         for loose in searched(stated, Noise(noise)):
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            one = search(chain, starts, of_search, budget, places(loose, s.search))
+            one = search(chain, starts, of_search, budget, pairs_to_try(loose, s.search))
             motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
         fits = []
         for one in motions:
@@ -290,12 +313,12 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
             fits += ladder(stated, begin, s.ladder, s.search, noise)
         return united(fits, s.ladder, s.search)
 
-    fits = found(s.search.noise)
+    fits = fits_under(s.search.noise)
     limit = stated.obs.cost_limit
     # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
     # motion, as under the strongest torques nearly everything fits.
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, found(s.ladder.strong), key=likeliest_cost)
+        fits = min(fits, fits_under(s.ladder.strong), key=likeliest_cost)
     if not any(len(one) for one in fits):
         raise InputError(
             "no motion has a well-defined probability",
@@ -323,6 +346,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         rung = nominal.model.noise.acceleration
         rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
         top = float(best.log_evidence.max())
+        begin = restated(begin, nominal.model, model.under(rung))
         more = ladder(model, begin, shorter, s.search, rung, top)
         budget.spend(sum(len(one) for one in more) * len(stated.obs))
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
@@ -339,7 +363,7 @@ def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
     """
     speed = np.linalg.norm(motions.omega, axis=2).mean(axis=1)
-    slow = np.flatnonzero(speed <= 2 * model.rate_sigma)
+    slow = np.flatnonzero(speed <= model.rate_max)
     fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
     return motions.take(slow) if fits else motions
 
@@ -376,28 +400,22 @@ def decide_wheels(
             stated,
             obs=with_momentum(seen, momenta[name])
             .obs.of_pass(passes[k].samples)
-            .take(passes[k].places),
+            .take(passes[k].kept_in_pass),
         )
         for name in names
         for k in longest
     ]
     fits = list(run(_pass_if_any, models, repeat(settings), repeat(budget)))
-    evidence = np.array(
-        [
-            -np.inf
-            if one is None
-            else np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung)
-            for one in fits
-        ]
-    )
+    evidence = np.array([-np.inf if one is None else log_evidence(one) for one in fits])
     if not np.isfinite(evidence).any():
-        one_pass(models[0], settings, budget)  # says why there is no motion
+        one_pass(models[0], settings, budget)  # raises an error that says why there is no motion
+    # models are in the order of names, then of passes
     total = evidence.reshape(len(names), len(longest)).sum(axis=1)
     best = int(np.argmax(total))
     above = total[best] - np.delete(total, best).max()
     words = f"{names[best]} (evidence {above:.1f} above any other)"
-    of_best = zip(longest, fits[best * len(longest) :], strict=False)
-    done = {k: one for k, one in of_best if one is not None}
+    of_best = fits[best * len(longest) : (best + 1) * len(longest)]
+    done = {k: one for k, one in zip(longest, of_best, strict=True) if one is not None}
     return with_momentum(seen, momenta[names[best]]), words, done
 
 
@@ -435,6 +453,35 @@ def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> Pass
         return one_pass(stated, settings, budget)
     except InputError:
         return None
+
+
+def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
+    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
+
+    `stated`: the nominal model of the whole file. Other sensors may do without directions.
+    """
+    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
+    if not panels or not sees_sun_alone(stated.obs):
+        return
+    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
+    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
+    if read >= count:
+        return
+    for one in passes:
+        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
+        model = of_pass.for_search(stated.noise)[0]
+        # whether the direction of the Sun is known at a sample, and was at the one before
+        known = False
+        for sample in range(len(one.kept)):
+            allowed = allowed_directions(model, sample)
+            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if before and known:
+                return
+    raise InputError(
+        "too few Sun directions to estimate a rate",
+        got=f"rows with readings of {read} of {count} panels at most",
+        do="set sample_span_s under [telemetry] to the time in which all are read",
+    )
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:
@@ -515,6 +562,7 @@ def doubts_of(
     no_sphere = []
     for model, one in zip(models, solved, strict=True):
         shortest = float(np.diff(model.obs.t_s).min())
+        # what torques turn a body over the shortest interval T: noise T^1.5 / sqrt(3)
         far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
         strong = one.noise[0] >= settings.ladder.strong
         no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))

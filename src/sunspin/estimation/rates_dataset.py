@@ -118,7 +118,7 @@ def _attributes(
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": seen.source,
         "acceleration_noise": stated.noise.acceleration,
-        "max_rate_rad_s": 2 * stated.rate_sigma,
+        "max_rate_rad_s": stated.rate_max,
         "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
         "body": "nearly a sphere (no inertia)"
         if stated.body.sphere

@@ -2,8 +2,9 @@
 
 Between two samples the body may turn whole turns more, or about another axis, so that the posterior density has many maxima. A
 search begins where few starts are enough, with neighbouring samples. Candidates are fitted to them, those that the readings rule
-out fall, and the window grows. A rate that is known from a window predicts the phase one window further: no candidate leaves its
-basin.
+out fall, and the window grows, by one sample at each end or more. A rate that is known from a window predicts the phase one window
+further, so that a candidate stays near its minimum. Where a window leaves a direction of the rate nearly free, further candidates
+stand along it (`Chain.widened`), and the search begins at several pairs of samples.
 """
 
 from __future__ import annotations

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.estimation.lander import LanderModel
+from sunspin.estimation.lander import LanderModel, Sizes
 from sunspin.estimation.shots import RATE, SUN, Shots
 from sunspin.estimation.terms.powers import SunStates
 from sunspin.solve.least_squares import least_squares, limit_length, take_problems
@@ -82,14 +82,13 @@ class Linear(NamedTuple):
 class Problem:
     """A fit of motions to the samples of a model with some coordinates free.
 
-    `free_unknowns` (m): which unknowns are free; the noise never is. `share`: sigma of a constant torque, as a part of its largest,
-    under which steps are taken; None: all are weighed by how likely they are.
+    `free_unknowns` (m): which unknowns are free; the noise never is. `sizes`: sigmas that are taken of unknowns with several.
     """
 
     model: LanderModel
     free_unknowns: np.ndarray
     error_rad: float = SEARCH_ERROR
-    share: float | None = None
+    sizes: Sizes = field(default_factory=dict)
 
     @cached_property
     def fitted(self) -> np.ndarray:
@@ -226,7 +225,7 @@ class Problem:
     def system(self, u: np.ndarray, linear: Linear, factor: float) -> DenseSystem:
         """Return the normal equations of a step, priors included."""
         cost, weight = self.weigh(linear.value, u, factor)
-        prior, precision = self.model.prior_cost(u, self.share)
+        prior, precision = self.model.prior_cost(u, self.sizes)
         normal, gradient = _normal(linear.value, linear.jacobian, weight)
         places = np.arange(5, len(self.coordinates))
         normal[:, places, places] += precision[:, self.fitted]
@@ -275,8 +274,12 @@ class Fitting:
     """A batch of motions being fitted; the result of each depends on itself alone."""
 
     def __init__(self, problem: Problem, shots: Shots) -> None:
-        """Begin at motions whose bodies can exist."""
+        """Begin at motions whose bodies can exist, with the stated noise.
+
+        A noise that was small for fewer readings would let the wide levels draw in less than they should.
+        """
         u = problem.model.limited(shots.u, INSIDE)
+        u[:, problem.model.places("noise")] = 0.0
         self.problem, self.factor = problem, 1.0
         self.shots = Shots(shots.omega, shots.sun, u)
         self.refresh()
@@ -393,7 +396,7 @@ class Fitting:
         weight = self.problem.weigh(linear.value, u, self.factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
         prior = np.zeros(read.shape[:2])
-        prior[:, 5:] = self.problem.model.prior_cost(u, self.problem.share)[1][
+        prior[:, 5:] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
             :, self.problem.fitted
         ]
         size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)  # in these units none is large
@@ -409,7 +412,7 @@ class Fitting:
         whole = np.zeros((len(u), problem.model.dimension, problem.model.dimension))
         whole[:, problem.coordinates[:, None], problem.coordinates] = read
         every = np.arange(5, problem.model.dimension)
-        whole[:, every, every] += problem.model.prior_cost(u, problem.share)[1]
+        whole[:, every, every] += problem.model.prior_cost(u, problem.sizes)[1]
         for i in problem.model.places("noise"):
             own, value = u[:, problem.model.of_panels], problem.of_panels(linear.value)
             whole[:, 5 + i, 5 + i] += problem.model.panels.noise_curvature(value, own)

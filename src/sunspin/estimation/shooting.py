@@ -17,7 +17,7 @@ from sunspin.estimation.families import (
     with_neighbours,
 )
 from sunspin.estimation.grid import Place, shortfall
-from sunspin.estimation.lander import LanderModel
+from sunspin.estimation.lander import ALL_SIZES, LanderModel, Sizes
 from sunspin.estimation.search import grown
 from sunspin.estimation.settings import PosteriorSettings
 from sunspin.estimation.shoot import (
@@ -54,10 +54,17 @@ class Shooting:
         place: Place,
         s: PosteriorSettings,
         workers: int | None = None,
-        share: float | None = None,
+        torque_size: int | None = None,
     ) -> None:
-        """Begin a search under a model whose reference is at `place`; `share` as in :class:`~sunspin.estimation.shoot.Problem`."""
-        self.model, self.place, self.share = model, place, share
+        """Begin a search under a model whose reference is at `place`.
+
+        The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, which hide the true motion on
+        their sheets. `torque_size`: index of the sigma of a constant torque, if one acts.
+        """
+        self.model, self.place = model, place
+        self.sizes: Sizes = {"inertia": 0}
+        if torque_size is not None:
+            self.sizes = {"inertia": 0, "steady_torque": torque_size}
         self.s, self.growth, self.workers = s.shooting, s.search.growth, worker_count(workers)
         self.settings = s
         self.t_s = model.obs.t_s
@@ -65,9 +72,9 @@ class Shooting:
         self.complete = not place.notes
         self.fitted = 0  # motions times samples
 
-    def of(self, model: LanderModel, share: float | None = None) -> Shooting:
-        """Return the same for another model of the same readings."""
-        return Shooting(model, self.place, self.settings, self.workers, share)
+    def of(self, model: LanderModel) -> Shooting:
+        """Return the same for a model of the same readings under a constant torque."""
+        return Shooting(model, self.place, self.settings, self.workers, self.s.searched_under)
 
     def _note(self, text: str, complete: bool) -> None:
         """Note once what the verdict has to say."""
@@ -123,7 +130,7 @@ class Shooting:
         free = np.ones(len(model.unknowns), dtype=bool)
         free[model.places(TILT)] = False
         free[: len(model.of_motion)] = not held
-        return Problem(model, free, share=self.share), held
+        return Problem(model, free, sizes=self.sizes), held
 
     def kept(self, motions: Trials, window: slice) -> Trials:
         """Return motions without copies and without those that the readings rule out, best first."""
@@ -160,7 +167,8 @@ class Shooting:
         """
         s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
-            motions = with_neighbours(motions, reach_s, self.model.max_rate, s).trials
+            held = window.stop - window.start < s.held
+            motions = with_neighbours(motions, reach_s, self.model.max_rate, s, held).trials
         else:
             motions = replace(motions, normal=motions.normal[:0])
         allowed = np.ones(len(motions), dtype=bool)
@@ -237,13 +245,11 @@ class Shooting:
     def curved(self, motions: Trials) -> ShotFit:
         """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
 
-        Under a constant torque fits begin under several of its sizes, the largest first: the prior of a small one holds it.
+        Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
+        as the prior of a small one holds it.
         """
         images = self.model.panels.response.symmetries
         shots, starts = motions.shots, motions.starts
-        if self.model.panels.place(TILT):
-            # with the tilts free the noise begins at its stated size
-            shots.u[:, self.model.places("noise")] = 0.0
         fits = [self._curved(shots, starts)]
         if len(images) > 1:
             # rates are axial vectors: a mirror reverses them
@@ -258,23 +264,26 @@ class Shooting:
     def _curved(self, shots: Shots, starts: np.ndarray) -> ShotFit:
         """Return motions fitted to all samples."""
         free = np.ones(len(self.model.unknowns), dtype=bool)
-        shares: list[float | None] = [None]
+        begins: list[Sizes] = [{"inertia": 0}, {"inertia": 1}]
         if torque := self.model.places("steady_torque"):
-            sizes = sorted(self.model.unknowns[torque[0]].shares, reverse=True)
-            shares = [sizes[i] for i in self.s.torque_levels if i < len(sizes)]
+            count = len(self.model.unknowns[torque[0]].shares)
+            begins = [{"inertia": 0, "steady_torque": i} for i in self.s.torque_levels if i < count]
+        elif not self.model.places("inertia"):
+            begins = [ALL_SIZES]
         parts, normals = [], []
-        for share in shares:
-            problem = Problem(self.model, free, FINAL_ERROR, share)
+        for sizes in begins:
+            problem = Problem(self.model, free, FINAL_ERROR, sizes)
             fit = partial(fit_finally, problem, levels=self.s.last_levels)
             fitted, normal = in_pieces(fit, shots, problem.rows_at_once, self.workers)
-            if share is not None:
-                weighed = replace(problem, share=None)
+            if sizes:
+                # and on from there with all sizes by how likely they are
+                weighed = replace(problem, sizes=ALL_SIZES)
                 fit = partial(fit_finally, weighed, levels=((1.0, 4),))
                 fitted, normal = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
             parts.append(fitted)
             normals.append(normal)
         every, curvature = Shots.joined(parts), np.concatenate(normals)
-        kept, count = distinct_fits(every, curvature, np.tile(starts, len(shares)), self.s)
+        kept, count = distinct_fits(every, curvature, np.tile(starts, len(begins)), self.s)
         if len(kept) > self.s.most_fitted:
             self._note(f"more than {self.s.most_fitted} modes", complete=True)
             kept, count = kept[: self.s.most_fitted], count[: self.s.most_fitted]
@@ -283,7 +292,7 @@ class Shooting:
             every.take(kept),
             curvature[kept],
             log_evidence(self.model, every.cost[kept], curvature[kept]),
-            -(-count // len(shares)),
+            -(-count // len(begins)),
             self.complete,
             tuple(self.notes),
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from sunspin.estimation.carry import RATE
 from sunspin.estimation.chain import Fit, variance_of
 from sunspin.estimation.copies import Outline
 from sunspin.estimation.dense import filled, residuals_by_sensor
@@ -160,7 +161,8 @@ def _any_size(one: Fit, s: SolutionSettings) -> np.ndarray:
     on a slope has a covariance that is none, and gains nothing.
     """
     sigma = one.model.rate_sigma
-    covariance = np.nan_to_num(one.motions.covariance[:, 0, 3:, 3:]) / sigma**2
+    # in sigmas of the prior a narrower one adds 1 / share^2 - 1 to the precision, as in `evidence.over_shares`
+    covariance = np.nan_to_num(one.motions.covariance[:, 0, RATE, RATE]) / sigma**2
     sound = np.linalg.eigvalsh(covariance)[:, 0] > 0
     covariance = np.where(sound[:, None, None], covariance, np.eye(3))
     rate = one.motions.omega[:, 0] / sigma
@@ -202,8 +204,12 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
     weight = np.array([member.weight for member in group])
     shares = weight / weight.sum()
 
-    # the covariance about the motion of the head, at the kept samples: what the others are off counts
-    offs = [_off(head.motion, member.motion) for member in group]
+    # the covariance about the motion of the head, at the kept samples: what the others are off, turn and rate (1, n, 6), counts
+    offs = []
+    for member in group:
+        turn = rotation_between(head.motion.attitude, member.motion.attitude)
+        rate = member.motion.omega - head.motion.omega
+        offs.append(np.concatenate([turn, rate], axis=-1))
     covariance = sum(
         share * (member.motion.covariance + off[..., :, None] * off[..., None, :])
         for member, share, off in zip(group, shares, offs, strict=True)
@@ -223,7 +229,7 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
     # nor are axes of N that follow a field, of which it is not known how they turn
     hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     residual = residuals_by_sensor(whole, model, fill.track, kept)
-    fill.track.covariance[..., 3:, 3:] += hidden * np.eye(3)
+    fill.track.covariance[..., RATE, RATE] += hidden * np.eye(3)
 
     # the mean rate over the pass, in the same way
     counted = [k for k in range(len(group)) if k == 0 or shares[k] >= MEAN_COUNTS]
@@ -250,12 +256,6 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
     )
 
 
-def _off(motion: Track, other: Track) -> np.ndarray:
-    """Return turn and rate (K, n, 6) by which another motion differs."""
-    turn = rotation_between(motion.attitude, other.attitude)
-    return np.concatenate([turn, other.omega - motion.omega], axis=-1)
-
-
 def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
     """Return what was estimated with a motion: name -> unit, value, one sigma.
 
@@ -265,7 +265,7 @@ def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
     model: Model = one.model
     u, covariance = one.motions.u[place], one.u_covariance[place]
     rows: dict[str, tuple[str, float, np.ndarray]] = {}  # unit, centre, change by each unknown
-    every = np.eye(len(u))
+    every = np.eye(len(u))  # row i: the change of unknown i by each of them
     body = model.body
     for i, j in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] if len(body.errors) else ():
         change = body.errors[:, i, j] @ every[model.of_body]
@@ -279,7 +279,7 @@ def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
             for k, name in enumerate(term.names):
                 rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
         if isinstance(term, Panels) and term.earth is not None:
-            earth, light = term.earth, every[where][len(term.gain_errors) :]
+            earth, light = term.earth, every[where][term.of_earth]
             centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
             change = earth.light_N.mean(axis=0).T @ light[earth.of_light]
             for k, axis in enumerate("xyz"):

@@ -68,26 +68,27 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
     for place, first in enumerate(_pairs(model)):
         window = slice(max(0, first - s.around), min(len(model.obs), first + 2 + s.around))
         around, sample = model.seeing(window), first - window.start
+        # further pairs are tried if nothing fits: then the gyro may be what is wrong
         suns, rates, apart = starts(around, sample, s, trusted and not place)
         if len(rates) > s.crowd:
             suns, rates = _thinned(around, sample, suns, rates, apart, s)
         if not len(rates):
             continue
         motions = _best(around, sample, suns, rates, apart, s.tried[2])
+        # each round trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
             motions = shot(_loosened(around, sample, share * apart), sample, motions, 4)
             motions = _distinct(motions, around, s.tried[2], s)
         yield window, motions
 
 
-def places(model: Model, s: SearchSettings) -> int:
+def pairs_to_try(model: Model, s: SearchSettings) -> int:
     """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out."""
-    if (
-        len(images_of(model)) > 1
-    ):  # panels bound the Sun so little that one pair may start from nothing
+    if len(images_of(model)) > 1:
+        # panels bound the Sun so little that one pair may start from nothing
         return s.places_if_flat
     first = _pairs(model)[0]
-    dense = np.diff(model.obs.t_s)[:3].max() * 2 * model.rate_sigma < DENSE_RAD
+    dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
     return 1 if dense or gyro_decides(model, first) or not _steady(model, first) else s.places
 
 
@@ -95,10 +96,10 @@ def _pairs(model: Model) -> np.ndarray:
     """Return the first samples (n - 1) of all pairs of neighbours, the most promising first: short, and sharp directions."""
     obs = model.obs
     sharp = [any(len(term.starts(i).directions) for term in obs.terms) for i in range(len(obs))]
-    quality = np.where(sharp, 1.0, BOUNDED) * np.where(
-        obs.sees_sun | (not obs.sees_sun.any()), 1.0, UNSEEN
-    )
-    return np.argsort(np.diff(obs.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+    sees_sun = obs.sees_sun | (not obs.sees_sun.any())
+    # the interval counts as longer the worse the directions at both ends are
+    penalty = np.where(sharp, 1.0, BOUNDED) * np.where(sees_sun, 1.0, UNSEEN)
+    return np.argsort(np.diff(obs.t_s) * (penalty[1:] + penalty[:-1]), kind="stable")
 
 
 def gyro_decides(model: Model, first: int) -> bool:
@@ -111,7 +112,7 @@ def _steady(model: Model, first: int) -> bool:
     """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
     wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
-    turning = wheels + 2 * model.rate_sigma * (high - low) / middle
+    turning = wheels + model.rate_max * (high - low) / middle
     return bool(turning * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < PRECESSION_RAD)
 
 
@@ -123,7 +124,7 @@ def starts(
     And how far (rad) the turn between the two samples may be from that of the nearest start. Rest is always among the starts.
     """
     dt = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
-    rate_max = 2 * model.rate_sigma
+    rate_max = model.rate_max
     if not rate_max * dt < 2 * np.pi * s.most_turns:
         raise InputError(
             "too many whole turns fit between two samples to try them all",
@@ -134,10 +135,11 @@ def starts(
     read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
     read = read[np.linalg.norm(read, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
+    # `each`: rates (m, 3) for each direction to the Sun
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
         each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
-    elif not _steady(model, first):
+    elif not _steady(model, first):  # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
         each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
     else:
@@ -145,7 +147,9 @@ def starts(
         each = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
+            if (ends @ sun).max() > np.cos(
+                ANY_AXIS_RAD
+            ):  # whole turns about any axis end there too
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
             each.append(np.concatenate([rest, *rates, read]))
         apart = s.step_rad
@@ -231,7 +235,7 @@ def relatives(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     dt = np.diff(model.obs.t_s)
     first = int(np.argmin(dt))
     uneven = dt / dt[first] - np.round(dt / dt[first])
-    turn, rate_max = 2 * np.pi / dt[first], 2 * model.rate_sigma
+    turn, rate_max = 2 * np.pi / dt[first], model.rate_max
     if 2 * np.pi * np.abs(uneven).max() < s.even_rad and not gyro_decides(model, first):
         most = int(2 * rate_max / turn)
         more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
@@ -265,7 +269,7 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
-    if _steady(model, first) or grid_step(1, dt, 2 * model.rate_sigma, s) * dt <= COARSE_RAD:
+    if _steady(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
         return np.inf
     return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
 
@@ -279,7 +283,7 @@ def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])
     off_rad_s = BLUR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
-    off_rad_s = np.hypot(off_rad_s, model.body.wander * 2 * model.rate_sigma)
+    off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
     drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
     drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))
     terms = tuple(term.loosened(drift, drift_rad_s) for term in obs.terms)

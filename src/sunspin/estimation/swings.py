@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from scipy.special import sph_harm_y
 
-from sunspin.estimation.chain import TURN_PRIOR, Fit, costs, equations, fit, readings
+from sunspin.estimation.chain import RATE, TURN, TURN_PRIOR, Fit, costs, equations, fit, readings
 from sunspin.estimation.evidence import likeliest
 from sunspin.estimation.model import AS_STATED, Model, Noise, Observations, Track
 from sunspin.estimation.settings import AlternativeSettings
@@ -39,7 +39,8 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
     """Return fits of a body that swings about rest, by each of the angles of the settings between two samples.
 
     `fits`: those of the other models; a size of swing that cannot be as probable as the best of them is left out. Only the Sun is
-    seen.
+    seen. The log evidence of a size is the log of the mean likelihood over all ways on the sphere, in the measure of the other
+    fits; its motion is at rest.
     """
     best = likeliest([one for one in fits if one.model.what == AS_STATED])
     obs = stated.obs
@@ -56,20 +57,21 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
         residual.law(residual.value)[0].sum() for residual, _ in readings(best.model, motion)
     )
     measure -= float(cost - costs(known, Track.free(motion.attitude, motion.omega)).sum())
-    wanted = max(float(one.log_evidence.max()) for one in fits) - s.hopeless
-    wanted -= measure + 3 * np.log(stated.rate_sigma)
-    if _bound(best.model, motion, wanders).max() + ROUGHLY * len(obs) < wanted:
+    # what the log of the mean likelihood must be at least
+    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless
+    least -= measure + 3 * np.log(stated.rate_sigma)
+    if _bound(best.model, motion, wanders).max() + ROUGHLY * len(obs) < least:
         return []
     still = _still(motion)
     swinging = []
     for wander, log in zip(wanders, log_mean_likelihood(known, wanders), strict=True):
-        if log < wanted:
+        if log < least:
             continue
         noise = Noise(best.model.noise.acceleration, rate=float(wander))
         model = replace(stated, noise=noise, what=SWINGS)
         one = fit(model, still, 8)
-        rate = np.linalg.slogdet(one.motions.covariance[:, 0, 3:, 3:])[1] / 2
-        swinging.append(replace(one, log_evidence=stated.log_prior + log + rate + measure))
+        of_rate = np.linalg.slogdet(one.motions.covariance[:, 0, RATE, RATE])[1] / 2
+        swinging.append(replace(one, log_evidence=stated.log_prior + log + of_rate + measure))
     return swinging
 
 
@@ -90,7 +92,8 @@ def harmonics() -> tuple[np.ndarray, np.ndarray]:
 def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
     """Return the log (s) of the mean likelihood of the Sun's readings over all ways of a body that wanders about each axis.
 
-    By `wander` (s) in rad s^-0.5; its first attitude may be any. Likelihoods are in the measure of the terms' costs.
+    By `wander` (s) in rad s^-0.5; its first attitude may be any. Likelihoods are exp(-cost). A filter over samples: `density` is
+    that of the Sun's direction given the readings so far, and the product of its means is the likelihood of all of them.
     """
     everywhere = np.repeat(facing(sphere(EVERYWHERE))[:, None], len(obs), axis=1)
     cost = costs(obs, Track.free(everywhere, np.zeros((EVERYWHERE, len(obs), 3))))
@@ -109,18 +112,18 @@ def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
 
 
 def _bound(model: Model, motion: Track, wander: np.ndarray) -> np.ndarray:
-    """Return what the log (s) of the mean likelihood would be at most if each reading were met as well as can be.
+    """Return the most (s) that the log of the mean likelihood can be for a body that wanders by `wander` (s) in rad s^-0.5.
 
-    By the part of the directions within reach that a reading allows, as sharp as at one motion. It is quick, and far below any fit
-    if readings are sharp.
+    For each sample: of the directions that the Sun may have reached since the sample before, the part that the reading allows. The
+    reading is as sharp as at one motion (K = 1), which it fits. So the bound is quick to compute, and far below any fit if readings
+    are sharp.
     """
-    alone = replace(
-        model, noise=Noise(1.0)
-    )  # torques that hold nothing: what is left are the readings
-    matrix = equations(alone, motion).diagonal[0, :, :3, :3]
-    across = np.linalg.eigvalsh(matrix)[:, 1:]  # the turn about the Sun is not seen
+    # torques so strong that they hold nothing: what is left in the matrix are the readings
+    readings_only = replace(model, noise=Noise(1.0))
+    information = equations(readings_only, motion).diagonal[0, :, TURN, TURN]
+    # the two larger eigenvalues: the turn about the Sun is not seen. Areas of both Gaussians are over 2 pi; the sphere has 4 pi.
+    across = np.linalg.eigvalsh(information)[:, 1:]
     allowed = 1 / np.sqrt(np.maximum(across.prod(axis=1), 1e-300))
-    # all directions are 4 pi, twice the measure of a Gaussian
     reach = np.minimum(wander[:, None] ** 2 * np.diff(model.obs.t_s, prepend=-np.inf), 2.0)
     return np.minimum(np.log(allowed / reach), 0.0).sum(axis=1)
 

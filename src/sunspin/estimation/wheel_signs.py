@@ -16,10 +16,10 @@ import xarray as xr
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.carry import RATE, nutation
 from sunspin.estimation.equivalence import CLEARLY, WEAK_RAD, wheel_changes
-from sunspin.estimation.evidence import PassFits, likeliest
+from sunspin.estimation.evidence import PassFits, leading, likeliest
 from sunspin.estimation.model import Model, Observations
 from sunspin.estimation.observe import Pass, wheel_models
-from sunspin.estimation.quick import quick_evidence
+from sunspin.estimation.quick import MOTIONS, quick_evidence
 from sunspin.estimation.settings import RatesSettings
 from sunspin.estimation.solutions import solutions
 from sunspin.estimation.verdict import misfit
@@ -114,8 +114,11 @@ def doubted_signs(
     `obs`: all samples of the file; `momenta`: with wheels reversed, of all samples; `passes`: those that are compared, the longest
     first, with the `models` and `fits` of the file as it is written.
     """
+    if not momenta:
+        return None
     doubted: list[Reversed] = []
-    quick_as_written = quick_evidence(models[0], settings, replace(budget))
+    known = leading(fits[0].fits, MOTIONS, settings.search)
+    quick_as_written = quick_evidence(models[0], settings, replace(budget), known)
     for which, momentum in momenta.items():
         reversed_models = [
             replace(model, obs=replace(model.obs, momentum=momentum[one.kept]))
@@ -138,7 +141,7 @@ def doubted_signs(
             continue
         whole = replace(obs, momentum=momentum).of_pass(passes[0].samples)
         longest = solutions(
-            new_fits[0], whole, passes[0].places, settings.solutions, settings.search
+            new_fits[0], whole, passes[0].kept_in_pass, settings.solutions, settings.search
         )
         agree = all(misfit(part[0]).fits for part in longest.residual.values())
         fits_well = bool(agree and longest.track.cost[0] <= longest.cost_limit)

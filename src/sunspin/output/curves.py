@@ -7,8 +7,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.environment.frames import J2000
-from sunspin.estimate.rates.wheels import HELD, wheel_speeds
-from sunspin.estimate.wheel_speeds import untold
+from sunspin.estimation.observe import HELD, wheel_speeds, wheels_untold
 from sunspin.vehicle import Vehicle
 
 MOST_PASSES = 12
@@ -56,9 +55,8 @@ def with_wheel_speeds(
     speed = np.full((len(t), len(vehicle.wheels)), np.nan)
     if sources:
         speed = np.array(speeds_by_source[max(sources, key=len)])
-    unknown = untold(
-        vehicle, samples
-    )  # names of wheels whose speed neither file nor telemetry gives
+    # names of wheels whose speed neither file nor telemetry gives
+    unknown = wheels_untold(vehicle, samples)
     speed[:, [wheel.name in unknown for wheel in vehicle.wheels]] = np.nan
     return motion.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
 

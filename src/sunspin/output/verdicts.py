@@ -34,7 +34,6 @@ ANCHORS = {
     "not-sure": ("not sure:",),
     "wheel-speed-unknown": ("WHEEL SPEED UNKNOWN",),
     "give-its-inertia": ("GIVE ITS INERTIA",),
-    "seem-late": ("SEEM LATE",),
     "messages-of-check": (
         *("WRONG UNIT", "WRONG AXES", "WEAK PANEL", "NOISE NOT STATED", "no signal in any sample"),
         *("impossible illumination patterns", "HELD VALUES", "FROZEN from", "held values?"),

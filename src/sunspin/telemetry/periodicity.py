@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError
@@ -234,6 +233,9 @@ def _likely_periods(fitted: _Fitted, trials: np.ndarray, independent: float) -> 
 
     All frequencies are as likely before. Each peak is a normal law with the curvature of its top. `independent`: readings.
     """
+    # imported late: `rates`, which reads the results, does not wait for it
+    from scipy.optimize import minimize_scalar
+
     step = float(trials[1] - trials[0])
 
     def depth(frequency: float) -> float:

@@ -24,7 +24,8 @@ from sunspin.dynamics.torques import NOTHING, Acting, Steady
 from sunspin.dynamics.wheel_modes import friction_limit
 from sunspin.estimate import inertia
 from sunspin.estimate.posterior import tilt
-from sunspin.estimate.terms.steady_torque import TURNED, SteadyTorque, sizes
+from sunspin.estimate.terms.steady_torque import TURNED, sizes
+from sunspin.estimate.terms.steady_torque import unknowns as of_steady_torque
 from sunspin.estimate.terms.term import Unknown
 from sunspin.vehicle import Vehicle
 
@@ -433,9 +434,7 @@ def pushed(model_: Model, frame: Literal["B", "N"], duration_s: float, most_deg:
     """The model under a steady torque that nobody told of, which turns the body by `most_deg` over the readings' time at most."""
     turned = TURNED[TURNED <= np.radians(most_deg) * (1 + 1e-9)]
     tried = sizes(duration_s, turned if len(turned) else np.radians([most_deg]))
-    more = SteadyTorque(
-        float(tried[-1]), frame, np.array(model_.vehicle.require_inertia())
-    ).unknowns()
+    more = of_steady_torque(float(tried[-1]))
     acting_ = replace(model_.acting, torques=(*model_.acting.torques, Steady()))
     shares = tuple((tried / tried[-1]).tolist())
     return replace(

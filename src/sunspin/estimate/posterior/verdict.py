@@ -188,7 +188,7 @@ def believed(
         len(found.doubts) == int(tags_off) and not found.rough
     )  # of the doubts that one is about the fit
     first = about["t_first_s"]
-    judged = answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete)
+    judged = answers(found.is_unique, drawn.std(axis=0), prior_sigma, explained, complete)
     drawn_speed = np.linalg.norm(drawn, axis=1)
     best = region == region.min(initial=0)
     if not best.any():  # no draw fell to it

@@ -1,4 +1,1 @@
-"""What motions are compared with: one sensor or one common error a file, each a :class:`sunspin.estimate.terms.term.Term`.
-
-`term` says what one can be asked; `sensors` lists those that telemetry may have.
-"""
+"""What the motions of a posterior are compared with beside panels: a file for each kind of reading, and the unknowns."""

@@ -54,7 +54,11 @@ def axes_matrix(way: Change) -> np.ndarray:
 
 
 def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
-    """Return whether `FEWEST` samples or more contradict the angle between field and Sun predicted at the first offset."""
+    """Return whether the median angle between field and Sun is not as predicted at the first offset.
+
+    It is asked only of `FEWEST` samples or more that show the angle. `calibration` (12): matrix and zero of the magnetometer. The
+    stated errors of the Sun's directions are allowed for.
+    """
     off = np.abs(angles(field_of(readings.field, calibration), readings.sun) - predicted.angles())
     known = np.isfinite(off)
     if known.sum() < FEWEST:

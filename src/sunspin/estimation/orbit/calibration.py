@@ -301,9 +301,9 @@ def conditions_on_unknowns(readings: Readings) -> int:
 
 
 def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
-    """Return one sigma (D) of each unknown before the data, the zero's in the unit of the readings.
+    """Return one sigma (D) of each unknown before the data: matrix (9), zero (3), offset, drift, and five of each Sun sensor.
 
-    It is that of the vehicle file, else the usual one.
+    It is that of the vehicle file, else the usual one. The zero's is in the unit of the readings.
     """
     part, usual = vehicle.sensors.magnetometer, 1.0
     if part is not None and readings.has_field.any():
@@ -315,13 +315,14 @@ def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     sigma = [np.full(9, MATRIX_SIGMA), zero, np.array([along, orbit.drift_sigma_s_day])]
     for sensor in vehicle.sensors.sun_sensors:
-        own = np.repeat([BIAS_RAD, ANGLE_SCALE], [2, 3])
-        size = [1.0, 1.0, sensor.x_scale, sensor.y_scale, sensor.y_turned_scale]
+        of_sensor = np.repeat([BIAS_RAD, ANGLE_SCALE], [2, 3])
+        # biases as they are, scales over the stated ones
+        unit = [1.0, 1.0, sensor.x_scale, sensor.y_scale, sensor.y_turned_scale]
         for k, key in enumerate(SUN_KEYS):
             fact = vehicle.facts.get(f"sun_sensor.{sensor.name}.{key}")
             if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0:
-                own[k] = fact.sigma / abs(size[k] or 1.0)
-        sigma.append(own)
+                of_sensor[k] = fact.sigma / abs(unit[k] or 1.0)
+        sigma.append(of_sensor)
     return np.concatenate(sigma)
 
 

@@ -137,11 +137,11 @@ class EarthLight:
         """
         count, m = len(attitude), self.light_N.shape[1] + len(self.zeros)
         u, least, best = np.zeros((count, m)), np.full(count, np.inf), attitude
-        for back, trial in self._first_guesses(m, about_sun):
-            turned = attitude @ back
-            new = cost(np.tile(trial, (count, 1)), turned)
+        for to_sum, guess in self._first_guesses(m, about_sun):
+            turned = attitude @ to_sum  # z to the Sun in place of z along the sum of both lights
+            new = cost(np.tile(guess, (count, 1)), turned)
             better = new < least
-            u = np.where(better[:, None], trial, u)
+            u = np.where(better[:, None], guess, u)
             best = np.where(better[:, None, None, None], turned, best)
             least = np.minimum(new, least)
         return best, u

@@ -230,9 +230,8 @@ class FieldChange(Term):
         change = np.diff(self.field_B, axis=0, prepend=np.nan)[there]
         sigma = self.sigma
         if len(change) and self.zero_B.any():
-            # Only the part of the zero across the axis of a spin moves neighbours against each other, and so does the field: the
-            # variance of the zero along the field's changes, weighed by their squares. An element of the matrix adds its share of
-            # each change.
+            # As the body turns, the field changes across the axis of the turn, and only that part of the zero moves neighbours
+            # against each other: its variance along the changes, weighed by their squares. The matrix adds its share of a change.
             square = (change**2).sum()
             variance = ((change @ self.zero_B.T) ** 2).sum() / square
             variance += self.matrix_sigma**2 * square / len(change)

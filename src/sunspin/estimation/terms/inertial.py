@@ -50,10 +50,13 @@ class Gyro(Term):
         if part is None:
             return cls(rate, 1.0, np.zeros(3), 0.0)
         zero = abs(part.scale_rad_s) * np.asarray(part.zero_sigma)
-        stated = bool(np.any(zero))
-        zero = zero if stated else np.full(3, GYRO_ZEROS[0])
         scale = part.scale_sigma / abs(part.scale_rad_s)
-        return cls(rate, part.noise_rad_s, zero, scale, stated)
+        gyro = cls(rate, part.noise_rad_s, zero, scale)
+        return gyro if np.any(zero) else gyro.with_any_zero()
+
+    def with_any_zero(self) -> Self:
+        """Return the gyro as if the vehicle file did not state how far its zero may be off."""
+        return replace(self, zero_sigma=np.full(3, GYRO_ZEROS[0]), zero_stated=False)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a rate."""

@@ -222,8 +222,13 @@ class Panels(Term):
 
     @property
     def of_gains(self) -> slice:
-        """Return where the errors of the gains stand among the unknowns; those of the Earth's light follow."""
+        """Return where the errors of the gains stand among the unknowns."""
         return slice(0, len(self.gain_errors))
+
+    @property
+    def of_earth(self) -> slice:
+        """Return where the unknowns of the Earth's light stand: behind the gains."""
+        return slice(len(self.gain_errors), None)
 
     def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's.
@@ -233,16 +238,16 @@ class Panels(Term):
         attitude, u = super().begin(states, about_sun)
         if self.earth is None:
             return attitude, u
-        earth = slice(len(self.gain_errors), None)
+        of_earth = self.of_earth
 
         def cost(u_earth: np.ndarray, turned: np.ndarray) -> np.ndarray:
             """Return the cost (K) of unknowns of the light (K, b + p) at attitudes (K, n, 3, 3)."""
             trial = u.copy()
-            trial[:, earth] = u_earth
+            trial[:, of_earth] = u_earth
             (residual,) = self.residuals(States(turned, states.omega), trial)
             return residual.law(residual.value)[0].sum(axis=1)
 
-        attitude, u[:, earth] = self.earth.begin(attitude, cost, about_sun)
+        attitude, u[:, of_earth] = self.earth.begin(attitude, cost, about_sun)
         return attitude, u
 
     def for_search(self) -> list[Self]:
@@ -344,7 +349,7 @@ class Panels(Term):
         by_turn = sunlight_by_turn * self.sun_up[:, None, None]
         by_earth, zero = [], 0.0
         if self.earth is not None:
-            u_earth = u[:, len(self.gain_errors) :]
+            u_earth = u[:, self.of_earth]
             earthlight, slopes = self.earth.on_panels(self.response, gain, states.attitude, u_earth)
             predicted, by_turn = predicted + earthlight, by_turn + slopes[..., :3]
             by_earth, zero = [slopes[..., 3:]], self.earth.zero(u_earth)
@@ -385,6 +390,7 @@ class Panels(Term):
         for shift, weight in self.instants.shifts():
             sun, moves = states.sun_B, across
             if shift:
+                # the Sun, and column by column what moves it, as the body turns until the reading
                 sun = components_after_rotation(sun, shift * states.omega)
                 columns = np.swapaxes(across, -1, -2)
                 moves = components_after_rotation(columns, shift * states.omega[..., None, :])

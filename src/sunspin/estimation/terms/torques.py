@@ -179,11 +179,11 @@ def averaged_attitudes(states: States, dt: np.ndarray) -> tuple[np.ndarray, np.n
     x = np.linalg.norm(angle, axis=-1)[..., None, None]
     axis = angle[..., None, :] / np.maximum(x, 1e-300)
     across, along = cross_matrix(axis[..., 0, :]), np.swapaxes(axis, -1, -2) @ axis
-    whole, half = (
-        np.sinc(x / np.pi),
-        np.sinc(x / (2 * np.pi)) ** 2,
-    )  # sin(x) / x, and that of x / 2 squared
-    means = (whole, x / 2 * half), (half, 2 * (1 - whole) / np.maximum(x, 1e-300))
+    sinc, sinc_half_squared = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi)) ** 2
+    means = (  # of cosine and sine
+        (sinc, x / 2 * sinc_half_squared),
+        (sinc_half_squared, 2 * (1 - sinc) / np.maximum(x, 1e-300)),
+    )
     even, early = (
         (cosine * np.eye(3) + (1 - cosine) * along - sine * across) @ states.attitude[:, :-1]
         for cosine, sine in means

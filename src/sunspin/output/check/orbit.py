@@ -9,10 +9,10 @@ import xarray as xr
 
 from sunspin.environment.elements import nearest
 from sunspin.environment.ephemeris import OrbitFile
-from sunspin.estimate.orbit.check import check_orbit
-from sunspin.estimate.orbit.field_calibration import field_calibration
-from sunspin.estimate.orbit.invariants import FEWEST
-from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.estimation.orbit.calibration import along_orbit
+from sunspin.estimation.orbit.check import check_orbit
+from sunspin.estimation.orbit.invariants import FEWEST
+from sunspin.estimation.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.output.check.findings import Findings
 from sunspin.output.check.samples import noise_lines
 from sunspin.output.text import with_sigma
@@ -65,7 +65,7 @@ def choose_orbit(
         return ChosenOrbit(None, None, {}, [])
     used, check, words = judged_orbit(orbit, craft, assessment)
     summary: dict[str, Any] = _summary(orbit, samples, check) | {"used": used is not None}
-    calibration = None if used is None else field_calibration(used, craft, assessment, check.made)
+    calibration = None if used is None else along_orbit(used, assessment, check.made)
     lines = [f"{words}; {_satellite_text(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
         lines += noise_lines(assessment)

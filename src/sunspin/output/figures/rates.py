@@ -7,12 +7,19 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.text import clock_text
 
 SHOWN = 8
 """Passes that are drawn; more would not be legible."""
+
+OTHER_SENSORS = {
+    "gyro": "gyro",
+    "rate_size": "size of the rate",
+    "field": "magnetometer",
+    "attitude": "attitude",
+}
+"""Sensors other than the Sun's, by the attributes of a result that say which were used -> what the title calls them."""
 
 
 @styled
@@ -115,7 +122,7 @@ def sensors_text(result: xr.Dataset) -> str:
         "directions": ["Sun directions"],
         "field": [],  # no Sun direction: the magnetometer is one of the sensors below
     }
-    sensors = [sensor.called for sensor in SENSORS if result.attrs.get(f"{sensor.name}_used")]
+    sensors = [word for name, word in OTHER_SENSORS.items() if result.attrs.get(f"{name}_used")]
     used = [*direction_sources[result.attrs["source"]], *sensors]
     return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
-from sunspin.estimate.rates.hypotheses import AS_STATED
-from sunspin.estimate.terms.period import reading_words, unheard
-from sunspin.estimate.verdict import upper_text
+from sunspin.estimation.model import AS_STATED
+from sunspin.estimation.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
+from sunspin.estimation.verdict import upper_text
 from sunspin.output.compared import compared_drawings, compared_summary, compared_tables
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import (
@@ -30,6 +30,7 @@ from sunspin.output.text import (
     times_text,
     with_sigma,
 )
+from sunspin.output.windows import window_drawings, window_lines, window_numbers, window_tables
 
 MOST_UNSEEN = 6
 """Largest number of column changes, which the telemetry cannot distinguish from the vehicle file, that are named."""
@@ -145,6 +146,8 @@ def rates_summary(result: Any) -> Summary:
             f"  {in_passes} samples used in passes; the search keeps {searched} of them, the others refine what it finds"
         )
     lines += [f"  {count:6d} samples  {reason}" for reason, count in numbers["samples"].items()]
+    numbers |= window_numbers(result)
+    lines += window_lines(result)
     compared, compared_lines = compared_summary(result)
     numbers |= compared
     lines += compared_lines
@@ -158,14 +161,24 @@ def _period_sentence(result: Any, period: dict[str, Any]) -> str:
     `period`: its entry in the attribute `periods` of the result.
     """
     k = int(np.flatnonzero(result["pass_id"].values == period["pass"])[0])
-    if why_not := unheard(period["nearest_sigmas"], period["effective"], f"pass {period['pass']}"):
-        return f"{why_not}; its probabilities stay as they are"
+    if (nearest := period["nearest_sigmas"]) > FAR_SIGMAS:
+        return (
+            f"periods: no solution of pass {period['pass']} has them; the nearest is {nearest:.1f} sigma away; its probabilities "
+            "stay as they are"
+        )
+    if period["effective"] < LEAST_DRAWS:
+        return (
+            f"periods not used: of the draws of pass {period['pass']} only {period['effective']:.0f} have them; its probabilities "
+            "stay as they are"
+        )
     if not period["told"]:
         return (
             f"periods: the samples of pass {period['pass']} contradict {period['period_s']:g} s at {period['t_s']:g} s: solutions "
             f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
-    words = reading_words(period["t_s"], period["period_s"], period["sigma_s"], period["shares"])
+    shares = zip(READINGS, period["shares"], strict=True)
+    words = f"period {period['period_s']:g} +- {period['sigma_s']:g} s at {period['t_s']:g} s: "
+    words += ", ".join(f"{name} {share:.0%}" for name, share in shares)
     now = result["probability"].values[k, 0]
     # probabilities without the period: of the solution that is now the likeliest, and of the one that was the likeliest then
     same_solution, largest = period["without"]
@@ -288,6 +301,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "in sigmas of what was assumed: noise, and of panels also other light. Farther out than six: at the edge. A wave, or "
             "many readings beyond three sigma, mean that the solution is wrong.",
         )
+    yield from window_drawings(result)
     yield from compared_drawings(result)
     if context.telemetry is None or context.vehicle is None:
         return
@@ -333,6 +347,7 @@ def rates_tables(result: Any) -> Iterator[Table]:
     N_in_words = "z to the Sun, local" if frame_N == SUN_Z_LOCAL else frame_N
     comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {N_in_words}"
     yield passes_table(result)
+    yield from window_tables(result)
     yield from compared_tables(result)
     if result.sizes.get("estimate"):
         names = ["estimate_value", "estimate_sigma", "estimate_unit"]

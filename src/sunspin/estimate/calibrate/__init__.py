@@ -1,1 +1,0 @@
-"""Sensors of a vehicle calibrated by its own telemetry."""

@@ -1,0 +1,345 @@
+"""The search for a lander's motions: its grid, its fits, families, and that it lists the true motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import InputError
+from sunspin.estimation.families import one_each_box, one_each_sheet, with_neighbours
+from sunspin.estimation.grid import (
+    LookThrough,
+    Nodes,
+    RateGrid,
+    corner_slopes,
+    corner_weights,
+    grid_starts,
+    possible_directions,
+    reference,
+    rotated,
+    shortfall,
+)
+from sunspin.estimation.posterior import searched
+from sunspin.estimation.priors import with_priors
+from sunspin.estimation.settings import POSTERIOR
+from sunspin.estimation.shoot import (
+    FINAL_ERROR,
+    Fitting,
+    Problem,
+    corrected,
+    in_tangents_at,
+)
+from sunspin.estimation.shooting import Shooting
+from sunspin.estimation.shots import Shots, Trials
+from sunspin.estimation.window import observe_window
+from sunspin.solve.rotations import move_on_sphere
+from sunspin.telemetry.assess import assess
+from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_model, lander_telemetry
+
+GRID, SHOOTING = POSTERIOR.grid, POSTERIOR.shooting
+NOISE = 0.05
+"""Of the readings of a whole search: 2 % of full Sun."""
+
+
+def noisy(vehicle=PHILAE):
+    """Return the vehicle with the noise of `lander_telemetry` as its stated one."""
+    return replace(vehicle, telemetry=replace(vehicle.telemetry, noise=NOISE))
+
+
+def placed(model, **changes):
+    """Return a model with its reference where the search begins, and that place."""
+    place = replace(reference(model, GRID), **changes)
+    return place.about(model), place
+
+
+# ---- the grid --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_nearest_node_is_within_its_stated_distance():
+    rng = np.random.default_rng(0)
+    nodes, sun = Nodes(GRID.nodes), rng.standard_normal((2000, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    off = np.arccos(np.clip(np.sum(nodes.directions[nodes.nearest(sun)] * sun, axis=1), -1, 1))
+    assert off.max() < GRID.node_rad
+    by_search = np.argmax(sun @ nodes.directions.T, axis=1)
+    assert np.mean(nodes.nearest(sun) == by_search) > 0.9
+
+
+def test_corners_of_a_cell_count_by_trilinear_weights():
+    """They sum to one, give back a corner at it and any linear function, and change as their slopes say."""
+    rng = np.random.default_rng(1)
+    x = rng.random((5, 3))
+    weights, slopes = corner_weights(x), corner_slopes(x)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
+    np.testing.assert_allclose(weights @ corners, x)
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        change = (corner_weights(x + step) - corner_weights(x - step)) / 2e-6
+        np.testing.assert_allclose(change, slopes[..., axis], atol=1e-9)
+
+
+def test_interpolated_attitudes_are_those_of_the_motion():
+    """To 0.05 rad in the middle of cells, with the signs of neighbouring quaternions alike; exactly at their corners."""
+    model, place = placed(lander_model(max_rate_rad_s=0.03), limit=0.03)
+    grid = RateGrid.of(model, place)
+    cells = grid.cells[:: max(1, len(grid.cells) // 40)]
+    turn = grid.corners(cells)
+    middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
+    omega = grid.rates(cells) + 0.5 * grid.edge
+    u = np.zeros((len(omega), len(model.unknowns)))
+    carried = model.carried(Shots(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).seen.sun_B
+    off = rotated(middle, SUN) - carried[:, place.others]
+    assert np.linalg.norm(off, axis=-1).max() < 0.12
+    assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 0.05
+    corner = Shots(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
+    exact = model.carried(corner, 1e-6).seen.sun_B[:, place.others]
+    np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
+
+
+def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
+    model = lander_model()
+    sun = model.carried(Shots(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).seen.sun_B
+    rng = np.random.default_rng(2)
+    near = move_on_sphere(np.tile(sun[0], (50, 1)), 0.2 * rng.standard_normal((400, 2)).clip(-1, 1))
+    assert shortfall(model.panels, near.reshape(50, 8, 3), 0.35, GRID).max() == 0
+    assert shortfall(model.panels, -sun, 0.35, GRID).max() > GRID.limit
+    allowed = possible_directions(model.panels, 0, GRID)
+    assert (allowed @ SUN).max() > np.cos(GRID.directions_rad)
+    assert (allowed @ allowed.T - 2 * np.eye(len(allowed))).max() < np.cos(
+        0.9 * GRID.directions_rad
+    )
+
+
+def test_the_equations_by_which_a_start_settles_change_as_they_say():
+    """The gradient of half the sum of squares, by place in the cell and direction, with readings that hardly err."""
+    model, place = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
+    grid = RateGrid.of(model, place)
+    look = LookThrough(grid, model.panels, place, replace(GRID, cap=1e9))
+    omega, sun, misfit = look.settled_starts(grid.cells[:1500])
+    starts = _settling(look, grid, grid.cells[100:160])
+    sun_at, slope = look._directions(starts)
+    for axis in range(5):
+        step = 1e-6 * np.eye(5)[axis]
+        ahead, _ = look._directions(
+            starts._replace(x=starts.x + step[:3], step=starts.step + step[3:])
+        )
+        back, _ = look._directions(
+            starts._replace(x=starts.x - step[:3], step=starts.step - step[3:])
+        )
+        np.testing.assert_allclose((ahead - back) / 2e-6, slope[..., axis], atol=2e-6)
+    assert len(omega) == len(sun) == len(misfit)
+    assert np.all(misfit <= GRID.settled)
+
+
+def _settling(look, grid, cells):
+    """Return starts in the middles of cells, for the first direction."""
+    from sunspin.estimation.grid import Settling
+    from sunspin.solve.rotations import tangent_basis
+
+    sun = np.tile(look.place.suns[0], (len(cells), 1))
+    tangents = np.stack(tangent_basis(sun), axis=1)
+    return Settling(
+        grid.corners(cells), sun, tangents, np.full((len(cells), 3), 0.5), np.zeros((len(cells), 2))
+    )
+
+
+def test_a_start_lies_near_the_true_motion():
+    """Within a quarter of a radian at the samples next to the reference, and its direction as near."""
+    assessment = assess(noisy(), lander_telemetry(100.0 * np.arange(8), NOISE))
+    model, _ = with_priors(assessment, observe_window(assessment), {"max_rate_rad_s": 0.12})
+    model, place = placed(model)
+    ((window, starts),) = grid_starts(model, place, GRID)
+    assert window == place.window
+    first = Shots(OMEGA[None], SUN[None], np.zeros((1, len(model.unknowns))))
+    run = ss.propagate(
+        PHILAE, OMEGA, SUN, [w.speed_rad_s for w in PHILAE.wheels], [0.0, max(place.after_s, 1e-9)]
+    )
+    truth = run["omega_B"].values[-1] if place.after_s else first.omega[0]
+    sun = run["sun_B"].values[-1]
+    reach = np.abs(model.obs.t_s[place.others]).max()
+    off = np.linalg.norm(starts.shots.omega - truth, axis=1) * reach
+    aside = np.linalg.norm(starts.shots.sun - sun, axis=1)
+    assert np.min(np.maximum(off, aside)) < 0.3
+    assert len(starts) < 20_000
+
+
+def test_too_large_a_ball_of_rates_is_refused_with_a_smaller_one():
+    model = lander_model(max_rate_rad_s=50.0)
+    with pytest.raises(InputError, match="starts") as refused:
+        reference(model, GRID, given_rate=True)
+    assert "give" in str(refused.value)
+
+
+# ---- fits ------------------------------------------------------------------------------------------------------------------
+
+
+def test_derivatives_of_the_differences_are_those_of_runs():
+    """By rate, direction, body, wheel and brightness, over all samples; 1 % of readings cross the edge of a panel."""
+    model = lander_model().after(300.0, 0.6)
+    count = len(model.unknowns)
+    rng = np.random.default_rng(3)
+    sun = rng.standard_normal((3, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    shots = Shots(0.05 * rng.standard_normal((3, 3)), sun, 0.3 * rng.standard_normal((3, count)))
+    problem = Problem(model, np.ones(count, dtype=bool), FINAL_ERROR)
+    seen, moves = problem.derivatives(shots)
+    linear = problem.differences(shots, seen, moves)
+    nothing = np.zeros_like(moves)
+    for k, coordinate in enumerate(problem.coordinates):
+        size = 1e-5 if coordinate < 3 else 1e-4
+        values = []
+        for sign in (1, -1):
+            step = np.zeros((3, model.dimension))
+            step[:, coordinate] = sign * size
+            moved = shots.moved(step)
+            there, _ = problem.seen(moved, 1e-9)
+            values.append(problem.differences(moved, there, nothing).value)
+        change = (values[0] - values[1]) / (2 * size)
+        off = np.abs(change - linear.jacobian[:, :, k])
+        assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.02, coordinate
+
+
+def test_a_correction_gives_the_change_along_the_step_and_leaves_what_was_right():
+    rng = np.random.default_rng(4)
+    moves = rng.standard_normal((2, 4, 6, 3))
+    step, change = rng.standard_normal((2, 4)), rng.standard_normal((2, 6, 3))
+    after = corrected(moves, step, change)
+    np.testing.assert_allclose(np.einsum("kc,kcnw->knw", step, after), change, atol=1e-12)
+    right = np.einsum("kc,kcnw->knw", step, moves)
+    np.testing.assert_allclose(corrected(moves, step, right), moves, atol=1e-12)
+    # where no step was taken nothing is learnt
+    np.testing.assert_array_equal(corrected(moves, np.zeros((2, 4)), change), moves)
+
+
+def test_a_step_has_one_meaning_in_the_tangents_of_two_directions():
+    """Directions near each other: the derivative along it stays the same to first order."""
+    rng = np.random.default_rng(5)
+    sun = np.eye(3)
+    there = move_on_sphere(sun, 1e-4 * rng.standard_normal((3, 2)))
+    moves, step = rng.standard_normal((3, 5, 4, 3)), rng.standard_normal((3, 5))
+    after, turned = in_tangents_at(there, sun, moves, step)
+    before = np.einsum("kc,kcnw->knw", step, moves)
+    np.testing.assert_allclose(np.einsum("kc,kcnw->knw", turned, after), before, atol=1e-3)
+
+
+def test_a_fit_from_near_the_truth_ends_at_it_and_fits_the_noise():
+    """Within 4.5 sigma of its own curvature, with the noise of the readings to 15 %."""
+    assessment = assess(noisy(), lander_telemetry(100.0 * np.arange(12), NOISE))
+    model, _ = with_priors(assessment, observe_window(assessment), {})
+    count = len(model.unknowns)
+    problem = Problem(model, np.ones(count, dtype=bool), FINAL_ERROR)
+    start = Shots(OMEGA[None] + 1e-4, SUN[None], np.zeros((1, count)))
+    fitting = Fitting(problem, start)
+    fitting.go(2.0, 3)
+    fitting.refresh()
+    fitting.go(1.0, 10)
+    fitting.fit_noise()
+    truth = Shots(OMEGA[None], SUN[None], np.zeros((1, count)))
+    off = fitting.shots.from_centre(truth)[0]
+    off[5 + np.array(model.places("scale", "noise"))] = 0.0
+    rate = off[:3]
+    covariance = np.linalg.inv(fitting.curvature()[0])[:3, :3]
+    assert rate @ np.linalg.solve(covariance, rate) < 4.5**2
+    noise = np.exp(model.panels.log_noise(fitting.shots.u[:, model.of_panels]))[0]
+    assert noise == pytest.approx(1.0, abs=0.3)
+
+
+# ---- families --------------------------------------------------------------------------------------------------------------
+
+
+def family(count: int, spacing_rad_s: float, loose: float) -> Trials:
+    """Return motions in a row of rates about x, which curvature leaves free by `loose` rad/s, with one unknown."""
+    omega = np.zeros((count, 3))
+    omega[:, 0] = spacing_rad_s * np.arange(count)
+    normal = np.diag([loose**-2, 1e8, 1e8, 1e6, 1e6, 1.0])
+    shots = Shots(omega, np.tile(SUN, (count, 1)), np.zeros((count, 1)), np.arange(count) * 0.1)
+    return Trials(shots, np.ones(count, dtype=int), np.tile(normal, (count, 1, 1)), np.zeros(count))
+
+
+def test_a_family_gets_neighbours_along_its_loose_direction_alone():
+    """At 0.65 rad at the end of the next window, and farther along the valley; a motion that is known well gets none."""
+    reach = 100.0
+    motions = with_neighbours(family(1, 1.0, 0.02), reach, 0.6, SHOOTING)
+    added = motions.trials.shots.omega[1:] * reach
+    assert len(added) >= 2
+    assert np.abs(added[:, 1:]).max() < 1e-6
+    nearest = np.sort(np.abs(added[:, 0]))[:2]
+    np.testing.assert_allclose(nearest, SHOOTING.neighbour_rad, rtol=1e-6)
+    assert len(with_neighbours(family(1, 1.0, 0.002), reach, 0.6, SHOOTING).trials) == 1
+    # set once, they are not set again before the window has grown
+    again = replace(family(1, 1.0, 0.02), neighbours_s=np.full(1, 95.0))
+    assert len(with_neighbours(again, reach, 0.6, SHOOTING).trials) == 1
+
+
+def test_a_valley_that_an_unknown_makes_is_followed_with_the_unknown():
+    """A rate known to 0.3 rad by itself, which an unknown moves by 3 rad a sigma: motions on the valley, not beside it."""
+    reach, by_unknown = 100.0, 0.03
+    motions = family(1, 1.0, 0.003)
+    normal = motions.normal.copy()
+    row = np.array([1.0, 0, 0, 0, 0, -by_unknown]) / 0.003
+    normal[0] = np.diag([0.0, 1e8, 1e8, 1e6, 1e6, 1.0]) + np.outer(row, row)
+    added = with_neighbours(
+        replace(motions, normal=normal), reach, 0.6, SHOOTING
+    ).trials.shots.take(slice(1, None))
+    turned = np.sort(added.omega[:, 0] * reach)
+    assert turned[0] < -3.0 < 3.0 < turned[-1]
+    np.testing.assert_allclose(added.u[:, 0], added.omega[:, 0] / by_unknown, rtol=0.05)
+
+
+def test_motions_of_one_sheet_or_box_are_joined_with_all_their_starts():
+    close, apart = family(5, 0.01, 0.02), family(5, 0.1, 0.02)
+    joined = one_each_sheet(close, SHOOTING)
+    assert len(joined) < 5
+    assert joined.starts.sum() == 5
+    assert len(one_each_sheet(apart, SHOOTING)) == 5
+    boxed = one_each_box(family(5, 1e-5, 0.02), 100.0, SHOOTING)
+    assert len(boxed) == 1
+    assert boxed.starts.tolist() == [5]
+    assert boxed.cost[0] == 0.0
+
+
+# ---- the search ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("observed", [False, True])
+def test_the_search_lists_the_true_motion(observed):
+    """With its rate within 4.5 sigma, as the best; an angular speed seen otherwise does not change that."""
+    t_s = 60.0 * np.arange(12)
+    given = []
+    if observed:
+        given = [
+            {"kind": "rate", "t_s": 30.0, "value": float(np.linalg.norm(OMEGA)), "sigma": 0.01}
+        ]
+    result = searched(
+        noisy(),
+        lander_telemetry(t_s, NOISE),
+        {"max_rate_rad_s": 0.15},
+        observations=given,
+        workers=1,
+    )
+    fit, model = result.fit, result.carrier.model
+    run = ss.propagate(
+        PHILAE, OMEGA, SUN, [w.speed_rad_s for w in PHILAE.wheels], [0.0, max(model.after_s, 1e-9)]
+    )
+    truth = run["omega_B"].values[-1]
+    off = fit.motions.omega - truth
+    covariance = np.linalg.inv(fit.curvature)[:, :3, :3]
+    sigmas = np.sqrt(np.einsum("ki,kij,kj->k", off, np.linalg.inv(covariance), off))
+    assert sigmas[0] < 4.5
+    assert fit.complete
+    assert fit.log_evidence[0] == fit.log_evidence.max()
+
+
+def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
+    model, place = placed(lander_model())
+    carrier = Shooting(model, place, POSTERIOR, 1)
+    kept = carrier._at_most(family(100, 1.0, 0.02), 10, "(5 samples)")
+    assert len(kept) == 10
+    assert kept.cost[0] == 0.0
+    assert kept.cost[-1] == pytest.approx(9.9)
+    assert not carrier.complete
+    assert "more trial solutions" in carrier.notes[-1]
