@@ -38,7 +38,7 @@ from sunspin.estimation.equivalence import (
 )
 from sunspin.estimation.images import SAME_SIGMAS
 from sunspin.estimation.model import Body, Model, Noise
-from sunspin.estimation.observe import observe, split, wheel_models, with_momentum
+from sunspin.estimation.observe import cut, observe, split, wheel_models, with_momentum
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
 from sunspin.estimation.verdict import (
@@ -362,4 +362,4 @@ def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
     """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
     times, first = np.unique(telemetry["time"].values, return_index=True)
     used = result["time"].values[result["pass_of"].values == k]
-    return telemetry.isel(time=first[np.isin(times, used)])
+    return cut(telemetry, first[np.isin(times, used)])
