@@ -87,13 +87,17 @@ def check_columns(
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
+    others_tried = False
     if again is not None and (not fits or _may_hide_exchange(result, observed, telemetry)):
         result = _with_other_columns(result, observed, telemetry, again, settings, tests)
-        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+        others_tried = True
     if again is not None and fits and "columns_doubt" not in result.attrs:
         trials = _trials_of(result, np.inf, again, settings, tests)
         result = _with_dark_columns(result, observed, telemetry, trials)
-    return _with_doubted_wheels(result, doubt, observed, telemetry)
+    # both kinds of tests share a budget
+    if others_tried or tests.cut:
+        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
 
 
 def what_was_observed(
@@ -285,12 +289,16 @@ def _trials_of(
 
 
 def _with_doubted_wheels(
-    result: xr.Dataset, doubt: Reversed | None, observed: Observed, telemetry: xr.Dataset
+    result: xr.Dataset,
+    doubt: Reversed | None,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    others_tried: bool,
 ) -> xr.Dataset:
     """Return the result with nothing decided if the sign of a wheel is in doubt.
 
     Unless another change fits, the wheel is named with all changes that look the same. If it does not fit either, and all others
-    were tried, no change is named.
+    were tried (`others_tried`), no change is named.
     """
     if doubt is None:
         return result
@@ -298,8 +306,7 @@ def _with_doubted_wheels(
     if "columns_doubt" in result.attrs:
         return result
     change = wheel_change(observed.vehicle, doubt.wheels)
-    column_tests_ran = "column_tests_cut" in result.attrs
-    if not doubt.fits and column_tests_ran:
+    if not doubt.fits and others_tried:
         return result.assign_attrs(
             columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
             "single change of columns or signs explains them"
