@@ -10,8 +10,8 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimation.model import Unknown
-from sunspin.estimation.ridges import Chart, Equations, Slopes, monomials, ridges_of
-from sunspin.estimation.sample import mixed, resampled, sample
+from sunspin.estimation.ridges import Chart, Equations, Law, Slopes, monomials, ridges_of
+from sunspin.estimation.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimation.settings import SAMPLING
 from sunspin.estimation.shots import Draws, ShotFit, Shots
 from sunspin.solve.rotations import tangent_basis
@@ -102,6 +102,10 @@ class Bananas:
             cost, slope, matrix, Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
         )
 
+    def log_replicated(self, seen, u, rng) -> np.ndarray:
+        """Log likelihood of six normal readings about the motions."""
+        return -np.sum(rng.normal(size=(len(u), 6)) ** 2, axis=1) / 2
+
     @property
     def log_integral(self) -> float:
         """Log of the integral of the posterior, all of `bend` being possible."""
@@ -167,6 +171,23 @@ def test_evidence_and_moments_of_a_bent_ridge():
     weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
     bright = weight @ draws.shots.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
+
+
+def test_a_component_does_not_count_for_the_draw_on_which_it_stands():
+    """It stands there because the weight was large; if it counted, evidences would be short."""
+    target = one()
+    (ridge,) = ridges_of(target, target.fit([0]), None, SAMPLING)
+    d = ridge.chart.dimensions
+    y = np.stack([np.zeros(d), np.full(d, 2.0)])
+    spread = np.tile(0.01 * np.eye(d), (2, 1, 1))
+    wide = Law(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
+    local = Law(np.ones(2), y, spread, np.array([0, 1]))
+    ridge.laws = [(2, Law.joined([(0.5, wide), (0.5, local)]))]
+    found = ridge.log_outer(y, 5.0, draws=True)
+    each = ridge.laws[0][1].log_densities(y, 5.0)
+    expected = [logsumexp(each[0, [0, 2]]), logsumexp(each[1, [0, 1]])]
+    assert found == pytest.approx(expected)
+    assert ridge.log_outer(y, 5.0) == pytest.approx(logsumexp(each, axis=1))
 
 
 def test_draws_stay_on_the_ridge():
@@ -310,3 +331,18 @@ def test_resampled_draws_are_proportional_to_the_weights():
     draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
     picked = resampled(draws, 800, np.random.default_rng(0))
     assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
+
+
+def test_readings_that_no_motion_explains_have_no_chance():
+    """Six readings off by a sigma each are usual; off by six sigmas they come from no motion."""
+    target = one()
+    fit = target.fit([0])
+    for sigmas, low, high in ((1.0, 0.2, 0.8), (6.0, 0.0, 0.002)):
+        omega = np.tile(fit.motions.omega + sigmas * RATE, (100, 1))
+        u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
+        side = np.concatenate(
+            [np.zeros((1, 3)), sigmas * TURN * np.ones((1, 2)), np.zeros((1, 2))], 1
+        )
+        sun = np.tile(fit.motions.moved(side).sun, (100, 1))
+        checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
+        assert low <= checked.p <= high

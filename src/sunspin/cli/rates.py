@@ -154,7 +154,8 @@ def rates(
     limit = None if max_rate is None else math.radians(max_rate)
     of_columns: dict[str, list[Stretch]] = {}
     if columns:
-        kept = used.telemetry["time"].values[[0, -1]]
+        time = used.telemetry["time"].values
+        kept = float(time.min()), float(time.max())  # rows that came late need not be in order
         of_columns = read_column_periods(telemetry, craft, columns, limit, kept)
     stretches = [one for each in of_columns.values() for one in each]
     observed_periods += [one.found for one in stretches if one.found is not None]

@@ -1,13 +1,14 @@
 """Draws from the posterior of a lander: importance sampling along the exact ridges of :mod:`sunspin.estimation.ridges`.
 
-All rounds count: the outer laws of a ridge are pooled as one mixture, of which the rounds are the strata. A motion that several
-ridges may propose is divided between them, so that copies of a motion do not count twice.
+All rounds count: the outer laws of a ridge are pooled as one mixture, of which the rounds are the strata (Cornuet et al. 2012). A
+motion that several ridges may propose is divided between them, so that copies of a motion do not count twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -66,7 +67,8 @@ def sample(
             budget.spend(float(counts.sum()) * s.warm_runs)
         draws, weights = pooled(ridges, s)
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
-        if (turn and good) or (budget is not None and budget.exhausted()):
+        spent = budget is not None and budget.exhausted()
+        if (turn and good) or spent or turn + 1 == s.rounds:
             break
         for ridge, own in zip(ridges, weights, strict=True):
             learn(ridge, own, rng, s)
@@ -105,7 +107,7 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
         [
             ridge.pool.log_mass
             - ridge.pool.log_inner
-            - ridge.log_outer(ridge.pool.y, s.freedom)
+            - ridge.log_outer(ridge.pool.y, s.freedom, draws=True)
             - np.log(ridge.drawn)
             for ridge in drawn
             if ridge.pool is not None
@@ -179,14 +181,14 @@ def learn(
         spread = (own[:, None] * (pool.y - mean[i])).T @ (pool.y - mean[i])
         covariance[i] = keep * spread + (1 - keep) * covariance[i]
     covariance = covariance + 1e-9 * np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
-    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance)
+    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1))
     wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
     ridge.law = Law.joined([(s.defence, wide), (1 - s.defence, ridge.learnt)])
     if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
         pick = rng.choice(len(weight), s.local, p=weight)
         owner = np.argmax(part[np.ix_(pick, used)], axis=1)
         shrunk = s.local_size**2 * covariance[owner]
-        local = Law(np.full(s.local, 1 / s.local), pool.y[pick], shrunk)
+        local = Law(np.full(s.local, 1 / s.local), pool.y[pick], shrunk, pick)
         share = s.local_share * (1 - s.defence)
         ridge.law = Law.joined(
             [(s.defence, wide), (1 - s.defence - share, ridge.learnt), (share, local)]
@@ -244,9 +246,37 @@ def walked_out(
         inner_log = student_log_density(white, s.freedom)
         inner_log = inner_log - np.log(np.einsum("kii->ki", own)).sum(axis=1)
         log_weight = mass - inner_log - ridge.log_outer(y, s.freedom)
-        largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom)
+        largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom, draws=True)
         left += int(np.sum(log_weight > largest.max() + np.log(INSIDE_TAIL)))
     return left / s.walkers
+
+
+class Checked(NamedTuple):
+    """`p`: share of simulated readings that fit their motion worse than the real ones; `noise_sigmas`: how far the noise is from
+    the stated one, in sigmas of its prior."""
+
+    p: float
+    noise_sigmas: float
+
+
+class Replicating(Target, Protocol):
+    """A posterior whose readings can be simulated."""
+
+    def log_replicated(self, seen: Any, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return the log likelihood (K) of readings that were simulated from the motions, each set under its own motion."""
+        ...
+
+
+def predictive_check(
+    target: Replicating, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+) -> Checked:
+    """Return whether readings that fit as badly as the real ones would come from these motions, which are draws of equal weight."""
+    some = shots.take(slice(0, s.checked))
+    seen = target.run(some)
+    real = target.log_likelihood(seen, some.u)
+    worse = [target.log_replicated(seen, some.u, rng) <= real for _ in range(s.copies)]
+    noise = [i for i, one in enumerate(target.unknowns) if one.kind == "noise"]
+    return Checked(float(np.mean(worse)), float(some.u[:, noise].mean()) if noise else 0.0)
 
 
 def mixed(

@@ -345,6 +345,12 @@ class SamplingSettings:
     walk_size: float = 1.5
     """Length of a step, in sigmas over the root of the number of coordinates."""
 
+    checked: int = 100
+    """Draws for which readings are simulated."""
+
+    copies: int = 10
+    """Sets of readings that are simulated of each."""
+
     cold_runs: float = 12.0
     """Runs of a motion that a draw of the first round takes, for the computing budget."""
 

@@ -63,7 +63,7 @@ def rates_in_windows(
         Also has variables on `window`. `window_time` (s) is its middle sample, with `window_begin` and `window_end` (s),
         `window_pass` and `window_samples`. `window_omega_B` and `window_sigma_B` (rad/s) are those of the most probable solution
         there. `window_decided` and `window_why` say whether it is decided, or why not. attrs["controlled"] has a line for each pass
-        whose rate changes as no free body's does; `why_not_decided` of the pass says so too.
+        whose rate changes as no free body's does; `why_not_decided` of the pass and attrs["verdict"] say so too.
     """
     failed = np.flatnonzero(~result["fits"].values)
     doubted = "columns_doubt" in result.attrs
@@ -96,6 +96,8 @@ def rates_in_windows(
     ]
     said = [f"pass {result['pass_id'].values[k]}: {words}" for k, words in sentences.items()]
     attrs = {"controlled": "\n".join(said)} if said else {}
+    if said:
+        attrs["verdict"] = "\n".join([str(result.attrs["verdict"]), *said])
     return (
         result.assign(windows.data_vars)
         .assign(why_not_decided=("pass_id", why))
@@ -157,8 +159,9 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     if len(use) < FEWEST_WINDOWS or fits.mean() < MOST_FIT:
         return ""
     body, omega = Body.of(vehicle), windows["window_omega_B"].values[use]
-    at = np.searchsorted(telemetry["time"].values, windows["window_time"].values[use])
     times = windows["window_time"].values[use]
+    # rows that came late need not be in the order of time
+    at = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
     found = None
     # wheels without a measured speed may be held or coast: none of that may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
