@@ -89,7 +89,7 @@ def test_too_few_directions_because_of_shadow_are_explained_by_the_orbit(place):
     found = assess(vehicle, read_telemetry(place / "telemetry.csv", vehicle))
     seen = observe(found)
     (panels,) = seen.obs.terms
-    panels = replace(panels, lit=np.zeros(len(seen.obs)))
+    panels = replace(panels, sun_up=np.zeros(len(seen.obs)))
     dark = replace(seen, obs=replace(seen.obs, terms=(panels,)))
     with pytest.raises(InputError, match="by the orbit 40 are in the Earth's shadow") as error:
         split(dark, None, RATES.passes)

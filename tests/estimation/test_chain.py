@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from sunspin.estimation.carry import step
-from sunspin.estimation.chain import Whitening, carried, defects, equations, fit, shot, variance_of
+from sunspin.estimation.chain import (
+    LEAST_TURN,
+    Whitening,
+    carried,
+    defects,
+    equations,
+    fit,
+    shot,
+    variance_of,
+)
 from sunspin.estimation.model import Body, Model, Noise, Observations, Track
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.inertial import Gyro
@@ -124,6 +133,7 @@ def test_whitening_gives_the_covariance_of_white_acceleration():
     for k, t in enumerate(dt):
         eye = np.eye(3)
         covariance = q**2 * np.block([[eye * t**3 / 3, eye * t**2 / 2], [eye * t**2 / 2, eye * t]])
+        covariance[:3, :3] += LEAST_TURN**2 * eye
         assert np.allclose(white.matrix[k] @ covariance @ white.matrix[k].T, np.eye(6), atol=1e-9)
     logs = [np.linalg.slogdet(np.linalg.inv(one.T @ one))[1] for one in white.matrix]
     assert np.isclose(white.log_determinant, sum(logs) / 2)

@@ -49,7 +49,9 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered as in passes.csv."
 )
 @click.option(
-    "--no-column-tests", is_flag=True, help="Do not test swapped columns or signs on a poor fit."
+    "--no-column-tests",
+    is_flag=True,
+    help="Do not test swapped columns or signs on a poor fit, or on one that may hide them.",
 )
 @click.option(
     "--no-windows", is_flag=True, help="Do not estimate the rate in short windows on a poor fit."
@@ -154,7 +156,8 @@ def rates(
     limit = None if max_rate is None else math.radians(max_rate)
     of_columns: dict[str, list[Stretch]] = {}
     if columns:
-        kept = used.telemetry["time"].values[[0, -1]]
+        time = used.telemetry["time"].values
+        kept = float(time.min()), float(time.max())  # rows that came late need not be in order
         of_columns = read_column_periods(telemetry, craft, columns, limit, kept)
     stretches = [one for each in of_columns.values() for one in each]
     observed_periods += [one.found for one in stretches if one.found is not None]

@@ -1,7 +1,7 @@
 """Torques from outside, as numbers: steady ones in body axes and in space, and the gravity gradient.
 
-Their equations are in :mod:`sunspin.dynamics.gyrostat`, in plain functions, and in the kernels (`kernels/flow.py`, `step.py`),
-where another torque would be added.
+Their equations are in :mod:`sunspin.dynamics.gyrostat`, in plain functions, and in the kernels (`kernels/flow.py`), where
+another torque would be added.
 """
 
 from __future__ import annotations

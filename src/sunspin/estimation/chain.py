@@ -36,6 +36,10 @@ TURN_PRIOR = 10.0
 DIFFERENCE_RAD = 1e-5
 """Turn by which an attitude is changed for the derivative of a torque."""
 
+LEAST_TURN = 1e-6
+"""rad; motions may leave the equations of motion by this in an interval: of two samples a millisecond apart the torques would tell
+the turn to 1e-10 rad, and the matrix of a fit lost all digits. A file with such times was given a motion 6 sigma off."""
+
 RATE_LIMIT = 4.0
 """No trial rate exceeds this many sigmas of the prior: a step far out of the basin must not overflow."""
 
@@ -91,10 +95,11 @@ class Whitening(NamedTuple):
     def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
         """Return those of unknown torques."""
         square = noise.in_intervals(dt) ** 2
+        hidden = noise.rate**2 * dt + LEAST_TURN**2
         # the Cholesky factor (turn, 0; mixed, rate) of the covariance of one axis
-        turn = np.sqrt(square * dt**3 / 3 + noise.rate**2 * dt)
+        turn = np.sqrt(square * dt**3 / 3 + hidden)
         mixed = square * dt**2 / 2 / turn
-        rate = np.sqrt(square * dt * (square * dt**3 / 12 + noise.rate**2 * dt)) / turn
+        rate = np.sqrt(square * dt * (square * dt**3 / 12 + hidden)) / turn
         matrix = np.zeros((len(dt), 6, 6))
         for axis in range(3):
             matrix[:, axis, axis] = 1 / turn

@@ -1,9 +1,11 @@
-"""Other columns, axes and signs for a pass that does not fit as the vehicle file has them.
+"""Other columns, axes and signs for a pass that may not be as the vehicle file has them.
 
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
-reversed, a quaternion read the other way. A change is named only if the file as it is written does not fit, the change does, and is
-better by :data:`CLEARLY` in log evidence; so a file that fits is never accused. Changes that look the same in the telemetry
-(:mod:`sunspin.estimation.equivalence`) are named together, each with its motion, and none is recommended.
+reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
+evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
+(:mod:`sunspin.estimation.columns`): it fits only under strong torques, its samples, each by itself, fit other columns far better, or
+two columns were hardly ever lit. Changes that look the same in the telemetry (:mod:`sunspin.estimation.equivalence`) are named
+together, each with its motion, and none is recommended.
 """
 
 from __future__ import annotations
@@ -158,14 +160,14 @@ def what_fits_better(
             continue
         if trials.budget.exhausted():
             break
-        motion = trials.fitting(observed.vehicle, telemetry.drop_vars(name))
-        if motion is None:
+        estimate = trials.fitting(observed.vehicle, telemetry.drop_vars(name))
+        if estimate is None:
             continue
-        better = _other_axes(observed, telemetry, name, motion, trials)
+        better = _other_axes(observed, telemetry, name, estimate, trials)
         if better is not None:
             return better
         if first_cause is None:
-            exchanged = _exchanged_by_sensor(observed, telemetry, name, motion, trials)
+            exchanged = _exchanged_by_sensor(observed, telemetry, name, estimate, trials)
             first_cause = exchanged or Culprit(SENSORS[name])
     if first_cause is not None or not observed.panels:
         return first_cause
@@ -409,16 +411,16 @@ def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray,
 
 
 def _other_axes(
-    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, trials: Trials
+    observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
 ) -> Better | None:
     """Return other axes of the sensor `name` that fit, with exchanged columns that look the same.
 
-    `motion`: the estimate without that sensor. Its readings under each way to read its axes are compared with that motion.
+    `estimate`: without that sensor. Its readings under each way to read its axes are compared with that motion.
     """
     vehicle = observed.vehicle
     changes = changes_of_sensor(vehicle, name)  # the first is what the file states
-    read = telemetry[name].sel(time=motion["time"].values).values
-    costs = np.array([_cost(motion, read @ one.axes[name].T, name, vehicle) for one in changes])
+    read = telemetry[name].sel(time=estimate["time"].values).values
+    costs = np.array([_cost(estimate, read @ one.axes[name].T, name, vehicle) for one in changes])
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
@@ -440,11 +442,11 @@ def _other_axes(
 
 
 def _exchanged_by_sensor(
-    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, trials: Trials
+    observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
 ) -> Better | None:
     """Return changes of columns that only the sensor `name` can see, if it fits the motion as they show it.
 
-    `motion`: the estimate without that sensor, whose readings contradict it. Without the sensor such a change looks the same as the
+    `estimate`: without that sensor, whose readings contradict it. Without the sensor such a change looks the same as the
     file as it is written, but for a rotation or mirror M of the body. So its motion is that of the file under M, and no further
     search is needed to compare the sensor with it.
     """
@@ -452,20 +454,23 @@ def _exchanged_by_sensor(
     from scipy.spatial.transform import Rotation
 
     vehicle = observed.vehicle
-    sun = np.nan_to_num(motion["sun_B"].values)
+    sun = np.nan_to_num(estimate["sun_B"].values)
     without = replace(observed, sensors=observed.sensors - {name}, sun_B=sun)
     # the file as it is written first
     changes = [
         (AS_WRITTEN, np.eye(3)),
         *alike(without, AS_WRITTEN, column_changes(vehicle, telemetry)),
     ]
-    read = telemetry[name].sel(time=motion["time"].values).values
-    attitude = Rotation.from_quat(motion["B_from_N"].values).as_matrix()
+    read = telemetry[name].sel(time=estimate["time"].values).values
+    attitude = Rotation.from_quat(estimate["B_from_N"].values).as_matrix()
     costs = np.zeros(len(changes))
     for k, (_, m) in enumerate(changes):
-        mapped = motion.assign(
-            omega_B=(motion["omega_B"].dims, rate_under(m, motion["omega_B"].values)),
-            B_from_N=(motion["B_from_N"].dims, Rotation.from_matrix(m @ attitude @ m.T).as_quat()),
+        mapped = estimate.assign(
+            omega_B=(estimate["omega_B"].dims, rate_under(m, estimate["omega_B"].values)),
+            B_from_N=(
+                estimate["B_from_N"].dims,
+                Rotation.from_matrix(m @ attitude @ m.T).as_quat(),
+            ),
         )
         costs[k] = _cost(mapped, read, name, vehicle)
     best = int(np.argmin(costs))
@@ -483,35 +488,35 @@ def _exchanged_by_sensor(
     return Better(tuple(named), gain, at_s)
 
 
-def _cost(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:
+def _cost(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:
     """Return what readings (n, 3 or 4) of a sensor cost along a motion: half of their squares, each of them bounded."""
-    return float(np.minimum(_squares(motion, value, name, vehicle), MOST_SQUARE).sum() / 2)
+    return float(np.minimum(_squares(estimate, value, name, vehicle), MOST_SQUARE).sum() / 2)
 
 
-def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> np.ndarray:
+def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> np.ndarray:
     """Return squared distances, in sigmas, of a sensor's readings from a motion, where both are known.
 
-    `motion`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
+    `estimate`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
     compared from sample to sample of a pass, as their frame in space is not known.
     """
     from scipy.spatial.transform import Rotation
 
     sensors = vehicle.sensors
     known = np.asarray(np.isfinite(value).all(axis=1))
-    inside = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
+    inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
     pairs = inside & known[1:] & known[:-1]
     if name == "gyro_B" and sensors.gyro is not None:
         gyro = sensors.gyro
-        spread = np.einsum("nii->ni", motion["omega_cov_B"].values)
+        spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)
         zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
         own = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
-        return ((value - motion["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
-    turned = Rotation.from_quat(motion["B_from_N"].values)
+        return ((value - estimate["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
+    turned = Rotation.from_quat(estimate["B_from_N"].values)
     magnetometer = sensors.magnetometer
     if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
         in_space = turned.inv().apply(np.where(known[:, None], value, 0.0))
         strength = np.linalg.norm(in_space[:-1], axis=1)
-        turning = FIELD_TURN * np.diff(motion["time"].values) * strength
+        turning = FIELD_TURN * np.diff(estimate["time"].values) * strength
         spread = 2 * magnetometer.noise**2 + turning**2
         return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / spread)[pairs]
     if name == "attitude_B_from_N" and sensors.attitude is not None:

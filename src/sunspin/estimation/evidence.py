@@ -151,7 +151,11 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     shared = np.concatenate([*groups.values()])
     of_kind = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
     u = one.motions.u[:, shared]
-    precision = np.linalg.pinv(one.u_covariance[:, shared[:, None], shared], hermitian=True)
+    of_shared = np.nan_to_num(one.u_covariance[:, shared[:, None], shared])
+    # a fit that did not end in a minimum has a covariance that is none: it stays under the widest sigmas
+    sound = np.linalg.eigvalsh(of_shared)[:, 0] > 0
+    of_shared = np.where(sound[:, None, None], of_shared, np.eye(len(shared)))
+    precision = np.linalg.pinv(of_shared, hermitian=True)
     slope = (precision @ u[..., None])[..., 0]
     before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
 
@@ -169,7 +173,8 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
         covariance = np.linalg.inv(matrix)
         mean = (covariance @ slope[..., None])[..., 0]
         after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)
-        gains.append(np.where(allowed, (before - after) / 2 - log_size, -np.inf))
+        gain = np.where(allowed, (before - after) / 2 - log_size, -np.inf)
+        gains.append(np.where(sound, gain, 0.0 if set(shares) == {1.0} else -np.inf))
         means.append(mean)
         covariances.append(covariance)
     gain, mean, covariance = np.array(gains), np.array(means), np.array(covariances)
@@ -181,8 +186,8 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
     # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `one.answer`
     by_shared = one.u_covariance[:, :, shared] @ precision
-    u_change = (by_shared @ (centre - u)[..., None])[..., 0]
-    widening = by_shared @ (spread - one.u_covariance[:, shared[:, None], shared])
+    u_change = sound[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
+    widening = sound[:, None, None] * by_shared @ (spread - of_shared)
     widening = widening @ np.swapaxes(by_shared, -1, -2)
     state_change = np.einsum("knim,km->kni", one.answer, u_change)
     state_widening = one.answer @ widening[:, None] @ np.swapaxes(one.answer, -1, -2)

@@ -6,13 +6,13 @@ step apart along it, and as the window grows that step grows: without others bet
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
 from sunspin.estimation.settings import ShootingSettings
-from sunspin.estimation.shots import Shots, Trials
+from sunspin.estimation.shots import ShotFit, Shots, Trials
 from sunspin.solve.rotations import move_on_sphere
 
 
@@ -61,28 +61,28 @@ def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
     return Trials(joined.shots, np.array(starts), joined.normal, joined.neighbours_s)
 
 
-def distinct_fits(
-    shots: Shots, curvature: np.ndarray, starts: np.ndarray, s: ShootingSettings
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of motions fitted to all samples, best first and without copies, and the starts that led to each.
+def distinct_fits(fit: ShotFit, s: ShootingSettings) -> ShotFit:
+    """Return motions fitted to all samples without copies, the likeliest first; the starts of copies count for what is kept.
 
-    Copies lie within so many sigmas of either one. Those far less probable than the best are left out.
+    Copies lie within so many sigmas of either one. Those far less probable than the best are left out. Evidence ranks them, not
+    density: where the sigma of a torque is one of several, the density is highest at no torque, in a tiny volume.
     """
-    order = np.argsort(shots.cost, kind="stable")
-    order = order[np.isfinite(shots.cost[order])] if np.isfinite(shots.cost).any() else order
+    evidence = np.where(np.isfinite(fit.motions.cost), fit.log_evidence, -np.inf)
+    order = np.argsort(-evidence, kind="stable")
     kept: list[int] = []
     count: list[int] = []
-    for i in order[shots.cost[order] < shots.cost[order[0]] + s.drop]:
+    for i in order[evidence[order] >= evidence[order[0]] - s.drop]:
         if kept:
-            off = shots.take(np.array(kept)).from_centre(shots.take(slice(i, i + 1)))
-            distance = np.minimum(_square(off, curvature[kept]), _square(off, curvature[i]))
+            off = fit.motions.take(np.array(kept)).from_centre(fit.motions.take(slice(i, i + 1)))
+            of_kept, own = _square(off, fit.curvature[kept]), _square(off, fit.curvature[i])
+            distance = np.minimum(of_kept, own)
             nearest = int(np.argmin(distance))
             if distance[nearest] < s.same_chi2:
-                count[nearest] += int(starts[i])
+                count[nearest] += int(fit.starts[i])
                 continue
         kept.append(int(i))
-        count.append(int(starts[i]))
-    return np.array(kept), np.array(count)
+        count.append(int(fit.starts[i]))
+    return replace(fit.take(np.array(kept)), starts=np.array(count))
 
 
 def _square(off: np.ndarray, metric: np.ndarray) -> np.ndarray:
@@ -98,21 +98,11 @@ def _reach(normal: np.ndarray, chi2: float) -> np.ndarray:
     return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, :3], np.inf)
 
 
-class Neighboured(NamedTuple):
-    """Motions with neighbours: all of them, and of which (K) each is a neighbour; the fits themselves come first."""
-
-    trials: Trials
-    parent: np.ndarray
-
-
-def with_neighbours(
-    trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings, held: bool = False
-) -> Neighboured:
-    """Return motions, and neighbours of those that are one of a family at a time `reach_s` from the reference.
+def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings) -> Trials:
+    """Return motions, and after them neighbours of those that are one of a family at a time `reach_s` from the reference.
 
     A family is free in a combination of rate and direction by more than a share of a radian then. Its neighbours differ along the
-    loosest combinations, alone and together, with the unknowns as they are; and farther along the valley that the unknowns make,
-    unless body and wheel are `held`.
+    loosest combinations, alone and together. Unknowns stay: what differs by these alone is found from either.
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
@@ -135,42 +125,10 @@ def with_neighbours(
         sun = move_on_sphere(own.sun, step[:, 3:])
         parts.append(Shots(own.omega + step[:, :3], sun, own.u, own.cost))
         parents.append(rows)
-    if not held and len(trials) <= s.few_starts:
-        along_valley, rows = _along_valley(trials, size, least, s)
-        parts.append(along_valley.take(due[rows]))
-        parents.append(rows[due[rows]])
-        set_s = np.where(due & np.isin(np.arange(len(trials)), rows), reach_s, set_s)
+
     every, parent = Shots.joined(parts), np.concatenate(parents)
     _, first = np.unique(boxes(every, reach_s, s), axis=0, return_index=True)
     kept = np.union1d(first, np.arange(len(trials)))
     own = kept < len(trials)
     starts = np.where(own, trials.starts[parent[kept]], 1)
-    return Neighboured(
-        Trials(every.take(kept), starts, neighbours_s=set_s[parent[kept]]), parent[kept]
-    )
-
-
-def _along_valley(
-    trials: Trials, size: np.ndarray, least: np.ndarray, s: ShootingSettings
-) -> tuple[Shots, np.ndarray]:
-    """Return motions along the loosest direction of each one's valley, and of which each is a neighbour.
-
-    Where inertia, friction and wheel are free they take up a change of the rate, so that the valley is many times longer than with
-    the unknowns as they are: the covariance of rate and direction is that of all coordinates together. `size` (5): rad per unit of
-    rate and direction at the time that counts; `least` (5, 5): information of the prior on them.
-    """
-    covariance = np.linalg.inv(trials.normal + 1e-9 * np.eye(trials.normal.shape[-1]))
-    information = np.linalg.inv(covariance[:, :5, :5])
-    values, vectors = np.linalg.eigh(np.linalg.inv(information + least) * size[:, None] * size)
-    width, along = np.sqrt(values[:, -1].clip(0)), vectors[:, :, -1] / size
-    # the change of all coordinates with the one that is loosest: regression on rate and direction
-    step = np.einsum("kdi,kij,kj->kd", covariance[:, :, :5], information, along)
-    each = np.minimum(s.valley_sigmas * width / s.valley_rad, s.valley_each).astype(int)
-    parts, parents = [], []
-    for count in range(1, s.valley_each + 1):
-        rows = np.flatnonzero(each >= count)
-        for sign in (1, -1):
-            parts.append(trials.shots.take(rows).moved(sign * count * s.valley_rad * step[rows]))
-            parents.append(rows)
-    moved, parent = Shots.joined(parts), np.concatenate(parents)
-    return Shots(moved.omega, moved.sun, moved.u, trials.cost[parent]), parent
+    return Trials(every.take(kept), starts, neighbours_s=set_s[parent[kept]])

@@ -637,16 +637,7 @@ class ShootingSettings:
     family_directions: int = 3
     """Directions along which neighbours are set: the loosest."""
 
-    valley_rad: float = 1.3
-    """How far apart motions are placed along a valley that unknowns make, at that time: a fit moves along it."""
-
-    valley_sigmas: float = 2.0
-    """How far along it they are placed."""
-
-    valley_each: int = 8
-    """Motions placed to either side of one, at most."""
-
-    again_from: float = 1.3
+    again_from: float = 1.35
     """Growth of the window's end after which a motion gets further neighbours."""
 
     grid_samples: int = 3

@@ -167,8 +167,7 @@ class Shooting:
         """
         s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
-            held = window.stop - window.start < s.held
-            motions = with_neighbours(motions, reach_s, self.model.max_rate, s, held).trials
+            motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
             motions = replace(motions, normal=motions.normal[:0])
         allowed = np.ones(len(motions), dtype=bool)
@@ -248,18 +247,16 @@ class Shooting:
         Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
         as the prior of a small one holds it.
         """
+        fit = self._curved(motions.shots, motions.starts)
         images = self.model.panels.response.symmetries
-        shots, starts = motions.shots, motions.starts
-        fits = [self._curved(shots, starts)]
-        if len(images) > 1:
-            # rates are axial vectors: a mirror reverses them
-            found = fits[0].motions
-            turned = [
-                Shots(np.linalg.det(x) * (found.omega @ x.T), found.sun @ x.T, found.u)
-                for x in images
-            ]
-            fits = [self._curved(Shots.joined(turned), np.tile(fits[0].starts, len(images)))]
-        return fits[0]
+        if len(images) == 1:
+            return fit
+        # the search may miss some of the images under what changes no reading; rates are axial vectors, which a mirror reverses
+        shots = fit.motions
+        imaged = [
+            Shots(np.linalg.det(x) * (shots.omega @ x.T), shots.sun @ x.T, shots.u) for x in images
+        ]
+        return self._curved(Shots.joined(imaged), np.tile(fit.starts, len(images)))
 
     def _curved(self, shots: Shots, starts: np.ndarray) -> ShotFit:
         """Return motions fitted to all samples."""
@@ -283,19 +280,14 @@ class Shooting:
             parts.append(fitted)
             normals.append(normal)
         every, curvature = Shots.joined(parts), np.concatenate(normals)
-        kept, count = distinct_fits(every, curvature, np.tile(starts, len(begins)), self.s)
+        evidence = log_evidence(self.model, every.cost, curvature)
+        whole = ShotFit(self.model, every, curvature, evidence, np.tile(starts, len(begins)))
+        kept = distinct_fits(whole, self.s)
         if len(kept) > self.s.most_fitted:
             self._note(f"more than {self.s.most_fitted} modes", complete=True)
-            kept, count = kept[: self.s.most_fitted], count[: self.s.most_fitted]
-        return ShotFit(
-            self.model,
-            every.take(kept),
-            curvature[kept],
-            log_evidence(self.model, every.cost[kept], curvature[kept]),
-            -(-count // len(begins)),
-            self.complete,
-            tuple(self.notes),
-        )
+            kept = kept.take(slice(self.s.most_fitted))
+        once = -(-kept.starts // len(begins))
+        return replace(kept, starts=once, complete=self.complete, notes=tuple(self.notes))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:

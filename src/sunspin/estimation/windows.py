@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.estimation.columns import joined
 from sunspin.estimation.model import Body
 from sunspin.estimation.observe import wheel_models
 from sunspin.estimation.rates import rates
@@ -37,6 +38,9 @@ MOST_FIT = 0.75
 
 SIGMAS = 4.0
 """Sigmas by which the sizes of the momentum in two windows differ, for the rate to change as no free body's does."""
+
+DOUBTED = "columns, signs or axes of the file are in doubt"
+"""Why no window is decided if the column tests of the whole file name other columns."""
 
 
 def rates_in_windows(
@@ -62,8 +66,9 @@ def rates_in_windows(
     Dataset
         Also has variables on `window`. `window_time` (s) is its middle sample, with `window_begin` and `window_end` (s),
         `window_pass` and `window_samples`. `window_omega_B` and `window_sigma_B` (rad/s) are those of the most probable solution
-        there. `window_decided` and `window_why` say whether it is decided, or why not. attrs["controlled"] has a line for each pass
-        whose rate changes as no free body's does; `why_not_decided` of the pass says so too.
+        there. `window_decided` and `window_why` say whether it is decided, or why not; none is if columns of the file are doubted.
+        attrs["controlled"] has a line for each pass whose rate changes as no free body's does; `why_not_decided` of the pass and
+        attrs["verdict"] say so too.
     """
     failed = np.flatnonzero(~result["fits"].values)
     doubted = "columns_doubt" in result.attrs
@@ -90,12 +95,16 @@ def rates_in_windows(
     if not parts:
         return result
     windows = xr.concat(parts, "window")
+    if doubted:
+        windows = _undecided(windows)
     why = [
         f"{text}; {sentences[k]}" if k in sentences else text
         for k, text in enumerate(result["why_not_decided"].values.astype(str))
     ]
     said = [f"pass {result['pass_id'].values[k]}: {words}" for k, words in sentences.items()]
     attrs = {"controlled": "\n".join(said)} if said else {}
+    if said:
+        attrs["verdict"] = "\n".join([str(result.attrs["verdict"]), *said])
     return (
         result.assign(windows.data_vars)
         .assign(why_not_decided=("pass_id", why))
@@ -150,6 +159,14 @@ def _windows_of(
     )
 
 
+def _undecided(windows: xr.Dataset) -> xr.Dataset:
+    """Return windows of a file whose columns are doubted, none of them decided: each may fit with wrong columns."""
+    why = [joined(reason, DOUBTED) for reason in windows["window_why"].values]
+    return windows.assign(
+        window_decided=("window", np.zeros(len(why), dtype=bool)), window_why=("window", why)
+    )
+
+
 def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Dataset) -> str:
     """Return in words that the rate changes as no free body's does; empty if a free body may do so, or the windows do not say."""
     fits, sigma = windows["window_fits"].values, windows["window_sigma_B"].values
@@ -157,8 +174,9 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     if len(use) < FEWEST_WINDOWS or fits.mean() < MOST_FIT:
         return ""
     body, omega = Body.of(vehicle), windows["window_omega_B"].values[use]
-    at = np.searchsorted(telemetry["time"].values, windows["window_time"].values[use])
     times = windows["window_time"].values[use]
+    # rows that came late need not be in the order of time
+    at = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
     found = None
     # wheels without a measured speed may be held or coast: none of that may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():

@@ -21,7 +21,10 @@ ANCHORS = {
         *("several solutions", "several motions", " aliases, ", "a line of solutions"),
         *("gives the same readings", "sign of the Sun direction is ambiguous"),
     ),
-    "poor-fit": ("POOR FIT", "NO SOLUTION FITS", "not explained:", "the other readings fit: look"),
+    "poor-fit": (
+        *("POOR FIT", "NO SOLUTION FITS", "not explained:", "the other readings fit: look"),
+        "as no free body's does",
+    ),
     "check-the-columns": ("CHECK THE COLUMNS", "CHECK THE SIGNS", "columns unchecked"),
     "not-constrained": ("NOT CONSTRAINED", "constrained: ", "not all rate components"),
     "upper-limit": ("speed below ",),

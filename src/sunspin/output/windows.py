@@ -15,8 +15,7 @@ def window_lines(result: Any) -> list[str]:
     """Return lines on the passes whose rate is given in short windows; empty if there are none."""
     if "window_time" not in result:
         return []
-    lines = [f"  {line}" for line in str(result.attrs.get("controlled", "")).split("\n") if line]
-    decided = result["window_decided"].values
+    lines, decided = [], result["window_decided"].values
     for pass_id in np.unique(result["window_pass"].values):
         inside = result["window_pass"].values == pass_id
         lines.append(

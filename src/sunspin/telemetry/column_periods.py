@@ -18,7 +18,11 @@ MOST_TURNS, LARGEST_RATE = 1.5, 1.0
 
 
 def read_column_periods(
-    path: Path, vehicle: Vehicle, names: Sequence[str], max_rate_rad_s: float | None, kept: Any
+    path: Path,
+    vehicle: Vehicle,
+    names: Sequence[str],
+    max_rate_rad_s: float | None,
+    kept: tuple[float, float],
 ) -> dict[str, list[Stretch]]:
     """Return what each stretch of each column shows.
 

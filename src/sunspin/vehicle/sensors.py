@@ -360,9 +360,9 @@ class Disturbance(Part):
 
 @part
 class Clock(Part):
-    """Time offset of gyro, magnetometer and attitude: how much later they are sampled than panels and Sun sensors of a row (s).
+    """Time offset of gyro, magnetometer and attitude: how much older their readings are than the Sun's in the same row (s).
 
-    `sigma_s`: standard deviation of the offset; zero: known exactly.
+    It is negative for sensors that are sampled after panels and Sun sensors. `sigma_s`: standard deviation of the offset; zero: known exactly.
     """
 
     late_s: Number = Field(validation_alias="sensors_late_s")

@@ -463,6 +463,7 @@ def _without_rotation(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:
 
 
 def _before(values: np.ndarray, axis: int = 0) -> np.ndarray:
-    """Return values with those of the sample before in place of each, and the first twice; `axis`: that of the samples."""
-    index = np.maximum(np.arange(values.shape[axis]) - 1, 0)
-    return np.take(values, index, axis=axis)
+    """Return values with those of the sample before in place of each, and the first twice; `axis`: that of the samples, 0 or 1."""
+    if axis == 0:
+        return np.concatenate([values[:1], values[:-1]])
+    return np.concatenate([values[:, :1], values[:, :-1]], axis=1)
