@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.special import logsumexp
 
 from sunspin.estimation.chain import Fit, fit
@@ -102,3 +103,32 @@ def test_a_motion_of_several_rungs_is_one_solution():
     solved = solutions(one, model.obs, np.arange(5), SolutionSettings(), SEARCH)
     assert len(solved.probability) == 1 and np.isclose(solved.probability[0], 1.0)
     assert np.allclose(solved.mean[0], solved.track.omega[0].mean(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("slow", "fast", "low", "high"),
+    [
+        (0.0, 0.0, 0.4, 0.9),  # fit alike: open
+        (-4.0, 0.0, 0.4, 0.6),  # the faster one is ahead only if every rate is as likely
+        (0.0, -4.0, 0.9, 1.0),
+        (-20.0, 0.0, 0.0, 0.01),  # nothing but the data counts
+    ],
+)
+def test_which_alias_is_likelier_does_not_hang_on_the_prior_of_the_rate(slow, fast, low, high):
+    """Two motions at 1.4 and 12 deg/s, known to 0.1 deg/s; `slow`, `fast`: log evidences, were the rate even before the data."""
+    prior, sigma = np.radians(8.0), np.radians(0.1)
+    model, motions = problem(gyro=False, torque=False, rate_sigma=prior)
+    one = fit(model, motions, 5)
+    omega = np.zeros((2, len(model.obs), 3))
+    omega[:, :, 2] = np.radians([[1.4], [12.0]])
+    two = one.take(np.array([0, 0]))
+    covariance = np.broadcast_to(sigma**2 * np.eye(6), two.motions.covariance.shape)
+    motions = replace(two.motions, omega=omega, covariance=covariance)
+    log = np.array([slow, fast]) - (omega[:, 0] ** 2).sum(axis=1) / (2 * prior**2)
+    two = replace(two, motions=motions, log_evidence=log)
+    fits = PassFits(model, (two,), (model.noise.acceleration,), np.zeros(1))
+    every = np.arange(len(model.obs))
+    result = solutions(fits, model.obs, every, SolutionSettings(), SEARCH)
+    assert np.isclose(result.probability.sum(), 1.0)
+    slower = result.mean[:, 2] < np.radians(5.0)
+    assert low <= result.probability[slower].sum() <= high

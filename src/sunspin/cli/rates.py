@@ -49,7 +49,9 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered as in passes.csv."
 )
 @click.option(
-    "--no-column-tests", is_flag=True, help="Do not test swapped columns or signs on a poor fit."
+    "--no-column-tests",
+    is_flag=True,
+    help="Do not test swapped columns or signs on a poor fit, or on one that may hide them.",
 )
 @click.option(
     "--no-windows", is_flag=True, help="Do not estimate the rate in short windows on a poor fit."

@@ -371,8 +371,8 @@ class Disturbance(Part):
 class Clock(Part):
     """Time offset of gyro, magnetometer and attitude: how much older their readings are than the Sun's in the same row (s).
 
-    It is negative for sensors that are sampled after panels and Sun sensors. `sigma_s`: standard deviation of the offset; zero:
-    known exactly.
+    It is negative for sensors that are sampled after panels and Sun sensors. `sigma_s`: standard deviation of the offset; with zero
+    it is known exactly.
     """
 
     late_s: Number = Field(validation_alias="sensors_late_s")
