@@ -1,9 +1,9 @@
 """Which column is which: whether the motion confirms columns, axes and signs, and what is said if it does not.
 
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
-the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. They are also
-tried on a file of panels alone that fits, if it needs strong torques, if its samples, each by itself, fit other columns far better,
-or if two columns were hardly ever lit.
+the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
+panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
+better; or two columns were hardly ever lit.
 """
 
 from __future__ import annotations
