@@ -83,6 +83,18 @@ def test_with_the_largest_rate_that_is_named_the_starts_are_fine_enough():
     assert np.isfinite(fine(1.0)) and fine(limit) == np.inf and np.isfinite(fine(1.02 * limit))
 
 
+def test_a_coarse_search_is_told_with_the_largest_rate_that_makes_it_fine():
+    vehicle, data, _ = fast_body(60.0, np.random.default_rng(5), samples=5)
+    coarse = rates(vehicle, data, max_rate_rad_s=1.0, acceleration_noise=1e-5, effort=1e-9)
+    why = str(coarse["why_not_decided"].values[0])
+    assert "coarse search, a solution may be missing" in coarse.attrs["verdict"]
+    assert "coarse: if no rate" in why and not coarse["decided"].values[0]
+    limit = np.degrees(coarse.attrs["fine_up_to_rad_s"])
+    for text in (coarse.attrs["verdict"], why):
+        named = printed(r"faster than ([\d.]+) deg/s, give it", text)
+        assert named == pytest.approx(limit, rel=1e-3)
+
+
 @pytest.mark.parametrize("way", ["speed_rad_s", "speed_column", "left out"])
 def test_a_wheel_whose_speed_is_stated_is_not_warned_of(way):
     data, _ = seen([0.01, 0.012, -0.01])
