@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.environment import Surroundings
@@ -209,6 +210,19 @@ def test_the_zero_of_a_spinner_is_what_its_strengths_show():
     assert np.linalg.norm(across @ off[0]) < 0.05
     sigma = np.sqrt(np.diag(across @ covariance @ across).sum())
     assert sigma < 0.2 and np.sqrt(np.trace(covariance)) > 0.3  # along the spin nothing is learnt
+
+
+def test_a_zero_that_is_exact_on_one_axis_stays_so_on_that_axis():
+    """The other two are what the strengths show; a covariance that is singular there was refused."""
+    rng, t_s, zero = np.random.default_rng(9), 5.0 * np.arange(60), np.array([0.3, 0.2, 0.0])
+    read = Rotation.random(60, random_state=9).apply([0.3, -0.5, 0.8])
+    read += zero + 0.002 * rng.normal(size=(60, 3))
+    sensor = replace(MAGNETOMETER, zero_sigma=np.array([0.5, 0.5, 0.0]))
+    vehicle = replace(CUBE, sensors=Sensors(magnetometer=sensor))
+    telemetry = xr.Dataset({"field_B": (("time", "axis"), read)}, {"time": t_s})
+    term = FieldChange.read(vehicle, telemetry).with_own_zero()
+    np.testing.assert_allclose((read - term.field_B)[0], zero, atol=0.02)
+    assert abs((read - term.field_B)[0, 2]) < 1e-3
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])

@@ -1,5 +1,7 @@
 """A gyro whose zero is off though the vehicle file takes it for known: the rates are right, and the gyro does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,18 @@ def test_unknowns_keep_their_size_in_the_sigmas_of_another_model(simulated):
     again = restated(motions, model, other).u * [unknown.sigma for unknown in other.unknowns]
     np.testing.assert_allclose(again, sizes)
     assert not np.allclose(restated(motions, model, other).u, u)
+
+
+def test_an_axis_whose_zero_is_exact_has_an_unknown_as_the_others_have(simulated):
+    """Another zero frees all three axes, and its unknowns take the places of those of the file."""
+    gyro = replace(simulated.vehicle.sensors.gyro, zero_sigma=np.array([3.0, 3.0, 0.0]))
+    vehicle = replace(simulated.vehicle, sensors=replace(simulated.vehicle.sensors, gyro=gyro))
+    obs = observe(assess(vehicle, simulated.telemetry)).obs
+    model = replace(stated(simulated), obs=obs)
+    (other,) = another_zero(model, RATES.alternatives)
+    assert [x.name for x in model.unknowns] == [x.name for x in other.unknowns]
+    sigmas = [x.sigma for x in model.unknowns if x.kind == "gyro_zero"]
+    np.testing.assert_allclose(sigmas, abs(gyro.scale_rad_s) * np.array([3.0, 3.0, 0.003]))
 
 
 def test_the_rates_are_right_and_the_gyro_is_named(simulated):

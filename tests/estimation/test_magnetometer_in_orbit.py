@@ -20,6 +20,7 @@ from sunspin.estimation.orbit.calibration import (
 from sunspin.estimation.orbit.calibration import Start as Begin
 from sunspin.estimation.orbit.invariants import (
     MATRIX,
+    ZERO,
     MagnetometerLaw,
     MagnetometerState,
     Predicted,
@@ -85,6 +86,18 @@ def test_the_sphere_through_exact_readings_has_their_zero_and_scale():
     zero, scale = fit_sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
     np.testing.assert_allclose(zero[0], [4.0, -2.0, 9.0], rtol=1e-5)
     np.testing.assert_allclose(scale[0], 0.7, rtol=1e-5)
+
+
+def test_a_zero_that_is_exact_on_one_axis_has_a_sigma_that_can_be_inverted():
+    vehicle, telemetry, *elements = check_case(1, 1)
+    sensors = vehicle.sensors
+    stated = replace(sensors.magnetometer, zero_sigma=np.array([30.0, 0.0, 30.0]))
+    vehicle = replace(vehicle, sensors=replace(sensors, magnetometer=stated))
+    field = 1e3 * np.random.default_rng(6).normal(size=(20, 3))
+    prior = priors(
+        vehicle, shown(field, unit(field)), orbit_of(elements[0], telemetry, elements[1])
+    )
+    np.testing.assert_allclose(prior[ZERO], [30.0, 0.03, 30.0])
 
 
 def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_attitudes():

@@ -76,6 +76,12 @@ def test_passes_of_several_folders_are_in_order_of_time_with_axis_and_momentum(r
     assert np.isnan(data["momentum_J2000"]).all() and np.isnan(data.attrs["trend"])
 
 
+def test_a_later_pass_that_was_estimated_alone_keeps_its_momentum(result, tmp_path):
+    """`rates --pass 3` leaves one pass, whose number is 3 and whose place in the result is 0."""
+    data = ss.history([save(result.assign_coords(pass_id=[3]), tmp_path / "alone", 0.0)])
+    np.testing.assert_allclose(data["momentum"], 0.04 * SPIN, rtol=0.02)
+
+
 def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_path, framed):
     for day in range(8):
         save(result, tmp_path / "week" / f"{day}", day, 1 - 0.05 * day, decided=day != 3)

@@ -27,6 +27,9 @@ from sunspin.estimation.shots import SUN, UNKNOWNS, ShotFit, Shots
 from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 
+TORQUE = "steady_torque"
+"""Kind of the unknowns of a constant torque."""
+
 FIVE = 5
 """Directions of rate and Sun together."""
 
@@ -420,24 +423,43 @@ def over_sizes(
     By linear theory from a fit `under` one share. Far beyond the fitted size it does not hold: a torque that turns the momentum
     about the Sun is hardly seen, and would be put whole turns away. Such shares are left out.
     """
-    places = np.array([i for i, one in enumerate(target.unknowns) if len(one.shares) > 1], int)
-    if not len(places):
-        return [(mass, np.zeros(len(covariance)), covariance)]
-    at, precision, size = FIVE + places, np.linalg.inv(covariance), centre.u[0, places]
-    found = []
-    for share in target.unknowns[places[0]].shares:
-        more = share**-2 - under**-2
-        now, pull = np.array(precision), np.zeros(len(precision))
-        now[at, at] += more
-        pull[at] = -more * size
-        spread = np.linalg.inv(now)
-        step = spread @ pull
-        if share > under and np.linalg.norm(size + step[at]) > s.far_torque * share:
-            continue
-        gain = (pull @ step - more * size @ size) / 2
-        volume = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(covariance)[1]) / 2
-        found.append((mass + gain + volume - len(places) * np.log(share / under), step, spread))
+    found = [(mass, np.zeros(len(covariance)), covariance)]
+    several = [one for one in target.unknowns if len(one.shares) > 1]
+    for kind in dict.fromkeys(one.kind for one in several):
+        places = np.array([i for i, one in enumerate(target.unknowns) if one.kind == kind])
+        fitted = under if kind == TORQUE else 1.0
+        found = [
+            sized
+            for one in found
+            for share in target.unknowns[places[0]].shares
+            if (sized := _resized(one, centre.u[0], places, share, fitted, s.far_torque))
+        ]
     return found
+
+
+def _resized(
+    one: tuple[float, np.ndarray, np.ndarray],
+    u: np.ndarray,
+    places: np.ndarray,
+    share: float,
+    under: float,
+    far: float,
+) -> tuple[float, np.ndarray, np.ndarray] | None:
+    """Return log mass, step and covariance with another share of the sigmas of the unknowns at `places`; None if it is too far."""
+    mass, before, covariance = one
+    at, more = FIVE + places, share**-2 - under**-2
+    precision, pull = np.linalg.inv(covariance), np.zeros(len(covariance))
+    precision[at, at] += more
+    size = u[places] + before[at]
+    pull[at] = -more * size
+    spread = np.linalg.inv(precision)
+    step = spread @ pull
+    if share > under and np.linalg.norm(size + step[at]) > far * share:
+        return None
+    gain = (pull @ step - more * size @ size) / 2
+    volume = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(covariance)[1]) / 2
+    total = mass + gain + volume - len(places) * np.log(share / under)
+    return float(total), before + step, spread
 
 
 def settled(

@@ -247,18 +247,16 @@ class Shooting:
         Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
         as the prior of a small one holds it.
         """
+        fit = self._curved(motions.shots, motions.starts)
         images = self.model.panels.response.symmetries
-        shots, starts = motions.shots, motions.starts
-        fits = [self._curved(shots, starts)]
-        if len(images) > 1:
-            # rates are axial vectors: a mirror reverses them
-            found = fits[0].motions
-            turned = [
-                Shots(np.linalg.det(x) * (found.omega @ x.T), found.sun @ x.T, found.u)
-                for x in images
-            ]
-            fits = [self._curved(Shots.joined(turned), np.tile(fits[0].starts, len(images)))]
-        return fits[0]
+        if len(images) == 1:
+            return fit
+        # the search may miss some of the images under what changes no reading; rates are axial vectors, which a mirror reverses
+        shots = fit.motions
+        imaged = [
+            Shots(np.linalg.det(x) * (shots.omega @ x.T), shots.sun @ x.T, shots.u) for x in images
+        ]
+        return self._curved(Shots.joined(imaged), np.tile(fit.starts, len(images)))
 
     def _curved(self, shots: Shots, starts: np.ndarray) -> ShotFit:
         """Return motions fitted to all samples."""

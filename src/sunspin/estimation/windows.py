@@ -17,8 +17,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.estimation.columns import joined
 from sunspin.estimation.model import Body
-from sunspin.estimation.observe import wheel_models
+from sunspin.estimation.observe import cut, wheel_models
 from sunspin.estimation.rates import rates
 from sunspin.estimation.settings import RATES, RatesSettings
 from sunspin.vehicle import Vehicle
@@ -37,6 +38,9 @@ MOST_FIT = 0.75
 
 SIGMAS = 4.0
 """Sigmas by which the sizes of the momentum in two windows differ, for the rate to change as no free body's does."""
+
+DOUBTED = "columns, signs or axes of the file are in doubt"
+"""Why no window is decided if the column tests of the whole file name other columns."""
 
 
 def rates_in_windows(
@@ -62,8 +66,9 @@ def rates_in_windows(
     Dataset
         Also has variables on `window`. `window_time` (s) is its middle sample, with `window_begin` and `window_end` (s),
         `window_pass` and `window_samples`. `window_omega_B` and `window_sigma_B` (rad/s) are those of the most probable solution
-        there. `window_decided` and `window_why` say whether it is decided, or why not. attrs["controlled"] has a line for each pass
-        whose rate changes as no free body's does; `why_not_decided` of the pass and attrs["verdict"] say so too.
+        there. `window_decided` and `window_why` say whether it is decided, or why not; none is if columns of the file are doubted.
+        attrs["controlled"] has a line for each pass whose rate changes as no free body's does; `why_not_decided` of the pass and
+        attrs["verdict"] say so too.
     """
     failed = np.flatnonzero(~result["fits"].values)
     doubted = "columns_doubt" in result.attrs
@@ -90,6 +95,8 @@ def rates_in_windows(
     if not parts:
         return result
     windows = xr.concat(parts, "window")
+    if doubted:
+        windows = _undecided(windows)
     why = [
         f"{text}; {sentences[k]}" if k in sentences else text
         for k, text in enumerate(result["why_not_decided"].values.astype(str))
@@ -118,14 +125,14 @@ def _windows_of(
     inside = (time >= t_s[0]) & (time <= t_s[-1])
     # a hair more than the even length, which rounding might cut once more
     longest = float(t_s[-1] - t_s[0]) / pieces * (1 + 1e-9)
-    cut = replace(settings.passes, longest_s=longest, longest_field_s=longest)
+    of_windows = replace(settings.passes, longest_s=longest, longest_field_s=longest)
     try:
         found = rates(
             vehicle,
-            telemetry.isel(time=np.flatnonzero(inside)),
+            cut(telemetry, np.flatnonzero(inside)),
             gap_s=float(t_s[-1] - t_s[0]) + 1.0,
             column_tests=False,
-            settings=replace(settings, passes=cut),
+            settings=replace(settings, passes=of_windows),
             **options,
         )
     except InputError:
@@ -149,6 +156,14 @@ def _windows_of(
             "window_fits": ("window", found["fits"].values),
             "window_why": ("window", found["why_not_decided"].values.astype(str)),
         }
+    )
+
+
+def _undecided(windows: xr.Dataset) -> xr.Dataset:
+    """Return windows of a file whose columns are doubted, none of them decided: each may fit with wrong columns."""
+    why = [joined(reason, DOUBTED) for reason in windows["window_why"].values]
+    return windows.assign(
+        window_decided=("window", np.zeros(len(why), dtype=bool)), window_why=("window", why)
     )
 
 

@@ -56,8 +56,8 @@ def compare_with(result: xr.Dataset, withheld: Withheld, readings: xr.DataArray)
         what = "no sample of the result has a reading to compare with"
         raise InputError(what, got=", ".join(withheld.columns), do="look at these columns")
     if withheld.late_s:
-        # the readings are of a later instant than the Sun's: the motion is evaluated there
-        motion = motion_at(result, t_s + withheld.late_s)
+        # the readings are older than the Sun of their row: the motion is evaluated when they were taken
+        motion = motion_at(result, t_s - withheld.late_s)
         moved = {name: motion[name].values for name in ("omega_B", "B_from_N")}
     else:
         moved = {name: result[name].values for name in ("omega_B", "B_from_N")}

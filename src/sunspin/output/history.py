@@ -182,8 +182,8 @@ def _read_passes(folder: Path) -> list[dict[str, Any]]:
         "folder": str(folder),
     }
     rows = []
-    for number in data["pass_id"].values:
-        row = data.sel(pass_id=number).isel(solution=0)
+    for place in range(data.sizes["pass_id"]):
+        row = data.isel(pass_id=place, solution=0)
         rows.append(
             common
             | {
@@ -204,16 +204,17 @@ def _read_passes(folder: Path) -> list[dict[str, Any]]:
                 "omega_B": np.array([float(row[f"omega_{axis}"]) for axis in "xyz"]),
                 "omega_sigma_B": np.array([float(row[f"sigma_{axis}"]) for axis in "xyz"]),
             }
-            | _momentum(results, data, int(number), inertia)
+            | _momentum(results, data, place, inertia)
         )
     return rows
 
 
 def _momentum(
-    results: Results, data: xr.Dataset, number: int, inertia: np.ndarray | None
+    results: Results, data: xr.Dataset, place: int, inertia: np.ndarray | None
 ) -> dict[str, Any]:
     """Return size and directions of the body's angular momentum in a pass, means over its samples; NaN if they are not known.
 
+    `place`: of the pass in the result, which is not its pass_id if only some passes were estimated.
     Wheels are left out: their momentum is not that of the body, and their speeds may be unknown.
     """
     unknown = {
@@ -222,7 +223,7 @@ def _momentum(
         "momentum_J2000": np.full(3, np.nan),
     }
     has_wheels = results.vehicle is not None and bool(results.vehicle.wheels)
-    inside = data["pass_of"].values == number
+    inside = data["pass_of"].values == place
     omega = data["omega_B"].values[inside]
     known = np.isfinite(omega).all(axis=1)
     if inertia is None or has_wheels or not known.any():

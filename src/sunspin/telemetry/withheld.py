@@ -33,7 +33,7 @@ class Withheld(NamedTuple):
     """A sensor that was withheld from the estimate.
 
     `sensor`: gyro or attitude; `columns`: its columns as given; `variable`: of the telemetry, which the estimate must not have;
-    `late_s`: time by which it is read later than panels, s.
+    `late_s`: by how much its readings are older than those of the panels in the same row, s.
     """
 
     sensor: Gyro | Attitude

@@ -42,6 +42,15 @@ REVERSED = "-"
 QUATERNION_TOLERANCE = 0.02
 """Largest deviation of a quaternion's length from one."""
 
+EXACT_SHARE = 1e-3
+"""Sigma of the zero of an axis that is stated without one, relative to the largest sigma of the three: as good as exact, and no
+covariance is singular."""
+
+
+def zero_sigmas(stated: FloatArray) -> FloatArray:
+    """Return sigmas (3) of a sensor's zero, in the unit stated: all are positive if any is, so that each axis is an unknown."""
+    return np.maximum(stated, EXACT_SHARE * stated.max())
+
 
 class SensorVariable(NamedTuple):
     """A telemetry variable: name of its second dimension (the first is time; empty if there is none), values (n, 3 or 4) or
@@ -360,9 +369,10 @@ class Disturbance(Part):
 
 @part
 class Clock(Part):
-    """Time offset of gyro, magnetometer and attitude: how much later they are sampled than panels and Sun sensors of a row (s).
+    """Time offset of gyro, magnetometer and attitude: how much older their readings are than the Sun's in the same row (s).
 
-    `sigma_s`: standard deviation of the offset; zero: known exactly.
+    It is negative for sensors that are sampled after panels and Sun sensors. `sigma_s`: standard deviation of the offset; with zero
+    it is known exactly.
     """
 
     late_s: Number = Field(validation_alias="sensors_late_s")

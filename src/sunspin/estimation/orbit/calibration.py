@@ -40,6 +40,7 @@ from sunspin.estimation.orbit.invariants import (
 from sunspin.estimation.orbit.readings import Readings, read
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import zero_sigmas
 
 SCALE_FREE = 3.0
 """One sigma of the magnetometer's scale over the first one, which is free."""
@@ -311,7 +312,7 @@ def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
         usual = float(np.nanmedian(np.linalg.norm(column, axis=1)))
     zero = np.full(3, ZERO_SIGMA * usual)
     if part is not None and part.zero_sigma.any():
-        zero = np.broadcast_to(part.zero_sigma, 3)
+        zero = zero_sigmas(part.zero_sigma)
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     sigma = [np.full(9, MATRIX_SIGMA), zero, np.array([along, orbit.drift_sigma_s_day])]
     for sensor in vehicle.sensors.sun_sensors:

@@ -23,7 +23,7 @@ from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.term import Residual, Term, drifting, facing, gaussian
 from sunspin.solve.rotations import cross_matrix, rotate_by_smallest
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.sensors import VARIABLES, Magnetometer
+from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
 
 FIELD_FACTOR = 5.0
 """A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
@@ -106,7 +106,9 @@ class FieldChange(Term):
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         noise = part.noise if part is not None else None
         stated = part is not None and bool(part.zero_sigma.any())
-        zero = (part.matrix * part.zero_sigma).T if part is not None and stated else None
+        zero = (
+            (part.matrix * zero_sigmas(part.zero_sigma)).T if part is not None and stated else None
+        )
         return cls(
             t_s,
             without_outliers(values),

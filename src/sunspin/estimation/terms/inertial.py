@@ -16,7 +16,7 @@ from sunspin.estimation.settings import GYRO_ZEROS
 from sunspin.estimation.terms.term import FREEDOM, Residual, Starts, Term, gaussian
 from sunspin.solve.rotations import rotation_between
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.sensors import VARIABLES
+from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
 
 WHOLE_TURNS = 20
 """Whole turns between two attitudes that are tried either way, at most: the largest rate leaves fewer."""
@@ -49,7 +49,7 @@ class Gyro(Term):
         part = vehicle.sensors.with_columns.get("gyro")
         if part is None:
             return cls(rate, 1.0, np.zeros(3), 0.0)
-        zero = abs(part.scale_rad_s) * np.asarray(part.zero_sigma)
+        zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
         scale = part.scale_sigma / abs(part.scale_rad_s)
         gyro = cls(rate, part.noise_rad_s, zero, scale)
         return gyro if np.any(zero) else gyro.with_any_zero()

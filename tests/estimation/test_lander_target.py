@@ -1,0 +1,74 @@
+"""The posterior of a lander's model as the sampler asks for it: derivatives against differences, and one posterior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sunspin.estimation.lander_target import LanderTarget
+from sunspin.estimation.posterior import searched
+from sunspin.estimation.sample import sample
+from sunspin.estimation.shots import Shots
+from tests.estimation.test_lander_model import (
+    OMEGA,
+    PHILAE,
+    lander_model,
+    lander_telemetry,
+    nominal,
+)
+
+
+def near(model, count: int = 3, size: float = 1e-3) -> Shots:
+    """Return motions close to that of the telemetry."""
+    rng = np.random.default_rng(1)
+    step = size * rng.normal(size=(count, 5 + len(model.unknowns)))
+    step[:, :3] /= 700.0
+    return nominal(model, count).moved(step)
+
+
+def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
+    """They are turned into the new tangents, and give what is seen after the step; another body corrects nothing."""
+    model = lander_model()
+    target, shots = LanderTarget(model), near(model)
+    first = target.linearised(shots).slopes
+    step = np.zeros((len(shots), 5 + len(model.unknowns)))
+    step[:, 3:5] = 0.02
+    there = shots.moved(step)
+    then = target.linearised(there, first).slopes
+    back = np.einsum("kc,kcnw->knw", shots.from_centre(there)[:, :5], then.moves)
+    assert then.seen + back == pytest.approx(first.seen, abs=3e-5)
+    other = Shots(shots.omega, shots.sun, shots.u + 0.5)
+    assert target.linearised(other, first).slopes.moves == pytest.approx(first.moves)
+
+
+def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_prior():
+    model = lander_model(tilt=0.02)
+    target, shots = LanderTarget(model), near(model)
+    of = target.linearised(shots)
+    slope, curvature = target.standing_slopes(target.run(shots), shots.u, 1.0)
+    prior = shots.u[:, target.standing]
+    assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
+    own = of.matrix[:, 5:, 5:] - np.eye(len(target.standing))
+    assert curvature == pytest.approx(own, rel=1e-3, abs=1e-2 * np.abs(own).max())
+
+
+def test_likelihood_is_that_of_the_model():
+    model = lander_model()
+    target, shots = LanderTarget(model), near(model)
+    expected = model.log_likelihood(shots, 1e-5)
+    assert target.log_likelihood(target.run(shots), shots.u) == pytest.approx(expected, abs=1e-3)
+
+
+def test_draws_hold_the_true_rate():
+    """Readings of 16 samples 20 s apart with noise of 2 % of full Sun: the truth lies within three sigmas."""
+    t_s = 20.0 * np.arange(16)
+    telemetry = lander_telemetry(t_s, 0.05)
+    fit = searched(PHILAE, telemetry, {"max_rate_rad_s": 0.2}, workers=1).fit
+    draws = sample(LanderTarget(fit.model), fit, np.random.default_rng(0))
+    assert draws.effective > 700 and draws.outside <= 0.02
+    # the speed hardly changes in five minutes, whatever the reference
+    speed = np.linalg.norm(draws.shots.omega, axis=1)
+    weight = np.exp(draws.log_weight - draws.log_weight.max())
+    mean = np.average(speed, weights=weight)
+    sigma = np.sqrt(np.average((speed - mean) ** 2, weights=weight))
+    assert abs(mean - np.linalg.norm(OMEGA)) < 3 * sigma + 0.02
