@@ -103,7 +103,7 @@ class PanelPowers(Term):
     @cached_property
     def free_factors(self) -> np.ndarray:
         """Return which samples (n) have a factor that readings determine, and so one reading fewer for all else."""
-        return np.logical_and(self.throttled, self.lit.any(axis=1))
+        return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
     def place(self, kind: str) -> list[int]:
         """Return where the unknowns of a kind stand among its own."""
@@ -256,16 +256,39 @@ class PanelPowers(Term):
 
         That is relative to no power at all, so that panels turned away say nothing.
         """
-        power = self.response.power(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
-        if self.throttled:
-            power = self.best_factor(power)[0] * power
-        log_noise = self.log_noise(u)
-        sigma = self.sigma * np.exp(log_noise)[:, None, None]
+        each = np.where(self.used, self._log_densities(self.predicted(states, u), u), 0.0)
+        return each.sum(axis=(1, 2)) + self.free_factors.sum(axis=-1) * self.log_noise(u)
+
+    def _log_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n, p) of each reading if these powers (K, n, p) are predicted."""
+        sigma = self.sigma * np.exp(self.log_noise(u))[:, None, None]
         lit = -0.5 * ((self.power - power) / sigma) ** 2 - np.log(sigma) - LOG_2PI / 2
         dark = log_ndtr((self.threshold - power) / sigma) - log_ndtr(self.threshold / sigma)
         good = np.where(self.lit, lit, dark) + np.log1p(-SPOILT)
-        each = np.where(self.used, np.logaddexp(good, self._spoilt), 0.0)
-        return each.sum(axis=(1, 2)) + self.free_factors.sum() * log_noise
+        return np.logaddexp(good, self._spoilt)
+
+    def predicted(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return powers (K, n, p) of motions, with the best factors of throttled samples."""
+        power = self.response.power(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        return self.best_factor(power)[0] * power if self.throttled else power
+
+    # ---- what a check of the draws asks ------------------------------------------------------------------------------------
+
+    def outlier_probability(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the probability (n, p), in the mean of motions, that a reading is not of the Sun; zero for those not used."""
+        spoilt = np.exp(self._spoilt - self._log_densities(self.predicted(states, u), u))
+        return np.where(self.used, np.minimum(spoilt.mean(axis=0), 1.0), 0.0)
+
+    def replicated(self, states: States, u: np.ndarray, rng: np.random.Generator) -> PanelPowers:
+        """Return panels with readings (K, n, p) drawn for each motion, as the model makes them: noise, and outliers."""
+        power = self.predicted(states, u)
+        noise = self.sigma * np.exp(self.log_noise(u))[:, None, None]
+        value = np.where(power > 0, power + noise * rng.standard_normal(power.shape), 0.0)
+        is_dark = rng.random(power.shape) < SPOILT_DARK
+        anything = rng.random(power.shape) * SPOILT_LARGEST * self.largest
+        outlier = rng.random(power.shape) < SPOILT
+        value = np.where(outlier, np.where(is_dark, 0.0, anything), value)
+        return replace(self, power=value)
 
     # ---- what a search asks ------------------------------------------------------------------------------------------------
 
