@@ -101,7 +101,8 @@ def posterior(
         Upper limits: `max_rate_rad_s`, the ball in which rates are uniform; `steady_torque`, the largest rotation over the samples
         by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each
         moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In rad:
-        `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. Default: what the vehicle file
+        `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of each
+        sample. Default: what the vehicle file
         states, else the values in :mod:`sunspin.estimation.settings`; the attributes of the result say which.
     seed : int
         The same seed gives the same result to 1e-9 for any number of workers.
@@ -134,9 +135,6 @@ def posterior(
         Priors, observations or a window that make no sense; too few samples.
     """
     _require_whole(seed, draws)
-    if off_s := (priors or {}).get("time_s"):
-        what = "errors of the times of samples are not modelled"
-        raise InputError(what, got=f"time_s {off_s}", do="leave the prior time_s out")
     streams = [np.random.default_rng(one) for one in np.random.SeedSequence(seed).spawn(8)]
     nominal = searched(
         vehicle,
@@ -339,7 +337,7 @@ def _about(
         "max_rate_rad_s": place.given,
         "searched_rate_rad_s": float(place.limit),
         "torques": "[]",
-        "time_sigma_s": 0.0,
+        "time_sigma_s": model.panels.time_s,
     }
 
 
