@@ -127,7 +127,11 @@ def test_draws_hold_the_true_rate_and_the_result_decides(result):
 
 def test_results_do_not_depend_on_the_number_of_workers(result):
     craft = box()
-    again = posterior(craft, telemetry_of(craft), PRIORS, workers=2, settings=FEW)
+    lines: list[str] = []
+    again = posterior(
+        craft, telemetry_of(craft), PRIORS, workers=2, progress=lines.append, settings=FEW
+    )
+    assert lines[0].startswith("searching") and "under 1 models" in lines[1]
     for name in ("omega_B", "log_likelihood_sum", "inertia_zz"):
         expected = result["posterior"][name].values
         np.testing.assert_allclose(again["posterior"][name].values, expected, rtol=1e-9)

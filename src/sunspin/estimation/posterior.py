@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.special import logsumexp
+from tqdm import tqdm
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance, with_units
@@ -87,6 +89,7 @@ def posterior(
     wheel_mode: str | Sequence[str] = "coast",
     draws: int = 4000,
     workers: int | None = None,
+    progress: bool | Callable[[str], None] = False,
     periods: Sequence[PeriodSeen] = (),
     settings: PosteriorSettings = POSTERIOR,
 ) -> xr.DataTree:
@@ -115,6 +118,8 @@ def posterior(
         Draws in the result.
     workers : int, optional
         Threads, by default one per core.
+    progress : bool, or a function of a line
+        Say on the standard error what is being done; a function is called with each line instead.
     periods : list, optional
         Periods seen from outside: the group `period` says what they decide; the draws stay as they are.
     settings : PosteriorSettings
@@ -136,6 +141,8 @@ def posterior(
     """
     _require_whole(seed, draws)
     streams = [np.random.default_rng(one) for one in np.random.SeedSequence(seed).spawn(8)]
+    say = progress if callable(progress) else _written if progress else _unsaid
+    say("searching every motion that the readings allow")
     nominal = searched(
         vehicle,
         telemetry,
@@ -150,25 +157,7 @@ def posterior(
     )
     budget = Budget(settings.motions)
     budget.spend(nominal.carrier.fitted)
-    reach_s = LanderTarget(nominal.fit.model).reach_s
-
-    # Other models begin with the motions of the nominal one. A torque of a few degrees over the samples is taken up by inertia and
-    # friction, so readings that fit do not exclude it: what it leaves in doubt is in the draws.
-    torques = under_torques(nominal, priors)
-    fits = [nominal.fit, *(refitted(other, nominal) for other in torques)]
-    drawn = sampled(fits, nominal, streams[:3], budget)
-    mix = drawn.mixture(reach_s, settings)
-
-    # Where no motion of the nominal model fits, a torque may hide the true one: search under each from the first samples on. If
-    # motions were left out before, one of these may fit without a torque.
-    if torques and nominal.carrier.complete and not explains(drawn, reach_s, settings):
-        if nominal.carrier.fitted > settings.long_search or budget.exhausted():
-            drawn.doubts.append(NO_TORQUES)
-        else:
-            more = [with_motions(other, nominal, settings) for other in torques]
-            again = sampled([nominal.fit, *more], nominal, streams[3:6], budget, drawn.draws[0])
-            drawn, mix = again, again.mixture(reach_s, settings)
-
+    doubts, mix = under_all_models(nominal, priors, streams, budget, say)
     picked = resampled(mix.draws.log_weight, draws, streams[6])
     checked, outliers = mix.checked(picked, streams[7], settings.sampling)
     place, model = nominal.place, nominal.fit.model
@@ -178,7 +167,7 @@ def posterior(
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
-    doubts = [*likeliest.notes, *drawn.doubts, *_limits(mix, picked, searched_rad_s)]
+    doubts = [*likeliest.notes, *doubts, *_limits(mix, picked, searched_rad_s)]
     if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
         cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
         doubts.append(f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0; {cure}")
@@ -204,6 +193,38 @@ def posterior(
         start_s = nominal.window.start_s + place.after_s
         tree["period"] = draws_by_periods(mix, picked, tree, periods, start_s)
     return with_units(tree)
+
+
+def under_all_models(
+    nominal: Searched,
+    priors: Mapping[str, Any] | None,
+    streams: Sequence[np.random.Generator],
+    budget: Budget,
+    say: Callable[[str], None],
+) -> tuple[list[str], Mixture]:
+    """Return doubts in words, and draws of the nominal model and of those with a constant torque, from a stream each (6)."""
+    settings, reach_s = nominal.carrier.settings, LanderTarget(nominal.fit.model).reach_s
+
+    # Other models begin with the motions of the nominal one. A torque of a few degrees over the samples is taken up by inertia and
+    # friction, so readings that fit do not exclude it: what it leaves in doubt is in the draws.
+    torques = under_torques(nominal, priors)
+    say(
+        f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
+    )
+    fits = [nominal.fit, *(refitted(other, nominal) for other in torques)]
+    drawn = sampled(fits, nominal, streams[:3], budget)
+    mix = drawn.mixture(reach_s, settings)
+    if not (torques and nominal.carrier.complete) or explains(drawn, mix, reach_s, settings):
+        return drawn.doubts, mix
+
+    # Where no motion of the nominal model fits, a torque may hide the true one: search under each from the first samples on. If
+    # motions were left out before, one of these may fit without a torque.
+    if nominal.carrier.fitted > settings.long_search or budget.exhausted():
+        return [*drawn.doubts, NO_TORQUES], mix
+    say("no motion explains the readings: searching under constant torques")
+    more = [with_motions(other, nominal, settings) for other in torques]
+    again = sampled([nominal.fit, *more], nominal, streams[3:6], budget, drawn.draws[0])
+    return again.doubts, again.mixture(reach_s, settings)
 
 
 def sampled(
@@ -250,17 +271,16 @@ def sampled(
     return drawn
 
 
-def explains(drawn: Drawn, reach_s: float, settings: PosteriorSettings) -> bool:
+def explains(drawn: Drawn, mix: Mixture, reach_s: float, settings: PosteriorSettings) -> bool:
     """Return whether the nominal model explains the readings: they are likely under it, and no other is far likelier."""
     rng = np.random.default_rng(0)
     alone = Drawn(drawn.fits[:1], drawn.draws[:1], []).mixture(reach_s, settings)
     picked = resampled(alone.draws.log_weight, settings.checked_draws, rng)
     checked, _ = alone.checked(picked, rng, settings.sampling)
-    share = float(drawn.mixture(reach_s, settings).probability[0])
     return bool(
         checked.p > settings.explains_p
         and abs(checked.noise_sigmas) < settings.explains_noise
-        and share > settings.explains_probability
+        and mix.probability[0] > settings.explains_probability
     )
 
 
@@ -305,6 +325,15 @@ def _nothing_drawn(model: LanderModel) -> InputError:
         got=f"max_rate_rad_s {model.max_rate:.3g}",
         do=f"give --prior max_rate_rad_s={2 * model.max_rate:.2g}",
     )
+
+
+def _written(line: str) -> None:
+    """Write a line on the standard error, above any progress bar."""
+    tqdm.write(f"sunspin: {line}", file=sys.stderr)
+
+
+def _unsaid(_: str) -> None:
+    """Say nothing."""
 
 
 def _require_whole(seed: Any, draws: Any) -> None:
@@ -486,7 +515,10 @@ def refitted(carrier: Shooting, nominal: Searched) -> ShotFit:
 
     All begin with which the search ended, also those far worse than the best: under another model they may fit.
     """
-    return carrier.curved(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
+    fit = carrier.curved(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
+    # what the search left out, this model misses too
+    notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
+    return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
 
 
 def _renamed(model: LanderModel, nominal: Searched) -> Shots:
