@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimation.model import Body, Model, Noise
 from sunspin.estimation.observe import observe
 from sunspin.estimation.orbit.judged import judged_orbit
-from sunspin.estimation.rates import rates
+from sunspin.estimation.rates import doubts_of, rates
 from sunspin.estimation.settings import RATES
 from sunspin.estimation.starts import fine_up_to
 from sunspin.estimation.verdict import more_effort, slower
@@ -81,6 +83,18 @@ def test_with_the_largest_rate_that_is_named_the_starts_are_fine_enough():
     assert np.isfinite(fine(1.0)) and fine(limit) == np.inf and np.isfinite(fine(1.02 * limit))
 
 
+def test_a_coarse_search_is_told_with_the_largest_rate_that_makes_it_fine():
+    vehicle, data, _ = fast_body(60.0, np.random.default_rng(5), samples=5)
+    coarse = rates(vehicle, data, max_rate_rad_s=1.0, acceleration_noise=1e-5, effort=1e-9)
+    why = str(coarse["why_not_decided"].values[0])
+    assert "coarse search, a solution may be missing" in coarse.attrs["verdict"]
+    assert "coarse: if no rate" in why and not coarse["decided"].values[0]
+    limit = np.degrees(coarse.attrs["fine_up_to_rad_s"])
+    for text in (coarse.attrs["verdict"], why):
+        named = printed(r"faster than ([\d.]+) deg/s, give it", text)
+        assert named == pytest.approx(limit, rel=1e-3)
+
+
 @pytest.mark.parametrize("way", ["speed_rad_s", "speed_column", "left out"])
 def test_a_wheel_whose_speed_is_stated_is_not_warned_of(way):
     data, _ = seen([0.01, 0.012, -0.01])
@@ -141,6 +155,54 @@ def test_a_body_whose_inertia_is_stated_is_decided():
     assert not (unknown["decided"].values[0] and wrong.any())
     asked = "GIVE ITS INERTIA" in unknown.attrs["verdict"]
     assert asked is ("give its inertia" in str(unknown["why_not_decided"].values[0]))
+
+
+def test_a_body_whose_changing_rates_do_not_fit_a_sphere_is_asked_for_its_inertia():
+    """A long body that nutates at 5.8 deg/s; without an inertia only torques that no satellite has explain it."""
+    body = replace(CUBE, inertia_kg_m2=np.diag([0.036, 0.036, 0.0065]))
+    t_s = np.cumsum(np.random.default_rng(0).uniform(20, 24, 16))
+    data, _ = seen([0.06, -0.02, 0.08], t_s, body)
+    unknown = rates(replace(body, inertia_kg_m2=None), data, max_rate_rad_s=0.15)
+    assert "GIVE ITS INERTIA" in unknown.attrs["verdict"] and unknown.attrs["no_sphere"] == 1
+    assert "give its inertia" in str(unknown["why_not_decided"].values[0])
+    assert not unknown["decided"].values[0]
+    known = rates(body, data, max_rate_rad_s=0.15)
+    assert "INERTIA" not in known.attrs["verdict"] and known["decided"].values[0]
+
+
+@pytest.mark.parametrize(
+    ("noise", "sphere", "stated", "asked"),
+    [
+        (1e-3, True, False, True),  # as strong as no satellite has
+        (9e-4, True, False, False),
+        (9e-4, False, False, False),
+        (1e-3, False, False, False),  # the inertia is known
+        (1e-3, True, True, False),  # the strength is stated
+    ],
+)
+def test_strong_torques_of_a_body_without_an_inertia_ask_for_it(noise, sphere, stated, asked):
+    vehicle = replace(CUBE, inertia_kg_m2=None) if sphere else CUBE
+    data, _ = seen([0.01, 0.012, -0.01], np.arange(0.0, 60.0, 5.0))
+    obs = observe(assess(vehicle, data)).obs
+    model = Model(obs, Body.of(vehicle), Noise(1e-4), 0.025)
+    result = xr.Dataset(attrs={"wheels_untold": ""})
+    fits: Any = [SimpleNamespace(cut=False)]
+    solved: Any = [SimpleNamespace(noise=np.array([noise]))]
+    words, counts = doubts_of(result, [model], fits, solved, not stated, 1.0, RATES)
+    assert ("give its inertia" in words[0]) is asked and counts["no_sphere"] == asked
+
+
+def test_weaker_torques_that_turn_a_sphere_far_between_samples_ask_for_its_inertia():
+    """9e-4 rad/s^1.5 turn it by 0.006 rad in 5 s and by 0.05 rad in 21 s."""
+    vehicle = replace(CUBE, inertia_kg_m2=None)
+    solved: Any = [SimpleNamespace(noise=np.array([9e-4]))]
+    fits: Any = [SimpleNamespace(cut=False)]
+    result = xr.Dataset(attrs={"wheels_untold": ""})
+    for apart_s, asked in ((5.0, 0), (20.0, 0), (22.0, 1)):
+        data, _ = seen([0.01, 0.012, -0.01], apart_s * np.arange(12))
+        model = Model(observe(assess(vehicle, data)).obs, Body.of(vehicle), Noise(1e-4), 0.025)
+        counts = doubts_of(result, [model], fits, solved, True, 1.0, RATES)[1]
+        assert counts["no_sphere"] == asked
 
 
 @pytest.mark.long

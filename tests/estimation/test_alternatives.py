@@ -10,10 +10,11 @@ from sunspin.estimation.alternatives import alternatives, without_readings
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.chain import Whitening, costs
 from sunspin.estimation.evidence import ladder
-from sunspin.estimation.model import AS_STATED, Noise, Observations, Track
+from sunspin.estimation.model import AS_STATED, Body, Model, Noise, Observations, Track
 from sunspin.estimation.rates import one_pass
 from sunspin.estimation.settings import RATES
-from sunspin.estimation.swings import log_mean_likelihood
+from sunspin.estimation.solutions import solutions
+from sunspin.estimation.swings import SWINGS, log_mean_likelihood
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.term import facing
 from tests.estimation.test_chain import problem
@@ -94,6 +95,37 @@ def test_a_body_that_wanders_far_has_readings_that_do_not_know_each_other():
     far = log_mean_likelihood(obs, np.array([10.0]))[0]
     alone = [log_mean_likelihood(obs.take(slice(k, k + 1)), np.array([1.0]))[0] for k in (0, 1)]
     assert np.isclose(far, sum(alone), atol=0.01)
+
+
+def solutions_of(sun, sigma):
+    """Return the solutions of directions (n, 3) of the Sun in a sphere, read to `sigma` rad every minute."""
+    rng = np.random.default_rng(8)
+    read = sun + sigma * rng.normal(size=sun.shape)
+    obs = readings(read / np.linalg.norm(read, axis=1, keepdims=True), sigma, 60.0)
+    sphere = Body(np.eye(3), np.zeros((0, 3, 3)))
+    model = Model(obs, sphere, Noise(1e-4), np.radians(1.5))
+    fits = one_pass(model, RATES, Budget(np.inf))
+    return solutions(fits, obs, np.arange(len(obs)), RATES.solutions, RATES.search)
+
+
+def test_an_oscillation_is_not_taken_for_a_rotation():
+    """A body about rest that wanders by 0.15 rad a minute: by single motions it rotates at 0.15 deg/s, five sigmas from rest."""
+    rng, ways = np.random.default_rng(2), [Rotation.identity()]
+    for _ in range(19):
+        ways.append(Rotation.from_rotvec(0.15 * rng.normal(size=3)) * ways[-1])
+    solved = solutions_of(np.array([way.apply([0.36, 0.48, 0.8]) for way in ways]), 0.05)
+    assert solved.model[0] == SWINGS and solved.probability[0] > 0.9
+    assert np.all(np.abs(solved.mean[0]) < 2 * solved.mean_sigma[0])
+    assert np.all(solved.mean_sigma[0] > np.radians(0.05))
+
+
+def test_a_rotation_is_not_taken_for_an_oscillation():
+    rate = np.radians([0.6, -0.5, 0.8])
+    turns = Rotation.from_rotvec(-60.0 * np.arange(10)[:, None] * rate)
+    solved = solutions_of(turns.apply([0.36, 0.48, 0.8]), 0.1)
+    assert solved.model[0] != SWINGS and solved.probability[0] > 0.9
+    assert np.all(np.abs(solved.mean[0] - rate) < np.radians(0.05))
+    assert np.all(solved.mean_sigma[0] < np.radians(0.05))
 
 
 def test_a_step_is_strong_torque_in_its_interval_alone():

@@ -42,6 +42,11 @@ def calibrated(case, monkeypatch, verdict=Verdict.FITS):
     return calibrate_sensors(case.vehicle, case.telemetry, orbit_of(case))
 
 
+@pytest.mark.evidence(
+    "calibrate_sensors",
+    "modelled",
+    "simulated sensors in orbit with known errors, and without errors",
+)
 @pytest.mark.parametrize("off", [1.0, 0.0])
 def test_errors_of_sensors_are_found_within_sigmas_and_a_good_sensor_stays(off, monkeypatch):
     case = few(off)
@@ -62,6 +67,9 @@ def test_errors_of_sensors_are_found_within_sigmas_and_a_good_sensor_stays(off, 
     assert shapes["matrix"] == (3, 3) and shapes["zero"] == (3,) and shapes["gain_W"] == ()
 
 
+@pytest.mark.evidence(
+    "calibrate_sensors", "modelled", "a simulated magnetometer with known zero, scale and matrix"
+)
 def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
     """Its y is reversed, so a zero of the reversed column has the opposite sign."""
     case = calibration_case(1, 0, gyro=False)
@@ -116,6 +124,11 @@ def test_without_an_orbit_only_the_panels_are_calibrated():
         calibrate_sensors(case.vehicle, nothing)
 
 
+@pytest.mark.evidence(
+    "calibrate_sensors",
+    "modelled",
+    "a simulated gyro with known zero and scale, and rates estimated without it",
+)
 def test_a_gyro_is_calibrated_by_rates_estimated_without_it():
     rng = np.random.default_rng(1)
     off = []

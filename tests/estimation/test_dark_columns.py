@@ -5,7 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from sunspin.estimation.budget import Budget
+from sunspin.estimation.columns import check_columns
 from sunspin.estimation.rates import rates
+from sunspin.estimation.settings import RATES
+from sunspin.estimation.verdict import rates_words
+from sunspin.telemetry.assess import assess
 from validation.passes import make
 
 CASE = "exchanged, six panels", 0, 12
@@ -15,6 +20,11 @@ CASE = "exchanged, six panels", 0, 12
 @pytest.fixture(scope="module")
 def spinner():
     return make(*CASE)
+
+
+def fail(*_):
+    """Stand for a whole estimate, for which no budget is left."""
+    raise AssertionError("estimated without a budget")
 
 
 def estimate(simulated, telemetry):
@@ -33,6 +43,16 @@ def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fit
     np.testing.assert_allclose(right["omega_deg_s"], np.degrees(spinner.omega[at]), atol=0.3)
     # the mirror of that motion, with the columns that look the same, is all else that is named
     assert set(named) - {right["what"]} == {"the columns of panels +x and +y exchanged"}
+
+
+def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
+    """A file that fits, so that nothing but its dark columns is tried."""
+    as_given = assess(spinner.vehicle, spinner.telemetry)
+    result = rates(spinner.vehicle, as_given, max_rate_rad_s=spinner.max_rate_rad_s)
+    checked = check_columns(result, as_given, None, fail, False, RATES, Budget(0.0))
+    assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
+    assert checked.attrs["column_tests_cut"] == 1
+    assert "not every other order of columns was tried" in rates_words(checked)
 
 
 def test_a_right_file_with_dark_columns_is_not_accused(spinner):

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimation.chain import Whitening
-from sunspin.estimation.dense import curve, filled
+from sunspin.estimation.dense import curve, filled, residuals_by_sensor
 from sunspin.estimation.model import Body, Model, Noise, Observations, Track
 from sunspin.estimation.observe import HELD, observe, thinned, wheel_models, with_momentum
 from sunspin.estimation.settings import RATES
+from sunspin.estimation.terms.field import FieldChange
+from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 from tests.support.vehicles import LOWER_CASE_FACES
@@ -138,6 +140,26 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, 
     still = known(ends, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
     track = filled(ends, still, t_s, np.zeros((3, 3)), np.array([noise])).track
     np.testing.assert_allclose(np.diag(track.covariance[0, 1]), np.diag(both), rtol=1e-6)
+
+
+def test_revolutions_between_kept_samples_contradict_the_magnetometer_there(tumble):
+    """Each sensor must fit at all samples: at the kept ones such a motion reads as the true one does."""
+    _, run, model, kept = tumble
+    attitude, rng = attitudes(run), np.random.default_rng(5)
+    field = attitude @ [0.6, 0.0, 0.8] + 0.02 * rng.normal(size=(len(attitude), 3))
+    compared = FieldChange(model.obs.t_s, field, 0.02, drift_N=np.zeros((len(field), 0, 3)))
+    obs = replace(model.obs, terms=(*model.obs.terms, compared.of_pass(model.obs.t_s)))
+    whole = replace(model, obs=obs)
+    truth = filled_from(whole, kept, attitude, run["omega_B"].values).track
+    # one revolution more about z between every two kept samples, and none at them
+    phase = np.interp(obs.t_s, obs.t_s[kept], np.arange(len(kept))) % 1.0
+    more = rotate_attitude(truth.attitude, 2 * np.pi * phase[:, None] * [0.0, 0.0, 1.0])
+    shares = []
+    for track in (truth, replace(truth, attitude=more)):
+        residual = residuals_by_sensor(obs, whole.seeing(kept), track, kept)["magnetometer"][0]
+        assert np.isfinite(residual).sum() > 7 * len(kept)
+        shares.append(np.nanmean(residual > 3))
+    assert shares[0] < 0.05 and shares[1] > 0.5
 
 
 @pytest.mark.evidence("rates", "modelled", "the true mean rate of a simulated dense pass")

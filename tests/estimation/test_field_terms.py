@@ -100,6 +100,9 @@ TERMS = {
 }
 
 
+@pytest.mark.evidence(
+    "rates", "verified", "finite differences of the cost of panels, gyro, magnetometer and attitude"
+)
 @pytest.mark.parametrize("late", [False, True], ids=["prompt", "late"])
 @pytest.mark.parametrize("name", TERMS)
 def test_the_slope_of_the_cost_is_that_of_differences(name, late):

@@ -19,6 +19,7 @@ from sunspin.estimation.rates import along_the_sun, no_faster, rates
 from sunspin.estimation.settings import FIELD_TURN, RATES
 from sunspin.estimation.terms.field import FieldChange, KnownField
 from sunspin.estimation.terms.panels import Panels
+from sunspin.estimation.verdict import COLUMNS_UNCHECKED
 from sunspin.output.export import build_attitude
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.synthetic import telemetry_dataset
@@ -183,6 +184,8 @@ def test_rates_of_a_field_alone_are_right_and_the_sun_is_unknown():
         assert np.isnan(result["sun_B"].values).all()
         assert np.isfinite(result["field_direction_B"].values).all()
         assert "NO ORBIT" in result.attrs["verdict"] and result.attrs["field_used"] == 1
+        # a reversed axis of the sensor would fit with the mirrored motion
+        assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
     assert np.abs(pulls).max() < 4
 
 

@@ -1,5 +1,6 @@
 """`rates` from end to end on simulated passes: the truth lies where the sigmas say, and no result hangs on workers."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +41,15 @@ def test_two_passes_cover_the_truth_whatever_the_workers():
     sigma = np.sqrt(np.einsum("nii->ni", alone["omega_cov_B"].values))
     pull = (alone["omega_B"].values - truth) / sigma
     assert np.abs(pull).max() < 5 and np.sqrt((pull**2).mean()) < 2
+
+
+def test_a_bar_of_passes_is_shown_if_progress_is_asked_for(capsys):
+    vehicle, telemetry, _ = two_passes()
+    rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, workers=1)
+    assert "rates:" not in capsys.readouterr().err
+    rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, workers=1, progress=True)
+    shown = re.findall(r"rates: .* (\d)/2 ", capsys.readouterr().err.replace("\r", "\n"))
+    assert shown[0] == "0" and shown[-1] in "12"
 
 
 def test_one_pass_of_a_file_can_be_asked_for():

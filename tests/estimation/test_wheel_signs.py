@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import sunspin as ss
 from sunspin.estimation.carry import nutation
+from sunspin.estimation.columns import samples_of
 from sunspin.estimation.model import Body
-from sunspin.estimation.observe import HELD, wheel_models
+from sunspin.estimation.observe import COASTING, HELD, cut, wheel_models
 from sunspin.estimation.rates import rates
 from sunspin.estimation.wheel_signs import WRAPPED_RAD, momentum_of_each, reversed_momenta
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
@@ -35,6 +37,21 @@ def one_wheel(speed_rad_s):
     """Return the cube with a wheel about y of this nominal speed."""
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=speed_rad_s)
     return replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
+
+
+def test_the_wheel_of_a_later_pass_coasts_from_the_first_sample_of_the_file():
+    friction = ss.Friction(coulomb_N_m=2e-6)
+    wheel = ss.Wheel("w", [0, 1, 0], 3e-4, speed_rad_s=40.0, friction=friction)
+    craft = replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
+    data = xr.Dataset(coords={"time": np.concatenate([np.arange(8.0), 3600 + np.arange(8.0)])})
+    result = xr.Dataset({"pass_of": ("time", np.repeat([0, 1], 8))}, {"time": data["time"]})
+    later = samples_of(result, data, 1)
+    whole, part = wheel_models(craft, data), wheel_models(craft, later)
+    again = wheel_models(craft, cut(later, np.arange(4, 8)))
+    assert set(part) == set(whole) == {HELD, COASTING}
+    np.testing.assert_allclose(part[COASTING], whole[COASTING][8:])
+    np.testing.assert_allclose(again[COASTING], whole[COASTING][12:])
+    assert whole[COASTING][8, 1] < 0.6 * whole[HELD][8, 1]  # it lost speed before the later pass
 
 
 def test_momenta_of_wheels_add_up_and_lie_along_their_axes():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from sunspin.base.errors import InputError
 from sunspin.estimation import windows
+from sunspin.estimation.observe import COAST_FROM
 from sunspin.estimation.windows import FEWEST_WINDOWS, rates_in_windows
 from sunspin.output.windows import window_drawings, window_lines, window_numbers, window_tables
 from sunspin.vehicle import Vehicle, Wheel
@@ -120,6 +122,21 @@ def test_a_pass_that_does_not_fit_is_given_in_windows(controlled):
     assert window_numbers(found)["windows"][0]["samples"] == int(found["window_samples"].values[0])
     (drawing,) = window_drawings(found.assign_attrs(vehicle="cube"))
     assert len(drawing.make().axes) == 3
+
+
+def test_windows_are_given_the_time_from_which_wheels_of_the_file_coast(controlled, monkeypatch):
+    made, result = controlled
+    given = []
+
+    def fail(vehicle, telemetry, **options):
+        given.append(telemetry)
+        raise InputError("no motion")
+
+    monkeypatch.setattr(windows, "rates", fail)
+    before = made.telemetry.assign_coords(time=made.telemetry["time"] - 3600.0)
+    both = xr.concat([before, made.telemetry], "time")
+    assert rates_in_windows(made.vehicle, both, result) is result
+    assert given[0].sizes["time"] == 28 and given[0].attrs[COAST_FROM] == -3600.0
 
 
 def test_a_result_that_fits_is_returned_as_it_is():

@@ -12,8 +12,8 @@ from typing import Self
 import numpy as np
 
 BATCH = 250
-"""Motions that go together take as long as so many more: about 6 microseconds each, and 1.5 ms for what surrounds them. Measured on
-the template, skCUBE and four faces: of smoothing and shooting, of few and of many hypotheses, within a factor of two."""
+"""Motions that go together take as long as so many more: about 6 microseconds each, and 1.5 ms for what surrounds them, within a
+factor of two."""
 
 
 class Effort:

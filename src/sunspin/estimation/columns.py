@@ -1,9 +1,9 @@
 """Which column is which: whether the motion confirms columns, axes and signs, and what is said if it does not.
 
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
-the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. They are also
-tried on a file of panels alone that fits, if it needs strong torques, if its samples, each by itself, fit other columns far better,
-or if two columns were hardly ever lit.
+the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
+panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
+better; or two columns were hardly ever lit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from sunspin.estimation.equivalence import (
 )
 from sunspin.estimation.images import SAME_SIGMAS
 from sunspin.estimation.model import Body, Model, Noise
-from sunspin.estimation.observe import observe, split, wheel_models, with_momentum
+from sunspin.estimation.observe import cut, observe, split, wheel_models, with_momentum
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
 from sunspin.estimation.verdict import (
@@ -89,13 +89,17 @@ def check_columns(
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
+    others_tried = False
     if again is not None and (not fits or _may_hide_exchange(result, observed, telemetry)):
         result = _with_other_columns(result, observed, telemetry, again, settings, tests)
-        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+        others_tried = True
     if again is not None and fits and "columns_doubt" not in result.attrs:
         trials = _trials_of(result, np.inf, again, settings, tests)
         result = _with_dark_columns(result, observed, telemetry, trials)
-    return _with_doubted_wheels(result, doubt, observed, telemetry)
+    # both kinds of tests share a budget
+    if others_tried or tests.cut:
+        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
 
 
 def what_was_observed(
@@ -287,12 +291,16 @@ def _trials_of(
 
 
 def _with_doubted_wheels(
-    result: xr.Dataset, doubt: Reversed | None, observed: Observed, telemetry: xr.Dataset
+    result: xr.Dataset,
+    doubt: Reversed | None,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    others_tried: bool,
 ) -> xr.Dataset:
     """Return the result with nothing decided if the sign of a wheel is in doubt.
 
     Unless another change fits, the wheel is named with all changes that look the same. If it does not fit either, and all others
-    were tried, no change is named.
+    were tried (`others_tried`), no change is named.
     """
     if doubt is None:
         return result
@@ -300,8 +308,7 @@ def _with_doubted_wheels(
     if "columns_doubt" in result.attrs:
         return result
     change = wheel_change(observed.vehicle, doubt.wheels)
-    column_tests_ran = "column_tests_cut" in result.attrs
-    if not doubt.fits and column_tests_ran:
+    if not doubt.fits and others_tried:
         return result.assign_attrs(
             columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
             "single change of columns or signs explains them"
@@ -364,4 +371,4 @@ def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
     """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
     times, first = np.unique(telemetry["time"].values, return_index=True)
     used = result["time"].values[result["pass_of"].values == k]
-    return telemetry.isel(time=first[np.isin(times, used)])
+    return cut(telemetry, first[np.isin(times, used)])

@@ -49,6 +49,9 @@ MEASURED = "measured"
 HELD = "held at the nominal speed"
 COASTING = "coasting from the nominal speed at the first sample"
 
+COAST_FROM = "coast_from_s"
+"""Attribute of samples that were cut out of a file: time of the file's first sample, from which its wheels may coast."""
+
 
 @dataclass(frozen=True)
 class FileReadings:
@@ -321,6 +324,16 @@ def _why_unused(seen: FileReadings) -> str:
     return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
+def cut(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
+    """Return some samples of a file (indices), whose wheels still coast from the first sample of the whole file."""
+    return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})
+
+
+def _coast_from_s(telemetry: xr.Dataset) -> float:
+    """Return the time (s) of the first sample of the file that these samples are, or were cut out of."""
+    return float(telemetry.attrs.get(COAST_FROM, telemetry["time"].values[0]))
+
+
 def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
     """Return what the wheels may do, in words, with their momentum at each sample (n, 3) in mean moments times rad/s."""
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
@@ -342,7 +355,7 @@ def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> di
     if "wheel_speed_rad_s" in telemetry:
         return {MEASURED: _bridged(t_s, telemetry, nominal)}
     held = {HELD: np.broadcast_to(nominal, (len(t_s), len(nominal)))}
-    after_s = t_s - float(telemetry["time"].values[0])
+    after_s = t_s - _coast_from_s(telemetry)
     return held | (_coasting(vehicle, after_s) if nominal.any() else {})
 
 

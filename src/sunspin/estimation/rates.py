@@ -172,7 +172,8 @@ def rates(
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
-        Processes that estimate passes side by side; the result does not depend on it.
+        Processes that estimate passes side by side; the result does not depend on it. A script that asks for more than one needs
+        `if __name__ == "__main__":`.
     progress : bool, or a function of a line
         Show a progress bar of passes; a function is called once, when the inputs are accepted and the search begins.
     settings : RatesSettings

@@ -299,7 +299,11 @@ def believed(
         )
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # exchanged columns give a motion of the same size, so that a size confirms none
-        blind = set(by_sensor) <= {"Sun", RateSize.label}
+        # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion
+        alone = [term.label for term in one.obs.terms if isinstance(term, FieldDirection)] or [
+            "Sun"
+        ]
+        blind = set(by_sensor) <= {*alone, RateSize.label}
         checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
         solution = one.probability, omega, sigma, speed, four_answers, checked
         rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))

@@ -19,7 +19,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.estimation.columns import joined
 from sunspin.estimation.model import Body
-from sunspin.estimation.observe import wheel_models
+from sunspin.estimation.observe import cut, wheel_models
 from sunspin.estimation.rates import rates
 from sunspin.estimation.settings import RATES, RatesSettings
 from sunspin.vehicle import Vehicle
@@ -125,14 +125,14 @@ def _windows_of(
     inside = (time >= t_s[0]) & (time <= t_s[-1])
     # a hair more than the even length, which rounding might cut once more
     longest = float(t_s[-1] - t_s[0]) / pieces * (1 + 1e-9)
-    cut = replace(settings.passes, longest_s=longest, longest_field_s=longest)
+    of_windows = replace(settings.passes, longest_s=longest, longest_field_s=longest)
     try:
         found = rates(
             vehicle,
-            telemetry.isel(time=np.flatnonzero(inside)),
+            cut(telemetry, np.flatnonzero(inside)),
             gap_s=float(t_s[-1] - t_s[0]) + 1.0,
             column_tests=False,
-            settings=replace(settings, passes=cut),
+            settings=replace(settings, passes=of_windows),
             **options,
         )
     except InputError:
