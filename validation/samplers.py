@@ -169,13 +169,15 @@ def _state(shots: Shots) -> State:
 
 
 def fit_of(one: Hypothesis) -> tuple[ShotFit, np.ndarray]:
-    """Return the motions that were fitted under a model, and the part of a torque's sigma under which each was."""
+    """Return the motions (K) that were fitted under a model, and the part (K, m) of each sigma under which each was."""
     modes = one.modes
     motions = Shots(modes.state.omega, modes.state.sun, modes.state.u, modes.objective)
     least = 1e-9 * np.eye(modes.hessian.shape[1])
     mass = -modes.objective - np.linalg.slogdet(modes.hessian + least)[1] / 2
     fit = ShotFit(None, motions, modes.hessian, mass, modes.hits)  # ty: ignore[invalid-argument-type]
-    return fit, modes.share
+    under = np.ones_like(motions.u)
+    under[:, one.likelihood.model.where("steady_torque")] = modes.share[:, None]
+    return fit, under
 
 
 Made = tuple[Vehicle, xr.Dataset, dict[str, Any] | None]

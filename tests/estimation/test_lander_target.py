@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import sunspin as ss
+from sunspin.dynamics.torques import Steady
 from sunspin.estimation.lander_target import LanderTarget
+from sunspin.estimation.mixture import at_first_sample
 from sunspin.estimation.posterior import searched
+from sunspin.estimation.priors import constant_torques
 from sunspin.estimation.sample import sample
 from sunspin.estimation.shots import Shots
+from sunspin.estimation.terms.powers import SunStates
 from tests.estimation.test_lander_model import (
     OMEGA,
     PHILAE,
+    SUN,
     lander_model,
     lander_telemetry,
     nominal,
@@ -72,3 +80,54 @@ def test_draws_hold_the_true_rate():
     mean = np.average(speed, weights=weight)
     sigma = np.sqrt(np.average((speed - mean) ** 2, weights=weight))
     assert abs(mean - np.linalg.norm(OMEGA)) < 3 * sigma + 0.02
+
+
+def test_simulated_readings_fit_their_motion_as_well_as_real_ones():
+    """Real readings that were made by the model itself fit worse than about half of the simulated ones."""
+    model = lander_model()
+    shots = nominal(model, 400)
+    target = LanderTarget(model)
+    seen, rng = target.run(shots), np.random.default_rng(0)
+    states = SunStates.of(seen[..., :3], seen[..., 3:])
+    own = shots.u[:, model.of_panels]
+    made = model.panels.replicated(states, own, rng)
+    real = made.log_density(states, own)
+    worse = target.log_replicated(seen, shots.u, rng) <= real
+    assert np.mean(worse) == pytest.approx(0.5, abs=0.08)
+    # and far worse ones do not: all readings off by three sigmas
+    off = replace(model.panels, power=model.panels.power + 3 * model.panels.sigma)
+    worse = target.log_replicated(seen, shots.u, rng) <= off.log_density(states, own)
+    assert np.mean(worse) < 0.01
+
+
+def test_readings_far_from_the_prediction_are_outliers():
+    model = lander_model()
+    panels = model.panels
+    power = panels.power.copy()
+    sample, panel = np.argwhere(panels.lit)[0]
+    power[sample, panel] += 12 * panels.sigma[panel]
+    terms = tuple(replace(panels, power=power) if one is panels else one for one in model.obs.terms)
+    spoilt = replace(model, obs=replace(model.obs, terms=terms))
+    probability = LanderTarget(spoilt).outlier_probability(nominal(spoilt, 3))
+    assert probability[sample, panel] > 0.99
+    probability[sample, panel] = 0.0
+    assert probability.max() < 0.2
+    assert not probability[~panels.used].any()
+
+
+@pytest.mark.parametrize("frame", ["B", "N"])
+def test_motions_at_the_first_sample_lead_to_those_at_the_reference(frame):
+    """With the torque as it is given there, whether it is constant in the body or in space."""
+    model = next(one for one in constant_torques(lander_model(), {}) if one.frame == frame)
+    model = model.after(300.0, model.max_rate)
+    shots = nominal(model)
+    steady = model.places("steady_torque")
+    shots.u[:, steady] = [0.02, -0.03, 0.04]
+    first = at_first_sample(model, shots)
+    mean = np.trace(PHILAE.require_inertia()) / 3
+    torques = [Steady(mean * first.steady[0])]
+    run = ss.propagate(
+        PHILAE, first.omega[0], first.sun[0], first.wheels[0], [0.0, 300.0], torques=torques
+    )
+    np.testing.assert_allclose(run["omega_B"].values[1], OMEGA, atol=1e-5)
+    np.testing.assert_allclose(run["sun_B"].values[1], SUN, atol=1e-4)

@@ -329,7 +329,7 @@ def test_regions_of_two_models_are_one_if_they_differ_by_a_bend():
 def test_resampled_draws_are_proportional_to_the_weights():
     draws = of_model(0.0, [0.0], n=3)
     draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
-    picked = resampled(draws, 800, np.random.default_rng(0))
+    picked = resampled(draws.log_weight, 800, np.random.default_rng(0))
     assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
 
 

@@ -251,6 +251,21 @@ def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Chan
     return []
 
 
+def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
+    """Return whether panels alone tell which column is which: no change of columns looks the same as the file.
+
+    Wheels count at their nominal speed.
+    """
+    momenta = np.zeros((0, 1, 3))
+    if vehicle.inertia_kg_m2 is not None:
+        unit = np.trace(vehicle.inertia_kg_m2) / 3
+        momenta = np.array(
+            [w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels]
+        ).reshape(-1, 1, 3)
+    observed = replace(Observed.of(vehicle, telemetry, momenta=momenta), sensors=frozenset())
+    return not unseen_changes(observed, telemetry)
+
+
 def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
     """Return changes that exchange several pairs of columns, as a symmetry of all panels together exchanges the panels.
 

@@ -210,11 +210,17 @@ class LanderModel:
                 ("viscous_N_m_s", "viscous"),
             )
         }
-        # the kernel takes one torque in body axes and one in space
-        steady = np.zeros((len(u), 2, 3))
-        mean = np.trace(self.vehicle.require_inertia()) / 3
-        steady[:, 1 if self.frame == "N" else 0] = mean * self._deviation(u, "steady_torque", 3)
+        steady = self.steady_torques(u) * np.trace(self.vehicle.require_inertia()) / 3
         return replace(nominal, inertia_kg_m2=tensor, steady_N_m=steady, **factors)
+
+    def steady_torques(self, u: np.ndarray) -> np.ndarray:
+        """Return the constant torques (K, 2, 3) in body axes and in space, over the mean moment of inertia (rad/s2).
+
+        Both are given in the body axes of the reference.
+        """
+        steady = np.zeros((len(u), 2, 3))
+        steady[:, 1 if self.frame == "N" else 0] = self._deviation(u, "steady_torque", 3)
+        return steady
 
     def _exists(self, bodies: Bodies) -> np.ndarray:
         """Return which bodies (K) can exist.

@@ -116,6 +116,27 @@ class LanderTarget:
                     total = total - residual.law(residual.value)[0].sum(axis=1)
         return np.where(fine & np.isfinite(total), total, -np.inf)
 
+    def log_replicated(
+        self, seen: np.ndarray, u: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Return the log likelihood (K) of readings simulated from the motions, each set under its own motion."""
+        model, states = self.model, SunStates.of(seen[..., :3], seen[..., 3:])
+        of_panels = u[:, model.of_panels]
+        simulated = model.panels.replicated(states, of_panels, rng)
+        total = simulated.log_density(states, of_panels)
+        for term in model.given:
+            off = rng.standard_normal((len(u), int(term.explained)))
+            total = total - 0.5 * np.sum(off**2, axis=1)
+        return total
+
+    def outlier_probability(self, shots: Shots) -> np.ndarray:
+        """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
+        seen = self.run(shots)
+        fine = np.isfinite(seen).all(axis=(1, 2))
+        states = SunStates.of(seen[fine, :, :3], seen[fine, :, 3:])
+        own = shots.u[fine][:, self.model.of_panels]
+        return self.model.panels.outlier_probability(states, own)
+
     def log_prior(self, shots: Shots) -> np.ndarray:
         """Return the log prior density (K)."""
         return self.model.log_prior_density(shots)

@@ -209,7 +209,13 @@ def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPower
         ),
     )
     own = (*(x for x in unknowns if x.sigma > 0), *_tilts(vehicle, sources))
-    return replace(read, own=own, turns=panel_turns(vehicle, own))
+    time_s = sources.priors.get("time_s", 0.0)
+    require_not_negative(time_s, "the prior sigma of time_s must be zero (exact) or positive, in s")
+    if time_s and vehicle.throttled:
+        what = "the posterior does not know errors of times if panels are throttled"
+        raise InputError(what, got=f"time_s {time_s:g}", do="leave the prior time_s out")
+    sources.said["time_s"] = f"{time_s:g} s ({GIVEN if 'time_s' in sources.priors else ASSUMED})"
+    return replace(read, own=own, turns=panel_turns(vehicle, own), time_s=float(time_s))
 
 
 def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:

@@ -27,9 +27,6 @@ from sunspin.estimation.shots import SUN, UNKNOWNS, ShotFit, Shots
 from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 
-TORQUE = "steady_torque"
-"""Kind of the unknowns of a constant torque."""
-
 FIVE = 5
 """Directions of rate and Sun together."""
 
@@ -74,15 +71,33 @@ class Equations(NamedTuple):
 class Target(Protocol):
     """A posterior that is sampled: of one model, with K motions evaluated at once.
 
-    `unknowns` (m) have a standard normal prior. Of these `standing` change the readings only, `bending` the motion. `reach_s`: time
-    from the reference to the farthest sample; `rate_max` (rad/s): largest rate.
+    Its unknowns have a standard normal prior.
     """
 
-    unknowns: tuple[Unknown, ...]
-    standing: np.ndarray
-    bending: np.ndarray
-    reach_s: float
-    rate_max: float
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the unknowns (m)."""
+        ...
+
+    @property
+    def standing(self) -> np.ndarray:
+        """Return the places of unknowns that change the readings only."""
+        ...
+
+    @property
+    def bending(self) -> np.ndarray:
+        """Return the places of unknowns that change the motion."""
+        ...
+
+    @property
+    def reach_s(self) -> float:
+        """Return the time from the reference to the farthest sample."""
+        ...
+
+    @property
+    def rate_max(self) -> float:
+        """Return the largest rate (rad/s)."""
+        ...
 
     def linearised(
         self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0
@@ -349,20 +364,20 @@ def ridges_of(
 ) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
-    A motion on the ridge of a more probable one becomes a component of its outer law. `under` (K): part of the sigmas of unknowns
-    with several sigmas (:attr:`Unknown.shares`) under which each motion was fitted.
+    A motion on the ridge of a more probable one becomes a component of its outer law. `under` (K, m): part of the sigma of each
+    unknown under which each motion was fitted, if it has several (:attr:`Unknown.shares`); default: the whole.
     """
     least = np.diag([target.rate_max**-2] * 3 + [1.0] * 2 + [0.0] * len(target.unknowns))
     covariance = np.linalg.inv(fit.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
-    under = np.ones(len(fit)) if under is None else under
+    under = np.ones_like(fit.motions.u) if under is None else under
     ridges: list[Ridge] = []
     for i in np.argsort(-mass, kind="stable"):
         if mass[i] < mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
         one = fit.motions.take([i])
-        sized = over_sizes(target, one, covariance[i], float(mass[i]), float(under[i]), s)
+        sized = over_sizes(target, one, covariance[i], float(mass[i]), under[i], s)
         for ridge in ridges:
             y, z = ridge.chart.coordinates(one)
             off = np.concatenate([y, z], axis=1)[0]
@@ -415,19 +430,19 @@ def over_sizes(
     centre: Shots,
     covariance: np.ndarray,
     mass: float,
-    under: float,
+    under: np.ndarray,
     s: SamplingSettings,
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Return log mass, step from the centre (D) and covariance (D, D) under each share that the sigmas of unknowns may have.
 
-    By linear theory from a fit `under` one share. Far beyond the fitted size it does not hold: a torque that turns the momentum
-    about the Sun is hardly seen, and would be put whole turns away. Such shares are left out.
+    By linear theory from a fit `under` one share of each unknown (m). Far beyond the fitted size it does not hold: a torque that
+    turns the momentum about the Sun is hardly seen, and would be put whole turns away. Such shares are left out.
     """
     found = [(mass, np.zeros(len(covariance)), covariance)]
     several = [one for one in target.unknowns if len(one.shares) > 1]
     for kind in dict.fromkeys(one.kind for one in several):
         places = np.array([i for i, one in enumerate(target.unknowns) if one.kind == kind])
-        fitted = under if kind == TORQUE else 1.0
+        fitted = float(under[places[0]])
         found = [
             sized
             for one in found

@@ -57,7 +57,7 @@ def sample(
         trace_ridge(target, ridge, int(count), rng, s)
     if budget is not None:
         budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
-    draws, weights = None, []
+    draws, weights, rounds = None, [], []
     for turn in range(s.rounds):
         counts = _counts(ridges, weights, s)
         for ridge, count in zip(ridges, counts, strict=True):
@@ -66,6 +66,7 @@ def sample(
         if budget is not None:
             budget.spend(float(counts.sum()) * s.warm_runs)
         draws, weights = pooled(ridges, s)
+        rounds.append((draws.evidence, draws.effective / len(draws), draws.tail))
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
         spent = budget is not None and budget.exhausted()
         if (turn and good) or spent or turn + 1 == s.rounds:
@@ -73,6 +74,7 @@ def sample(
         for ridge, own in zip(ridges, weights, strict=True):
             learn(ridge, own, rng, s)
     assert draws is not None
+    draws = replace(draws, rounds=np.array(rounds))
     if not np.isfinite(draws.evidence):
         return draws
     return replace(draws, outside=walked_out(target, ridges, weights, rng, s))
@@ -310,6 +312,7 @@ def mixed(
         pareto_tail(log_weight),
         float(logsumexp(log_weight)),
         float(sum(weight[m] * drawn[m].outside for m in kept)),
+        np.concatenate([one.rounds for one in drawn]),
     )
 
 
@@ -353,9 +356,9 @@ def _apart(
     return min(float(off @ np.linalg.solve(wider, off)), bent)
 
 
-def resampled(draws: Draws, n: int, rng: np.random.Generator) -> np.ndarray:
+def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
     """Return the indices (n) of draws of equal weight, systematically chosen and in random order."""
-    return rng.permutation(_systematic(draws.log_weight, n, rng))
+    return rng.permutation(_systematic(log_weight, n, rng))
 
 
 def _systematic(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:

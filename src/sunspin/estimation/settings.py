@@ -687,9 +687,37 @@ class PosteriorSettings:
     grid: GridSettings = GridSettings()
     shooting: ShootingSettings = ShootingSettings()
     search: SearchSettings = SearchSettings(growth=1.5, places=1, more_places=0)
+    sampling: SamplingSettings = SAMPLING
     motions: float = 5e7
     """Motions carried over one interval between two samples, after which nothing that can be left out is begun: about five minutes
     of one core."""
+
+    hopeless: float = 12.0
+    """Log evidence below the best, by Laplace's method, at which an alternative model is not sampled."""
+
+    others_draws: float = 0.5
+    """Part of the draws for each model but the likeliest one."""
+
+    beyond: float = 2.0
+    """Times the cost that a true motion does not exceed: beyond it nothing fits, and draws only say by how much."""
+
+    beyond_draws: float = 0.1
+    """Part of the draws then, in two rounds."""
+
+    checked_draws: int = 400
+    """Draws of equal weight by which the nominal model is judged before motions under torques are searched for."""
+
+    explains_p: float = 0.05
+    """The nominal model explains the readings if simulated ones fit as badly with this probability,"""
+
+    explains_noise: float = 2.0
+    """the noise is within so many sigmas of its prior,"""
+
+    explains_probability: float = 0.1
+    """and alternative models leave it this probability."""
+
+    long_search: float = 400_000
+    """Motions times samples fitted, two minutes of one core, beyond which no search under torques follows: it takes four."""
 
 
 POSTERIOR = PosteriorSettings()

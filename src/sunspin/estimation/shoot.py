@@ -127,11 +127,12 @@ class Problem:
     def seen(self, shots: Shots, error_rad: float) -> tuple[np.ndarray, np.ndarray]:
         """Return what sensors see of motions (K, n, w), and which could be computed (K).
 
-        There are w = 3 numbers of the direction to the Sun. Three of the rate follow if other sensors than panels are read.
+        There are w = 3 numbers of the direction to the Sun. Three of the rate follow if times of samples may be off, or other
+        sensors than panels are read.
         """
         seen, fine = self.model.carried(shots, error_rad)
         every = np.concatenate([seen.sun_B, seen.omega], axis=2)
-        return (every if self.model.given else seen.sun_B), fine
+        return (every if self.model.given or self.model.panels.time_s else seen.sun_B), fine
 
     @property
     def difference_error(self) -> float:

@@ -71,6 +71,10 @@ class Shooting:
         self.notes: list[str] = list(place.notes)
         self.complete = not place.notes
         self.fitted = 0  # motions times samples
+        self.trace: list[
+            tuple[int, int, int]
+        ] = []  # samples of a window, motions fitted to it, and kept
+        self._asked = 0
 
     def of(self, model: LanderModel) -> Shooting:
         """Return the same for a model of the same readings under a constant torque."""
@@ -99,9 +103,14 @@ class Shooting:
         fitted = self._fitted(
             problem, motions, partial(fit_first, hopeless=hopeless, held=held), levels
         )
-        if held or window.stop - window.start <= s.held:
-            return fitted
-        return self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
+        if not held and window.stop - window.start > s.held:
+            fitted = self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
+        self._asked = len(motions)
+        return fitted
+
+    def note_window(self, window: slice, kept: Trials) -> None:
+        """Add a window to the trace: how many motions were fitted to it, and are kept."""
+        self.trace.append((window.stop - window.start, self._asked, len(kept)))
 
     def _fitted(
         self,

@@ -3,6 +3,9 @@
 A lit reading is the panel's power with Gaussian noise. A dark one says that noise keeps the power below the threshold: panels
 turned away say nothing. Any reading may, with a small probability, have nothing to do with the Sun: a shadow, a spike.
 
+The time of a sample may be off by `time_s` (one sigma): all its panels were read a little earlier or later than it says. That error
+is put at its best for each motion and integrated out by Laplace's method too.
+
 If a full battery throttles the panels, a sample has an unknown factor. It is put at its best for each motion (variable
 projection, Kaufman 1975) and integrated out: that leaves one power of the noise.
 """
@@ -19,8 +22,8 @@ from scipy.special import log_ndtr
 
 from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import SPOILT, SPOILT_DARK, SPOILT_LARGEST
-from sunspin.estimation.terms.term import Law, Residual, Term
-from sunspin.solve.rotations import cross, tangent_basis
+from sunspin.estimation.terms.term import Law, Residual, Term, gaussian
+from sunspin.solve.rotations import components_after_rotation, cross, tangent_basis
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
 
@@ -31,6 +34,9 @@ HALF_WEIGHT, ROUNDS = 5.0, 3
 
 MEAN_LIT_SINE = 2 / 3
 """Mean square of the sine of the angle between a normal and the Suns that light its panel."""
+
+TIME_STEPS, FAR_TIME = 3, 4.0
+"""Newton steps to the best error of a sample's time, and how many sigmas it may be."""
 
 LARGEST_LOG_NOISE = 5.0
 """Sigmas of its prior up to which the noise is sought."""
@@ -63,7 +69,7 @@ class PanelPowers(Term):
     `threshold`: readings above it are lit; `largest` reading of the stretch. `own`: its unknowns, log brightness (its centre is a
     first guess), log noise, log gains and tilts of panels. `turns` (m, n_panel, 3): rotation (rad, B) of each panel by one sigma of
     each of them. `brightness`: first guess of the signal of a panel of gain one at normal incidence. `throttled`: all readings of
-    a sample are lowered by one unknown factor.
+    a sample are lowered by one unknown factor. `time_s`: sigma of the time of each sample, s.
     """
 
     name: ClassVar[str] = "panels"
@@ -81,6 +87,7 @@ class PanelPowers(Term):
     throttled: bool = False
     own: tuple[Unknown, ...] = ()
     turns: np.ndarray | None = None
+    time_s: float = 0.0
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading that counts, dark or lit."""
@@ -103,7 +110,7 @@ class PanelPowers(Term):
     @cached_property
     def free_factors(self) -> np.ndarray:
         """Return which samples (n) have a factor that readings determine, and so one reading fewer for all else."""
-        return np.logical_and(self.throttled, self.lit.any(axis=1))
+        return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
     def place(self, kind: str) -> list[int]:
         """Return where the unknowns of a kind stand among its own."""
@@ -133,9 +140,12 @@ class PanelPowers(Term):
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) in stated sigmas.
 
-        A dark reading differs by what the prediction is above the threshold.
+        A dark reading differs by what the prediction is above the threshold. If times err, the best errors (K, n, 1) follow, in
+        sigmas.
         """
-        slopes = self.response.slopes(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        late_s = self.best_times(states, u)[0]
+        sun = sun_later(states, late_s)
+        slopes = self.response.slopes(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
         light, to_sun = slopes.power, slopes.to_sun
         by_u = np.zeros((*light.shape, len(self.own)))
         for i, unknown in enumerate(self.own):
@@ -147,18 +157,73 @@ class PanelPowers(Term):
                 assert self.turns is not None and slopes.to_tilt is not None
                 by_u[..., i] = np.einsum("knpi,pi->knp", slopes.to_tilt, self.turns[i])
         # a turn t of the body moves the Sun by sun x t, and so the power by t . (slope x sun)
-        by_turn = cross(to_sun, states.sun_B[..., None, :])
+        by_turn = cross(to_sun, sun[..., None, :])
         power, by_turn, by_u = self._throttle(light, by_turn, by_u)
-        above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
-        counts = (self.used & (self.lit | (power > self.threshold)))[..., None] / self.sigma[
-            :, None
-        ]
+        value, counts = self._differences(power)
+        by_turn, by_u, law = by_turn * counts, by_u * counts, self.law(u)
+        if not self.time_s:
+            yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
+            return
+        # the best error follows each change (Kaufman's slope): a change loses its part along that of a later sample
+        by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)
+        weighted = law(value)[1] * by_time
+        size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
+        along_turn, along_u = (weighted[..., None, :] @ slope / size for slope in (by_turn, by_u))
+        by_turn = by_turn - by_time[..., None] * along_turn
+        # a rate turns the body until the sample was taken
+        late = late_s[..., None, None]
         yield Residual(
-            np.where(self.used, above, 0.0) / self.sigma,
-            by_turn=by_turn * counts,
-            by_u=by_u * counts,
-            law=self.law(u),
+            value,
+            by_turn=by_turn,
+            by_rate=late * by_turn,
+            by_u=by_u - by_time[..., None] * along_u,
+            law=law,
         )
+        yield Residual(
+            late_s[..., None] / self.time_s,
+            by_turn=-along_turn,
+            by_rate=-late * along_turn,
+            by_u=-along_u,
+            law=gaussian,
+        )
+
+    def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return predicted less read powers (K, n, p) in stated sigmas, and by what (K, n, p, 1) their slopes are multiplied."""
+        above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
+        counts = self.used & (self.lit | (power > self.threshold))
+        return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
+
+    def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how late (K, n, s) each sample was taken, at its best, and the curvature (K, n, 1/s2) of its cost without prior.
+
+        The better of two ways: readings far off are outliers, or they are far off because of the time.
+        """
+        none = np.zeros(states.sun_B.shape[:-1])
+        if not self.time_s:
+            return none, none
+        law, limit = self.law(u), FAR_TIME * self.time_s
+        gain, tilt = self.gain(u)[:, None], self.tilt(u)
+        best, curvature, least = none, none, np.full(none.shape, np.inf)
+        for trusting in (False, True):
+            late = none
+            for again in range(TIME_STEPS + 1):
+                sun = sun_later(states, late)
+                slopes = self.response.slopes(sun, gain=gain, tilt=tilt)
+                value, counts = self._differences(slopes.power)
+                moves = cross(sun, states.omega)[..., None, :]
+                slope = np.sum(slopes.to_sun * moves, axis=-1) * counts[..., 0]
+                weight = law(value)[1]
+                if trusting and not again:
+                    weight = np.ones_like(weight)
+                hold = np.sum(weight * slope**2, axis=-1)
+                if again < TIME_STEPS:
+                    pull = hold * late - np.sum(weight * slope * value, axis=-1)
+                    late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
+            better = cost < least
+            best, curvature = np.where(better, late, best), np.where(better, hold, curvature)
+            least = np.minimum(cost, least)
+        return best, curvature
 
     def _throttle(
         self, light: np.ndarray, by_turn: np.ndarray, by_u: np.ndarray
@@ -256,16 +321,48 @@ class PanelPowers(Term):
 
         That is relative to no power at all, so that panels turned away say nothing.
         """
-        power = self.response.power(states.sun_B, gain=self.gain(u)[:, None], tilt=self.tilt(u))
-        if self.throttled:
-            power = self.best_factor(power)[0] * power
-        log_noise = self.log_noise(u)
-        sigma = self.sigma * np.exp(log_noise)[:, None, None]
+        late_s, hold = self.best_times(states, u)
+        power = self.predicted(states, u, late_s)
+        each = np.where(self.used, self._log_densities(power, u), 0.0)
+        total = each.sum(axis=(1, 2)) + self.free_factors.sum(axis=-1) * self.log_noise(u)
+        if not self.time_s:
+            return total
+        of_times = (late_s / self.time_s) ** 2 + np.log1p(self.time_s**2 * hold)
+        return total - 0.5 * of_times.sum(axis=1)
+
+    def _log_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n, p) of each reading if these powers (K, n, p) are predicted."""
+        sigma = self.sigma * np.exp(self.log_noise(u))[:, None, None]
         lit = -0.5 * ((self.power - power) / sigma) ** 2 - np.log(sigma) - LOG_2PI / 2
         dark = log_ndtr((self.threshold - power) / sigma) - log_ndtr(self.threshold / sigma)
         good = np.where(self.lit, lit, dark) + np.log1p(-SPOILT)
-        each = np.where(self.used, np.logaddexp(good, self._spoilt), 0.0)
-        return each.sum(axis=(1, 2)) + self.free_factors.sum() * log_noise
+        return np.logaddexp(good, self._spoilt)
+
+    def predicted(self, states: States, u: np.ndarray, late_s: np.ndarray) -> np.ndarray:
+        """Return powers (K, n, p) of motions in samples taken late (K, n), with the best factors of throttled ones."""
+        sun = sun_later(states, late_s)
+        power = self.response.power(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        return self.best_factor(power)[0] * power if self.throttled else power
+
+    # ---- what a check of the draws asks ------------------------------------------------------------------------------------
+
+    def outlier_probability(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the probability (n, p), in the mean of motions, that a reading is not of the Sun; zero for those not used."""
+        power = self.predicted(states, u, self.best_times(states, u)[0])
+        spoilt = np.exp(self._spoilt - self._log_densities(power, u))
+        return np.where(self.used, np.minimum(spoilt.mean(axis=0), 1.0), 0.0)
+
+    def replicated(self, states: States, u: np.ndarray, rng: np.random.Generator) -> PanelPowers:
+        """Return panels with readings (K, n, p) drawn for each motion, as the model makes them: noise, and outliers."""
+        late_s = self.time_s * rng.standard_normal(states.sun_B.shape[:-1])
+        power = self.predicted(states, u, late_s)
+        noise = self.sigma * np.exp(self.log_noise(u))[:, None, None]
+        value = np.where(power > 0, power + noise * rng.standard_normal(power.shape), 0.0)
+        is_dark = rng.random(power.shape) < SPOILT_DARK
+        anything = rng.random(power.shape) * SPOILT_LARGEST * self.largest
+        outlier = rng.random(power.shape) < SPOILT
+        value = np.where(outlier, np.where(is_dark, 0.0, anything), value)
+        return replace(self, power=value)
 
     # ---- what a search asks ------------------------------------------------------------------------------------------------
 
@@ -282,6 +379,13 @@ class PanelPowers(Term):
         square = (across**2).sum(axis=(0, 2)) / 2  # to either side
         size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_LIT_SINE)
         return replace(self, sigma=np.hypot(self.sigma, size * self.brightness))
+
+
+def sun_later(states: States, late_s: np.ndarray) -> np.ndarray:
+    """Return directions to the Sun (K, n, 3) in body axes some time (K, n, s) after the samples, at the rates of then."""
+    if not late_s.any():
+        return states.sun_B
+    return components_after_rotation(states.sun_B, states.omega * late_s[..., None])
 
 
 TILT, COMMON_TILT = "tilt", "tilt_common"
