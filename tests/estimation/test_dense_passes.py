@@ -122,7 +122,8 @@ def test_derivatives_of_the_mean_rate_agree_with_differences(tumble):
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
 def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, tumble):
     """The product of the two laws that white acceleration gives from either held end, of a sphere."""
-    span, noise = 40.0, 3e-5
+    # under so strong torques the 1e-6 rad that a chain allows besides count nothing
+    span, noise = 40.0, 0.03
 
     def spread(dt: float) -> np.ndarray:
         white = Whitening.of(Noise(noise), np.array([dt])).matrix[0]

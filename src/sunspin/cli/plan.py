@@ -71,7 +71,7 @@ def plan(
     A pass has the panels of the vehicle file. Their gains have errors of 5 %, and the Earth lights them too. Readings have the
     noise that the file states, or 2 %. The body turns freely about a random axis. The table has three classes of speeds for each
     interval. It counts the decided passes and those that are decided and wrong, and says why most are not decided. A pass takes
-    some 10 s of processor time. The result so far is shown during the work. Ctrl-C keeps the complete rounds.
+    some 5 s of processor time. The result so far is shown during the work. Ctrl-C keeps the complete rounds.
 
     \b
     Example:

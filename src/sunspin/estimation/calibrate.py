@@ -132,16 +132,16 @@ def calibrate_sensors(
 
 
 def new_values(result: xr.Dataset) -> list[NewValue]:
-    """Return what a calibration has determined, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
+    """Return the keys of which a calibration has determined all components, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
     values = []
     for name in dict.fromkeys(result["key"].values.tolist()):
         part = result.isel(quantity=np.flatnonzero(result["key"].values == name))
         if not part["written"].values.all():
             continue
-        table, _, rest = name.partition(".")
+        table, _, rest = name.partition(".")  # table.key, or table.part.key
         part_name, _, key = rest.rpartition(".")  # the name of a part may have dots
         where = (table, part_name) if part_name else (table,)
-        value, sigma = (_in_toml(part[name].values) for name in ("value", "sigma"))
+        value, sigma = (_in_toml(part[column].values) for column in ("value", "sigma"))
         source = str(result.attrs["source"]).format(samples=int(part["samples"].values[0]))
         values.append(NewValue(where, key, value, sigma, source))
     return values

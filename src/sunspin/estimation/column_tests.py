@@ -235,7 +235,7 @@ def _best_of(
 def better_dark_columns(
     observed: Observed, telemetry: xr.Dataset, noise: np.ndarray | float, trials: Trials
 ) -> Better | None:
-    """Return exchanges of columns that were hardly ever lit, if a pass that fits fits clearly better with them.
+    """Return exchanges of columns that were hardly ever lit, with which a pass that fits has a clearly larger log evidence.
 
     The samples by themselves cannot tell such columns apart, but a motion follows what little they read. A body that turned with
     the Sun near its axis was decided along a motion that two exchanged columns made up: with the right ones the log evidence was
@@ -252,10 +252,12 @@ def better_dark_columns(
         return bool(square / 2 > CLEARLY)
 
     changes = [one for one in column_changes(observed.vehicle, telemetry) if matters(one)]
-    evidence_as_written = trials.evidence(observed.vehicle, telemetry) if changes else -np.inf
+    if not changes:
+        return None
+    evidence_as_written = trials.evidence(observed.vehicle, telemetry)
     if not np.isfinite(evidence_as_written):
         return None
-    # as dark columns may be exchanged unseen, no others that look the same are named
+    # no others that look the same are named: to the samples all exchanges of dark columns do
     return _best_of_classes(observed, telemetry, changes, [], trials, evidence_as_written)
 
 

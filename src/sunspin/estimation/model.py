@@ -42,8 +42,9 @@ SAMPLE_COST, READING_COST = 3.7, 1.5
 class Unknown:
     """A number that is estimated with the motion, in units of the sigma of what was known before.
 
-    `index`: which of its `kind`; `limit`: how far (sigmas) a trial may be from the centre. `shares`: sigmas that are equally likely
-    before the data, as parts of `sigma`. `doubted`: an error that the vehicle file does not state; a sensor fits only without it.
+    `index`: which of its `kind`; `limit`: how far (sigmas) a trial may be from the centre. `shares`: other sigmas that it may
+    have, as factors of `sigma`; equally likely, but for the inertia of a lander (:mod:`sunspin.estimation.lander`). `doubted`:
+    an error that the vehicle file does not state; a sensor fits only without it.
     """
 
     name: str

@@ -226,7 +226,7 @@ def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
     t_s, rng = one.obs.t_s, np.random.default_rng(0)
     instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
     at = int(np.argmin(np.abs(t_s - seen.t_s)))
-    # the rate wanders between that sample and the time of the period
+    # widened by what the rate wanders between that sample and the time of the period
     wander = one.noise**2 * abs(seen.t_s - t_s[at])
     covariance = one.track.covariance[:, at, RATE, RATE] + wander[:, None, None] * np.eye(3)
     variance, axes = np.linalg.eigh(covariance)

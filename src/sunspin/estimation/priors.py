@@ -265,9 +265,10 @@ def _of_wheels(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
 
 
 def _of_inertia(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
-    """Return the moments, all with one relative sigma, or the elements for which the vehicle file states one.
+    """Return the six elements of the inertia: moments with one relative sigma, or elements with those that the vehicle file states.
 
-    They may be less certain than that by a factor, with a small probability: then the file's inertia is wrong.
+    An element without a sigma has zero. With the probability `LOOSER_CHANCE` all sigmas are `LOOSER_INERTIA` times larger: then the
+    file's inertia is wrong.
     """
     tensor = np.array(vehicle.require_inertia())
     fact = vehicle.facts.get("body.inertia_kg_m2")

@@ -429,7 +429,8 @@ def fit_first(
 ) -> tuple[Shots, np.ndarray]:
     """Return motions fitted to a few samples, with costs, and their curvature (K, D, D).
 
-    Those that cost more than `hopeless` after the first level stay as they are then. `held`: body and wheel are not free.
+    D: two of the direction, three of the rate, then the unknowns. Those that cost more than `hopeless` after the first level stay
+    as they are then, with no curvature and the cost under the noise factor of that level. `held`: body and wheel are not free.
     """
     fitting = Fitting(problem, shots)
     (factor, steps), *others = levels

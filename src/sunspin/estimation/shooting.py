@@ -191,7 +191,11 @@ class Shooting:
         return self._at_most(going, most, f"({count} samples)")
 
     def _allowed(self, shots: Shots, sample: int) -> np.ndarray:
-        """Return which motions a sample allows, give or take a wrong prediction, and the largest rate at the first sample."""
+        """Return which motions (K) a sample allows.
+
+        Some direction within `look_rad` of the predicted Sun explains its panels, and the rate at the first sample is not above the
+        largest.
+        """
         g = self.settings.grid
         model = self.model.seeing(slice(sample, sample + 1))
         bare = replace(model, obs=replace(model.obs, terms=(model.panels,)))

@@ -167,7 +167,10 @@ class AttitudeLaw:
         return np.where(self.was_read[..., None], slope, 0.0)
 
     def settle(self, unknown: np.ndarray, attitude: np.ndarray) -> Settled:
-        """Return the attitudes that fit best near these (n, 3, 3), and what is left there: Gauss-Newton, each sample by itself."""
+        """Return the attitudes that fit best near these (n, 3, 3), and what is left there: Gauss-Newton, each sample by itself.
+
+        `unknown`: at which values of the unknowns; :meth:`settled` fits these too.
+        """
         for _ in range(INNER):
             value, by_turn = self.residuals(unknown, attitude)
             gradient = np.einsum("nri,nr->ni", by_turn, value)

@@ -226,7 +226,8 @@ class MagnetometerState(NamedTuple):
 def fit_magnetometer(
     readings: Readings, predicted: Predicted, scatter: np.ndarray | None = None
 ) -> tuple[MagnetometerLaw, MagnetometerState, Scales]:
-    """Return a magnetometer fitted at each of K offsets by n samples that all have a field; `scatter` (2): if it is given.
+    """Return a magnetometer fitted at each of K offsets by n samples that all have a field; `scatter` (2): held there if it is
+    given, else fitted.
 
     First the strength is fitted as |matrix reading - zero| = predicted strength, which gets near from anywhere. But noise in the
     readings draws such a fit to a matrix that is too small, with far too large a zero (regression dilution). Then, from there, the
@@ -264,7 +265,8 @@ def fit_sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, n
     """Return the zero (K, 3) of readings (n, 3) and one scale for all axes (K), by field strengths (K, n).
 
     The condition |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2. It reads
-    |reading|^2 = 2 reading . zero - |zero|^2 + (strength / scale)^2. If no scale is positive, the zero is 0 and the scale 1.
+    |reading|^2 = 2 reading . zero - |zero|^2 + (strength / scale)^2. Where 1 / scale^2 is not positive, the zero is 0 and
+    the scale 1.
     """
     design = np.empty((*strength.shape, 5))
     design[..., :3], design[..., 3], design[..., 4] = 2 * reading, 1.0, strength**2

@@ -143,7 +143,7 @@ class SunDirections(Term):
 def _full_rank(direction: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return covariances (n, 3, 3) with an error along the direction (n, 3) too, NaN where there is no direction.
 
-    A unit vector has none, so that the covariance as it was read could not be inverted.
+    The covariance of a unit vector is zero along it, and could not be inverted.
     """
     along = np.einsum("ni,nij,nj->n", direction, covariance, direction)
     added = np.where(along < RADIAL_SIGMA**2, RADIAL_SIGMA**2, 0.0)

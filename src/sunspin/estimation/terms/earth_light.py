@@ -180,8 +180,8 @@ def pairs_differing(
     """Return readings and sigmas (n, p) with those of two opposite panels replaced by their difference, on the brighter one.
 
     The darker one reads zero: so does a panel without Earth's light that faces away from the Sun. `facing_B` (p, 3): normals;
-    `full` (p): readings of full Sun; `readings`: values and sigmas (n, p) if the Earth's light is modelled; `sigma_light_noise` (n,
-    p): sigmas with that light as noise, for panels without an opposite one.
+    `full` (p): readings of full Sun; `readings`: values (n, p), and their sigmas without the Earth's light; `sigma_light_noise`
+    (n, p): sigmas with that light as noise, for panels of which no opposite one was read.
     """
     share, error = readings[0] / full, readings[1] / full
     power, sigma = readings[0].copy(), sigma_light_noise.copy()
