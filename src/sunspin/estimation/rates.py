@@ -82,7 +82,7 @@ from sunspin.estimation.starts import (
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
 from sunspin.estimation.terms.panels import Panels
-from sunspin.estimation.verdict import more_effort, rates_words, slower
+from sunspin.estimation.verdict import count_of_passes, more_effort, rates_words, slower
 from sunspin.estimation.wheel_signs import (
     Reversed,
     doubted_signs,
@@ -593,5 +593,4 @@ def _said_before(passes: Sequence[Pass]) -> str:
     """Return what is searched, in words."""
     used, kept = (sum(len(getattr(one, name)) for one in passes) for name in ("samples", "kept"))
     thinned = f", thinned to {kept} for the search" if kept < used else ""
-    number = f"{len(passes)} pass{'es' if len(passes) > 1 else ''}"
-    return f"{used} samples used in {number}{thinned}"
+    return f"{used} samples used in {count_of_passes(len(passes))}{thinned}"
