@@ -30,11 +30,11 @@ from sunspin.estimate.posterior.hypotheses import Hypothesis, Sampled
 from sunspin.estimate.posterior.hypotheses import mixed as mixed_sheets
 from sunspin.estimate.posterior.likelihood import Likelihood, Prediction
 from sunspin.estimate.posterior.model import State
+from sunspin.estimation.lander.motions import ShotFit, Shots
+from sunspin.estimation.lander.ridges import Equations, Slopes
+from sunspin.estimation.lander.sample import mixed, sample
 from sunspin.estimation.model import Unknown
-from sunspin.estimation.ridges import Equations, Slopes
-from sunspin.estimation.sample import mixed, sample
 from sunspin.estimation.settings import SAMPLING
-from sunspin.estimation.shots import ShotFit, Shots
 from sunspin.vehicle import Vehicle
 from validation import torques
 from validation.calibrate import make
@@ -49,7 +49,7 @@ LEAST_TURN_RAD = 1e-3
 
 @dataclass(frozen=True)
 class SheetTarget:
-    """Readings and model of the present posterior, as `sunspin.estimation.sample` asks for them."""
+    """Readings and model of the present posterior, as `sunspin.estimation.lander.sample` asks for them."""
 
     likelihood: Likelihood
 

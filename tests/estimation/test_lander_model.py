@@ -12,10 +12,10 @@ from scipy.integrate import quad
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
-from sunspin.estimation.lander import LanderModel
-from sunspin.estimation.priors import constant_torques, with_priors
-from sunspin.estimation.shots import Shots
-from sunspin.estimation.window import observe_window
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.motions import Shots
+from sunspin.estimation.lander.priors import constant_torques, with_priors
+from sunspin.estimation.lander.window import observe_window
 from sunspin.telemetry.assess import assess
 from tests.support.philae import with_panels_as_drawn
 

@@ -11,8 +11,16 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
-from sunspin.estimation.families import one_each_box, one_each_sheet, with_neighbours
-from sunspin.estimation.grid import (
+from sunspin.estimation.lander.carrier import Shooting
+from sunspin.estimation.lander.families import one_each_box, one_each_sheet, with_neighbours
+from sunspin.estimation.lander.fit import (
+    FINAL_ERROR,
+    Fitting,
+    Problem,
+    corrected,
+    in_tangents_at,
+)
+from sunspin.estimation.lander.grid import (
     LookThrough,
     Nodes,
     RateGrid,
@@ -24,19 +32,11 @@ from sunspin.estimation.grid import (
     rotated,
     shortfall,
 )
+from sunspin.estimation.lander.motions import Shots, Trials
+from sunspin.estimation.lander.priors import with_priors
+from sunspin.estimation.lander.window import observe_window
 from sunspin.estimation.posterior import refitted, searched, under_torques
-from sunspin.estimation.priors import with_priors
 from sunspin.estimation.settings import POSTERIOR
-from sunspin.estimation.shoot import (
-    FINAL_ERROR,
-    Fitting,
-    Problem,
-    corrected,
-    in_tangents_at,
-)
-from sunspin.estimation.shooting import Shooting
-from sunspin.estimation.shots import Shots, Trials
-from sunspin.estimation.window import observe_window
 from sunspin.solve.rotations import move_on_sphere
 from sunspin.telemetry.assess import assess
 from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_model, lander_telemetry
@@ -139,7 +139,7 @@ def test_the_equations_by_which_a_start_settles_change_as_they_say():
 
 def _settling(look, grid, cells):
     """Return starts in the middles of cells, for the first direction."""
-    from sunspin.estimation.grid import Settling
+    from sunspin.estimation.lander.grid import Settling
     from sunspin.solve.rotations import tangent_basis
 
     sun = np.tile(look.place.suns[0], (len(cells), 1))

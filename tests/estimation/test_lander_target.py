@@ -11,14 +11,14 @@ import sunspin as ss
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.gyrostat import total_momentum
 from sunspin.dynamics.torques import Steady
-from sunspin.estimation.lander_target import LanderTarget
-from sunspin.estimation.mixture import at_first_sample
+from sunspin.estimation.lander.mixture import at_first_sample
+from sunspin.estimation.lander.motions import Shots
+from sunspin.estimation.lander.periods import _periods
+from sunspin.estimation.lander.priors import constant_torques
+from sunspin.estimation.lander.sample import sample
+from sunspin.estimation.lander.target import LanderTarget
 from sunspin.estimation.periods import HALF_SPAN, INSTANTS, euler_rates, own_axis
 from sunspin.estimation.posterior import searched
-from sunspin.estimation.posterior_periods import _periods
-from sunspin.estimation.priors import constant_torques
-from sunspin.estimation.sample import sample
-from sunspin.estimation.shots import Shots
 from sunspin.estimation.terms.powers import SunStates
 from tests.estimation.test_lander_model import (
     OMEGA,

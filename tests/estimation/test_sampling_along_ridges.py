@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import logsumexp
 
+from sunspin.estimation.lander.motions import Draws, ShotFit, Shots
+from sunspin.estimation.lander.ridges import Chart, Equations, Law, Slopes, monomials, ridges_of
+from sunspin.estimation.lander.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimation.model import Unknown
-from sunspin.estimation.ridges import Chart, Equations, Law, Slopes, monomials, ridges_of
-from sunspin.estimation.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimation.settings import SAMPLING
-from sunspin.estimation.shots import Draws, ShotFit, Shots
 from sunspin.solve.rotations import tangent_basis
 
 RATE, TURN = np.array([2e-4, 1e-4, 3e-4]), 0.02

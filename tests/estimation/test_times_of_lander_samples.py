@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import InputError
-from sunspin.estimation.lander_target import LanderTarget
+from sunspin.estimation.lander.motions import Shots
+from sunspin.estimation.lander.priors import with_priors
+from sunspin.estimation.lander.target import LanderTarget
+from sunspin.estimation.lander.window import observe_window
 from sunspin.estimation.posterior import posterior
-from sunspin.estimation.priors import with_priors
-from sunspin.estimation.shots import Shots
 from sunspin.estimation.terms.powers import SunStates
-from sunspin.estimation.window import observe_window
 from sunspin.telemetry.assess import assess
 from tests.estimation import test_posterior_of_a_box as of_box
 from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_telemetry

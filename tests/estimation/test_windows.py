@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.estimation import windows
+from sunspin.estimation import short_windows
 from sunspin.estimation.observe import COAST_FROM
-from sunspin.estimation.windows import FEWEST_WINDOWS, rates_in_windows
+from sunspin.estimation.short_windows import FEWEST_WINDOWS, rates_in_windows
 from sunspin.output.windows import window_drawings, window_lines, window_numbers, window_tables
 from sunspin.vehicle import Vehicle, Wheel
 from validation.passes import FACES, MOMENTS, make_tumbling, observe, spin
@@ -36,7 +36,7 @@ def said(vehicle, omega, t_s, **changes):
     rng = np.random.default_rng(0)
     read = omega + SIGMA_RAD_S * rng.normal(size=omega.shape)
     telemetry = xr.Dataset(coords={"time": t_s})
-    return windows._as_no_free_body(vehicle, telemetry, table(read, t_s, **changes))
+    return short_windows._as_no_free_body(vehicle, telemetry, table(read, t_s, **changes))
 
 
 def test_a_tumbling_body_is_not_accused_and_a_driven_one_is():
@@ -74,8 +74,8 @@ def test_a_wheel_whose_speed_is_known_is_counted_in():
         {"wheel_speed_rad_s": (("time", "wheel"), speed[:, None])}, {"time": t_s}
     )
     part = table(omega, t_s)
-    assert windows._as_no_free_body(vehicle, telemetry, part) == ""
-    assert windows._as_no_free_body(vehicle, telemetry.drop_vars("wheel_speed_rad_s"), part)
+    assert short_windows._as_no_free_body(vehicle, telemetry, part) == ""
+    assert short_windows._as_no_free_body(vehicle, telemetry.drop_vars("wheel_speed_rad_s"), part)
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +91,14 @@ def controlled():
         parts.append(turns[:7] @ attitude)
         attitude = turns[7] @ attitude
     made = observe(FACES, omega, np.concatenate(parts), t_s, 0.01, rng)
-    result = windows.rates(made.vehicle, made.telemetry, max_rate_rad_s=0.15)
+    result = short_windows.rates(made.vehicle, made.telemetry, max_rate_rad_s=0.15)
     return made, result.assign(fits=("pass_id", [False]))
 
 
 def test_a_pass_that_does_not_fit_is_given_in_windows(controlled):
     made, result = controlled
     found = rates_in_windows(made.vehicle, made.telemetry, result, max_rate_rad_s=0.15)
-    assert found["window_samples"].values.tolist() == [windows.SAMPLES] * 4
+    assert found["window_samples"].values.tolist() == [short_windows.SAMPLES] * 4
     assert found["window_pass"].values.tolist() == [0] * 4
     truth = made.omega[np.searchsorted(made.telemetry["time"], found["window_time"])]
     off = (found["window_omega_B"].values - truth) / found["window_sigma_B"].values
@@ -111,7 +111,7 @@ def test_a_pass_that_does_not_fit_is_given_in_windows(controlled):
     assert "controlled" not in again.attrs and "window_time" in again
     # a window has too few samples to contradict exchanged columns
     assert found["window_decided"].any() and not again["window_decided"].any()
-    assert all(windows.DOUBTED in why for why in again["window_why"].values)
+    assert all(short_windows.DOUBTED in why for why in again["window_why"].values)
 
     (line,) = window_lines(found)
     assert "4 short windows" in line
@@ -132,7 +132,7 @@ def test_windows_are_given_the_time_from_which_wheels_of_the_file_coast(controll
         given.append(telemetry)
         raise InputError("no motion")
 
-    monkeypatch.setattr(windows, "rates", fail)
+    monkeypatch.setattr(short_windows, "rates", fail)
     before = made.telemetry.assign_coords(time=made.telemetry["time"] - 3600.0)
     both = xr.concat([before, made.telemetry], "time")
     assert rates_in_windows(made.vehicle, both, result) is result

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimation.posterior_verdict import (
+from sunspin.estimation.lander.verdict import (
     Findings,
     accused_panels,
     dark_stretch,

@@ -118,7 +118,7 @@ def rates(
     from sunspin.compute.pool import worker_count
     from sunspin.estimation.orbit.judged import elements_of
     from sunspin.estimation.rates import rates as estimate_rates
-    from sunspin.estimation.windows import rates_in_windows
+    from sunspin.estimation.short_windows import rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.column_periods import describe_periods, read_column_periods

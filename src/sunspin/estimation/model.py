@@ -43,7 +43,7 @@ class Unknown:
     """A number that is estimated with the motion, in units of the sigma of what was known before.
 
     `index`: which of its `kind`; `limit`: how far (sigmas) a trial may be from the centre. `shares`: other sigmas that it may
-    have, as factors of `sigma`; equally likely, but for the inertia of a lander (:mod:`sunspin.estimation.lander`). `doubted`:
+    have, as factors of `sigma`; equally likely, but for a lander's inertia (:mod:`sunspin.estimation.lander.model`). `doubted`:
     an error that the vehicle file does not state; a sensor fits only without it.
     """
 

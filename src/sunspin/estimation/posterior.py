@@ -17,35 +17,35 @@ from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance, with_units
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.equivalence import columns_seen
-from sunspin.estimation.grid import Place, grid_starts, reference
-from sunspin.estimation.lander import LanderModel
-from sunspin.estimation.lander_target import LanderTarget
-from sunspin.estimation.mixture import Mixture
-from sunspin.estimation.model import AS_STATED
-from sunspin.estimation.observe import wheels_untold
-from sunspin.estimation.periods import PeriodSeen
-from sunspin.estimation.posterior_periods import draws_by_periods
-from sunspin.estimation.posterior_tree import COUNTS, group, tree_of
-from sunspin.estimation.posterior_verdict import (
+from sunspin.estimation.lander.carrier import Shooting
+from sunspin.estimation.lander.grid import Place, grid_starts, reference
+from sunspin.estimation.lander.mixture import Mixture
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.motions import Draws, ShotFit, Shots, Trials
+from sunspin.estimation.lander.periods import draws_by_periods
+from sunspin.estimation.lander.priors import constant_torques, with_priors
+from sunspin.estimation.lander.sample import Checked, resampled, sample
+from sunspin.estimation.lander.target import LanderTarget
+from sunspin.estimation.lander.tree import COUNTS, group, tree_of
+from sunspin.estimation.lander.verdict import (
     Findings,
     accused_panels,
     dark_stretch,
     pass_row,
     posterior_words,
 )
-from sunspin.estimation.priors import constant_torques, with_priors
-from sunspin.estimation.sample import Checked, resampled, sample
+from sunspin.estimation.lander.window import Window, observe_window
+from sunspin.estimation.model import AS_STATED
+from sunspin.estimation.observe import wheels_untold
+from sunspin.estimation.periods import PeriodSeen
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import POSTERIOR, PosteriorSettings
-from sunspin.estimation.shooting import Shooting
-from sunspin.estimation.shots import Draws, ShotFit, Shots, Trials
 from sunspin.estimation.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
     alike_motions,
     passes_table,
 )
-from sunspin.estimation.window import Window, observe_window
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 

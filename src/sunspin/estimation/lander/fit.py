@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.estimation.lander import LanderModel, Sizes
-from sunspin.estimation.shots import RATE, SUN, Shots
+from sunspin.estimation.lander.model import LanderModel, Sizes
+from sunspin.estimation.lander.motions import RATE, SUN, Shots
 from sunspin.estimation.terms.powers import SunStates
 from sunspin.solve.least_squares import least_squares, limit_length, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense

@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics import batch, gyrostat
-from sunspin.estimation.lander import LanderModel
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.motions import Shots, Trials
 from sunspin.estimation.settings import GridSettings
-from sunspin.estimation.shots import Shots, Trials
 from sunspin.estimation.terms.powers import PanelPowers
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
 from sunspin.vehicle.response.planes import sphere

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
+from sunspin.estimation.lander.motions import SUN, UNKNOWNS, ShotFit, Shots
 from sunspin.estimation.model import Unknown
 from sunspin.estimation.settings import SamplingSettings
-from sunspin.estimation.shots import SUN, UNKNOWNS, ShotFit, Shots
 from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 

@@ -9,8 +9,11 @@ import numpy as np
 import xarray as xr
 
 from sunspin.dynamics import gyrostat
-from sunspin.estimation.lander import LanderModel
-from sunspin.estimation.mixture import Mixture
+from sunspin.estimation.lander.fit import SEARCH_ERROR
+from sunspin.estimation.lander.mixture import Mixture
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.motions import Shots
+from sunspin.estimation.lander.tree import group
 from sunspin.estimation.periods import (
     FAR_SIGMAS,
     HALF_SPAN,
@@ -22,9 +25,6 @@ from sunspin.estimation.periods import (
     own_axis,
     weigh_draws,
 )
-from sunspin.estimation.posterior_tree import group
-from sunspin.estimation.shoot import SEARCH_ERROR
-from sunspin.estimation.shots import Shots
 
 LEVELS = (0.05, 0.5, 0.95)
 """Quantiles of the angular speed that are reported."""

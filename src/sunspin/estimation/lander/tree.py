@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.estimation.mixture import Mixture
-from sunspin.estimation.sample import resampled
+from sunspin.estimation.lander.mixture import Mixture
+from sunspin.estimation.lander.sample import resampled
 
 COUNTS = 0.01
 """A solution with less probability does not count: neither for uniqueness nor as an alias."""

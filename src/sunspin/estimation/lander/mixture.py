@@ -12,12 +12,12 @@ from scipy.spatial import KDTree
 from scipy.special import logsumexp
 
 from sunspin.dynamics import batch
-from sunspin.estimation.lander import LanderModel
-from sunspin.estimation.lander_target import LanderTarget
-from sunspin.estimation.sample import Checked, mixed, predictive_check
+from sunspin.estimation.lander.fit import SEARCH_ERROR
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.motions import Draws, ShotFit, Shots
+from sunspin.estimation.lander.sample import Checked, mixed, predictive_check
+from sunspin.estimation.lander.target import LanderTarget
 from sunspin.estimation.settings import SamplingSettings
-from sunspin.estimation.shoot import SEARCH_ERROR
-from sunspin.estimation.shots import Draws, ShotFit, Shots
 from sunspin.solve.weights import effective_draws
 
 

@@ -10,24 +10,24 @@ from functools import partial
 import numpy as np
 
 from sunspin.compute.pool import worker_count
-from sunspin.estimation.families import (
+from sunspin.estimation.lander.families import (
     distinct_fits,
     one_each_box,
     one_each_sheet,
     with_neighbours,
 )
-from sunspin.estimation.grid import Place, shortfall
-from sunspin.estimation.lander import ALL_SIZES, LanderModel, Sizes
-from sunspin.estimation.search import grown
-from sunspin.estimation.settings import PosteriorSettings
-from sunspin.estimation.shoot import (
+from sunspin.estimation.lander.fit import (
     FINAL_ERROR,
     Problem,
     fit_finally,
     fit_first,
     in_pieces,
 )
-from sunspin.estimation.shots import ShotFit, Shots, Trials
+from sunspin.estimation.lander.grid import Place, shortfall
+from sunspin.estimation.lander.model import ALL_SIZES, LanderModel, Sizes
+from sunspin.estimation.lander.motions import ShotFit, Shots, Trials
+from sunspin.estimation.search import grown
+from sunspin.estimation.settings import PosteriorSettings
 from sunspin.estimation.terms.powers import TILT
 
 MORE = "more trial solutions than the search can follow"

@@ -1,4 +1,4 @@
-"""Draws from the posterior of a lander: importance sampling along the exact ridges of :mod:`sunspin.estimation.ridges`.
+"""Draws from the posterior of a lander: importance sampling along the exact ridges of :mod:`sunspin.estimation.lander.ridges`.
 
 All rounds count: the outer laws of a ridge are pooled as one mixture, of which the rounds are the strata (Cornuet et al. 2012). A
 motion that several ridges may propose is divided between them, so that copies of a motion do not count twice.
@@ -15,7 +15,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from sunspin.estimation.budget import Budget
-from sunspin.estimation.ridges import (
+from sunspin.estimation.lander.motions import RATE, Draws, ShotFit, Shots
+from sunspin.estimation.lander.ridges import (
     Law,
     Ridge,
     Slopes,
@@ -30,7 +31,6 @@ from sunspin.estimation.ridges import (
     weighed,
 )
 from sunspin.estimation.settings import SAMPLING, SamplingSettings
-from sunspin.estimation.shots import RATE, Draws, ShotFit, Shots
 from sunspin.solve.weights import effective_draws, pareto_tail
 
 INSIDE_TAIL = 10.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from sunspin.estimation.posterior_tree import COUNTS, TOO_FEW, group
+from sunspin.estimation.lander.tree import COUNTS, TOO_FEW, group
 from sunspin.estimation.verdict import (
     NARROWER,
     SPEEDS,

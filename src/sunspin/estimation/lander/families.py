@@ -11,8 +11,8 @@ from itertools import product
 
 import numpy as np
 
+from sunspin.estimation.lander.motions import ShotFit, Shots, Trials
 from sunspin.estimation.settings import ShootingSettings
-from sunspin.estimation.shots import ShotFit, Shots, Trials
 from sunspin.solve.rotations import move_on_sphere
 
 

@@ -1,4 +1,4 @@
-"""The posterior of a lander under one model, as :mod:`sunspin.estimation.sample` asks for it."""
+"""The posterior of a lander under one model, as :mod:`sunspin.estimation.lander.sample` asks for it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from sunspin.estimation.lander import LanderModel
+from sunspin.estimation.lander.fit import SEARCH_ERROR, Problem, corrected, in_tangents_at
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.motions import RATE, SUN, Shots
+from sunspin.estimation.lander.ridges import FIVE, Equations, Slopes
 from sunspin.estimation.model import Unknown
-from sunspin.estimation.ridges import FIVE, Equations, Slopes
-from sunspin.estimation.shoot import SEARCH_ERROR, Problem, corrected, in_tangents_at
-from sunspin.estimation.shots import RATE, SUN, Shots
 from sunspin.estimation.terms.powers import SunStates
 
 LEAST_TURN_RAD = 1e-3

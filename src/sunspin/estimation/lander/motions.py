@@ -15,7 +15,7 @@ import numpy as np
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
 if TYPE_CHECKING:
-    from sunspin.estimation.lander import LanderModel
+    from sunspin.estimation.lander.model import LanderModel
 
 RATE, SUN, UNKNOWNS = slice(0, 3), slice(3, 5), slice(5, None)
 """Where rate (rad/s), direction to the Sun (rad, along two tangents) and unknowns (sigmas) stand among the coordinates."""

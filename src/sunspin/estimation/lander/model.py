@@ -19,9 +19,9 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import Acting, Steady
 from sunspin.dynamics.wheel_modes import friction_limit
+from sunspin.estimation.lander.motions import Shots
 from sunspin.estimation.model import AS_STATED, Observations, Unknown
 from sunspin.estimation.settings import LOOSER_CHANCE
-from sunspin.estimation.shots import Shots
 from sunspin.estimation.terms.given import Given
 from sunspin.estimation.terms.powers import PanelPowers, SunStates
 from sunspin.estimation.terms.torques import Frame

@@ -10,7 +10,8 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics import batch
-from sunspin.estimation.lander import LanderModel
+from sunspin.estimation.lander.model import LanderModel
+from sunspin.estimation.lander.window import Window, with_unknowns
 from sunspin.estimation.model import Unknown
 from sunspin.estimation.settings import (
     BRIGHTNESS_FREE,
@@ -26,7 +27,6 @@ from sunspin.estimation.settings import (
 )
 from sunspin.estimation.terms.powers import PanelPowers, panel_turns, tilt_unknowns
 from sunspin.estimation.terms.torques import WORDS, ConstantTorque, Frame
-from sunspin.estimation.window import Window, with_unknowns
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
