@@ -18,7 +18,7 @@ from sunspin.estimate.posterior.data import group, readings
 from sunspin.estimate.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model
-from sunspin.estimate.synthetic import Truth, synthetic_telemetry
+from sunspin.estimation.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Vehicle
 from validation.truths import is_in_solutions
 

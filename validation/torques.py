@@ -17,7 +17,7 @@ from sunspin.base.errors import SunspinError
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.estimate import posterior
 from sunspin.estimate.posterior.model import model
-from sunspin.estimate.synthetic import Truth, synthetic_telemetry
+from sunspin.estimation.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import AS_DRAWN, prior_truth
 from validation.truths import WRONG_SIGMAS, is_in_solutions
