@@ -18,14 +18,15 @@ from tests.support.philae import AS_DRAWN, philae_draws
 PHILAE = AS_DRAWN.vehicle
 
 
-def test_periods_of_draws_agree_with_the_reference_motion():
-    """Before the first sample and after it; the body's own axis is near z."""
+@pytest.mark.parametrize("after_s", [-60.0, 900.0, 2500.0])
+def test_periods_of_draws_agree_with_the_reference_motion(after_s):
+    """Before the first sample, after it, and when the wheel has handed its momentum to the body, whose own axis is near z."""
     tree = philae_draws(2)
-    seen = ss.Period(25200.0 + 900.0, 20.0, 1.0)
+    seen = ss.Period(25200.0 + after_s, 20.0, 1.0)
     found = of_draws.periods_of(DrawnMotions.of(PHILAE, tree), seen)[0]
-    draws, t_s = tree["posterior"], 900.0 + np.linspace(-2, 2, 9) * 20.0
+    draws, t_s = tree["posterior"], after_s + np.linspace(-2, 2, 9) * 20.0
     state = [draws[name].values[0, 0] for name in ("omega_B", "sun_B", "wheel_speed_rad_s")]
-    run = ss.propagate(PHILAE, *state, np.concatenate([[0.0], t_s]))
+    run = ss.propagate(PHILAE, *state, np.append(0.0, t_s if after_s > 0 else t_s[::-1]))
     omega, speeds = run["omega_B"].values[1:], run["wheel_speed_rad_s"].values[1:]
     momentum, axis = (
         gyrostat.total_momentum(PHILAE, omega, speeds),
