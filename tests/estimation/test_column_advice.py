@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,11 @@ import sunspin as ss
 from sunspin.cli.rates import SENSOR_VARIABLES
 from sunspin.estimation.column_tests import SENSORS, Culprit
 from sunspin.estimation.equivalence import wheel_changes
+from sunspin.estimation.gyro_axes import wrong_gyro_axes
 from sunspin.estimation.observe import wheel_models
 from sunspin.estimation.rates import rates
+from sunspin.telemetry.assess import assess
+from sunspin.vehicle import Channel, TelemetryForm
 from sunspin.vehicle.file import parse_vehicle
 from tests.support.simulate import simulated_pass, uneven_times
 from tests.support.vehicles import CUBE_NORMALS
@@ -44,20 +48,28 @@ def text_of(columns=NAMES) -> str:
     return TEXT.format(panels=panels, columns=lines)
 
 
+def written(path, data):
+    """Write telemetry to a CSV file of this path, and return the path."""
+    start = np.datetime64("2026-01-01T00:00:00.000")
+    extra = ["gx", "gy", "gz"] if "gyro_B" in data else []
+    lines = ["time," + ",".join([*(f"I_{name}" for name in NAMES), *extra])]
+    values = data["power_W"].values
+    if extra:
+        values = np.concatenate([values, data["gyro_B"].values], axis=1)
+    for t, row in zip(data["time"].values, values, strict=True):
+        stamp = start + np.timedelta64(round(1000 * t), "ms")
+        lines.append(f"{stamp}Z," + ",".join(f"{value:.6f}" for value in row))
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return path
+
+
 @pytest.fixture(scope="module")
 def readings(tmp_path_factory):
     """Return a telemetry file of the cube, and the truth."""
     rng = np.random.default_rng(4)
     craft = parse_vehicle(text_of(), "right")
     data, run = simulated_pass(craft, OMEGA, uneven_times(rng, 24, 12.0, 0.2), rng, albedo=0.0)
-    start = np.datetime64("2026-01-01T00:00:00.000")
-    lines = ["time," + ",".join(f"I_{name}" for name in NAMES)]
-    for t, power in zip(data["time"].values, data["power_W"].values, strict=True):
-        stamp = start + np.timedelta64(round(1000 * t), "ms")
-        lines.append(f"{stamp}Z," + ",".join(f"{value:.5f}" for value in power))
-    path = tmp_path_factory.mktemp("advice") / "telemetry.csv"
-    path.write_text("\n".join(lines) + "\n", "utf-8")
-    return path, run
+    return written(tmp_path_factory.mktemp("advice") / "telemetry.csv", data), run
 
 
 def estimated(text: str, path, **options):
@@ -190,3 +202,98 @@ def telemetry_with_a_wheel(vehicle, values):
 def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
     match = re.search(r"`--without (\w+)`", Culprit(SENSORS[name]).words())
     assert match is not None and SENSOR_VARIABLES[match[1]] == name
+
+
+WHEEL = """
+[[wheel]]
+name = "w"
+axis_B = [0, {sign}1, 0]
+inertia_kg_m2 = 3e-4
+speed_rad_s = 40.0
+"""
+
+
+def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path):
+    """A reversed wheel and two exchanges look the same; the advice is to find out which is right before the file is changed."""
+    rng = np.random.default_rng(2)
+    right = parse_vehicle(text_of() + WHEEL.format(sign=""), "right")
+    data, _ = simulated_pass(
+        right, [0.02, 0.03, -0.01], np.arange(20) * 10.0, rng, albedo=0.0, speed=[40.0]
+    )
+    path = written(tmp_path / "telemetry.csv", data)
+    wrong = text_of() + WHEEL.format(sign="-")
+    limit = {"max_rate_rad_s": 0.06, "column_tests": False}
+    doubted = estimated(wrong, path, **limit)
+    named = json.loads(doubted.attrs["columns_changes"])
+    assert len(named) == 3 and "find out which one is right" in doubted.attrs["verdict"]
+    for change in named:
+        mended = (
+            text_of() + WHEEL.format(sign="")
+            if "wheel" in change["what"]
+            else with_columns_exchanged(wrong, change["do"])
+        )
+        result = estimated(mended, path, **limit)
+        assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+        np.testing.assert_allclose(rate_in_the_middle(result), change["omega_deg_s"], atol=0.05)
+
+
+GYRO = """
+[gyro]
+columns = ["gx", "gy", "gz"]
+scale_rad_s = 1.0
+noise_rad_s = 5e-4
+zero = { value = [0, 0, 0], sigma = 1e-4 }
+"""
+
+
+@pytest.fixture(scope="module")
+def with_gyro(tmp_path_factory):
+    """Return a telemetry file of the cube with a gyro."""
+    rng = np.random.default_rng(4)
+    craft = parse_vehicle(text_of(), "right")
+    data, run = simulated_pass(craft, OMEGA, uneven_times(rng, 40, 8.0, 0.2), rng, albedo=0.0)
+    read = run["omega_B"].values + 5e-4 * rng.normal(size=(40, 3))
+    data = data.assign(gyro_B=(("time", "axis"), read))
+    return written(tmp_path_factory.mktemp("gyro") / "telemetry.csv", data)
+
+
+def test_a_gyro_read_as_check_advises_or_the_columns_exchanged_instead_remove_the_warning(
+    with_gyro,
+):
+    """With +x and -x exchanged a right gyro seems to have y and z reversed: either change makes both agree."""
+
+    def warned(text: str) -> str | None:
+        vehicle = parse_vehicle(text, "vehicle.toml")
+        return wrong_gyro_axes(assess(vehicle, ss.read_telemetry(with_gyro, vehicle)))
+
+    text = text_of(("mx", *NAMES[1:3], "px", *NAMES[4:])) + GYRO
+    words = warned(text)
+    assert words is not None and "find out which before you set it" in words
+    match = re.search(r"set (columns = \[.*?\]) under \[gyro\]", words)
+    assert match is not None, words
+    assert warned(text.replace('columns = ["gx", "gy", "gz"]', match[1])) is None
+    exchanged = re.search(
+        r"which looks the same, the columns of panels (\w+) and (\w+) exch", words
+    )
+    assert exchanged is not None, words
+    advice = "exchange the columns of {} and {} under [telemetry.columns]".format(
+        *exchanged.groups()
+    )
+    assert warned(with_columns_exchanged(text, advice)) is None
+
+
+def test_a_gyro_resolves_the_symmetric_solutions_of_a_shared_input(with_gyro):
+    """The advice of panels that share an input: "A gyro, magnetometer or Sun sensor resolves this"."""
+    vehicle = parse_vehicle(text_of() + GYRO, "vehicle.toml")
+    data = ss.read_telemetry(with_gyro, vehicle)
+    channels = (Channel("x", ("px", "mx"), "sum"),)
+    craft = replace(vehicle, channels=channels, telemetry=TelemetryForm(noise=0.01))
+    power = data["power_W"].values
+    summed = np.column_stack([power[:, 0] + power[:, 3], power[:, [1, 2, 4, 5]]])
+    of_inputs = data.drop_dims("panel").assign_coords(panel=list(craft.input_names))
+    of_inputs = of_inputs.assign(power_W=(("time", "panel"), summed))
+    alone = rates(craft, of_inputs.drop_vars("gyro_B"), max_rate_rad_s=0.15)
+    assert "A gyro, magnetometer or Sun sensor resolves this" in alone.attrs["verdict"]
+    assert not alone["unique"].values.any()
+    resolved = rates(craft, of_inputs, max_rate_rad_s=0.15)
+    assert resolved["decided"].values.all()

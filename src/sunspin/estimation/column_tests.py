@@ -59,7 +59,7 @@ WORTH_A_SEARCH = 30.0
 files with two columns exchanged the right change was at most 0.8 from the best."""
 
 AS_GOOD = 3.0
-"""The same for a pass that fits: in 60 files with two columns exchanged the right change was at most 0.8 worse than the wrong one."""
+"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one."""
 
 MOST_COMPARED = 60
 """Samples that are compared so, evenly chosen."""
