@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
@@ -105,7 +105,7 @@ def main() -> None:
 
 
 @contextmanager
-def _lean_process() -> Iterator[None]:
+def _lean_process() -> Generator[None]:
     """Spare a command what its libraries do for others: 15 % of the processor time of `rates` on the example files.
 
     xarray imports dask, if it is installed, to ask whether an array is one of dask's, and matplotlib imports its 3-D axes: commands
