@@ -196,23 +196,15 @@ def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, in
     return [drawn[0], second]
 
 
-def run(case: tuple[int, int, int]) -> dict[str, Any]:
-    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
+def files(
+    craft: Satellite, order: np.ndarray, momenta: np.ndarray
+) -> tuple[ss.Vehicle, xr.Dataset]:
+    """Return vehicle and telemetry of a satellite as its files have them.
 
-    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. Outcomes are the keys
-    of `validation.areas._EXCHANGES`.
+    `order` (n_panel): panel whose readings stand in each column; `momenta` (n_wheel, 3): of the wheels as the file states them.
     """
-    seed, i, which = case
-    craft = draw_satellite(seed, i)
-    pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
-    order = np.arange(len(craft.names))
-    if pair is not None:
-        order[list(pair)] = order[list(pair)][::-1]
-    momenta = craft.momenta.copy()  # as the file states them
-    if which == WHEEL_REVERSED:
-        momenta[0] *= -1
     vehicle = ss.Vehicle(
-        f"satellite {i}",
+        "satellite",
         inertia_kg_m2=craft.inertia,
         gain_unit="W",
         panels=[
@@ -232,6 +224,25 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
         {"time": craft.t_s, "panel": list(craft.names)},
         {"synthetic": 1},
     )
+    return vehicle, data
+
+
+def run(case: tuple[int, int, int]) -> dict[str, Any]:
+    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
+
+    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. Outcomes are the keys
+    of `validation.areas._EXCHANGES`.
+    """
+    seed, i, which = case
+    craft = draw_satellite(seed, i)
+    pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
+    order = np.arange(len(craft.names))
+    if pair is not None:
+        order[list(pair)] = order[list(pair)][::-1]
+    momenta = craft.momenta.copy()  # as the file states them
+    if which == WHEEL_REVERSED:
+        momenta[0] *= -1
+    vehicle, data = files(craft, order, momenta)
     row: dict[str, Any] = {"pair": None if pair is None else [craft.names[k] for k in pair]}
     try:
         # column tests try reversed wheels too: without them the set sees whether each wheel's sign is tried by itself

@@ -169,7 +169,7 @@ def rates(
     column_tests : bool
         If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
         (:mod:`sunspin.estimation.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit under
-        strong torques, if their samples fit other columns far better, or if two columns were hardly ever lit.
+        strong torques, or if their samples, each by itself, fit other columns far better, or as well.
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -363,7 +363,7 @@ def one_pass(
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
     if sees_sun_alone(stated.obs) and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
         # a stated strength of torques says that the body does not swing
-        fits += swings_by_all_ways(stated, fits, s.alternatives)
+        fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
