@@ -238,9 +238,9 @@ def _philae_by_package(
     from validation.calibrate import judge, make
 
     vehicle = load_case("philae").vehicle
-    telemetry, truth, unknown, priors = make(vehicle, kind, max_rate, samples, apart_s, seed, i)
+    case = make(vehicle, kind, max_rate, samples, apart_s, seed, i)
     try:
-        row = judge(vehicle, telemetry, truth, unknown, priors, seed)
+        row = judge(vehicle, case, seed)
     except SunspinError as error:
         return {
             "outcome": "right" if kind in ("swapped", "wheel_off") else "defect",

@@ -354,7 +354,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
     if sees_sun_alone(stated.obs) and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
         # a stated strength of torques says that the body does not swing
-        fits += swings_by_all_ways(stated, fits, s.alternatives)
+        fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
