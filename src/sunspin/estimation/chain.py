@@ -360,7 +360,7 @@ def log_left_out(model: Model) -> float:
     """Return by what the log evidence of a fit exceeds the log of the mean likelihood over all motions that its model allows.
 
     It is the same for all models of a pass that sees the Sun. Prior densities of the first rate, of the defects and of the unknowns
-    are normal, with 6 n + m - 3 factors 1 / sqrt(2 pi). That of the first attitude is 1 / (8 pi^2). Laplace's method gives the factor
+    are normal, with 6 n + m - 3 factors 1 / sqrt(2 pi). That of the first attitude is 1 / (8 pi^2). Laplace's method gives
     sqrt(2 pi) for each of the 6 n + m numbers. Nothing measures the turn about the Sun: its integral is 2 pi, but counts as
     sqrt(2 pi) `TURN_PRIOR`. With the width of the prior of the rate, 1 / (2 `TURN_PRIOR` `rate_sigma`^3) is left of all that.
     """
