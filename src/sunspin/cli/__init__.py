@@ -116,7 +116,8 @@ def _lean_process() -> Generator[None]:
     without_3d = ModuleType("mpl_toolkits.mplot3d")
     without_3d.__dict__["Axes3D"] = None  # as matplotlib itself has it if the import fails
     unused: dict[str, ModuleType | None] = {"mpl_toolkits.mplot3d": without_3d}
-    if not any(argument.startswith("--scheduler") for argument in sys.argv):
+    # a program that has used xarray before keeps dask: xarray does not look for it again
+    if "xarray" not in sys.modules and not any(arg.startswith("--scheduler") for arg in sys.argv):
         unused["dask"] = None  # for Python a module that is not there
     modules: dict[str, Any] = sys.modules
     hidden = {name: module for name, module in unused.items() if name not in modules}
