@@ -572,7 +572,7 @@ def _witness(name: str) -> Row:
 
 def _emd_bound() -> float:
     """Return the largest error of an EMD from histograms: half a bin for each sample, halved in the paper's distance."""
-    from sunspin.estimate.scan.rows import BINS
+    from sunspin.estimation.scan.histogram import BINS
 
     return 2.0 / BINS / 4
 
