@@ -106,10 +106,10 @@ def main() -> None:
 
 @contextmanager
 def _lean_process() -> Generator[None]:
-    """Spare a command what its libraries do for others: 15 % of the processor time of `rates` on the example files.
+    """Spare a command what its libraries do for other programs.
 
-    xarray imports dask, if it is installed, to ask whether an array is one of dask's, and matplotlib imports its 3-D axes: commands
-    use neither, except dask with --scheduler. Garbage is collected less often: an import makes many objects and no garbage.
+    If dask is installed, xarray imports it to ask whether an array is one of dask's. Matplotlib imports its 3-D axes. A command uses
+    no 3-D axes, and dask only with --scheduler. Garbage is collected less often: imports make many objects and little garbage.
     """
     threshold = gc.get_threshold()
     gc.set_threshold(GARBAGE, *threshold[1:])
