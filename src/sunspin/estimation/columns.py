@@ -3,7 +3,7 @@
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
 the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
 panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
-better; or two columns were hardly ever lit.
+better; or they fit other columns as well, and only the motion can tell which are right.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sunspin.estimation.column_tests import (
     Better,
     Named,
     Trials,
-    better_dark_columns,
+    better_rivals,
     samples_fit_other_columns,
     what_fits_better,
 )
@@ -89,13 +89,15 @@ def check_columns(
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
-    others_tried = False
-    if again is not None and (not fits or _may_hide_exchange(result, observed, telemetry)):
+    others_tried = again is not None and (
+        not fits or _may_hide_exchange(result, observed, telemetry)
+    )
+    if again is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, again, settings, tests)
-        others_tried = True
     if again is not None and fits and "columns_doubt" not in result.attrs:
         trials = _trials_of(result, np.inf, again, settings, tests)
-        result = _with_dark_columns(result, observed, telemetry, trials)
+        least = 0.0 if doubt is None else doubt.gain
+        result = _with_rivals(result, observed, telemetry, trials, least)
     # both kinds of tests share a budget
     if others_tried or tests.cut:
         result = result.assign_attrs(column_tests_cut=int(tests.cut))
@@ -240,20 +242,24 @@ def _with_other_columns(
     return result.assign_attrs(columns_doubt=better.words())
 
 
-def _with_dark_columns(
-    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
+def _with_rivals(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials, least: float
 ) -> xr.Dataset:
-    """Return the result with the dark columns that fit better if they are exchanged, by the longest pass, if it is decided."""
+    """Return the result with changes that the samples allow as well and that fit the longest decided pass better, if any.
+
+    `least`: log evidence by which they must be better, that of reversed wheels if their sign is in doubt.
+    """
     if not observed.panels or observed.sensors or "noise" not in result.attrs:
         return result
-    place = _longest(result)
-    if not result["decided"].values[place]:
+    decided = np.flatnonzero(result["decided"].values)
+    if not len(decided):
         return result
+    place = _longest(result, decided)
     part = samples_of(result, telemetry, place)
     here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
-    better = better_dark_columns(here, part, noise_of(result, observed.vehicle), trials)
-    if better is None:
+    better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
+    if better is None or better.gain < least:
         return result
     return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.environment.frames import J2000
 from sunspin.estimation.observe import HELD, wheel_speeds, wheels_untold
+from sunspin.solve.rotations import matrix_from_quaternion
 from sunspin.vehicle import Vehicle
 
 MOST_PASSES = 12
@@ -67,10 +67,10 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
         rates.isel({dim: np.flatnonzero(rates[name].values == k)})
         for dim, name in (("time", "pass_of"), ("curve_time", "curve_pass_of"))
     )
-    first_attitude = Rotation.from_quat(samples["B_from_N"].values[0])
-    attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
+    first_attitude = matrix_from_quaternion(samples["B_from_N"].values[0])
+    attitude = matrix_from_quaternion(curve["curve_B_from_N"].values)
     # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-    sun_N = first_attitude.inv().apply(samples["sun_B"].values[0])
+    sun_N = first_attitude.T @ samples["sun_B"].values[0]
     count = samples.sizes["time"]
     about = f"the likeliest motion of {count} samples; between samples it is propagated with the equations of motion"
     if rates.attrs.get("frame_N") != J2000:
@@ -79,7 +79,7 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
         {
             "omega_B": (("time", "axis"), curve["curve_omega_B"].values),
             "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
-            "sun_B": (("time", "axis"), attitude.apply(sun_N)),
+            "sun_B": (("time", "axis"), attitude @ sun_N),
         },
         coords={"time": curve["curve_time"].values},
         attrs={"epoch_utc": str(rates.attrs.get("epoch_utc", "")), "about": about},

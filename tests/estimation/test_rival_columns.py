@@ -1,4 +1,4 @@
-"""Columns that hardly saw the Sun: the samples by themselves cannot tell them apart, but a motion follows what little they read."""
+"""Exchanged columns of a file that fits: the samples, each by itself, cannot tell them apart, but the motion can."""
 
 import json
 
@@ -11,6 +11,7 @@ from sunspin.estimation.rates import rates
 from sunspin.estimation.settings import RATES
 from sunspin.estimation.verdict import rates_words
 from sunspin.telemetry.assess import assess
+from validation.exchanges import draw_satellite, files
 from validation.passes import make
 
 CASE = "exchanged, six panels", 0, 12
@@ -62,3 +63,26 @@ def test_a_right_file_with_dark_columns_is_not_accused(spinner):
     omega = [result[f"omega_{axis}"].values[0, 0] for axis in "xyz"]
     at = len(spinner.omega) // 2
     assert np.degrees(np.linalg.norm(omega - spinner.omega[at])) < 0.5
+
+
+HIDDEN = 7, 1
+"""A satellite with a wheel and five panels, three of them lit; with +Z and -X exchanged its file fits a motion 74 sigma off."""
+
+
+def test_exchanged_lit_columns_are_named_with_the_true_rate_though_the_file_fits():
+    craft = draw_satellite(*HIDDEN)
+    vehicle, data = files(craft, np.array([0, 2, 1, 3, 4]), craft.momenta)
+    result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
+    assert result["fits"].values.all() and not result["decided"].values.any()
+    named = {change["what"]: change for change in json.loads(result.attrs["columns_changes"])}
+    right = named["the columns of panels +Z and -X exchanged"]
+    at = np.argmin(np.abs(craft.t_s - right["at_s"]))
+    np.testing.assert_allclose(right["omega_deg_s"], np.degrees(craft.omega[at]), atol=0.1)
+
+
+def test_the_right_file_of_that_satellite_is_not_accused():
+    craft = draw_satellite(*HIDDEN)
+    result = rates(
+        *files(craft, np.arange(5), craft.momenta), max_rate_rad_s=0.09, column_tests=True
+    )
+    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
