@@ -25,6 +25,9 @@ EXCHANGES, SAMPLES = 2, 32
 WHEEL_REVERSED = -2
 """Number of the exchange that stands for a first wheel whose axis the file has the other way round."""
 
+HIDDEN = -3
+"""Number of the exchange that stands for that of :func:`hidden_exchange`."""
+
 QUICK = tuple(range(0, 60, 5))
 """A dozen satellites for a quick run."""
 
@@ -196,6 +199,25 @@ def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, in
     return [drawn[0], second]
 
 
+def hidden_exchange(craft: Satellite) -> tuple[int, int]:
+    """Return the two columns whose exchange the samples, each by itself, show least, of those that are not equivalent.
+
+    A sample shows an exchange by the least squared distance of its readings from those that any direction of the Sun gives.
+    """
+    sun = np.random.default_rng(45).normal(size=(2000, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    light = np.maximum(sun @ craft.normals.T, 0.0)
+    shown = {}
+    for a, b in combinations(range(len(craft.names)), 2):
+        order = np.arange(len(craft.names))
+        order[[a, b]] = b, a
+        if not equivalents(craft, order, craft.momenta):
+            read = craft.readings[:, order] / craft.gains
+            square = ((read[:, None] - light) ** 2).sum(axis=2)  # (n, direction)
+            shown[a, b] = float(square.min(axis=1).sum())
+    return min(shown, key=lambda pair: shown[pair])
+
+
 def files(
     craft: Satellite, order: np.ndarray, momenta: np.ndarray
 ) -> tuple[ss.Vehicle, xr.Dataset]:
@@ -230,12 +252,14 @@ def files(
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
     """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
 
-    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. Outcomes are the keys
-    of `validation.areas._EXCHANGES`.
+    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel, `HIDDEN` that of :func:`hidden_exchange`. Outcomes
+    are the keys of `validation.areas._EXCHANGES`.
     """
     seed, i, which = case
     craft = draw_satellite(seed, i)
     pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
+    if which == HIDDEN:
+        pair = hidden_exchange(craft)
     order = np.arange(len(craft.names))
     if pair is not None:
         order[list(pair)] = order[list(pair)][::-1]

@@ -12,8 +12,8 @@ import pytest
 
 import sunspin as ss
 from sunspin.cli.rates import SENSOR_VARIABLES
-from sunspin.estimation.column_tests import SENSORS, Culprit
-from sunspin.estimation.equivalence import wheel_changes
+from sunspin.estimation.column_tests import SENSORS, Better, Culprit, Named
+from sunspin.estimation.equivalence import exchange, wheel_changes
 from sunspin.estimation.gyro_axes import wrong_gyro_axes
 from sunspin.estimation.observe import wheel_models
 from sunspin.estimation.rates import rates
@@ -185,6 +185,16 @@ def test_the_opposite_sign_of_each_key_that_is_named_reverses_the_wheel(key):
     other = [-one for one in value] if isinstance(value, list) else -value
     assert np.abs(as_named).max() > 0
     np.testing.assert_allclose(momentum(wheel | {key: other}), as_named, atol=1e-15)
+
+
+def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both():
+    vehicle = parse_vehicle(text_of() + WHEEL.format(sign=""), "vehicle.toml")
+    both = exchange(vehicle, 0, 4).with_wheels((0,), ["w"])
+    words = Better((Named(both),), 20.0).words()
+    advice = words.partition("if it is so, ")[2]
+    exchanged = tomllib.loads(with_columns_exchanged(text_of(), advice))["telemetry"]["columns"]
+    assert (exchanged["px"], exchanged["my"]) == ("I_my", "I_px")
+    assert "look at the signs of axis_B, speed_rad_s and speed_scale_rad_s of w" in advice
 
 
 def telemetry_with_a_wheel(vehicle, values):

@@ -439,6 +439,7 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
             made = _step_between(model, track.omega, start, end, derivatives=True)
             track.attitude[:, end] = made.turned @ track.attitude[:, start]
             track.omega[:, end] = made.omega
+            assert made.by_start is not None
             by_state[:, end] = made.by_start @ by_state[:, start]
         previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)

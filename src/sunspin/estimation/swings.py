@@ -54,8 +54,8 @@ def swings_by_all_ways(
     alone = _of_known(best.model, motion, known, of_ladder)
     if not np.isfinite(alone.log_evidence[0]):
         return []
-    # What the best motion has of its log evidence by all other readings, less the price of their unknowns, the swing has too. The
-    # cost alone told a true rotation 12 less than a swing: eighteen gains, lights and zeros cost it 28, and the swing nothing.
+    # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
+    # alone a true rotation once stood 12 below a swing: its gains, lights and zeros had cost it 28, and the swing nothing.
     # In the measure of a fit the mean over the sphere counts twice, and the turn about the Sun has the width of its prior
     # (:func:`log_probability_of_readings`). The Gaussian of the rate stays.
     measure = float(best.log_evidence.max() - alone.log_evidence[0]) + np.log(2 * TURN_PRIOR)
