@@ -447,7 +447,6 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, sample, n):
             made = _step_between(model, track.omega, start, end, derivatives=True)
-            assert made.by_start is not None
             track.attitude[:, end] = made.turned @ track.attitude[:, start]
             track.omega[:, end] = made.omega
             assert made.by_start is not None

@@ -32,6 +32,7 @@ from sunspin.estimation.equivalence import (
     wheel_changes,
 )
 from sunspin.estimation.settings import FIELD_TURN
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import sphere
@@ -59,7 +60,8 @@ WORTH_A_SEARCH = 30.0
 files with two columns exchanged the right change was at most 0.8 from the best."""
 
 AS_GOOD = 3.0
-"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one."""
+"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one. And
+the log evidence by which a change may be better than the file in a decided pass: right files have such a change in 5 % at most."""
 
 MOST_COMPARED = 60
 """Samples that are compared so, evenly chosen."""
@@ -137,11 +139,15 @@ class Culprit:
 
 @dataclass(frozen=True)
 class Trials:
-    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`."""
+    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`.
+
+    `least`: log evidence by which a change must be better.
+    """
 
     evidence: Callable[[Vehicle, xr.Dataset], float]
     run: Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
     budget: Budget
+    least: float = CLEARLY
 
     def fitting(self, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset | None:
         """Return the estimate, if it fits."""
@@ -262,6 +268,12 @@ def better_rivals(
                 dark.append(change)
         elif is_allowed and not any(len(equivalence(observed, one, change)) for one in known):
             rivals.append(change)
+    # a column without a signal is left out: evidences are compared only if the same columns are
+    silent = silent_columns(vehicle, telemetry, AS_WRITTEN) if dark or rivals else set()
+    dark, rivals = (
+        [one for one in some if silent_columns(vehicle, telemetry, one) == silent]
+        for some in (dark, rivals)
+    )
     if not (dark or rivals):
         return None
     evidence_as_written = trials.evidence(vehicle, telemetry)
@@ -273,6 +285,18 @@ def better_rivals(
         for some, others in ((dark, []), (rivals, changes))
     ]
     return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
+
+
+def silent_columns(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> set[int]:
+    """Return the columns that are left out under a change, as their panels never show a signal."""
+    silent = np.flatnonzero(silent_inputs(assess(*change.applied(vehicle, telemetry))))
+    return {change.columns[k] if change.columns else int(k) for k in silent}
+
+
+def silent_inputs(assessment: Assessment) -> np.ndarray:
+    """Return which inputs (n_input) count in no sample, as they never show a signal."""
+    quality = assessment.quality
+    return ~(quality["reading"].values & ~quality["dead"].values).any(axis=0)
 
 
 def _best_of_classes(
@@ -293,7 +317,7 @@ def _best_of_classes(
             break
         changed = change.applied(observed.vehicle, telemetry)
         gains[k] = trials.evidence(*changed) - evidence_as_written
-    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > CLEARLY]
+    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > trials.least]
 
     named: list[Named] = []
     best, at_s = -np.inf, np.nan

@@ -19,11 +19,15 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.estimation.budget import USUAL, Budget
 from sunspin.estimation.column_tests import (
+    AS_GOOD,
+    MOST_NAMED,
+    MOST_SQUARE,
     Better,
     Named,
     Trials,
     better_rivals,
     samples_fit_other_columns,
+    silent_inputs,
     what_fits_better,
 )
 from sunspin.estimation.equivalence import (
@@ -43,6 +47,7 @@ from sunspin.estimation.model import Body, Model, Noise
 from sunspin.estimation.observe import cut, observe, split, wheel_models, with_momentum
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
+from sunspin.estimation.terms.panels import DARK
 from sunspin.estimation.verdict import (
     COLUMNS_DOUBTED,
     COLUMNS_STATED,
@@ -51,6 +56,7 @@ from sunspin.estimation.verdict import (
 )
 from sunspin.estimation.wheel_signs import Reversed, momentum_of_each
 from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -258,9 +264,15 @@ def _with_rivals(
     part = samples_of(result, telemetry, place)
     here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
+    trials = replace(trials, least=AS_GOOD)
     better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
+    if better.gain <= CLEARLY:  # too little to accuse the file, but the pass is not decided with it
+        what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
+        words = f"the data fit as well with {what}: find out which columns are right"
+        reason = f"other columns fit as well (with {what})"
+        return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
     return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
 
 
@@ -274,7 +286,8 @@ def _trials_of(
     def evidence(changed: Vehicle, data: xr.Dataset) -> float:
         """Return the log evidence of the pass by a quick search."""
         try:
-            seen = observe(assess(changed, data), source)
+            assessment = assess(changed, data)
+            seen = observe(assessment, source)
             (one, *_) = split(seen, np.inf, settings.passes)
         except InputError:
             return -np.inf
@@ -282,7 +295,8 @@ def _trials_of(
         obs = with_momentum(seen, momentum).obs
         noise = Noise(settings.search.noise)
         stated = Model(obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
-        return quick_evidence(stated.seeing(one.kept), settings, budget)
+        silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
+        return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
         """Return the whole estimate of the pass, if it needs no stronger torques than a change may."""
@@ -294,6 +308,22 @@ def _trials_of(
         return made if made.attrs["acceleration_noise"] <= most_noise else None
 
     return Trials(evidence, run, budget)
+
+
+def cost_of_silent_panels(assessment: Assessment, samples: np.ndarray) -> float:
+    """Return minus the log likelihood of the readings at `samples` of panels that are left out, as they never show a signal.
+
+    Such a panel is taken to have failed, and its readings for noise about zero. Which panels are so depends on the order of the
+    columns: if these readings counted nothing, two exchanged columns without a signal were better by 125 in a right file.
+    """
+    quality = assessment.quality
+    silent = silent_inputs(assessment)
+    zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
+    read = signals(assessment.telemetry)
+    sigma = np.broadcast_to(np.hypot(quality["noise"].values, zeros), read.shape)
+    read, sigma = read[samples][:, silent], sigma[samples][:, silent]
+    square = np.minimum(np.nan_to_num(read / sigma) ** 2, MOST_SQUARE)
+    return float((np.log(sigma) + square / 2).sum())
 
 
 def _with_doubted_wheels(
@@ -343,13 +373,13 @@ def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
     return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
 
 
-def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
+def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
     """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
     why = [joined(reason, what) for reason in result["why_not_decided"].values]
     count = result.sizes["pass_id"]
     return result.assign(
         decided=("pass_id", np.zeros(count, dtype=bool)),
-        columns_checked=("pass_id", np.full(count, COLUMNS_DOUBTED)),
+        columns_checked=("pass_id", np.full(count, checked)),
         why_not_decided=("pass_id", why),
     )
 

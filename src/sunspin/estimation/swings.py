@@ -55,8 +55,8 @@ def swings_by_all_ways(
     alone = _of_known(best.model, motion, known, of_ladder)
     if not np.isfinite(alone.log_evidence[0]):
         return []
-    # What the best motion has of its log evidence by all other readings, less the price of their unknowns, the swing has too. With
-    # the cost alone a true rotation was 12 behind: its gains, lights and zeros cost it 28, and the swing nothing.
+    # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
+    # alone a true rotation once stood 12 below a swing: its gains, lights and zeros had cost it 28, and the swing nothing.
     others = float(best.log_evidence.max() - alone.log_evidence[0])
     measure = others + log_left_out(stated) + stated.log_prior
     # what the log of the mean likelihood must be at least
