@@ -106,17 +106,18 @@ def main() -> None:
 
 @contextmanager
 def _lean_process() -> Generator[None]:
-    """Keep libraries from imports that commands do not need, which took 15 % of the processor time of `rates`.
+    """Spare a command what its libraries do for other programs.
 
-    If dask is installed, xarray imports it to know its arrays, and matplotlib imports 3-D axes. No command uses 3-D axes, and only
-    those with --scheduler use dask. Garbage is collected less often: an import makes many objects and no garbage.
+    If dask is installed, xarray imports it to ask whether an array is one of dask's. Matplotlib imports its 3-D axes. No
+    command uses 3-D axes, and only those with --scheduler use dask. Garbage is collected less often: imports leave little.
     """
     threshold = gc.get_threshold()
     gc.set_threshold(GARBAGE, *threshold[1:])
     without_3d = ModuleType("mpl_toolkits.mplot3d")
     without_3d.__dict__["Axes3D"] = None  # as matplotlib itself has it if the import fails
     unused: dict[str, ModuleType | None] = {"mpl_toolkits.mplot3d": without_3d}
-    if not any(argument.startswith("--scheduler") for argument in sys.argv):
+    # a program that has used xarray before keeps dask: xarray does not look for it again
+    if "xarray" not in sys.modules and not any(arg.startswith("--scheduler") for arg in sys.argv):
         unused["dask"] = None  # for Python a module that is not there
     modules: dict[str, Any] = sys.modules
     hidden = {name: module for name, module in unused.items() if name not in modules}

@@ -205,7 +205,7 @@ def rates(
         )
     # imported late, because the imports take a third of a second, most of it that of the orbit at the samples
     from sunspin.output.check.repeats import describe_repeats
-    from sunspin.output.check.samples import describe_mismatches
+    from sunspin.output.check.samples import describe_mismatches, unknown_gain_lines
     from sunspin.output.compared import compare_with
     from sunspin.output.text import clock_text
 
@@ -222,5 +222,8 @@ def rates(
     # of the mismatches only wrong units and axes, which make the rates wrong
     wrong = [line for line in mismatches.lines if "WRONG" in line]
     seen = describe_periods(of_columns, partial(clock_text, samples))
-    lines = [*wrong, *repeats.lines, *chosen_orbit.lines, *seen]
+    gains = (
+        unknown_gain_lines(used) if used.has_panels and result.attrs["source"] == "panels" else []
+    )
+    lines = [*wrong, *gains, *repeats.lines, *chosen_orbit.lines, *seen]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

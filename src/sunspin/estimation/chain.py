@@ -349,12 +349,22 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
     log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
-    # Laplace's method. Left out is what all models of a pass share: powers of 2 pi, and the widths of the priors of the first rate
-    # and of the turn about the Sun
+    # Laplace's method; what it leaves out all models of a pass share: see `log_left_out`
     log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
+
+
+def log_left_out(model: Model) -> float:
+    """Return by what the log evidence of a fit exceeds the log of the mean likelihood over all motions that its model allows.
+
+    It is the same for all models of a pass that sees the Sun. Prior densities of the first rate, of the defects and of the unknowns
+    are normal, with 6 n + m - 3 factors 1 / sqrt(2 pi). That of the first attitude is 1 / (8 pi^2). Laplace's method gives
+    sqrt(2 pi) for each of the 6 n + m numbers. Nothing measures the turn about the Sun: its integral is 2 pi, but counts as
+    sqrt(2 pi) `TURN_PRIOR`. With the width of the prior of the rate, 1 / (2 `TURN_PRIOR` `rate_sigma`^3) is left of all that.
+    """
+    return float(np.log(2 * TURN_PRIOR) + 3 * np.log(model.rate_sigma))
 
 
 def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:

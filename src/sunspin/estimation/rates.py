@@ -444,11 +444,16 @@ def decide_wheels(
 
 
 def _turn_alike(first: Sequence[Model], second: Sequence[Model], settings: RatesSettings) -> bool:
-    """Return whether wheels turn the rate alike in each of some passes: no motion leaves the basin in which a fit finds it."""
+    """Return whether wheels turn the rate alike in each of some passes: no motion leaves the basin in which a fit finds it.
+
+    `first`, `second`: the models of each pass. The angle counts from the median sample: motions agree there and differ at the ends.
+    """
     turned = []
     for one, other in zip(first, second, strict=True):
         rate = nutation(one.body.inertia, other.obs.momentum - one.obs.momentum)
-        turned.append(float(np.trapezoid(rate, one.obs.t_s)))
+        middle = len(rate) // 2
+        halves = slice(middle + 1), slice(middle, None)
+        turned += [float(np.trapezoid(rate[half], one.obs.t_s[half])) for half in halves]
     return max(turned) < settings.search.basin_rad
 
 

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from scipy.special import sph_harm_y
 
-from sunspin.estimation.chain import RATE, TURN, TURN_PRIOR, Fit, costs, equations, fit
+from sunspin.estimation.chain import RATE, TURN, Fit, costs, equations, fit, log_left_out
 from sunspin.estimation.evidence import likeliest, over_shares
 from sunspin.estimation.model import AS_STATED, Model, Noise, Observations, Track
 from sunspin.estimation.settings import AlternativeSettings, LadderSettings
@@ -56,12 +56,10 @@ def swings_by_all_ways(
         return []
     # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
     # alone a true rotation once stood 12 below a swing: its gains, lights and zeros had cost it 28, and the swing nothing.
-    # In the measure of a fit the mean over the sphere counts twice, and the turn about the Sun has the width of its prior
-    # (:func:`log_probability_of_readings`). The Gaussian of the rate stays.
-    measure = float(best.log_evidence.max() - alone.log_evidence[0]) + np.log(2 * TURN_PRIOR)
+    others = float(best.log_evidence.max() - alone.log_evidence[0])
+    measure = others + log_left_out(stated) + stated.log_prior
     # what the log of the mean likelihood must be at least
-    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless
-    least -= measure + 3 * np.log(stated.rate_sigma)
+    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless - measure
     if _bound(alone.model, alone.motions, wanders).max() + ROUGHLY * len(obs) < least:
         return []
     still = _still(motion)
@@ -72,16 +70,24 @@ def swings_by_all_ways(
         noise = Noise(best.model.noise.acceleration, rate=float(wander))
         model = replace(stated, noise=noise, what=SWINGS)
         one = fit(model, still, 8)
+        # the body is about rest, but how slow it is in the mean the readings tell only to this: a share of the rates before them
         of_rate = np.linalg.slogdet(one.motions.covariance[:, 0, RATE, RATE])[1] / 2
-        swinging.append(replace(one, log_evidence=stated.log_prior + log + of_rate + measure))
+        share = of_rate - 3 * np.log(stated.rate_sigma)
+        swinging.append(replace(one, log_evidence=log + share + measure))
     return swinging
 
 
 def _of_known(model: Model, motion: Track, known: Observations, s: LadderSettings) -> Fit:
-    """Return the fit of a motion (K = 1) of a model to readings of which the unknowns are held; those of the body stay."""
-    u = motion.u[:, model.of_body]
+    """Return the fit of a motion (K = 1) of a model to readings of which the unknowns are held.
+
+    Unknowns of the body, and of terms that hold none, stay; so does what the sizes of their sigmas add.
+    """
+    places = zip(known.terms, model.of_terms, strict=True)
+    kept = [motion.u[:, place] for term, place in places if term.unknowns()]
+    u = np.concatenate([motion.u[:, model.of_body], *kept], axis=1)
     begin = Track(motion.attitude, motion.omega, u)
-    return over_shares(fit(replace(model, obs=known), begin, s.steps, s.tolerance), s.beyond_fit)
+    one = fit(replace(model, obs=known), begin, s.steps, s.tolerance)
+    return over_shares(one, s.beyond_fit)
 
 
 @cache
