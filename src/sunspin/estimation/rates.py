@@ -446,7 +446,8 @@ def decide_wheels(
 def _turn_alike(first: Sequence[Model], second: Sequence[Model], settings: RatesSettings) -> bool:
     """Return whether wheels turn the rate alike in each of some passes: no motion leaves the basin in which a fit finds it.
 
-    `first`, `second`: the models of each pass. The angle counts from the median sample: motions agree there and differ at the ends.
+    `first`, `second`: the models of each pass. The angle counts from the median sample on: motions agree there, and differ
+    at the ends.
     """
     turned = []
     for one, other in zip(first, second, strict=True):
