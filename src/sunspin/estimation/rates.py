@@ -74,11 +74,12 @@ from sunspin.estimation.settings import (
 )
 from sunspin.estimation.solutions import Solutions, solutions
 from sunspin.estimation.starts import (
+    aliases,
     allowed_directions,
     fine_up_to,
+    other_bodies,
     pair_starts,
     pairs_to_try,
-    relatives,
 )
 from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
@@ -337,12 +338,13 @@ def one_pass(
             do="add samples, or check their errors",
         )
 
-    # Motions that a search with the inertia held fast may lose: whole turns more or less, and bodies of another shape.
-    begin = leading(fits, s.alternatives.relatives_of, s.search)
-    others = relatives(begin, stated, s.alternatives)
-    budget.spend(len(others) * len(stated.obs))
-    fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
-    fits = united(fits, s.ladder, s.search)
+    # Motions that a search with the inertia held may lose: bodies of another shape, then whole revolutions more or less of all
+    # that is found. This order, as a body without an inertia has its aliases only when its shape is known.
+    for related in (other_bodies, partial(aliases, s=s.alternatives)):
+        others = related(leading(fits, s.alternatives.relatives_of, s.search), stated)
+        budget.spend(len(others) * len(stated.obs))
+        fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
+        fits = united(fits, s.ladder, s.search)
 
     # What else may have moved the body.
     shorter = replace(s.ladder, hopeless=s.alternatives.hopeless)
