@@ -54,7 +54,7 @@ from sunspin.estimation.verdict import (
     COLUMNS_UNCHECKED,
     alike_motions,
 )
-from sunspin.estimation.wheel_signs import Reversed, momentum_of_each
+from sunspin.estimation.wheels import Reversed, momentum_of_each, name_of_wheels
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -117,11 +117,6 @@ def what_was_observed(
     momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
     observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
     return replace(observed, panels=observed.panels and attrs["source"] == "panels")
-
-
-def name_of_wheels(words: str) -> str:
-    """Return the name of a wheel model of which the words say the evidence too."""
-    return words.split(" (evidence")[0]
 
 
 def _with_unseen_changes(

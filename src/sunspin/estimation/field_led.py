@@ -24,7 +24,7 @@ FIT_STEPS = 12
 """Steps of the fits from these turns, of which few are left."""
 
 
-def searched(stated: Model, noise: Noise) -> list[Model]:
+def models_to_search(stated: Model, noise: Noise) -> list[Model]:
     """Return the models that are searched: by the field's directions in place of the Sun's if hardly any sample shows the Sun."""
     known = field_of(stated)
     if known is None:

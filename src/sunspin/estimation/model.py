@@ -261,6 +261,10 @@ class Model:
         """Return the model of some of the samples."""
         return replace(self, obs=self.obs.take(samples))
 
+    def with_momentum(self, momentum: np.ndarray) -> Model:
+        """Return the model with wheels of this momentum (n, 3)."""
+        return replace(self, obs=replace(self.obs, momentum=momentum))
+
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
         return replace(self, noise=replace(self.noise, acceleration=acceleration))
