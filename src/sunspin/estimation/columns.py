@@ -264,6 +264,13 @@ def _with_rivals(
     if better is None or better.gain < least:
         return result
     if better.gain <= CLEARLY:  # too little to accuse the file, but the pass is not decided with it
+        omega, sigma = (
+            np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
+            for name in ("omega", "sigma")
+        )
+        rates_of_changes = [one.omega for one in better.named if one.omega is not None]
+        if all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates_of_changes):
+            return result  # the rate is right with either
         what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
