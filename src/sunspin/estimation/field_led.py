@@ -71,8 +71,7 @@ def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
     if known is None:  # all turns fit the Sun alike: the fit with its unknowns decides
         return fitted
-    t_s = model.obs.t_s
-    return fitted.take(distinct(fitted, t_s, s.most, s.drop, s.copies_rad, s.copies_sigmas))
+    return fitted.take(distinct(fitted, model.obs.t_s, s))
 
 
 def begun(model: Model, motions: Track) -> Track:

@@ -78,7 +78,7 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
         # each round trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
             motions = shot(_loosened(around, sample, share * apart), sample, motions, 4)
-            motions = _distinct(motions, around, s.tried[2], s)
+            motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[2]))
         yield window, motions
 
 
@@ -89,7 +89,11 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
         return s.places_if_flat
     first = _pairs(model)[0]
     dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
-    return 1 if dense or gyro_decides(model, first) or not _steady(model, first) else s.places
+    return (
+        1
+        if dense or gyro_decides(model, first) or not _constant_rate_holds(model, first)
+        else s.places
+    )
 
 
 def _pairs(model: Model) -> np.ndarray:
@@ -108,7 +112,7 @@ def gyro_decides(model: Model, first: int) -> bool:
     return bool(sigma * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < GYRO_RAD)
 
 
-def _steady(model: Model, first: int) -> bool:
+def _constant_rate_holds(model: Model, first: int) -> bool:
     """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
     wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
@@ -139,7 +143,9 @@ def starts(
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
         each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
-    elif not _steady(model, first):  # wheels or moments bend the motion: no closed form
+    elif not _constant_rate_holds(
+        model, first
+    ):  # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
         each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
     else:
@@ -269,7 +275,7 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
-    if _steady(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
+    if _constant_rate_holds(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
         return np.inf
     return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
 
@@ -326,11 +332,5 @@ def _thinned(
     around, sample = model.seeing(window), sample - window.start
     motions = _best(around, sample, motions.sun_B[:, 0], motions.omega[:, 0], apart, s.tried[1])
     motions = shot(_loosened(around, sample, apart), sample, motions, 3)
-    motions = _distinct(motions, around, s.tried[1], replace(s, drop=np.inf))
+    motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[1], drop=np.inf))
     return motions.sun_B[:, sample], motions.omega[:, sample]
-
-
-def _distinct(motions: Track, model: Model, most: int, s: SearchSettings) -> Track:
-    """Return motions without copies and improbable ones, best first."""
-    chosen = distinct(motions, model.obs.t_s, most, s.drop, s.copies_rad, s.copies_sigmas)
-    return motions.take(chosen)
