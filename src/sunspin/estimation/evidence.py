@@ -62,9 +62,8 @@ def ladder(
 ) -> list[Fit]:
     """Return fits of a model under every strength of unknown torques, one for each rung that is reached.
 
-    From `first_rung` up, then from the fit there down, each from where the one before ended: under weak torques a motion
-    hardly moves. A path ends with a rung that is hopeless compared with the best one, or with another model: its log evidence is
-    `rival`.
+    From `first_rung` up, then from the fit there down, each from where the one before ended: under weak torques a motion hardly
+    moves. A path ends with a rung that is hopeless compared with the best one, or with another model of the log evidence `rival`.
     `of_search`: what a copy of a motion is, and how many motions are kept.
     """
     if not len(motions):
@@ -74,14 +73,16 @@ def ladder(
     above = sorted(rung for rung in s.rungs if rung > first_rung)
     below = sorted((rung for rung in s.rungs if rung < first_rung), reverse=True)
     for path in (above, below):
-        now, last = start, first_rung
+        last, last_rung = start, first_rung
         for rung in path:
-            for level in _levels(last, rung, s.cooling):
+            # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is
+            steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
+            for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
                 under = model.under(level)
-                begin_here = restated(now.motions, now.model, under)
-                now, shared = _fitted(under, begin_here, s.steps, s, of_search)
-            last = rung
-            if not len(now):
+                begin = restated(last.motions, last.model, under)
+                last, shared = _fitted(under, begin, s.steps, s, of_search)
+            last_rung = rung
+            if not len(last):
                 break
             fits.append(shared)
             best = max(rival, *(float(one.log_evidence.max()) for one in fits))
@@ -113,12 +114,6 @@ def restated(motions: Track, before: Model, after: Model) -> Track:
     for k, (was, now) in enumerate(pairs):
         ratio[k] = was.sigma / now.sigma if now.sigma > 0 else was.sigma
     return replace(motions, u=motions.u * ratio)
-
-
-def _levels(last: float, rung: float, cooling: float) -> list[float]:
-    """Return strengths from one rung to the next, in steps of a factor `cooling` at most: stiffened more, a motion would stay."""
-    count = max(1, int(np.ceil(abs(np.log(rung / last)) / np.log(cooling) - 1e-9)))
-    return [*np.geomspace(last, rung, count + 1)[1:-1].tolist(), rung]
 
 
 def _distinct(one: Fit, s: LadderSettings, of_search: SearchSettings) -> np.ndarray:
