@@ -24,7 +24,13 @@ from sunspin.estimation.lander.fit import (
 from sunspin.estimation.lander.grid import grid_starts, reference, settled_starts
 from sunspin.estimation.lander.motions import Shots, Trials
 from sunspin.estimation.lander.priors import with_priors
-from sunspin.estimation.lander.rate_grid import RateGrid, Sphere, attitudes, without_sphere
+from sunspin.estimation.lander.rate_grid import (
+    RateGrid,
+    Reached,
+    Sphere,
+    attitudes,
+    without_sphere,
+)
 from sunspin.estimation.lander.window import observe_window
 from sunspin.estimation.posterior import refitted, searched, under_torques
 from sunspin.estimation.settings import POSTERIOR
@@ -85,7 +91,8 @@ def test_corners_of_a_cell_count_by_trilinear_weights():
 
 def rate_grid(model, place, settings=GRID):
     """Return the grid of rates of a model whose reference is at a place."""
-    return RateGrid.of(model, model.obs.t_s[place.others], place.limit, place.edge, settings)
+    reached = Reached.of(model, place.limit, place.fastest)
+    return RateGrid.of(model, model.obs.t_s[place.others], reached, place.edge, settings)
 
 
 def test_interpolated_attitudes_are_those_of_the_motion():
@@ -117,6 +124,25 @@ def test_attitudes_between_runs_are_those_of_runs():
     off = 2 * np.arccos(np.minimum(cosine, 1.0))
     assert np.quantile(off, 0.97) < 0.1
     assert np.quantile(off, 0.9) < GRID.between_rad
+
+
+def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
+    """Rates of the ball at the first sample, also along the wheel that runs down; a fifth and more of a wider ball is left out."""
+    model = lander_model().after(800.0, 0.9)
+    first = replace(model, after_s=0.0)
+    rng = np.random.default_rng(8)
+    direction = rng.standard_normal((300, 3))
+    direction[:40, :2] *= 0.02  # nearly along the wheel
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    none = np.zeros((300, len(model.unknowns)))
+    rows = first.rows(Shots(0.6 * direction, np.tile(SUN, (300, 1)), none))
+    there = first.run(rows, np.array([800.0]), 1e-5).omega_B[:, 0]
+    reached = Reached.of(model, 2.0, 0.6)
+    assert reached.within(there, 0.0).all()
+    size = np.sqrt(np.einsum("ni,ij,nj->n", there, reached.inertia, there))
+    assert size.max() > 0.9 * reached.most
+    ball = 0.9 * rng.random((300, 1)) ** (1 / 3) * direction
+    assert 0.5 < reached.within(ball, 0.0).mean() < 0.8
 
 
 def test_of_a_sphere_without_a_wheel_its_own_turn_leaves_nothing():

@@ -31,7 +31,7 @@ from sunspin.estimation.lander.cells import (
 )
 from sunspin.estimation.lander.model import LanderModel
 from sunspin.estimation.lander.motions import Shots, Trials
-from sunspin.estimation.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid
+from sunspin.estimation.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
 from sunspin.estimation.settings import GridSettings
 from sunspin.estimation.terms.powers import PanelPowers
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
@@ -236,7 +236,8 @@ def grid_starts(
     no motion fits.
     """
     bare = replace(model, frame="", max_rate=place.limit)
-    grid = RateGrid.of(bare, bare.obs.t_s[place.others], place.limit, place.edge, s, workers)
+    reached = Reached.of(bare, place.limit, place.fastest)
+    grid = RateGrid.of(bare, bare.obs.t_s[place.others], reached, place.edge, s, workers)
     omega, sun, misfit = settled_starts(grid, bare.panels, place, s, workers)
     size = np.linalg.norm(omega, axis=1, keepdims=True)
     omega = omega * np.minimum(1.0, place.limit / np.maximum(size, 1e-12))

@@ -7,7 +7,7 @@ divided out: in space it turns about its constant momentum H, by H t / I. What i
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.dynamics import gyrostat
+from sunspin.dynamics import batch, gyrostat
+from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.processor import cached, compiled, digest
 from sunspin.estimation.lander.model import LanderModel
 from sunspin.estimation.lander.motions import Shots
@@ -33,6 +34,10 @@ CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 SPACINGS, TRIED_CELLS = (4, 3, 2), 100
 """How many steps of the grid may lie between two runs, and on how many cells of such a size that is tried."""
+
+
+UNSURE = 1.1
+"""Factor on what wheels push: their momentum is counted without the body's own rate."""
 
 
 class Sphere(NamedTuple):
@@ -57,6 +62,41 @@ class Sphere(NamedTuple):
         return Rotation.from_rotvec(-(rate[:, None] * times_s[:, None]).reshape(-1, 3))
 
 
+class Reached(NamedTuple):
+    """Rates at a reference that motions may have reached: at most `limit` (rad/s), with a root of twice the energy of `most`.
+
+    `inertia` (3, 3) without what free wheels carry along their axes, for which twice the energy is rate . inertia . rate.
+    """
+
+    limit: float
+    inertia: np.ndarray
+    most: float = np.inf
+
+    @classmethod
+    def of(cls, model: LanderModel, limit: float, fastest: float) -> Reached:
+        """Return what the nominal body reaches that is not faster than `fastest` (rad/s) at the first sample.
+
+        Friction of a wheel pushes the body along the wheel's axis u: the root of twice the energy changes by the wheel's change of
+        momentum times the root of u . inverse inertia . u, at most.
+        """
+        vehicle, none = model.vehicle, np.zeros((1, len(model.unknowns)))
+        commands = batch.one_command(vehicle, model.wheel_mode)
+        body = Bodies.of(vehicle)
+        inertia = gyrostat.free_inertia(body, [command != "hold" for command in commands])
+        then, first = model.wheel_speeds(none), replace(model, after_s=0.0).wheel_speeds(none)
+        pushed = body.wheel_inertia_kg_m2 * np.abs(then - first)[0]
+        along = np.einsum("wi,ij,wj->w", body.axes_B, np.linalg.inv(inertia), body.axes_B)
+        most = np.sqrt(np.linalg.eigvalsh(inertia)[-1]) * fastest
+        return cls(limit, inertia, float(most + UNSURE * pushed @ np.sqrt(along)))
+
+    def within(self, omega: np.ndarray, margin: float) -> np.ndarray:
+        """Return which rates (n, 3) are reached, or are within `margin` (rad/s) of such."""
+        energy = np.einsum("ni,ij,nj->n", omega, self.inertia, omega)
+        aside = margin * np.sqrt(np.linalg.eigvalsh(self.inertia)[-1])
+        near = np.sum(omega**2, axis=1) <= (self.limit + margin) ** 2
+        return near & (energy <= (self.most + aside) ** 2)
+
+
 @dataclass(frozen=True)
 class RateGrid:
     """Attitudes that the body reaches at `times_s` (m) from the reference, for rates on a cubic grid about rest.
@@ -76,17 +116,18 @@ class RateGrid:
         cls,
         model: LanderModel,
         times_s: np.ndarray,
-        limit: float,
+        reached: Reached,
         edge: float,
         s: GridSettings,
         workers: int = 1,
     ) -> RateGrid:
-        """Return the grid of rates up to `limit` (rad/s), from runs of the nominal body from the model's reference."""
-        side, points, row_of = ball(limit + np.sqrt(3) * edge, limit, edge)
+        """Return the grid of rates that may be reached, from runs of the nominal body from the model's reference."""
+        margin = np.sqrt(3) * edge  # all corners of a cell
+        side, points, row_of = lattice(reached, margin, edge)
         bare = cls(times_s, edge, side, row_of, np.zeros((0, len(times_s), 4), dtype=np.float32))
-        spacing = coarsest_spacing(model, bare, limit, s)
-        reach, far = limit + np.sqrt(3) * edge * (1 + spacing), spacing * edge
-        coarse_side, coarse_points, coarse_row_of = ball(reach, reach, far)
+        spacing = coarsest_spacing(model, bare, reached.limit, s)
+        far = spacing * edge
+        coarse_side, coarse_points, coarse_row_of = lattice(reached, margin * (1 + spacing), far)
         coarse = cls(times_s, far, coarse_side, coarse_row_of, bare.turn)
         sphere = Sphere.of(model)
         with ThreadPoolExecutor(workers) as pool:
@@ -121,22 +162,26 @@ class RateGrid:
         return np.flatnonzero(whole)
 
 
-def ball(reach: float, limit: float, edge: float) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return a cubic grid about rest with points up to `limit` along its axes: its side, the points up to `reach`, rows of points.
+def lattice(reached: Reached, margin: float, edge: float) -> tuple[int, np.ndarray, np.ndarray]:
+    """Return a cubic grid about rest: points along a side, those that are reached give or take a margin (rad/s), and their rows.
 
     Points (n) are indices in the cube (side^3); the row of each is its place among them, -1 for others.
     """
-    side = 2 * int(np.ceil(limit / edge)) + 1
-    axis = (np.arange(side) - side // 2) * edge
-    square = axis[:, None, None] ** 2 + axis[None, :, None] ** 2 + axis**2
-    points = np.flatnonzero(square <= reach**2)
-    row_of = np.full(side**3, -1, dtype=np.int32)
-    row_of[points] = np.arange(len(points))
-    return side, points, row_of
+    half = int(np.ceil((reached.limit + margin) / edge))
+    side = 2 * half + 1
+    axis = (np.arange(side) - half) * edge
+    row_of, points = np.full(side**3, -1, dtype=np.int32), []
+    for i, x in enumerate(axis):  # a layer at a time, as memory allows
+        y, z = np.meshgrid(axis, axis, indexing="ij")
+        omega = np.stack([np.full(side**2, x), y.ravel(), z.ravel()], axis=1)
+        points.append(np.flatnonzero(reached.within(omega, margin)) + i * side**2)
+    every = np.concatenate(points)
+    row_of[every] = np.arange(len(every))
+    return side, every, row_of
 
 
 def coarsest_spacing(model: LanderModel, grid: RateGrid, limit: float, s: GridSettings) -> int:
-    """Return the most steps of a grid between runs with which nine of ten motions in the middle of four runs each are near enough.
+    """Return the most steps of a grid between runs with which nine of ten attitudes half way between runs are near enough.
 
     There the error is the largest; elsewhere it is half of that. One step if no larger spacing is good enough.
     """
