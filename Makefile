@@ -16,9 +16,10 @@ TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
 # as many workers as cores, four at most: threads of the linear algebra would only stand in their way
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: help reproduce test test-all test-slow docs bench studies scoreboard validate-real long other-pythons lint contracts style types lock clean
+.PHONY: help install reproduce test test-all test-slow docs bench studies scoreboard validate-real long other-pythons lint contracts style types lock clean
 
 help:
+	@echo "make install     sunspin with all that it needs into $(VENV)/; then: . $(VENV)/bin/activate"
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
 	@echo "make test        import contracts, lint, types, tests and documentation"
 	@echo "make test-all    make test, the tests marked long, a smoke test on other versions of Python"
@@ -43,6 +44,8 @@ $(READY): requirements.lock pyproject.toml
 	$(PIP) --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -m sunspin.dynamics || echo "the first command will compile the integrators (half a minute)" >&2
 	@touch $(READY)
+
+install: $(READY)
 
 reproduce: $(READY)
 	$(BIN)/sunspin reproduce --out $(OUT)

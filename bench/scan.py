@@ -20,7 +20,7 @@ from bench.baselines import Contestant, DormandPrince, TaylorBatch, on_cores
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.timing import Table, cores, timings
 from sunspin.dynamics import batch
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
+from sunspin.estimation.scan.directions import reconstructible_mask
 
 TOLERANCES = (1e-5, 1e-6, 1e-9)
 """heyoka's tolerances per step: about what an EMD needs, what directions good to 1e-3 need, and a tight one."""
@@ -131,5 +131,5 @@ def reference_emd(problem: Problem, omega_B: np.ndarray) -> float:
     times = np.linspace(0.0, problem.window_s, round(problem.window_s / REFERENCE_STEP_S) + 1)
     start = problem.vehicle, omega_B, problem.sun_B, problem.wheel_speed_rad_s
     track = ss.propagate(*start, times, rtol=1e-9)["sun_B"].values
-    seen = track[allows(reconstructible_mask(problem.vehicle), track), 2]
+    seen = track[reconstructible_mask(problem.vehicle).contains(track), 2]
     return float(wasserstein_distance(seen, problem.target_z)) / 2

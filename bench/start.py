@@ -19,6 +19,9 @@ CHEAP = {
     "import sunspin": ("-c", "import sunspin"),
     "sunspin --help": ("-m", "sunspin.cli", "--help"),
 }
+LIBRARIES = ("-c", "import numpy, pandas, xarray, scipy.special, numba, matplotlib.figure")
+EXAMPLE = ("-m", "sunspin.cli", "init")
+RATES = ("-m", "sunspin.cli", "rates", "vehicle.toml", "telemetry.csv", "--out", "rates")
 SCAN = ("-c", "from bench.problem import philae; philae().scan(philae().axes(2, 2, 2))")
 
 
@@ -35,17 +38,29 @@ def run(quick: bool) -> Table:
         seconds = statistics.median(call(SCAN, folder) for _ in range(repeats))
         table.rows.append(("the same, kernels compiled", seconds, repeats))
         unchanged = kernels and compiled(folder) == kernels
+    with tempfile.TemporaryDirectory(prefix="sunspin-bench-") as folder:
+        call((*EXAMPLE, folder))
+        # in turn, so that a machine that slows down slows both; the first command may compile
+        call(RATES, cwd=folder)
+        pairs = [(call(LIBRARIES), call(RATES, cwd=folder)) for _ in range(repeats)]
+    libraries, rates = (statistics.median(each) for each in zip(*pairs, strict=True))
+    table.rows.append(("import of the libraries that `rates` uses", libraries, repeats))
+    table.rows.append(("sunspin rates on the example files, with figures", rates, repeats))
+    ratio = statistics.median(command / imports for imports, command in pairs)
+    table.notes.append(f"`rates` takes {ratio:.1f} times as long as the import of its libraries.")
     table.notes.append(f"Compiled anew although kernels are there: {'no' if unchanged else 'YES'}.")
     return table
 
 
-def call(arguments: tuple[str, ...], cache: str | None = None) -> float:
-    """Return the wall time (s) of ``python ARGUMENTS``; `cache` is a folder for the kernels, if given."""
+def call(arguments: tuple[str, ...], cache: str | None = None, cwd: str | None = None) -> float:
+    """Return the wall time (s) of ``python ARGUMENTS`` in a folder; `cache` is a folder for the kernels, if given."""
     # this repository first, so that `bench` can be imported from any folder
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"PYTHONPATH": path} | ({"NUMBA_CACHE_DIR": cache} if cache else {})
     start = time.perf_counter()
-    subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, check=True)
+    subprocess.run(
+        [sys.executable, *arguments], env=environment, cwd=cwd, capture_output=True, check=True
+    )
     return time.perf_counter() - start
 
 

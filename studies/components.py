@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sunspin.dynamics.batch import run
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
-from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
+from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimation.scan.histogram import BINS, distances_to_target, target_segments
 from sunspin.output.figures import COLOURS
 from sunspin.philae.rebound import Rebound, make_rebound, scan_grid
 from sunspin.philae.threshold import CONFIDENCE, simulate_similar_rebounds, threshold_index
@@ -43,7 +43,7 @@ def histograms(rebound: Rebound, omega_B: np.ndarray) -> np.ndarray:
     for begin in range(0, len(states), CHUNK):
         index = np.arange(begin, min(begin + CHUNK, len(states)))
         track = run(vehicle, states.take(index), t, error=DIRECTION_ERROR).sun_B
-        row, instant = np.nonzero(allows(mask, track))
+        row, instant = np.nonzero(mask.contains(track))
         bins = np.clip(((track + 1) * BINS / 2).astype(int), 0, BINS - 1)[row, instant]
         for axis in range(3):
             np.add.at(hist[axis], (index[row], bins[:, axis]), 1)
@@ -65,10 +65,10 @@ def calibrate_scans(rebound: Rebound, coarser: int, n_rebounds: int) -> list[dic
     for axis in range(3):
         ratio = []
         for k, each in enumerate(simulated):
-            emd = distances_to(hist[axis], target_segments(each.seen_B[:, axis]))
+            emd = distances_to_target(hist[axis], target_segments(each.seen_B[:, axis]))
             ratio.append(emd[n_grid + k] / emd[:n_grid].min())
         factor = np.sort(ratio)[threshold_index(len(ratio), CONFIDENCE)]
-        emd = distances_to(hist[axis, :n_grid], target_segments(measured[:, axis]))
+        emd = distances_to_target(hist[axis, :n_grid], target_segments(measured[:, axis]))
         scans.append({"emd": emd, "factor": float(factor)})
     return scans
 

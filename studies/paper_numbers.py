@@ -12,8 +12,8 @@ import numpy as np
 from sunspin.cases import Case
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
-from sunspin.estimate.spin import error_of_rate, turned
+from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimation.spin import error_of_rate, rotated_sun
 from sunspin.landing.strategies import wheel_stop_at_rest
 from sunspin.philae.rebound import (
     LINE_RANGE,
@@ -106,7 +106,7 @@ def descent_numbers(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
     z = paper["nz_descent"]
     start, axis = [np.sqrt(1 - z**2), 0.0, z], [0, 0, 1]
     azimuth = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
-    share = np.mean(allows(reconstructible_mask(case.vehicle), turned(start, axis, azimuth)))
+    share = np.mean(reconstructible_mask(case.vehicle).contains(rotated_sun(start, axis, azimuth)))
     flight = between("first_touchdown", "collision") / 60
 
     # rate of the descent by the printed cubic
@@ -118,7 +118,7 @@ def descent_numbers(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
     # rates that differ by one revolution between regular samples give the same directions
     aliases = cubic[0] + 2 * np.pi / interval * np.array([-1, 0, 1])
     regular = interval * np.arange(ALIASES)
-    seen = turned(start, axis, cubic[0] * regular)
+    seen = rotated_sun(start, axis, cubic[0] * regular)
     return {
         "length": length,
         "apart_deg": angle,

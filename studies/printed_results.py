@@ -27,9 +27,9 @@ from tqdm import tqdm
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import Outcome, Rows, run
-from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.rows import distances_to, target_segments
-from sunspin.estimate.scan.table import Table
+from sunspin.estimation.scan.histogram import distances_to_target, target_segments
+from sunspin.estimation.scan.metrics import emd
+from sunspin.estimation.scan.volume import Table
 from sunspin.landing.tally import Estimate, effective_runs, estimate, probability
 from sunspin.output.figures import COLOURS
 from sunspin.philae.data_check import LEAST_DIRECTIONS
@@ -219,13 +219,13 @@ def may_be_accepted(scan: Scan, z: np.ndarray, common_emd: float) -> bool:
     printed, segments = scan.case.published["emd_min"].value, target_segments(z, None)
     tolerance, least = TOLERANCES["wide"].emd_min, []
     for tube in scan.tubes:
-        smallest = distances_to(tube, segments, scan.workers).min(initial=np.inf)
+        smallest = distances_to_target(tube, segments, scan.workers).min(initial=np.inf)
         if not printed - tolerance <= smallest < factor * (printed + tolerance):
             return False
         least.append(smallest)
     if max(least) >= factor * min(least):
         return False
-    subset = distances_to(scan.subset, segments, scan.workers)
+    subset = distances_to_target(scan.subset, segments, scan.workers)
     bound = min(subset.min(initial=np.inf), *least)
     if bound < printed - tolerance or max(least) >= factor * bound:
         return False

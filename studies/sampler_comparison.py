@@ -231,7 +231,7 @@ def compare(kind: str, case: int, walk: bool) -> None:
     """Print the comparison for one simulated case; emcee is included if `walk` is true."""
     setting = SETTINGS[kind]
     craft, max_rate = setting.vehicle(), setting.max_rate_rad_s
-    telemetry, _, _, priors = make(
+    telemetry, _, priors = make(
         craft, setting.calibration, max_rate, setting.samples, setting.interval_s, 0, case
     )
     begin = time.process_time()

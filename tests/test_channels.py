@@ -13,7 +13,7 @@ from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.light import between, light_of, seen
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
+from sunspin.estimation.scan.directions import reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.flat import normalise_readings
@@ -215,7 +215,7 @@ def test_the_mask_of_a_scan_counts_what_channels_allow(reads):
     good, names = reconstructible_patterns(vehicle), np.array(vehicle.input_names)
     lit = ss.panel_power(vehicle, sun) > 0
     expected = [frozenset(names[row].tolist()) in good for row in lit]
-    assert np.mean(allows(reconstructible_mask(vehicle), sun) != expected) < 1e-3
+    assert np.mean(reconstructible_mask(vehicle).contains(sun) != expected) < 1e-3
 
 
 def test_with_three_channels_no_pattern_gives_a_direction():

@@ -2,9 +2,12 @@
 
 import importlib
 import importlib.util
+import os
 import pkgutil
+import pty
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -79,6 +82,35 @@ def test_rates_wait_for_no_module_that_they_do_not_use():
     )
     assert "sunspin.estimation.rates" in loaded
     assert not loaded & {"scipy.stats", "scipy.optimize", "matplotlib"}
+
+
+def test_the_first_line_of_rates_comes_before_the_imports_that_take_longest(tmp_path):
+    """And modules that only others need are never imported, not even for the figures."""
+    subprocess.run(
+        [sys.executable, "-m", "sunspin.cli", "init", ".", "--quiet"], cwd=tmp_path, check=True
+    )
+    run = "-X importtime -m sunspin.cli rates vehicle.toml telemetry.csv --out rates --workers 1"
+    terminal, end = pty.openpty()
+    with subprocess.Popen([sys.executable, *run.split()], cwd=tmp_path, stderr=end) as process:
+        os.close(end)
+        written = b""
+        with suppress(OSError):  # that of a terminal whose other end is closed
+            while part := os.read(terminal, 65536):
+                written += part
+    os.close(terminal)
+    assert process.returncode == 0
+    said = written.decode().splitlines()
+    first = next(i for i, line in enumerate(said) if line.startswith("sunspin: "))
+    assert said[first] == "sunspin: rates: reading telemetry.csv"
+    imported = [
+        {line.rpartition("|")[2].strip() for line in part if line.startswith("import time:")}
+        for part in (said[:first], said)
+    ]
+    assert "click" in imported[0]
+    assert not imported[0] & {"pandas", "xarray", "scipy", "numba", "pyarrow", "matplotlib"}
+    assert "numba" in imported[1]
+    unused = "dask mpl_toolkits.mplot3d scipy.interpolate scipy.spatial scipy.optimize scipy.stats"
+    assert not imported[1] & set(unused.split())
 
 
 @pytest.mark.parametrize("command", ["check", "sun"])

@@ -238,9 +238,9 @@ def _philae_by_package(
     from validation.calibrate import judge, make
 
     vehicle = load_case("philae").vehicle
-    telemetry, truth, unknown, priors = make(vehicle, kind, max_rate, samples, apart_s, seed, i)
+    case = make(vehicle, kind, max_rate, samples, apart_s, seed, i)
     try:
-        row = judge(vehicle, telemetry, truth, unknown, priors, seed)
+        row = judge(vehicle, case, seed)
     except SunspinError as error:
         return {
             "outcome": "right" if kind in ("swapped", "wheel_off") else "defect",
@@ -407,7 +407,7 @@ def _calibration(seed: int, i: int) -> Row:
 
 def exchanges(level: str, seed: int) -> Iterator[Task]:
     """Yield tasks of `rates` on satellites with wings and wheels: two panel columns exchanged, and the right files."""
-    from validation.exchanges import QUICK, WHEEL_REVERSED
+    from validation.exchanges import HIDDEN, QUICK, WHEEL_REVERSED
 
     for satellite in QUICK[:2] if level == "quick" else QUICK:
         for which in (-1, 0):
@@ -433,6 +433,13 @@ def exchanges(level: str, seed: int) -> Iterator[Task]:
                 f"{seed}/{satellite}",
                 partial(_exchange, seed, satellite, -1),
             )
+    for satellite in QUICK[:1] if level == "quick" else QUICK:
+        yield Task(
+            "wiring",
+            "columns exchanged that the samples hide",
+            f"{seed}/{satellite}",
+            partial(_exchange, seed, satellite, HIDDEN),
+        )
 
 
 _EXCHANGES = {
@@ -451,7 +458,7 @@ _EXCHANGES = {
 
 
 def _exchange(seed: int, satellite: int, which: int) -> Row:
-    """Run and judge exchange `which` of a satellite; -1 is the right file."""
+    """Run and judge exchange `which` of a satellite; -1 is the right file, other negative numbers as in `exchanges.run`."""
     from validation.exchanges import run
 
     row = run((seed, satellite, which))
@@ -565,7 +572,7 @@ def _witness(name: str) -> Row:
 
 def _emd_bound() -> float:
     """Return the largest error of an EMD from histograms: half a bin for each sample, halved in the paper's distance."""
-    from sunspin.estimate.scan.rows import BINS
+    from sunspin.estimation.scan.histogram import BINS
 
     return 2.0 / BINS / 4
 

@@ -25,6 +25,9 @@ EXCHANGES, SAMPLES = 2, 32
 WHEEL_REVERSED = -2
 """Number of the exchange that stands for a first wheel whose axis the file has the other way round."""
 
+HIDDEN = -3
+"""Number of the exchange that stands for that of :func:`hidden_exchange`."""
+
 QUICK = tuple(range(0, 60, 5))
 """A dozen satellites for a quick run."""
 
@@ -196,23 +199,34 @@ def draw_exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, in
     return [drawn[0], second]
 
 
-def run(case: tuple[int, int, int]) -> dict[str, Any]:
-    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
+def hidden_exchange(craft: Satellite) -> tuple[int, int]:
+    """Return the two columns whose exchange the samples, each by itself, show least, of those that are not equivalent.
 
-    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel. Outcomes are the keys
-    of `validation.areas._EXCHANGES`.
+    A sample shows an exchange by the least squared distance of its readings from those that any direction of the Sun gives.
     """
-    seed, i, which = case
-    craft = draw_satellite(seed, i)
-    pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
-    order = np.arange(len(craft.names))
-    if pair is not None:
-        order[list(pair)] = order[list(pair)][::-1]
-    momenta = craft.momenta.copy()  # as the file states them
-    if which == WHEEL_REVERSED:
-        momenta[0] *= -1
+    sun = np.random.default_rng(45).normal(size=(2000, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    light = np.maximum(sun @ craft.normals.T, 0.0)
+    shown = {}
+    for a, b in combinations(range(len(craft.names)), 2):
+        order = np.arange(len(craft.names))
+        order[[a, b]] = b, a
+        if not equivalents(craft, order, craft.momenta):
+            read = craft.readings[:, order] / craft.gains
+            square = ((read[:, None] - light) ** 2).sum(axis=2)  # (n, direction)
+            shown[a, b] = float(square.min(axis=1).sum())
+    return min(shown, key=lambda pair: shown[pair])
+
+
+def files(
+    craft: Satellite, order: np.ndarray, momenta: np.ndarray
+) -> tuple[ss.Vehicle, xr.Dataset]:
+    """Return vehicle and telemetry of a satellite as its files have them.
+
+    `order` (n_panel): panel whose readings stand in each column; `momenta` (n_wheel, 3): of the wheels as the file states them.
+    """
     vehicle = ss.Vehicle(
-        f"satellite {i}",
+        "satellite",
         inertia_kg_m2=craft.inertia,
         gain_unit="W",
         panels=[
@@ -232,6 +246,27 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
         {"time": craft.t_s, "panel": list(craft.names)},
         {"synthetic": 1},
     )
+    return vehicle, data
+
+
+def run(case: tuple[int, int, int]) -> dict[str, Any]:
+    """Run `rates` on a case (seed, satellite, exchange) and return its verdict and whether that is true.
+
+    Exchange -1 is the right file, `WHEEL_REVERSED` one with a reversed wheel, `HIDDEN` that of :func:`hidden_exchange`. Outcomes
+    are the keys of `validation.areas._EXCHANGES`.
+    """
+    seed, i, which = case
+    craft = draw_satellite(seed, i)
+    pair = None if which < 0 else draw_exchanges(seed, i, craft.normals)[which]
+    if which == HIDDEN:
+        pair = hidden_exchange(craft)
+    order = np.arange(len(craft.names))
+    if pair is not None:
+        order[list(pair)] = order[list(pair)][::-1]
+    momenta = craft.momenta.copy()  # as the file states them
+    if which == WHEEL_REVERSED:
+        momenta[0] *= -1
+    vehicle, data = files(craft, order, momenta)
     row: dict[str, Any] = {"pair": None if pair is None else [craft.names[k] for k in pair]}
     try:
         # column tests try reversed wheels too: without them the set sees whether each wheel's sign is tried by itself

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 from sunspin.base.errors import SunspinError
 from sunspin.cases import load_case
-from sunspin.estimate.posterior.estimate import posterior
+from validation import subject
 from validation.truths import is_in_solutions
 
 CASES = 24
@@ -200,7 +200,8 @@ def run(case: Case) -> dict[str, Any]:
     vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, noise=case.stated * noise))
     began = time.process_time()
     try:
-        tree = posterior(vehicle, telemetry, {"max_rate_rad_s": case.max_rate}, 0, workers=1)
+        priors = {"max_rate_rad_s": case.max_rate}
+        tree = subject.posterior(vehicle, telemetry, priors, 0, workers=1)
     except SunspinError as error:
         took = time.process_time() - began
         return {

@@ -348,7 +348,10 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="measure processor times too, beside this commit in an environment of its own",
     )
     parser.add_argument(
-        "--room", choices=list(ROOMS), default=OF_COMMANDS, help="the package that is judged"
+        "--room",
+        choices=[*ROOMS, OF_COMMANDS],
+        default=OF_COMMANDS,
+        help="the package that is judged; default: that of the commands",
     )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.set_defaults(level="quick")

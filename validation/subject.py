@@ -5,24 +5,36 @@ Campaigns take what they judge from here. A process judges one package; its work
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-ROOMS = {"estimation": "sunspin.estimation.rates"}
-"""Packages that can be judged -> the module of each that has the function `rates`."""
+import numpy as np
+import xarray as xr
 
-ORBIT = {
-    "estimation": {
-        "check_orbit": "sunspin.estimation.orbit.check",
-        "orbit_of": "sunspin.estimation.orbit.judged",
-        "calibrate_sensors": "sunspin.estimation.calibrate",
+from sunspin.vehicle import Vehicle
+
+MODULES = {
+    "rates": {"estimation": "sunspin.estimation.rates"},
+    "check_orbit": {"estimation": "sunspin.estimation.orbit.check"},
+    "orbit_of": {"estimation": "sunspin.estimation.orbit.judged"},
+    "calibrate_sensors": {"estimation": "sunspin.estimation.calibrate"},
+    "posterior": {
+        "estimate": "sunspin.estimate.posterior.estimate",
+        "estimation": "sunspin.estimation.posterior",
+    },
+    "predict": {
+        "estimate": "sunspin.estimate.posterior.predict",
+        "estimation": "sunspin.estimation.lander.predict",
     },
 }
-"""Packages that can be judged -> functions of orbits and sensors -> their modules."""
+"""Functions that are judged -> packages that have them, that of the commands first -> their modules."""
 
-OF_COMMANDS = "estimation"
-"""The package that the commands use."""
+ROOMS = ("estimation", "estimate")
+"""Packages that can be judged."""
+
+OF_COMMANDS = "commands"
+"""Judge for each function the package that the commands use."""
 
 _judged = [OF_COMMANDS]
 """The package that this process judges."""
@@ -30,37 +42,110 @@ _judged = [OF_COMMANDS]
 
 def judge_room(room: str) -> None:
     """Judge this package from now on in this process."""
-    if room not in ROOMS:
-        raise ValueError(f"no such package: {room}; one of {', '.join(ROOMS)}")
+    if room not in (*ROOMS, OF_COMMANDS):
+        raise ValueError(f"no such package: {room}; one of {', '.join((*ROOMS, OF_COMMANDS))}")
     _judged[0] = room
 
 
 def room() -> str:
-    """Return the package that this process judges."""
+    """Return the package that this process judges, or :data:`OF_COMMANDS`."""
     return _judged[0]
 
 
 def rates(*arguments: Any, **options: Any) -> Any:
     """Estimate rates with the package that is judged."""
-    run: Callable[..., Any] = import_module(ROOMS[room()]).rates
-    return run(*arguments, **options)
+    return _of_room("rates")(*arguments, **options)
 
 
 def check_orbit(*arguments: Any, **options: Any) -> Any:
     """Check an orbit against telemetry with the package that is judged."""
-    return _of_orbit("check_orbit")(*arguments, **options)
+    return _of_room("check_orbit")(*arguments, **options)
 
 
 def orbit_of(*arguments: Any, **options: Any) -> Any:
     """Return the orbit of a telemetry file as the package that is judged makes it."""
-    return _of_orbit("orbit_of")(*arguments, **options)
+    return _of_room("orbit_of")(*arguments, **options)
 
 
 def calibrate_sensors(*arguments: Any, **options: Any) -> Any:
     """Calibrate sensors with the package that is judged."""
-    return _of_orbit("calibrate_sensors")(*arguments, **options)
+    return _of_room("calibrate_sensors")(*arguments, **options)
 
 
-def _of_orbit(name: str) -> Callable[..., Any]:
-    """Return a function of orbits and sensors of the package that is judged."""
-    return getattr(import_module(ORBIT[room()][name]), name)
+def posterior(*arguments: Any, **options: Any) -> Any:
+    """Sample a posterior with the package that is judged."""
+    return _of_room("posterior")(*arguments, **options)
+
+
+def predict(*arguments: Any, **options: Any) -> Any:
+    """Predict the motion by the draws of a posterior with the package that is judged."""
+    return _of_room("predict")(*arguments, **options)
+
+
+def log_density(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any],
+    omega_B: np.ndarray,
+    sun_B: np.ndarray,
+    values: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """Return the log posterior density (n) of motions under the nominal model of the package that is judged, up to a constant.
+
+    Rates (rad/s) and directions (n, 3) are those at the first sample; `values`: of the unknowns (n), by name.
+    """
+    if _room_of("posterior") == "estimate":
+        return _old_log_density(vehicle, telemetry, priors, omega_B, sun_B, values)
+    from sunspin.estimation.lander.motions import Shots
+    from sunspin.estimation.lander.priors import with_priors
+    from sunspin.estimation.lander.window import observe_window
+    from sunspin.telemetry.assess import assess
+
+    assessment = assess(vehicle, telemetry)
+    model, _ = with_priors(assessment, observe_window(assessment), priors)
+    shots = Shots(omega_B, sun_B, _in_sigmas(model.unknowns, values))
+    return model.log_likelihood(shots, DIRECTION_ERROR) + model.log_prior_density(shots)
+
+
+DIRECTION_ERROR = 1e-5
+"""Error of directions (rad) in a density."""
+
+
+def _old_log_density(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any],
+    omega_B: np.ndarray,
+    sun_B: np.ndarray,
+    values: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """Return the log posterior density (n) of the old package."""
+    from sunspin.estimate.posterior.brightness import brightness
+    from sunspin.estimate.posterior.data import readings
+    from sunspin.estimate.posterior.likelihood import Likelihood
+    from sunspin.estimate.posterior.model import State, model
+
+    data, _, _ = readings(vehicle, telemetry)
+    unknown, _ = model(vehicle, priors, brightness(vehicle, data))
+    state = State(omega_B, sun_B, _in_sigmas(unknown.unknowns, values))
+    return Likelihood(unknown, data, DIRECTION_ERROR)(state) + unknown.log_prior(state)
+
+
+def _in_sigmas(unknowns: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the values (n) of unknowns as deviations (n, m) from their centres in sigmas."""
+    columns = [(values[one.name] - one.centre) / one.sigma for one in unknowns]
+    return np.stack(columns, axis=1)
+
+
+def _room_of(name: str) -> str:
+    """Return the package whose function of this name is judged."""
+    rooms = MODULES[name]
+    return next(iter(rooms)) if room() == OF_COMMANDS else room()
+
+
+def _of_room(name: str) -> Callable[..., Any]:
+    """Return a function of the package that is judged."""
+    judged = _room_of(name)
+    if judged not in MODULES[name]:
+        raise ValueError(f"the package {judged} has no {name}")
+    return getattr(import_module(MODULES[name][judged]), name)

@@ -15,11 +15,10 @@ from scipy.stats import chi2
 
 from sunspin.base.errors import SunspinError
 from sunspin.dynamics.torques import Steady
-from sunspin.estimate.posterior.estimate import posterior
-from sunspin.estimate.posterior.model import model
-from sunspin.estimate.synthetic import Truth, synthetic_telemetry
+from sunspin.estimation.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from validation.calibrate import AS_DRAWN, prior_truth
+from validation import subject
+from validation.calibrate import AS_DRAWN, draw_from_prior
 from validation.truths import WRONG_SIGMAS, is_in_solutions
 
 LEVELS = {
@@ -66,29 +65,27 @@ def make(level: str, seed: int, i: int) -> SimulatedCase:
     t = interval * np.arange(SAMPLES) + jitter * interval / 4
     priors = {"max_rate_rad_s": min(0.25, TURN / interval)} | AS_DRAWN
     scale = BOX.require_noise() / (0.02 * float(BOX.panel_gains.max()))
-    unknown, _ = model(BOX, priors, scale)
-    truth = prior_truth(unknown, rng)
-    body = unknown.bodies(truth.u).vehicle(BOX, 0)
-    moments = np.array(body.require_inertia())
+    truth = draw_from_prior(BOX, priors, scale, rng)
+    moments = np.array(truth.vehicle.require_inertia())
     moments[np.diag_indices(3)] *= 1 + moment_sigma * rng.standard_normal(3)
-    body = replace(body, inertia_kg_m2=moments)
+    body = replace(truth.vehicle, inertia_kg_m2=moments)
     # the torque (N m) that changes the rate by `change` about an axis with the mean moment
     torque = rng.standard_normal(3)
     torque *= change / (t[-1] - t[0]) * np.trace(moments) / 3 / np.linalg.norm(torque)
     # rows: fixed in body axes, fixed in space
     steady = Steady(np.stack([torque, np.zeros(3)] if i % 2 == 0 else [np.zeros(3), torque]))
     truth_of_case = Truth(
-        truth.omega[0],
-        truth.sun[0],
+        truth.omega_B,
+        truth.sun_B,
         t,
-        unknown.wheel_speeds(truth.u)[0],
+        truth.wheel_speeds,
         scale=scale,
         noise=BOX.require_noise(),
         torques=[steady] if change else [],
     )
     return SimulatedCase(
         synthetic_telemetry(body, truth_of_case, seed=int(rng.integers(2**31))),
-        truth.omega[0],
+        truth.omega_B,
         priors,
     )
 
@@ -101,7 +98,7 @@ def judge(level: str, seed: int, i: int) -> dict[str, Any]:
     """
     case = make(level, seed, i)
     try:
-        tree = posterior(BOX, case.telemetry, case.priors, seed, workers=1)
+        tree = subject.posterior(BOX, case.telemetry, case.priors, seed, workers=1)
     except SunspinError as error:
         return {"word": "refused", "verdict": str(error), "listed": False}
     solutions = tree["solutions"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,47 +14,14 @@ import xarray as xr
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import provenance, with_units
 from sunspin.compute.pool import process_pool
-from sunspin.dynamics.propagate import propagate
-from sunspin.environment.ephemeris import Ephemeris, utc_from_jd
-from sunspin.environment.orbit import Orbit, Source, in_orbit
+from sunspin.environment.orbit import Source
 from sunspin.estimation.rates import rates
-from sunspin.solve.rotations import matrix_from_quaternion
-from sunspin.telemetry.synthetic import (
-    TIME_STEP_S,
-    generator,
-    on_time_grid,
-    telemetry_dataset,
-)
+from sunspin.estimation.synthetic import SimulatedPass, simulate_pass
+from sunspin.telemetry.synthetic import TIME_STEP_S, generator
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
 
 SPEED_CLASSES = 3
 """Parts of equal width into which the speeds up to the largest are divided."""
-
-GAIN_ERROR = 0.05
-"""Relative error of the gain of each simulated panel, one sigma: cells of one batch differ by some per cent."""
-
-NOISE = 0.02
-"""Noise of a reading in parts of the panel's full Sun, one sigma, if the vehicle file states none."""
-
-EARTH_LIGHT = (0.02, 0.1)
-"""Smallest and largest light of the Earth without an orbit, in parts of full Sun: a low orbit has up to a third over bright ground,
-and a few per cent over the sea."""
-
-MOMENTS = (0.7, 1.3)
-"""Range of the relative moments of inertia of a body whose inertia the vehicle file does not state."""
-
-WITHIN_DAYS = 1.0
-"""Simulated passes in an orbit begin within so many days after the epoch of the elements."""
-
-LIT = 0.5
-"""A sample that sees more of the Sun's disc than this is in sunlight."""
-
-LEAST_SUNLIT = 0.5
-"""A simulated pass has at least this part of its samples in sunlight."""
-
-TRIES = 1000
-"""Times that are tried for a pass in sunlight."""
 
 WRONG_SIGMAS, WRONG_RAD_S, WRONG_PART = 5.0, np.radians(0.1), 0.2
 """A decided rate is wrong if a component misses the truth by more than so many sigma, and by more than so much: rad/s, or for slow
@@ -62,10 +29,6 @@ bodies this part of the speed."""
 
 LISTED = 1e-3
 """Least probability of a solution that counts as one of the aliases."""
-
-DAY_S = 86400.0
-EPOCH = "2026-01-01T00:00:00Z"
-"""Epoch of simulated passes without an orbit."""
 
 
 @dataclass(frozen=True)
@@ -82,14 +45,6 @@ class PassSetup:
     bits: int | None = None
     orbit: tuple[Source, ...] = ()
     seed: int = 0
-
-
-class SimulatedPass(NamedTuple):
-    """A simulated pass: telemetry, true rates (n, 3) in rad/s, and the orbit; None without one."""
-
-    telemetry: xr.Dataset
-    omega_B: np.ndarray
-    environment: Orbit | None
 
 
 class Row(NamedTuple):
@@ -206,7 +161,14 @@ def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) 
     part = (round_ + SPEED_CLASSES // 2) % SPEED_CLASSES
     speed = (part + rng.uniform()) / SPEED_CLASSES * setup.max_rate_rad_s
     try:
-        simulated = simulate_pass(setup, intervals[k], speed, rng)
+        simulated = simulate_pass(
+            setup.vehicle,
+            np.arange(setup.samples) * intervals[k],
+            speed,
+            rng,
+            bits=setup.bits,
+            orbit=setup.orbit,
+        )
         result = rates(
             setup.vehicle,
             simulated.telemetry,
@@ -239,96 +201,6 @@ def _row_of(result: xr.Dataset, simulated: SimulatedPass, every_s: float, speed:
     aliases = int((np.nan_to_num(first["probability"].values) > LISTED).sum()) - 1
     why = "" if decided else str(first["why_not_decided"].values)
     return Row(every_s, speed, decided, wrong, float(sigma.max()), aliases, why)
-
-
-def simulate_pass(
-    setup: PassSetup, every_s: float, speed: float, rng: np.random.Generator
-) -> SimulatedPass:
-    """Return a pass of a body that turns at this speed (rad/s) about a random axis, from a random attitude."""
-    vehicle = setup.vehicle
-    t_s = on_time_grid(np.arange(setup.samples) * every_s)
-    axis = rng.standard_normal(3)
-    begin = rng.standard_normal(4)
-    if vehicle.inertia_kg_m2 is None:
-        moments = np.diag(rng.uniform(*MOMENTS, 3))
-        moving = replace(vehicle, inertia_kg_m2=moments, wheels=())
-    else:
-        moving = vehicle
-    motion = propagate(
-        moving,
-        speed * axis / np.linalg.norm(axis),
-        np.array([0.0, 0.0, 1.0]),
-        [wheel.speed_rad_s for wheel in moving.wheels],
-        t_s,
-        wheel_mode="hold",
-        rtol=1e-9,
-    )
-    # the motion counts attitudes from that of the first sample
-    first_B_from_N = matrix_from_quaternion(begin / np.linalg.norm(begin))
-    to_body = matrix_from_quaternion(motion["B_from_N"].values) @ first_B_from_N
-    if setup.orbit:
-        environment, sun_N, lit, earth_N = _along_orbit(setup, t_s, rng)
-        epoch = environment.epoch_utc
-    else:
-        environment, epoch = None, EPOCH
-        sun, earth = rng.standard_normal((2, 3))
-        sun_N = np.tile(sun / np.linalg.norm(sun), (len(t_s), 1))
-        lit = np.ones(len(t_s))
-        earth_N = np.tile(rng.uniform(*EARTH_LIGHT) * earth / np.linalg.norm(earth), (len(t_s), 1))
-    sun_B, earth_B = (np.einsum("nij,nj->ni", to_body, each) for each in (sun_N, earth_N))
-    power = _readings(setup, panel_power(vehicle, sun_B) * lit[:, None], earth_B, rng)
-    telemetry = telemetry_dataset(vehicle, t_s, power, sun_B, epoch, {})
-    return SimulatedPass(telemetry, motion["omega_B"].values, environment)
-
-
-def _along_orbit(
-    setup: PassSetup, t_s: np.ndarray, rng: np.random.Generator
-) -> tuple[Orbit, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the orbit of a pass in sunlight, the Sun (n, 3), its visible part (n) and the light of the Earth (n, 3), in J2000."""
-    source = setup.orbit[0]
-    first, days = sum(source.epoch_jd), WITHIN_DAYS
-    if isinstance(source, Ephemeris):
-        first, last = source.span_jd
-        days = last - first - t_s[-1] / DAY_S
-    if days < 0:
-        raise InputError("the table of positions is shorter than a pass", got=f"{t_s[-1]:.0f} s")
-    for _ in range(TRIES):
-        epoch = utc_from_jd(first + days * rng.uniform())
-        try:
-            orbit = in_orbit(setup.orbit, epoch, t_s)
-        except InputError:  # a gap of the table
-            continue
-        here = orbit.at(t_s)
-        assert here.lit is not None and here.albedo_light_N is not None  # an orbit knows both
-        if (here.lit > LIT).mean() >= LEAST_SUNLIT:
-            return orbit, here.sun_N, here.lit, here.albedo_light_N
-    raise InputError(
-        "no pass of this length is half in sunlight",
-        got=f"{t_s[-1]:.0f} s",
-        do="choose shorter intervals or fewer samples",
-    )
-
-
-def _readings(
-    setup: PassSetup, of_sun: np.ndarray, earth_B: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """Return the readings (n, n_input) of panels lit by the Sun (n, n_input) and by the Earth (n, 3, in parts of full Sun)."""
-    vehicle, noise = setup.vehicle, setup.vehicle.input_noise
-    size = np.linalg.norm(earth_B, axis=1)
-    towards = earth_B / np.where(size > 0, size, 1.0)[:, None]
-    exact = of_sun + panel_power(vehicle, towards) * size[:, None]
-    full = np.max(panel_power(vehicle, vehicle.panel_normals_B), axis=0)  # of each input
-    if noise is not None and vehicle.gain_unit is None:
-        # the gains are relative, the noise is not: full Sun is taken where the noise is the usual part of it
-        scale = float(noise.max() / (NOISE * full.max()))
-        exact, full = scale * exact, scale * full
-    noise = NOISE * full if noise is None else noise
-    gain = 1 + GAIN_ERROR * rng.standard_normal(exact.shape[1])
-    read = np.maximum(exact * gain + noise * rng.standard_normal(exact.shape), 0.0)
-    if setup.bits is None:
-        return read
-    step = 1.2 * full.max() / (2**setup.bits - 1)
-    return np.round(read / step) * step
 
 
 def _collect(

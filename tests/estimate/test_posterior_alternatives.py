@@ -8,18 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
-import sunspin as ss
-from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.estimate import _listed
 from sunspin.estimate.posterior.hypotheses import Sampled, mixed
 from sunspin.estimate.posterior.importance import Sample, _over_sizes
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model, pushed
-from sunspin.estimate.posterior.predict import drawn_rows, run_to
 from sunspin.estimate.terms.steady_torque import sizes
-from tests.support.posteriors import tree_of
 from validation.torques import BOX
 
 SUN, WINDOW_S = np.array([0.6, 0.0, 0.8]), 400.0
@@ -145,25 +140,3 @@ def test_a_solution_of_few_draws_is_listed_only_with_a_large_probability(share, 
         share=np.array([1 - share, share]), region=region, log_weight=log_weight
     )
     assert _listed(drawn) == listed
-
-
-def test_predictions_propagate_each_draw_under_its_own_torque():
-    rng, t = np.random.default_rng(0), np.array([-100.0, 200.0])
-    omega = 0.05 * rng.standard_normal((3, 3))
-    tree = tree_of(
-        BOX,
-        State(omega, np.tile(SUN, (3, 1)), np.zeros((3, len(model(BOX, {}, 1.0)[0].unknowns)))),
-        {},
-    )
-    pull = 1e-4 * rng.standard_normal((3, 2, 3)) * np.array([[[1], [0]], [[0], [1]], [[0], [0]]])
-    tree["posterior"]["steady_torque"] = xr.DataArray(
-        pull[None], dims=("chain", "draw", "stays_in", "axis")
-    )
-    _, rows = drawn_rows(BOX, tree)
-    found = run_to(BOX, rows, t)
-    for i in range(3):
-        for j, end in enumerate(t):
-            run = ss.propagate(
-                BOX, omega[i], SUN, None, [0.0, end], torques=[Steady(0.01 * pull[i])]
-            )
-            np.testing.assert_allclose(found["sun_B"][i, j], run["sun_B"].values[-1], atol=1e-3)

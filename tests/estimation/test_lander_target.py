@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.dynamics.bodies import Bodies
-from sunspin.dynamics.gyrostat import total_momentum
 from sunspin.dynamics.torques import Steady
 from sunspin.estimation.lander.mixture import at_first_sample
 from sunspin.estimation.lander.motions import Shots
-from sunspin.estimation.lander.periods import _periods
 from sunspin.estimation.lander.priors import constant_torques
 from sunspin.estimation.lander.sample import sample
 from sunspin.estimation.lander.target import LanderTarget
-from sunspin.estimation.periods import HALF_SPAN, INSTANTS, euler_rates, own_axis
 from sunspin.estimation.posterior import searched
 from sunspin.estimation.terms.powers import SunStates
 from tests.estimation.test_lander_model import (
@@ -141,35 +137,3 @@ def test_motions_at_the_first_sample_lead_to_those_at_the_reference(frame):
     )
     np.testing.assert_allclose(run["omega_B"].values[1], OMEGA, atol=1e-5)
     np.testing.assert_allclose(run["sun_B"].values[1], SUN, atol=1e-4)
-
-
-def test_periods_of_draws_are_those_of_their_motion_at_the_time_seen():
-    """Against a run from the first sample, when the wheel has slowed down and the body has taken up its momentum."""
-    model = lander_model().after(300.0, 0.6)
-    seen = ss.Period(1000.0 + 2500.0, 60.0, 1.0)  # the first sample is at 1000 s
-
-    class Draws:
-        """Two draws of one motion."""
-
-        def by_model(self, index):
-            """Yield the model with both draws."""
-            first = ss.propagate(PHILAE, OMEGA, SUN, wheels, [0.0, 300.0])
-            at = Shots(
-                np.tile(first["omega_B"].values[1], (2, 1)),
-                np.tile(first["sun_B"].values[1], (2, 1)),
-                np.zeros((2, len(model.unknowns))),
-            )
-            yield model, index, at
-
-    wheels = [wheel.speed_rad_s for wheel in PHILAE.wheels]
-    found = _periods(Draws(), np.arange(2), seen, 1300.0)
-    times = 2500.0 + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
-    run = ss.propagate(PHILAE, OMEGA, SUN, wheels, np.r_[0.0, times]).isel(time=slice(1, None))
-    inertia = PHILAE.require_inertia()
-    momentum = total_momentum(
-        Bodies.of(PHILAE), run["omega_B"].values, run["wheel_speed_rad_s"].values
-    )
-    rates = euler_rates(run["omega_B"].values, momentum, own_axis(inertia)).mean(axis=0)
-    # the wheel's speed at the reference leaves out how the body's own changes act on it
-    assert found[0] == pytest.approx(2 * np.pi / np.abs(rates), rel=4e-3)
-    assert found[1] == pytest.approx(found[0])

@@ -13,8 +13,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.dynamics.torques import Steady
-from sunspin.estimate.posterior.motion import best_motions
-from sunspin.estimate.posterior.predict import predict
+from sunspin.estimation.lander.predict import best_motions, predict
 from sunspin.estimation.posterior import posterior
 from sunspin.estimation.settings import POSTERIOR, SAMPLING
 from sunspin.output.kinds.posterior import posterior_summary, posterior_tables

@@ -10,7 +10,15 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimation.lander.motions import Draws, ShotFit, Shots
-from sunspin.estimation.lander.ridges import Chart, Equations, Law, Slopes, monomials, ridges_of
+from sunspin.estimation.lander.ridges import (
+    Bend,
+    Chart,
+    Equations,
+    Law,
+    Slopes,
+    monomials,
+    ridges_of,
+)
 from sunspin.estimation.lander.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimation.model import Unknown
 from sunspin.estimation.settings import SAMPLING
@@ -131,6 +139,44 @@ class Bananas:
         return ShotFit(None, replace(shots, cost=cost), whole, -cost, np.ones(len(which)))
 
 
+TIED = 0.01
+"""Sigma with which the readings tie the third unknown of :class:`Tied` to the first, in sigmas of their priors."""
+
+
+@dataclass(frozen=True)
+class Tied(Bananas):
+    """The same with a third unknown, the friction, that readings tie to the first one along a curve: u0 / 2 + u0^2 / 10."""
+
+    bending = np.array([0, 2])
+    unknowns = (*Bananas.unknowns, Unknown("friction", "viscous", "1", 0.0, 1.0))
+
+    def _tie(self, u: np.ndarray) -> np.ndarray:
+        return (u[:, 2] - u[:, 0] / 2 - u[:, 0] ** 2 / 10) / TIED
+
+    def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return super().log_likelihood(seen, u) - self._tie(u) ** 2 / 2
+
+    @property
+    def log_integral(self) -> float:
+        """Log of the integral of the posterior: the tie is so narrow that the prior of friction is taken on the curve."""
+        tied, _ = quad(
+            lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2) / np.sqrt(2 * np.pi), -8, 8
+        )
+        return super().log_integral + float(np.log(TIED * tied))
+
+    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
+        """The motion with friction on the curve."""
+        assert bend == 0.0
+        fit = super().fit(which, bend, sharper)
+        whole = np.zeros((len(which), 8, 8))
+        whole[:, :7, :7] = fit.curvature
+        whole[:, 7, 7] = 1.0
+        tie = np.zeros(8)
+        tie[5], tie[7] = -0.5 / TIED, 1 / TIED
+        u = np.concatenate([fit.motions.u, np.zeros((len(which), 1))], axis=1)
+        return replace(fit, motions=replace(fit.motions, u=u), curvature=whole + np.outer(tie, tie))
+
+
 def one(**changes) -> Bananas:
     return Bananas(
         np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1), **changes
@@ -171,6 +217,60 @@ def test_evidence_and_moments_of_a_bent_ridge():
     weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
     bright = weight @ draws.shots.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
+
+
+def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
+    """Evidence by quadrature; laws that know no bend leave fewer effective draws."""
+    target = Tied(np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1))
+    few = {"draws": 1000, "rounds": 6, "wanted": 1e9}
+    draws = drawn(target, target.fit([0]), **few)
+    straight = drawn(target, target.fit([0]), thin=0.0, **few)
+    assert draws.evidence == pytest.approx(target.log_integral, abs=0.06)
+    assert draws.effective > 1.5 * straight.effective
+    assert draws.effective > 1000
+
+
+def curve(n: int, seed: int = 0) -> np.ndarray:
+    """Return points (n, 3): the second follows the first by a quadratic to 0.01."""
+    a, b, c = np.random.default_rng(seed).standard_normal((3, n))
+    return np.stack([a, 1.0 + a + 0.1 * a**2 + 0.01 * b, 3.0 * c], axis=1)
+
+
+def test_a_bend_straightens_a_thin_curve_and_keeps_volumes():
+    y = curve(4000)
+    law = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
+    assert law is not None
+    assert law.across.shape == (3, 1)
+    straight = law.straight(y)
+    assert law.bent(straight) == pytest.approx(y, abs=1e-9)
+    thinnest = np.sqrt(np.linalg.eigvalsh(np.cov(straight.T))[0])
+    assert thinnest < 0.25 * np.sqrt(np.linalg.eigvalsh(np.cov(y.T))[0])
+    at, size = y[:1], 1e-6
+    columns = [(law.straight(at + size * e) - law.straight(at - size * e))[0] for e in np.eye(3)]
+    assert np.linalg.det(np.array(columns) / (2 * size)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_draws_that_are_round_or_few_have_no_bend():
+    round_ = np.random.default_rng(0).standard_normal((4000, 3))
+    assert Bend.of(round_, np.full(4000, 1 / 4000), SAMPLING) is None
+    assert Bend.of(curve(5), np.full(5, 0.2), SAMPLING) is None
+
+
+def test_a_bent_law_draws_with_the_density_that_it_states():
+    """Means over draws of another density over their own are one, of the law's draws and under a law without a bend."""
+    y = curve(4000)
+    bend = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
+    mean = bend.straight(y).mean(axis=0, keepdims=True)
+    none = np.array([-1])
+    law = Law(np.ones(1), mean, np.cov(bend.straight(y).T)[None], none, bend)
+    points = law.draw(20_000, np.random.default_rng(1), 5.0)
+    inside = law._replace(covariance=0.5 * law.covariance)
+    ratio = np.exp(inside.log_densities(points, 8.0) - law.log_densities(points, 5.0))
+    assert ratio.mean() == pytest.approx(1.0, abs=0.02)
+    wide = Law(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None], none)
+    points = wide.draw(20_000, np.random.default_rng(2), 5.0)
+    ratio = np.exp(law.log_densities(points, 5.0) - wide.log_densities(points, 5.0))
+    assert ratio.mean() == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_component_does_not_count_for_the_draw_on_which_it_stands():

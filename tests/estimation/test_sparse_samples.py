@@ -9,10 +9,6 @@ from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rate
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    reason="the sum over all ways of an oscillation has a log evidence that is higher by 12 than that of the true rotation",
-)
 def test_sparse_samples_are_decided_for_the_true_alias_once_the_inertia_is_free():
     """A body at 4.9 deg/s sampled every 52 s: its alias one revolution slower costs 19 with the inertia free, the truth 9."""
     vehicle, data, _, truth, about = rates_case(11, 7, **SPARSE)

@@ -14,6 +14,7 @@ import sunspin as ss
 from sunspin.environment.frames import J2000
 from sunspin.output.curves import pass_motions
 from sunspin.output.figures import save_figure
+from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.figures.rates import attitude_figure, rates_figure, sensors_text
 from sunspin.output.figures.residuals import residuals_figure
 from sunspin.output.figures.time_axis import build_time_axis
@@ -219,3 +220,22 @@ def test_names_that_look_like_formulas_are_drawn_unchanged(seed, tmp_path):
             sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun"
         )
     assert (tmp_path / "sun.png").stat().st_size
+
+
+def test_predicted_panel_signals_have_the_gains_estimated_with_the_motion():
+    """A panel with half of its stated gain is drawn at half, not below samples of the others."""
+    result, samples = tumble(noise=0.0)
+    factor = np.ones(samples.sizes["panel"])
+    factor[2] = 0.5
+    dimmed = samples.assign(power_W=samples["power_W"] * factor)
+    names = [f"gain_{name}" for name in samples["panel"].values]
+    estimated = with_curve(result).assign(
+        estimate_value=(("pass_id", "estimate"), [[1.1, *factor[:3]]])
+    )
+    estimated = estimated.assign_coords(estimate=["inertia_xx", *names[:3]])
+    ((_, motion),) = pass_motions(estimated)
+    figure = panel_signals_figure(dimmed, [("Pass 0", motion)], CUBE)
+    for axes in figure.axes:
+        line, dots = axes.get_lines()
+        drawn = np.interp(dots.get_xdata(), line.get_xdata(), line.get_ydata())
+        assert np.abs(drawn - dots.get_ydata()).max() < 0.2

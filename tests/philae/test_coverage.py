@@ -14,9 +14,8 @@ from sunspin.cases import load_case
 from sunspin.cli import cli
 from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.end_rates import end_rates
-from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.table import make_table
+from sunspin.estimation.scan.metrics import emd
+from sunspin.estimation.scan.volume import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
 from sunspin.philae.metrics import simulate_rz
@@ -62,10 +61,10 @@ def test_rates_at_the_end_follow_a_wheel_to_its_stop_and_not_back_from_it():
     omega, sun = np.array([[0.1, 0.0, 0.0]]), rb.first_sun(CASE)
     run = propagate(CASE.vehicle, omega[0], sun, 865.0, [0.0, 3000.0])
     assert run["wheel_speed_rad_s"].values[-1] == 0
-    found = end_rates(CASE.vehicle, Rows(omega, sun[None], np.array([[865.0]])), 3000.0)
+    found = rb.end_rates(CASE.vehicle, Rows(omega, sun[None], np.array([[865.0]])), 3000.0)
     np.testing.assert_allclose(found, run["omega_B"].values[-1:], atol=1e-8)
     with pytest.raises(MotionError, match="its past is not determined"):
-        end_rates(CASE.vehicle, Rows(found, sun[None], np.array([[0.0]])), -60.0)
+        rb.end_rates(CASE.vehicle, Rows(found, sun[None], np.array([[0.0]])), -60.0)
 
 
 def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():

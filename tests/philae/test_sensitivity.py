@@ -6,8 +6,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.compute.identity import to_json
-from sunspin.estimate.scan import error_growth as gr
-from sunspin.estimate.scan import parameters as pm
+from sunspin.estimation.scan import error_growth as gr
 from sunspin.philae import metrics
 from sunspin.philae.rebound import Options
 from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
@@ -43,7 +42,7 @@ def test_maps_of_E_agree_with_single_runs(craft, speed):
     rates = ss.scan(craft, track, [0.6, 0.0, 0.8], *axes, speed)
     second = "mu_0" if craft.wheels else "theta_xy"
     values = {"theta_xx": np.array([2.1, 2.2]), second: np.array([1e-4, 3e-4])}
-    motion = gr.Motion.of(craft, omega, [0.6, 0.0, 0.8], speed, 210.0)
+    motion = gr.ReferenceMotion.of(craft, omega, [0.6, 0.0, 0.8], speed, 210.0)
     parameters = gr.parameter_map(motion, track, values)
     for i in range(2):
         for j in range(2):
@@ -51,8 +50,10 @@ def test_maps_of_E_agree_with_single_runs(craft, speed):
                 craft, [axes[0][i], axes[1][j], -0.08], [0.6, 0.0, 0.8], speed, times
             )
             assert rates.values[i, j, 0] == pytest.approx(ss.direction_error(run, track), abs=1e-4)
-            other = pm.varied(
-                pm.varied(craft, "theta_xx", values["theta_xx"][i]), second, values[second][j]
+            other = gr.with_parameter(
+                gr.with_parameter(craft, "theta_xx", values["theta_xx"][i]),
+                second,
+                values[second][j],
             )
             run = ss.propagate(other, omega, [0.6, 0.0, 0.8], speed, times)
             assert parameters.values[i, j] == pytest.approx(
@@ -67,31 +68,31 @@ def test_E_of_a_scaled_start_direction_agrees_with_the_formula():
     track = np.array([[0.6, 0, 0.8], [0, 1, 0]])
     measured = np.array([[0, 0, 1], [0, 0.8, 0.6]])
     direct = ss.direction_error(0.9646 * track, measured)
-    assert gr.of_length(ss.direction_error(track, measured), 0.9646) == pytest.approx(
+    assert gr.error_of_start_length(ss.direction_error(track, measured), 0.9646) == pytest.approx(
         direct, abs=1e-15
     )
-    assert gr.of_length(0.0, 0.9646) == pytest.approx(0.0177, abs=5e-5)  # the bound
+    assert gr.error_of_start_length(0.0, 0.9646) == pytest.approx(0.0177, abs=5e-5)  # the bound
 
 
 def test_a_varied_parameter_changes_nothing_else_of_the_vehicle():
     craft = CASE.vehicle
-    changed = pm.varied(pm.varied(craft, "mu_0", 2e-3), "theta_xy", -0.3)
+    changed = gr.with_parameter(gr.with_parameter(craft, "mu_0", 2e-3), "theta_xy", -0.3)
     assert changed.wheels[0].friction == Friction(2e-3, craft.wheels[0].friction.viscous_N_m_s)
     assert changed.inertia_kg_m2[0, 1] == changed.inertia_kg_m2[1, 0] == -0.3
     assert np.count_nonzero(changed.inertia_kg_m2 != craft.inertia_kg_m2) == 2
-    for name in (*pm.INERTIA, *pm.WHEEL_PARAMETERS):
-        same = pm.varied(craft, name, pm.nominal(craft, name))
+    for name in (*gr.INERTIA, *gr.WHEEL_PARAMETERS):
+        same = gr.with_parameter(craft, name, gr.nominal_value(craft, name))
         assert to_json(same) == to_json(craft)
 
 
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: pm.varied(ROUND, "mu_0", 1.0), "mu_0 belongs to a wheel"),
-        (lambda: pm.nominal(ROUND, "J"), "J belongs to a wheel"),
-        (lambda: pm.varied(ROUND, "mass", 1.0), "no parameter of this name"),
+        (lambda: gr.with_parameter(ROUND, "mu_0", 1.0), "mu_0 belongs to a wheel"),
+        (lambda: gr.nominal_value(ROUND, "J"), "J belongs to a wheel"),
+        (lambda: gr.with_parameter(ROUND, "mass", 1.0), "no parameter of this name"),
         (
-            lambda: gr.Motion.of(ROUND, [0, 0, 1], [0, 0, 1], None, 0.0),
+            lambda: gr.ReferenceMotion.of(ROUND, [0, 0, 1], [0, 0, 1], None, 0.0),
             "duration_s must be positive",
         ),
     ],
@@ -103,7 +104,7 @@ def test_bad_input_of_maps_and_error_growth_is_named(call, text):
 
 def test_error_growth_of_a_pure_spin_agrees_with_the_closed_form():
     """A body that spins about its axis of symmetry: the Sun at right angles to it errs by t times the error of the rate."""
-    motion = gr.Motion.of(ROUND, [0, 0, 0.1], [1, 0, 0], None, 600.0)
+    motion = gr.ReferenceMotion.of(ROUND, [0, 0, 0.1], [1, 0, 0], None, 600.0)
     table = gr.growth(motion)
     np.testing.assert_allclose(
         table["error_rad"].sel(input="omega_z").values[1:],
@@ -122,7 +123,7 @@ def test_friction_makes_the_error_grow_with_the_square_of_time():
     """Wheel and body on one axis: the body gains mu_0 t / (Theta - J), the angle mu_0 t^2 / (2 (Theta - J))."""
     wheel = Wheel("w", [0, 0, 1], 0.01, 100.0, Friction(1e-4, 0.0))
     craft = Vehicle("one axis", np.diag([2.0, 2.0, 3.0]), panels=FACES, wheels=[wheel])
-    table = gr.growth(gr.Motion.of(craft, [0, 0, 0], [1, 0, 0], 100.0, 600.0))
+    table = gr.growth(gr.ReferenceMotion.of(craft, [0, 0, 0], [1, 0, 0], 100.0, 600.0))
     late = table["time"].values[1:]
     angle = 1e-4 * late**2 / (2 * (3.0 - 0.01))
     np.testing.assert_allclose(
@@ -133,8 +134,8 @@ def test_friction_makes_the_error_grow_with_the_square_of_time():
 
 def test_the_valley_width_is_inverse_to_the_window_and_agrees_with_the_closed_form():
     """Plain spin, Sun across it: E = (1 - sinc) / 2 of change times window, half its depth at about 1.9 rad."""
-    motion = gr.Motion.of(ROUND, [0.1, 0, 0], [0, 0.6, 0.8], None, 400.0)
-    motion = gr.Motion(
+    motion = gr.ReferenceMotion.of(ROUND, [0.1, 0, 0], [0, 0.6, 0.8], None, 400.0)
+    motion = gr.ReferenceMotion(
         Vehicle("ball", np.eye(3), panels=FACES),
         motion.omega_B,
         motion.sun_B,
@@ -165,10 +166,10 @@ def test_a_change_of_one_percent_moves_E_and_not_EMD(result):
 
 
 def test_the_effect_of_one_percent_is_the_larger_of_both_signs():
-    motion = gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0)
+    motion = gr.ReferenceMotion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0)
     t = np.arange(0.0, 121.0, 20.0)
     both = [
-        ss.direction_error(motion.changed("theta_xx", change).track(t), motion.track(t))
+        ss.direction_error(motion.with_change("theta_xx", change).track(t), motion.track(t))
         for change in (0.01, -0.01)
     ]
     assert max(both) > 1.001 * min(both)

@@ -9,8 +9,9 @@ import pytest
 import sunspin as ss
 from studies import components
 from sunspin.base.errors import InputError
-from sunspin.estimate.scan.rows import ScanRows, Start, distances_to, target_segments
-from sunspin.estimate.scan.table import Table, make_table
+from sunspin.estimation.scan.histogram import distances_to_target, target_segments
+from sunspin.estimation.scan.rows import ScanRows, Start
+from sunspin.estimation.scan.volume import Table, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
 from sunspin.philae.simulation import CELL_W
@@ -55,7 +56,9 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
     """Sampled tracks against the kernel's histograms; shares of the table by hand."""
     rows = table.rows.start.take(np.arange(len(table.hist)))
     hist = components.histograms(REBOUND, rows.omega_B)
-    apart = np.abs(distances_to(hist[2], target_segments(REBOUND.z)) - table.distances(REBOUND.z))
+    apart = np.abs(
+        distances_to_target(hist[2], target_segments(REBOUND.z)) - table.distances(REBOUND.z)
+    )
     assert np.median(apart) < 5e-3 and apart.max() < 0.03
     scans = [{"emd": np.array([0.01, 0.02, 0.05]), "factor": factor} for factor in (9.0, 4.0, 1.5)]
     lines = components.make_table(scans).splitlines()[2:]

@@ -16,13 +16,13 @@ from scipy.stats import chi2
 
 import sunspin as ss
 from sunspin.base.errors import SunspinError
-from sunspin.estimate.inertia import ASSUMED as ASSUMED_INERTIA
-from sunspin.estimate.posterior.model import ASSUMED
 from sunspin.estimation.verdict import DECIDED
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 from tests.support.simulate import telemetry_of, uneven_times
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
+from validation import subject
+from validation.calibrate import ASSUMED
 from validation.truths import is_in_solutions, is_listed
 
 
@@ -137,7 +137,7 @@ def rates_case(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict
     interval, n = float(np.clip(rng.uniform(0.1, 2.2) / rate, 1.0, 60.0)), int(rng.integers(15, 61))
     t = uneven_times(rng, n, interval, 0.2)
     moments = np.array(tensor)
-    moments[np.diag_indices(3)] *= 1 + ASSUMED_INERTIA * rng.standard_normal(3)
+    moments[np.diag_indices(3)] *= 1 + ASSUMED["inertia"] * rng.standard_normal(3)
     run = ss.propagate(
         replace(vehicle, inertia_kg_m2=moments), rate * unit_vector(rng), unit_vector(rng), None, t
     )
@@ -313,7 +313,7 @@ def judge_posterior(case: PosteriorCase, workers: int | None) -> dict[str, Any]:
     """Return the verdict of the posterior on a case, or that it refuses, and how far the truth is from the nearest solution."""
     began = time.process_time()
     try:
-        tree = ss.posterior(case.vehicle, case.telemetry, case.priors, seed=0, workers=workers)
+        tree = subject.posterior(case.vehicle, case.telemetry, case.priors, seed=0, workers=workers)
     except SunspinError as error:
         return case.about | {"word": "refused", "verdict": str(error), "listed": False}
     modes = tree["solutions"]

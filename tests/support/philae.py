@@ -16,12 +16,10 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.cases import Case
-from sunspin.estimate.posterior.model import State, model
 from sunspin.philae import candidates
 from sunspin.philae.rebound import make_rebound, published_candidates, scan_grid, with_telemetry
 from sunspin.vehicle import Vehicle
 from tests.support.posteriors import tree_of
-from validation.calibrate import AS_DRAWN as PRIORS_AS_DRAWN
 
 CASE = ss.load_case("philae")
 SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)
@@ -46,31 +44,32 @@ AS_DRAWN = with_telemetry(
 SUN_AS_DRAWN = ss.sun_directions(AS_DRAWN.vehicle, AS_DRAWN.telemetry)
 
 
-def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> tuple[xr.DataTree, State]:
-    """Return a posterior of `n` draws about the truth of `AS_DRAWN`, as a tree and as a state.
+def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> xr.DataTree:
+    """Return a posterior of `n` draws about the truth of `AS_DRAWN`.
 
-    Rates are scattered by `spread` rad/s, the other unknowns by half of their prior sigma; without `spread` all are the truth.
+    Rates are scattered by `spread` rad/s, moments by 0.5 %, the wheel's speed by 0.25 % and its friction by 2.5 %; without `spread`
+    all are the truth.
     """
-    rng = np.random.default_rng(seed)
-    unknown, _ = model(AS_DRAWN.vehicle, PRIORS_AS_DRAWN, 1.0)
+    rng, vehicle = np.random.default_rng(seed), AS_DRAWN.vehicle
     truth, sun = (np.array(AS_DRAWN_TRUTH[key]) for key in ("omega_B", "sun_B"))
-    u = 0.5 * rng.standard_normal((n, len(unknown.unknowns))) * (spread > 0)
-    u[:, unknown.where("scale")] = np.log(0.02)
-    state = State(
-        truth + spread * rng.standard_normal((n, 3)), np.tile(sun / np.linalg.norm(sun), (n, 1)), u
-    )
-    last = float(
-        AS_DRAWN.telemetry["time"].values[AS_DRAWN.telemetry["phase"].values == "first_rebound"][-1]
-    )
+    off = rng.standard_normal((n, 6)) * (spread > 0)
+    inertia = vehicle.require_inertia()
+    unknowns = {
+        f"inertia_{axis}{axis}": inertia[k, k] * (1 + 0.005 * off[:, k])
+        for k, axis in enumerate("xyz")
+    }
+    unknowns["wheel_speed_rad_s"] = vehicle.wheels[0].speed_rad_s * (1 + 0.0025 * off[:, 3:4])
+    for k, kind in enumerate(("coulomb", "viscous"), 4):
+        unknowns[f"log_{kind}"] = 0.025 * off[:, k]
+    samples = AS_DRAWN.telemetry["phase"].values == "first_rebound"
     return tree_of(
-        AS_DRAWN.vehicle,
-        state,
-        PRIORS_AS_DRAWN,
-        25200.0,
-        last,
-        23,
+        vehicle,
+        truth + spread * rng.standard_normal((n, 3)),
+        np.tile(sun / np.linalg.norm(sun), (n, 1)),
+        unknowns,
+        (25200.0, float(AS_DRAWN.telemetry["time"].values[samples][-1])),
         epoch_utc="2014-11-12T08:35:00Z",
-    ), state
+    )
 
 
 def chain_on_the_lines(case: Case) -> candidates.CandidateSets:

@@ -3,64 +3,67 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.posterior.model import State, model
 from sunspin.vehicle import Vehicle
 
 
 def tree_of(
     vehicle: Vehicle,
-    state: State,
-    priors: dict,
-    first_s: float = 0.0,
-    last_s: float = 600.0,
-    samples: int = 5,
+    omega_B: np.ndarray,
+    sun_B: np.ndarray,
+    unknowns: Mapping[str, np.ndarray] | None = None,
+    span_s: tuple[float, float] = (0.0, 600.0),
     **attrs,
 ) -> xr.DataTree:
-    """Return a posterior whose draws (n) are `state` at the first sample, `u` in the order of the model's unknowns."""
-    unknown, _ = model(vehicle, priors, 1.0)
-    n, each = len(state), ("chain", "draw")
-    values = unknown.values(state.u)
+    """Return a posterior whose draws (n) have these rates and directions (n, 3) at the first sample.
+
+    `unknowns`: their values (n) in their own units by name, `wheel_speed_rad_s` (n, n_wheel) and `steady_torque` (n, 2, 3) among
+    them; what is missing is as in the vehicle. `span_s`: first and last sample.
+    """
+    n, each, wheels = len(omega_B), ("chain", "draw"), vehicle.wheels
+    speeds = np.tile([wheel.speed_rad_s for wheel in wheels], (n, 1)).reshape(n, len(wheels))
+    values = {"wheel_speed_rad_s": speeds, "steady_torque": np.zeros((n, 2, 3))}
+    values |= {"log_likelihood_sum": -np.arange(n, dtype=float), **(unknowns or {})}
+    dims = {"wheel_speed_rad_s": ("wheel",), "steady_torque": ("stays_in", "axis")}
+    inertia = vehicle.require_inertia()
     variables = {
-        "omega_B": ((*each, "axis"), state.omega[None]),
-        "sun_B": ((*each, "axis"), state.sun[None]),
-        "wheel_speed_rad_s": ((*each, "wheel"), unknown.wheel_speeds(state.u)[None]),
+        "omega_B": ((*each, "axis"), omega_B[None]),
+        "sun_B": ((*each, "axis"), sun_B[None]),
         "solution_id": (each, np.zeros((1, n), dtype=int)),
-        "log_likelihood_sum": (each, -np.arange(n, dtype=float)[None]),
     }
-    for i, x in enumerate(unknown.unknowns):
-        if x.kind != "wheel_speed":
-            variables[x.name] = (
-                each,
-                values[:, i][None],
-                {"prior_centre": x.centre, "prior_sigma": x.sigma},
-            )
+    for name, value in values.items():
+        a, b = ("xyz".find(letter) for letter in name[-2:])
+        centre = inertia[a][b] if name.startswith("inertia_") else 0.0
+        about = {"prior_centre": centre, "prior_sigma": 1.0}
+        variables[name] = ((*each, *dims.get(name, ())), value[None], about)
     coords = {
         "chain": [0],
         "draw": np.arange(n),
         "axis": ["x", "y", "z"],
-        "wheel": [w.name for w in vehicle.wheels],
+        "wheel": [wheel.name for wheel in wheels],
+        "stays_in": ["body", "space"],
     }
-    cov = np.cov(state.omega.T) if n > 1 else 1e-6 * np.eye(3)
-    modes = xr.Dataset(
+    covariance = np.cov(omega_B.T) if n > 1 else 1e-6 * np.eye(3)
+    solutions = xr.Dataset(
         {
             "probability": ("solution", [1.0]),
-            "omega_B": (("solution", "axis"), state.omega.mean(axis=0)[None]),
-            "omega_cov_B": (("solution", "axis", "axis2"), cov[None]),
+            "omega_B": (("solution", "axis"), omega_B.mean(axis=0)[None]),
+            "omega_cov_B": (("solution", "axis", "axis2"), covariance[None]),
         }
     )
-    tree = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords), "solutions": modes})
+    draws = xr.Dataset(variables, coords)
+    tree = xr.DataTree.from_dict({"posterior": draws, "solutions": solutions})
     tree.attrs |= {
         "vehicle": vehicle.name,
-        "t_first_s": first_s,
-        "t_last_s": last_s,
-        "samples": samples,
+        "t_first_s": span_s[0],
+        "t_last_s": span_s[1],
+        "samples": 23,
         "synthetic": 1,
-        "priors_given": json.dumps(priors),
-        "wheel_mode": '"coast"',
+        "wheel_mode": json.dumps("coast"),
         "verdict_word": "unique",
     } | attrs
     return tree

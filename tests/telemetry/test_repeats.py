@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.scan.window import directions_within
 from sunspin.estimation.observe import ALONE, observe, split
+from sunspin.estimation.scan.directions import directions_within
 from sunspin.estimation.settings import RATES
 from sunspin.output.check.repeats import describe_repeats
 from sunspin.output.check.samples import describe_samples

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from importlib import resources
 
 import numpy as np
@@ -191,3 +192,103 @@ def test_nothing_is_suggested_where_names_say_nothing(header, folder):
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     assert "no columns look like times and panels on two faces" in str(done.exception)
     assert not (folder / "mine").exists()
+
+
+def export_with_sensors() -> str:
+    """Return raw counts of panels against Unix milliseconds, with a gyro in deg/s and a magnetometer in nT."""
+    rows = list(csv.reader(io.StringIO(export("adc_{sign:pm}{axis}", 0.001))))
+    header = [
+        "ts_ms",
+        *rows[0][1:6],
+        *(f"gyr_{a}_dps" for a in "xyz"),
+        *(f"MAG_{a} [nT]" for a in "XYZ"),
+    ]
+    lines = [
+        [str(1767225600000 + 20000 * k), *row[1:6], "1.5", "-2", "3", "20000", "-5000", "30000"]
+        for k, row in enumerate(rows[1:])
+    ]
+    return "\n".join(",".join(line) for line in [header, *lines]) + "\n"
+
+
+def test_init_from_raw_counts_invents_no_unit_and_reads_milliseconds(folder):
+    (folder / "export.csv").write_text(export_with_sensors(), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert craft.telemetry.quantity == "current_A" and craft.telemetry.scale == 1.0
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    assert data.attrs["epoch_utc"].startswith("2026-01-01T00:00:00")
+    assert 1000.0 < data["current_A"].max() < 10000.0
+
+
+def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened(folder):
+    (folder / "export.csv").write_text(export_with_sensors(), "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "[gyro], [magnetometer]" in done.output
+    path = folder / "mine" / "vehicle.toml"
+    text = path.read_text("utf-8")
+    assert "field_B" not in ss.read_telemetry(folder / "export.csv", ss.load_vehicle(path))
+    for key in (
+        r"\[gyro\]",
+        r"\[magnetometer\]",
+        r"columns = .*(gyr_x|MAG_X)",
+        "scale_T",
+        "scale_rad_s = .*rate = ",
+        "noise_rad_s = 8e-4",
+    ):
+        text = re.sub(rf"^# (?={key})", "", text, flags=re.MULTILINE)
+    path.write_text(text, "utf-8")
+    data = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(path))
+    np.testing.assert_allclose(data["gyro_B"].values[0], np.radians([1.5, -2.0, 3.0]), rtol=1e-5)
+    assert ss.load_vehicle(path).sensors.magnetometer.scale_T == 1e-9
+    np.testing.assert_allclose(data["field_B"].values[0], [20000, -5000, 30000])
+
+
+def test_the_comments_of_a_vehicle_file_for_an_export_follow_what_they_explain(folder):
+    """A line that continues the remark of a key must not follow another key; a commented key stays valid when opened."""
+    (folder / "export.csv").write_text(export("i{AXIS}{sign:pm}", 0.001), "utf-8")
+    CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    template = TEMPLATE.joinpath("vehicle.toml").read_text("utf-8").splitlines()
+    before = {line: template[k - 1] for k, line in enumerate(template)}
+    lines = text.splitlines()
+    for first, line in zip(lines, lines[1:], strict=False):
+        if re.match(r"#\s{10}", line):
+            assert first == before[line]
+    (folder / "opened.toml").write_text(text.replace("# noise = 0.02", "noise = 0.02", 1), "utf-8")
+    assert ss.load_vehicle(folder / "opened.toml").telemetry.noise == 0.02
+
+
+def test_a_file_without_known_columns_is_refused_with_their_names(folder):
+    (folder / "export.csv").write_text("when,left,right\nnoon,1,2\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "when, left, right" in str(done.exception)
+
+
+@pytest.mark.parametrize(
+    ("stronger", "gain", "is_named"),
+    [
+        (1.0, "relative_gain = 1.0", True),
+        (3.5, "relative_gain = 1.0", False),
+        (1.0, "cells = 2", False),
+    ],
+)
+def test_check_names_a_panel_whose_placeholder_gain_its_readings_deny(
+    stronger, gain, is_named, folder
+):
+    rows = list(csv.reader(io.StringIO(export("i{AXIS}{sign:pm}", 0.001))))
+    for row in rows[1:]:
+        # +Z of the example has 2 cells, the others have 7
+        row[5] = str(stronger * float(row[5]))
+    (folder / "export.csv").write_text("\n".join(map(",".join, rows)), "utf-8")
+    CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    path = folder / "mine" / "vehicle.toml"
+    text = path.read_text("utf-8")
+    # without -Y the data determine no gain
+    begin = text.index('[[panel]]\nname = "-Y"')
+    text = text[:begin] + text[text.index('[[panel]]\nname = "+Z"') :]
+    text = text.replace('"-Y" = "iYm"\n', "").replace("relative_gain = 1.0 ", f"{gain} ")
+    path.write_text(text, "utf-8")
+    done = CliRunner().invoke(cli, ["check", str(path), "export.csv"])
+    assert done.exit_code == 0, done.output
+    assert ("GAINS NOT KNOWN" in done.output) == is_named
+    assert not is_named or "if +Z has" in done.output

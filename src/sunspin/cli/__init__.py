@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import io
 import os
 import re
@@ -10,11 +11,18 @@ import signal
 import sys
 import threading
 import warnings
+from collections.abc import Generator
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any
 
 import click
 
 from sunspin.base.errors import SunspinError, printable
 from sunspin.cli.common import Group
+
+GARBAGE = 50_000
+"""Objects that may become garbage before it is collected; 50,000 small ones take some 5 MB. Python collects after 700."""
 
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
@@ -48,7 +56,8 @@ def main() -> None:
         warnings.simplefilter("ignore")
     _catch_signals()
     try:
-        code = cli.main(prog_name="sunspin", standalone_mode=False)
+        with _lean_process():
+            code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
         sys.exit(code if isinstance(code, int) else 0)
     except (click.Abort, KeyboardInterrupt) as stop:
@@ -93,6 +102,33 @@ def main() -> None:
             # The disk is full, for example. Python would flush again at exit and print an error, so the output is discarded.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
+
+
+@contextmanager
+def _lean_process() -> Generator[None]:
+    """Spare a command what its libraries do for other programs.
+
+    If dask is installed, xarray imports it to ask whether an array is one of dask's. Matplotlib imports its 3-D axes. No
+    command uses 3-D axes, and only those with --scheduler use dask. Garbage is collected less often: imports leave little.
+    """
+    threshold = gc.get_threshold()
+    gc.set_threshold(GARBAGE, *threshold[1:])
+    without_3d = ModuleType("mpl_toolkits.mplot3d")
+    without_3d.__dict__["Axes3D"] = None  # as matplotlib itself has it if the import fails
+    unused: dict[str, ModuleType | None] = {"mpl_toolkits.mplot3d": without_3d}
+    # a program that has used xarray before keeps dask: xarray does not look for it again
+    if "xarray" not in sys.modules and not any(arg.startswith("--scheduler") for arg in sys.argv):
+        unused["dask"] = None  # for Python a module that is not there
+    modules: dict[str, Any] = sys.modules
+    hidden = {name: module for name, module in unused.items() if name not in modules}
+    modules.update(hidden)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*threshold)
+        for name, module in hidden.items():
+            if modules.get(name, ...) is module:
+                del modules[name]
 
 
 def _prepare_streams() -> None:

@@ -284,13 +284,13 @@ def shared(*names: str, out: bool | str = True) -> Callable:
 
 def _orbit_file(path: Path | None, satellite: str | None) -> OrbitFile | None:
     """Return the file of --tle with the satellite of --norad, None without a file; raise `InputError` for --norad alone."""
-    from sunspin.environment.ephemeris import OrbitFile
-
     if path is None:
         if satellite is not None:
             what, do = "--norad selects a satellite of an orbit file", "give --tle FILE too"
             raise InputError(what, do=do)
         return None
+    from sunspin.environment.ephemeris import OrbitFile
+
     return OrbitFile(path, satellite or "")
 
 
@@ -300,10 +300,9 @@ def find_telemetry(path: str, data: Path | None) -> Path:
     The argument is a path, a path in the folder `data`, the name of a built-in case, or `-` for standard input. Standard input is
     copied into a file that exists while the command runs, because readers need its size.
     """
-    from sunspin.base.tables import MAX_FILE_BYTES
-    from sunspin.cases import case_telemetry_path
-
     if path == "-":
+        from sunspin.base.tables import MAX_FILE_BYTES
+
         if sys.stdin is None or sys.stdin.isatty():
             what, do = "nothing is piped into standard input", "pipe telemetry in, or name a file"
             raise InputError(what, do=do)
@@ -317,6 +316,8 @@ def find_telemetry(path: str, data: Path | None) -> Path:
     given = Path(path)
     # a bare name without a suffix may be that of a built-in case
     if given.name == path and not given.suffix and not given.exists():
+        from sunspin.cases import case_telemetry_path
+
         given = case_telemetry_path(path) or given
     with suppress(OSError, ValueError):  # of a text that is no path; the reader reports it
         if data is not None and not given.exists() and (data / given).exists():

@@ -115,6 +115,8 @@ def rates(
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --compare gyro --data DIR --out skcube-rates
     """
+    if output.progress:  # on a terminal, before the imports, which take longer than a short pass
+        output.announce(f"reading {telemetry.name}")
     from sunspin.compute.pool import worker_count
     from sunspin.estimation.orbit.judged import elements_of
     from sunspin.estimation.rates import rates as estimate_rates
@@ -201,14 +203,16 @@ def rates(
             workers=worker_count(workers),
             **also_given,
         )
-    # imported late, because the import takes a third of a second
+    # imported late, because the imports take a third of a second, most of it that of the orbit at the samples
     from sunspin.output.check.repeats import describe_repeats
-    from sunspin.output.check.samples import describe_mismatches
+    from sunspin.output.check.samples import describe_mismatches, unknown_gain_lines
     from sunspin.output.compared import compare_with
-    from sunspin.output.pointing import with_track
     from sunspin.output.text import clock_text
 
-    result = with_track(result, chosen_orbit.orbit)
+    if chosen_orbit.orbit is not None:
+        from sunspin.output.pointing import with_track
+
+        result = with_track(result, chosen_orbit.orbit)
     for sensor, values in zip(withheld, readings, strict=True):
         result = compare_with(result, sensor, values)
 
@@ -218,5 +222,8 @@ def rates(
     # of the mismatches only wrong units and axes, which make the rates wrong
     wrong = [line for line in mismatches.lines if "WRONG" in line]
     seen = describe_periods(of_columns, partial(clock_text, samples))
-    lines = [*wrong, *repeats.lines, *chosen_orbit.lines, *seen]
+    gains = (
+        unknown_gain_lines(used) if used.has_panels and result.attrs["source"] == "panels" else []
+    )
+    lines = [*wrong, *gains, *repeats.lines, *chosen_orbit.lines, *seen]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

@@ -78,10 +78,10 @@ def scan(
       sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x-deg-s=-6:6:1 --omega-y-deg-s=-6:6:1 --omega-z-deg-s=0:6:1
       sunspin scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:60:6 --store scan-rows --out scan-results
     """
-    from sunspin.estimate.scan.chosen import with_chosen
-    from sunspin.estimate.scan.volume import Propagation
-    from sunspin.estimate.scan.volume import scan as scan_rates
-    from sunspin.estimate.scan.window import directions_within, target_weights
+    from sunspin.estimation.scan.directions import directions_within, target_weights
+    from sunspin.estimation.scan.near_minimum import with_near_minimum
+    from sunspin.estimation.scan.volume import Propagation
+    from sunspin.estimation.scan.volume import scan as scan_rates
     from sunspin.telemetry.reader import read_telemetry
 
     inputs = load_inputs(vehicle, changes)
@@ -114,5 +114,7 @@ def scan(
         progress=output.progress,
         **scan_options,
     )
-    result = inputs.record_changes(with_chosen(volume, samples, factor, threshold, n_lines, seed))
+    result = inputs.record_changes(
+        with_near_minimum(volume, samples, factor, threshold, n_lines, seed)
+    )
     output.deliver(result, inputs.file, samples, {"seed": seed}, main="scan.nc")

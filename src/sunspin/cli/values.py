@@ -121,7 +121,7 @@ def parse_grid(text: str, name: str) -> np.ndarray:
     """
     import numpy as np
 
-    from sunspin.estimate.scan.volume import check_size
+    from sunspin.estimation.scan.volume import check_size
 
     if ":" not in text:
         return np.radians(parse_numbers(text, name))

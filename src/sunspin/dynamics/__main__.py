@@ -14,9 +14,7 @@ def main() -> None:
     start = batch.Rows(np.full((1, 3), 0.1), np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 0)))
     batch.run(body, start, 1.0)
     batch.sun_heights(body, start, 1.0)
-    state = np.array([[[0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
-    still = np.zeros((1, 1, 3))
-    step.carry_bodies(state, np.ones((1, 1)), np.ones((1, 1)), (still, still), np.eye(3)[None])
+    step.load()
 
 
 if __name__ == "__main__":

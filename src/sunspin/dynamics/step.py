@@ -21,6 +21,9 @@ from sunspin.solve.linear import symmetric_inverse
 Q, SIZE = 3, 7
 """Where the quaternion B_from_N (4, scalar last) begins in a state, after the momentum (3); numbers of a state."""
 
+LOST = 1e6
+"""Momentum, in mean moments times rad/s, of a motion that no step is fine enough for: it must cost much, not fail."""
+
 
 @compiled
 def _write_slope(z, held, inverse, d):
@@ -74,18 +77,57 @@ def _advance(states, dt, counts, momentum, momentum_end, inverse):
             states[i, m] = y[m]
 
 
+@compiled
+def _write_matrix(q, matrix):
+    """Write the rotation matrix of a quaternion (4, scalar last, of any length) into `matrix` (3, 3)."""
+    x, y, z, s = q[0], q[1], q[2], q[3]
+    scale = 2.0 / (x * x + y * y + z * z + s * s)
+    matrix[0, 0] = 1.0 - scale * (y * y + z * z)
+    matrix[1, 1] = 1.0 - scale * (x * x + z * z)
+    matrix[2, 2] = 1.0 - scale * (x * x + y * y)
+    matrix[0, 1], matrix[1, 0] = scale * (x * y - s * z), scale * (x * y + s * z)
+    matrix[0, 2], matrix[2, 0] = scale * (x * z + s * y), scale * (x * z - s * y)
+    matrix[1, 2], matrix[2, 1] = scale * (y * z - s * x), scale * (y * z + s * x)
+
+
 def _entry(sources: int) -> Any:
     """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the step of rates, once (some 5 s)")
-    def run(states, dt, counts, momentum, momentum_end, inverse):
+    def run(omega, dt, counts, momentum, momentum_end, inertia, inverse, turned):
         _ = sources
-        size = len(states) // len(inverse)
-        for k in range(len(inverse)):
-            rows = slice(k * size, (k + 1) * size)
-            _advance(
-                states[rows], dt[rows], counts[rows], momentum[rows], momentum_end[rows], inverse[k]
-            )
+        n = dt.shape[1]
+        states, bodies = np.empty((n, SIZE)), inertia.shape[1]
+        for r in range(omega.shape[0]):
+            for k in range(omega.shape[1]):
+                body, inverse_of_body = inertia[r, k % bodies], inverse[r, k % bodies]
+                for i in range(n):
+                    for m in range(3):
+                        states[i, m] = momentum[i, m]
+                        for j in range(3):
+                            states[i, m] += body[m, j] * omega[r, k, i, j]
+                        states[i, Q + m] = 0.0
+                    states[i, Q + 3] = 1.0  # no turn yet
+                _advance(states, dt[k], counts[k], momentum, momentum_end, inverse_of_body)
+                for i in range(n):
+                    size = 0.0
+                    for m in range(Q, SIZE):
+                        size += states[i, m] * states[i, m]
+                    lost = not (size > 0.0 and np.isfinite(size))
+                    for m in range(3):
+                        lost = lost or not np.isfinite(states[i, m])
+                    if lost:
+                        for m in range(3):
+                            states[i, m], states[i, Q + m] = LOST, 0.0
+                        states[i, Q + 3] = 1.0
+                    a = states[i, 0] - momentum_end[i, 0]
+                    b = states[i, 1] - momentum_end[i, 1]
+                    c = states[i, 2] - momentum_end[i, 2]
+                    v = inverse_of_body
+                    omega[r, k, i, 0] = v[0] * a + v[1] * b + v[2] * c
+                    omega[r, k, i, 1] = v[1] * a + v[3] * b + v[4] * c
+                    omega[r, k, i, 2] = v[2] * a + v[4] * b + v[5] * c
+                    _write_matrix(states[i, Q:], turned[r, k, i])
 
     return run
 
@@ -94,26 +136,45 @@ _run = _entry(digest(__file__))
 
 
 def carry_bodies(
-    states: np.ndarray,
+    inertia: np.ndarray,
+    omega: np.ndarray,
     dt_s: np.ndarray,
     counts: np.ndarray,
     momenta: tuple[np.ndarray, np.ndarray],
-    inertia: np.ndarray,
-) -> np.ndarray:
-    """Return states (b, n, 7) of b bodies, n of each, after `dt_s` (b, n) seconds in `counts` (b, n) steps.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return relative attitudes (r, K, n, 3, 3) and rates (r, K, n, 3) of r runs of K motions after n intervals of their own.
 
-    A state is the momentum in units of mean moment of inertia times rad/s, and the quaternion B_from_N with the scalar last.
-    `momenta` (b, n, 3) of the wheels at the start and at the end, and `inertia` (b, 3, 3), in mean moments.
+    Parameters
+    ----------
+    inertia : (r, K, 3, 3) or (r, 1, 3, 3)
+        In mean moments, of each motion of each run, or of all motions of a run.
+    omega : (r, K, n, 3), rad/s
+        Rates at the start.
+    dt_s : (n) or, of each motion, (K, n)
+        Length of the intervals; may be negative.
+    counts : (K, n)
+        Steps, alike in all runs, or differences of runs would be those of the steps.
+    momenta : two (n, 3)
+        Momentum of the wheels at start and end, in mean moments times rad/s.
     """
-    moved = np.array(states, dtype=np.float64, order="C").reshape(-1, SIZE)
+    rates = np.array(omega, dtype=np.float64, order="C")
+    turned = np.empty((*rates.shape, 3))
     _run(
-        moved,
-        _plain(dt_s).ravel(),
-        np.require(counts, np.int64, ["C", "W"]).ravel(),
-        *(_plain(momentum).reshape(-1, 3) for momentum in momenta),
+        rates,
+        _plain(np.broadcast_to(dt_s, counts.shape)),
+        np.require(counts, np.int64, ["C", "W"]),
+        *(_plain(momentum) for momentum in momenta),
+        _plain(inertia),
         _plain(symmetric_inverse(inertia)),
+        turned,
     )
-    return moved.reshape(states.shape)
+    return turned, rates
+
+
+def load() -> None:
+    """Load the compiled step, or compile it: done before a process is copied, it need not be done in each copy."""
+    still, steps = np.zeros((1, 3)), np.ones((1, 1), dtype=np.int64)
+    carry_bodies(np.eye(3)[None, None], np.zeros((1, 1, 1, 3)), np.ones(1), steps, (still, still))
 
 
 def _plain(values: np.ndarray) -> np.ndarray:

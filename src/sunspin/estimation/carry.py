@@ -12,13 +12,7 @@ import numpy.typing as npt
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics.step import carry_bodies
-from sunspin.solve.linear import symmetric_inverse, symmetric_product
-from sunspin.solve.rotations import (
-    cross_matrix,
-    matrix_from_quaternion,
-    rotate_attitude,
-    rotation_between,
-)
+from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotation_between
 
 STEP_RAD, LEAST_STEPS, MOST_STEPS = 0.4, 2, 400
 """Turn of the body in one Runge-Kutta step at most: the error over a whole turn is 1e-4 rad, below that of any panel. Steps of one
@@ -32,9 +26,6 @@ DIFFERENCE = 1e-5
 
 INERTIA_DIFFERENCE = 0.02
 """Change of the inertia for the derivative by it, in sigmas."""
-
-LOST_RAD_S = 1e6
-"""rad/s; rate of a motion that no step is fine enough for: it must cost much, not fail."""
 
 TURN, RATE = slice(0, 3), slice(3, 6)
 """Where the turn (rad, B) and the rate (rad/s) stand among the six numbers of a state."""
@@ -119,7 +110,7 @@ def step(
     angle = angle_turned(bodies, omega, dt, momenta)
     counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
     if not derivatives:
-        turned, rate = _run(bodies[None], omega[None], dt, momenta, counts)
+        turned, rate = carry_bodies(bodies[None], omega[None], dt, counts, momenta)
         return Step(turned[0], rate[0])
 
     # the first axis are runs: the motion itself, three with another rate, and one with each error of the inertia
@@ -130,7 +121,7 @@ def step(
     rates[of_rates] += np.eye(3)[:, None, None] * (DIFFERENCE / size)
     bodies = np.repeat(bodies[None], len(rates), axis=0)
     bodies[of_errors] += INERTIA_DIFFERENCE * errors[:, None]
-    turned, rate = _run(bodies, rates, dt, momenta, counts)
+    turned, rate = carry_bodies(bodies, rates, dt, counts, momenta)
     change = np.concatenate([rotation_between(turned[0], turned[1:]), rate[1:] - rate[0]], axis=-1)
     change = np.moveaxis(change, 0, -1)  # (K, n, 6, runs but the first)
     by_rate, by_error = change[..., :3], change[..., 3:]
@@ -171,38 +162,3 @@ def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
     by_start[..., TURN, RATE] = np.asarray(dt)[..., None, None] * mean
     by_start[..., RATE, RATE] = np.eye(3)
     return Step(turned, omega.copy(), by_start, np.zeros((*omega.shape[:-1], 6, 0)))
-
-
-def _run(
-    inertia: np.ndarray,
-    omega: np.ndarray,
-    dt: np.ndarray,
-    momenta: tuple[np.ndarray, np.ndarray],
-    counts: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return relative attitudes (r, K, n, 3, 3) and rates (r, K, n, 3) of r runs of K motions in intervals dt (n).
-
-    Each motion of each run has its own inertia (r, K, 3, 3); `counts` (K, n) of steps are alike in all runs, or differences of runs
-    would be those of the steps.
-    """
-    # what the kernel carries: momentum of body and wheels in B, and the quaternion of the turn since the start, scalar last
-    of_momentum, of_quaternion = slice(0, 3), slice(3, 7)
-    shape = omega.shape[:-1]
-    start, end = (np.broadcast_to(h, omega.shape) for h in momenta)
-    states = np.zeros((*shape, 7))
-    states[..., of_momentum] = omega @ inertia + start
-    states[..., 6] = 1.0  # no turn
-    bodies = len(inertia) * inertia.shape[1]
-    rows = bodies, int(np.prod(shape)) // max(bodies, 1)  # states of each body, one after the other
-    moved = carry_bodies(
-        states.reshape(*rows, 7),
-        np.broadcast_to(dt, shape).reshape(rows),
-        np.broadcast_to(counts, shape).reshape(rows),
-        (start.reshape(*rows, 3), end.reshape(*rows, 3)),
-        inertia.reshape(-1, 3, 3),
-    ).reshape(*shape, 7)
-    lost = ~np.isfinite(moved).all(axis=-1) | ~moved[..., of_quaternion].any(axis=-1)
-    moved[lost] = (LOST_RAD_S, LOST_RAD_S, LOST_RAD_S, 0.0, 0.0, 0.0, 1.0)
-    of_body = moved[..., of_momentum] - end
-    rate = symmetric_product(symmetric_inverse(inertia)[..., None, :], of_body)
-    return matrix_from_quaternion(moved[..., of_quaternion]), rate

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimation.carry import RATE, TURN, step
+from sunspin.estimation.carry import RATE, TURN, Step, step
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.model import Model, Noise, Observations, States, Track
 from sunspin.estimation.settings import SearchSettings
@@ -349,12 +349,22 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
     log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
-    # Laplace's method. Left out is what all models of a pass share: powers of 2 pi, and the widths of the priors of the first rate
-    # and of the turn about the Sun
+    # Laplace's method; what it leaves out all models of a pass share: see `log_left_out`
     log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
+
+
+def log_left_out(model: Model) -> float:
+    """Return by what the log evidence of a fit exceeds the log of the mean likelihood over all motions that its model allows.
+
+    It is the same for all models of a pass that sees the Sun. Prior densities of the first rate, of the defects and of the unknowns
+    are normal, with 6 n + m - 3 factors 1 / sqrt(2 pi). That of the first attitude is 1 / (8 pi^2). Laplace's method gives
+    sqrt(2 pi) for each of the 6 n + m numbers. Nothing measures the turn about the Sun: its integral is 2 pi, but counts as
+    sqrt(2 pi) `TURN_PRIOR`. With the width of the prior of the rate, 1 / (2 `TURN_PRIOR` `rate_sigma`^3) is left of all that.
+    """
+    return float(np.log(2 * TURN_PRIOR) + 3 * np.log(model.rate_sigma))
 
 
 def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
@@ -380,24 +390,38 @@ def carried(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) 
     n = len(model.obs)
     attitudes, rates = np.empty((len(omega), n, 3, 3)), np.empty((len(omega), n, 3))
     attitudes[:, sample], rates[:, sample] = attitude, omega
-    for start, end in _ways(sample, n):
-        made = _one_step(model, rates[:, start], start, end)
-        attitudes[:, end] = made.turned[:, 0] @ attitudes[:, start]
-        rates[:, end] = made.omega[:, 0]
+    _carry_on(model, attitudes, rates, sample, sample)
     return Track.free(attitudes, rates)
 
 
-def _ways(sample: int, n: int) -> list[tuple[int, int]]:
-    """Return the steps from sample to sample, away from one to both ends."""
-    return [(i, i + 1) for i in range(sample, n - 1)] + [(i, i - 1) for i in range(sample, 0, -1)]
+def _carry_on(
+    model: Model, attitudes: np.ndarray, rates: np.ndarray, first: int, last: int
+) -> None:
+    """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
+    for start, end in _ways(first, last, attitudes.shape[1]):
+        made = _step_between(model, rates, start, end)
+        attitudes[:, end] = made.turned @ attitudes[:, start]
+        rates[:, end] = made.omega
 
 
-def _one_step(model: Model, omega: np.ndarray, start: int, end: int, derivatives: bool = False):
-    """Carry rates (K, 3) from one sample to another with the inertia of the vehicle file."""
+def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
+    """Yield steps from samples to their neighbours, away from `first` and `last` to both ends of n samples.
+
+    Both ways at once while both go on: a step takes nearly as long for one interval as for two.
+    """
+    for k in range(max(first, n - 1 - last)):
+        steps = (last + k, last + k + 1), (first - k, first - k - 1)
+        inside = [(i, j) for i, j in steps if 0 <= j < n]
+        yield [i for i, _ in inside], [j for _, j in inside]
+
+
+def _step_between(
+    model: Model, rates: np.ndarray, start: list[int], end: list[int], derivatives: bool = False
+) -> Step:
+    """Carry rates (K, n, 3) from some samples to others, with the inertia of the vehicle file."""
     t_s, momentum = model.obs.t_s, model.obs.momentum
-    dt = np.array([t_s[end] - t_s[start]])
-    momenta = momentum[start][None], momentum[end][None]
-    return step(model.body.inertia, omega[:, None], dt, momenta, derivatives)
+    momenta = momentum[start], momentum[end]
+    return step(model.body.inertia, rates[:, start], t_s[end] - t_s[start], momenta, derivatives)
 
 
 def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
@@ -421,11 +445,12 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
-        for start, end in _ways(sample, n):
-            made = _one_step(model, track.omega[:, start], start, end, derivatives=True)
-            track.attitude[:, end] = made.turned[:, 0] @ track.attitude[:, start]
-            track.omega[:, end] = made.omega[:, 0]
-            by_state[:, end] = made.by_start[:, 0] @ by_state[:, start]
+        for start, end in _ways(sample, sample, n):
+            made = _step_between(model, track.omega, start, end, derivatives=True)
+            track.attitude[:, end] = made.turned @ track.attitude[:, start]
+            track.omega[:, end] = made.omega
+            assert made.by_start is not None
+            by_state[:, end] = made.by_start @ by_state[:, start]
         previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:
@@ -513,13 +538,7 @@ class Chain:
         n, k = wider.stop - wider.start, len(motions)
         attitude, omega = np.empty((k, n, 3, 3)), np.empty((k, n, 3))
         attitude[:, first:last], omega[:, first:last] = motions.attitude, motions.omega
-        ways = [(i, i + 1) for i in range(last - 1, n - 1)] + [
-            (i, i - 1) for i in range(first, 0, -1)
-        ]
-        for start, end in ways:
-            made = _one_step(model, omega[:, start], start, end)
-            attitude[:, end] = made.turned[:, 0] @ attitude[:, start]
-            omega[:, end] = made.omega[:, 0]
+        _carry_on(model, attitude, omega, first, last - 1)
         middle = (window.stop - window.start) // 2
         others = along_the_valley(self.model.seeing(window), motions, middle, self.s)
         carried_on = carried(model, first + middle, *others)

@@ -3,8 +3,8 @@
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
 reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
 evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
-(:mod:`sunspin.estimation.columns`): it fits only under strong torques, its samples, each by itself, fit other columns far better,
-or two columns were hardly ever lit. Changes that look the same in the telemetry (:mod:`sunspin.estimation.equivalence`) are named
+(:mod:`sunspin.estimation.columns`): it fits only under strong torques, or its samples, each by itself, fit other columns far
+better, or as well. Changes that look the same in the telemetry (:mod:`sunspin.estimation.equivalence`) are named
 together, each with its motion, and none is recommended.
 """
 
@@ -32,6 +32,7 @@ from sunspin.estimation.equivalence import (
     wheel_changes,
 )
 from sunspin.estimation.settings import FIELD_TURN
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import sphere
@@ -57,6 +58,10 @@ with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, an
 WORTH_A_SEARCH = 30.0
 """Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 60
 files with two columns exchanged the right change was at most 0.8 from the best."""
+
+AS_GOOD = 3.0
+"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one. And
+the log evidence by which a change may be better than the file in a decided pass: right files have such a change in 5 % at most."""
 
 MOST_COMPARED = 60
 """Samples that are compared so, evenly chosen."""
@@ -134,11 +139,15 @@ class Culprit:
 
 @dataclass(frozen=True)
 class Trials:
-    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`."""
+    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`.
+
+    `least`: log evidence by which a change must be better.
+    """
 
     evidence: Callable[[Vehicle, xr.Dataset], float]
     run: Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
     budget: Budget
+    least: float = CLEARLY
 
     def fitting(self, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset | None:
         """Return the estimate, if it fits."""
@@ -232,33 +241,62 @@ def _best_of(
     return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
 
 
-def better_dark_columns(
+def better_rivals(
     observed: Observed, telemetry: xr.Dataset, noise: np.ndarray | float, trials: Trials
 ) -> Better | None:
-    """Return exchanges of columns that were hardly ever lit, with which a pass that fits has a clearly larger log evidence.
+    """Return changes of columns that the samples allow, with which a pass that fits has a clearly larger log evidence.
 
-    The samples by themselves cannot tell such columns apart, but a motion follows what little they read. A body that turned with
-    the Sun near its axis was decided along a motion that two exchanged columns made up: with the right ones the log evidence was
-    better by 25. `observed`: with the Sun's directions of the estimated motion; `noise`: of the readings.
+    The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
+    their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
+    columns made up; with the right ones the log evidence was better by 24. `observed`: with the Sun's directions of the estimated
+    motion; `noise`: of the readings.
     """
-    light = observed.vehicle.response_in().power(observed.sun_B)
+    vehicle = observed.vehicle
+    changes = column_changes(vehicle, telemetry)
+    cost = sample_costs(vehicle, telemetry, [AS_WRITTEN, *changes])
+    allowed = cost[1:] <= cost[0] + AS_GOOD
+    # a change that looks the same as reversed wheels was tested with the signs of the wheels
+    known = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
+    light = vehicle.response_in().power(observed.sun_B) / noise
 
-    def matters(change: Change) -> bool:
-        """Return whether both columns were dark, and the estimated motion would light them differently."""
-        a_and_b = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
-        if len(a_and_b) != 2 or observed.lit[a_and_b].any():
-            return False
-        square = (np.diff((light / noise)[:, a_and_b], axis=1) ** 2).sum()
-        return bool(square / 2 > CLEARLY)
-
-    changes = [one for one in column_changes(observed.vehicle, telemetry) if matters(one)]
-    if not changes:
+    # to the samples all exchanges of dark columns look the same: those count that the estimated motion would light differently
+    dark, rivals = [], []
+    for change, is_allowed in zip(changes, allowed, strict=True):
+        moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
+        if len(moved) == 2 and not observed.lit[moved].any():
+            if (np.diff(light[:, moved], axis=1) ** 2).sum() / 2 > CLEARLY:
+                dark.append(change)
+        elif is_allowed and not any(len(equivalence(observed, one, change)) for one in known):
+            rivals.append(change)
+    # a column without a signal is left out: evidences are compared only if the same columns are
+    silent = silent_columns(vehicle, telemetry, AS_WRITTEN) if dark or rivals else set()
+    dark, rivals = (
+        [one for one in some if silent_columns(vehicle, telemetry, one) == silent]
+        for some in (dark, rivals)
+    )
+    if not (dark or rivals):
         return None
-    evidence_as_written = trials.evidence(observed.vehicle, telemetry)
+    evidence_as_written = trials.evidence(vehicle, telemetry)
     if not np.isfinite(evidence_as_written):
         return None
-    # no others that look the same are named: to the samples all exchanges of dark columns do
-    return _best_of_classes(observed, telemetry, changes, [], trials, evidence_as_written)
+    # none that look the same are named with dark columns: by the lit ones alone all of these do
+    found = [
+        _best_of_classes(observed, telemetry, some, others, trials, evidence_as_written)
+        for some, others in ((dark, []), (rivals, changes))
+    ]
+    return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
+
+
+def silent_columns(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> set[int]:
+    """Return the columns that are left out under a change, as their panels never show a signal."""
+    silent = np.flatnonzero(silent_inputs(assess(*change.applied(vehicle, telemetry))))
+    return {change.columns[k] if change.columns else int(k) for k in silent}
+
+
+def silent_inputs(assessment: Assessment) -> np.ndarray:
+    """Return which inputs (n_input) count in no sample, as they never show a signal."""
+    quality = assessment.quality
+    return ~(quality["reading"].values & ~quality["dead"].values).any(axis=0)
 
 
 def _best_of_classes(
@@ -279,7 +317,7 @@ def _best_of_classes(
             break
         changed = change.applied(observed.vehicle, telemetry)
         gains[k] = trials.evidence(*changed) - evidence_as_written
-    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > CLEARLY]
+    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > trials.least]
 
     named: list[Named] = []
     best, at_s = -np.inf, np.nan

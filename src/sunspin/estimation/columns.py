@@ -3,7 +3,7 @@
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
 the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
 panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
-better; or two columns were hardly ever lit.
+better; or they fit other columns as well, and only the motion can tell which are right.
 """
 
 from __future__ import annotations
@@ -19,11 +19,15 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.estimation.budget import USUAL, Budget
 from sunspin.estimation.column_tests import (
+    AS_GOOD,
+    MOST_NAMED,
+    MOST_SQUARE,
     Better,
     Named,
     Trials,
-    better_dark_columns,
+    better_rivals,
     samples_fit_other_columns,
+    silent_inputs,
     what_fits_better,
 )
 from sunspin.estimation.equivalence import (
@@ -43,6 +47,7 @@ from sunspin.estimation.model import Body, Model, Noise
 from sunspin.estimation.observe import cut, observe, split, wheel_models, with_momentum
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
+from sunspin.estimation.terms.panels import DARK
 from sunspin.estimation.verdict import (
     COLUMNS_DOUBTED,
     COLUMNS_STATED,
@@ -51,6 +56,7 @@ from sunspin.estimation.verdict import (
 )
 from sunspin.estimation.wheel_signs import Reversed, momentum_of_each
 from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -89,13 +95,15 @@ def check_columns(
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
-    others_tried = False
-    if again is not None and (not fits or _may_hide_exchange(result, observed, telemetry)):
+    others_tried = again is not None and (
+        not fits or _may_hide_exchange(result, observed, telemetry)
+    )
+    if again is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, again, settings, tests)
-        others_tried = True
     if again is not None and fits and "columns_doubt" not in result.attrs:
         trials = _trials_of(result, np.inf, again, settings, tests)
-        result = _with_dark_columns(result, observed, telemetry, trials)
+        least = 0.0 if doubt is None else doubt.gain
+        result = _with_rivals(result, observed, telemetry, trials, least)
     # both kinds of tests share a budget
     if others_tried or tests.cut:
         result = result.assign_attrs(column_tests_cut=int(tests.cut))
@@ -240,21 +248,31 @@ def _with_other_columns(
     return result.assign_attrs(columns_doubt=better.words())
 
 
-def _with_dark_columns(
-    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
+def _with_rivals(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials, least: float
 ) -> xr.Dataset:
-    """Return the result with the dark columns that fit better if they are exchanged, by the longest pass, if it is decided."""
+    """Return the result with changes that the samples allow as well and that fit the longest decided pass better, if any.
+
+    `least`: log evidence by which they must be better, that of reversed wheels if their sign is in doubt.
+    """
     if not observed.panels or observed.sensors or "noise" not in result.attrs:
         return result
-    place = _longest(result)
-    if not result["decided"].values[place]:
+    decided = np.flatnonzero(result["decided"].values)
+    if not len(decided):
         return result
+    place = _longest(result, decided)
     part = samples_of(result, telemetry, place)
     here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
-    better = better_dark_columns(here, part, noise_of(result, observed.vehicle), trials)
-    if better is None:
+    trials = replace(trials, least=AS_GOOD)
+    better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
+    if better is None or better.gain < least:
         return result
+    if better.gain <= CLEARLY:  # too little to accuse the file, but the pass is not decided with it
+        what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
+        words = f"the data fit as well with {what}: find out which columns are right"
+        reason = f"other columns fit as well (with {what})"
+        return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
     return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
 
 
@@ -268,7 +286,8 @@ def _trials_of(
     def evidence(changed: Vehicle, data: xr.Dataset) -> float:
         """Return the log evidence of the pass by a quick search."""
         try:
-            seen = observe(assess(changed, data), source)
+            assessment = assess(changed, data)
+            seen = observe(assessment, source)
             (one, *_) = split(seen, np.inf, settings.passes)
         except InputError:
             return -np.inf
@@ -276,7 +295,8 @@ def _trials_of(
         obs = with_momentum(seen, momentum).obs
         noise = Noise(settings.search.noise)
         stated = Model(obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
-        return quick_evidence(stated.seeing(one.kept), settings, budget)
+        silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
+        return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
         """Return the whole estimate of the pass, if it needs no stronger torques than a change may."""
@@ -288,6 +308,22 @@ def _trials_of(
         return made if made.attrs["acceleration_noise"] <= most_noise else None
 
     return Trials(evidence, run, budget)
+
+
+def cost_of_silent_panels(assessment: Assessment, samples: np.ndarray) -> float:
+    """Return minus the log likelihood of the readings at `samples` of panels that are left out, as they never show a signal.
+
+    Such a panel is taken to have failed, and its readings for noise about zero. Which panels are so depends on the order of the
+    columns: if these readings counted nothing, two exchanged columns without a signal were better by 125 in a right file.
+    """
+    quality = assessment.quality
+    silent = silent_inputs(assessment)
+    zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
+    read = signals(assessment.telemetry)
+    sigma = np.broadcast_to(np.hypot(quality["noise"].values, zeros), read.shape)
+    read, sigma = read[samples][:, silent], sigma[samples][:, silent]
+    square = np.minimum(np.nan_to_num(read / sigma) ** 2, MOST_SQUARE)
+    return float((np.log(sigma) + square / 2).sum())
 
 
 def _with_doubted_wheels(
@@ -337,13 +373,13 @@ def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
     return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
 
 
-def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
+def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
     """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
     why = [joined(reason, what) for reason in result["why_not_decided"].values]
     count = result.sizes["pass_id"]
     return result.assign(
         decided=("pass_id", np.zeros(count, dtype=bool)),
-        columns_checked=("pass_id", np.full(count, COLUMNS_DOUBTED)),
+        columns_checked=("pass_id", np.full(count, checked)),
         why_not_decided=("pass_id", why),
     )
 

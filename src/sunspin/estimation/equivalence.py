@@ -50,6 +50,9 @@ FLAT = 0.05
 MOST_ASSIGNMENTS = 1000
 """Assignments of the panels of shared inputs to each other that are tried."""
 
+WHEEL_SIGNS = "axis_B, speed_rad_s and speed_scale_rad_s"
+"""Keys of a wheel that may have the wrong sign."""
+
 READINGS = ("power_W", "current_A")
 """What telemetry calls the readings of panels."""
 
@@ -74,7 +77,9 @@ class Change:
     def with_wheels(self, wheels: tuple[int, ...], names: Sequence[str]) -> Change:
         """Return this change together with reversed wheels."""
         what = f"{self.what} and {_wheel_words(wheels, names)}"
-        return replace(self, what=what, reversed_wheels=wheels, errors=self.errors + 1)
+        keys = f"look at the signs of {WHEEL_SIGNS}"
+        do = f"{self.do}, and {keys} of {' and '.join(names[k] for k in wheels)}"
+        return replace(self, what=what, reversed_wheels=wheels, do=do, errors=self.errors + 1)
 
     def applied(self, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Vehicle, xr.Dataset]:
         """Return vehicle and telemetry as they are if the file is wrong in this way."""
@@ -137,7 +142,7 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
 def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> Change:
     """Return the change that gives wheels the opposite sign."""
     names = [wheel.name for wheel in vehicle.wheels]
-    do = "look at the signs of its axis_B, speed_rad_s and speed_scale_rad_s"
+    do = f"look at the signs of its {WHEEL_SIGNS}"
     return Change(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunspin.estimation.chain import fit
 from sunspin.estimation.copies import distinct
@@ -13,6 +12,7 @@ from sunspin.estimation.model import SUN_N, Model, Noise, States, Track
 from sunspin.estimation.settings import SearchSettings
 from sunspin.estimation.terms.field import KnownField
 from sunspin.estimation.terms.torques import GravityGradient
+from sunspin.solve.rotations import rotate_attitude
 
 FEWEST_SUNS = 4
 """Samples that show the Sun; with fewer, a search begins with the field where it is known."""
@@ -63,7 +63,7 @@ def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -
         return motions
     tracks = []
     for angle in 2 * np.pi / turns * np.arange(turns):
-        attitude = motions.attitude @ Rotation.from_rotvec(angle * SUN_N).as_matrix() @ frames
+        attitude = motions.attitude @ rotate_attitude(np.eye(3), -angle * SUN_N) @ frames
         omega = motions.omega
         if known is not None:
             omega = omega + np.einsum("knij,nj->kni", attitude, known.turning())

@@ -190,8 +190,7 @@ def posterior(
     decided = row.answers.decided
     tree.attrs["verdict"] += "; decided" if decided else f"; not decided: {row.answers.why_not}"
     if periods:
-        start_s = nominal.window.start_s + place.after_s
-        tree["period"] = draws_by_periods(mix, picked, tree, periods, start_s)
+        tree["period"] = draws_by_periods(vehicle, tree, periods, workers)
     return with_units(tree)
 
 

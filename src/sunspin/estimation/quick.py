@@ -55,8 +55,9 @@ def quick_evidence(
 def log_size(panels: Panels) -> float:
     """Return the sum of the logs of all sigmas, which follow the order of the columns.
 
-    A reading that is left out counts as if it might be anything up to full light.
+    A reading that is left out counts as if it might be anything up to full light. Those of panels without any signal count nothing.
     """
     sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full_sun)
+    sigma = sigma[:, panels.ever_shown]
     scale = panels.scale_sigma[np.isfinite(panels.scale_sigma)]
     return float(np.log(sigma).sum() + np.log(scale).sum())

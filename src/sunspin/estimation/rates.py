@@ -14,13 +14,14 @@ from tqdm import tqdm
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import with_units
 from sunspin.compute.pool import process_pool, worker_count
+from sunspin.dynamics.step import load as load_step
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimation.alternatives import alternatives
 from sunspin.estimation.between import link_passes
 from sunspin.estimation.budget import USUAL, Budget
-from sunspin.estimation.carry import require_followed
+from sunspin.estimation.carry import nutation, require_followed
 from sunspin.estimation.chain import Chain, Fit
 from sunspin.estimation.columns import check_columns, name_of_wheels
 from sunspin.estimation.evidence import (
@@ -168,7 +169,7 @@ def rates(
     column_tests : bool
         If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
         (:mod:`sunspin.estimation.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit under
-        strong torques, if their samples fit other columns far better, or if two columns were hardly ever lit.
+        strong torques, or if their samples, each by itself, fit other columns far better, or as well.
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -229,7 +230,9 @@ def rates(
 
     require_directions(stated, passes)
     tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
-    with process_pool(min(worker_count(workers), tasks)) as pool:
+    if (processes := min(worker_count(workers), tasks)) > 1:
+        load_step()
+    with process_pool(processes) as pool:
         run = map if pool is None else pool.map
         # Wheels without a measured speed are held or coast: the longest passes say which.
         seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
@@ -291,10 +294,13 @@ def rates(
     return with_units(result.assign_attrs(verdict=rates_words(result)))
 
 
-def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits:
+def one_pass(
+    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
+) -> PassFits:
     """Return every motion of one pass under every model that may explain it, with evidence.
 
-    `stated`: the nominal model of the samples kept for the search.
+    `stated`: the nominal model of the samples kept for the search. `known`: motions that a search of the pass leaves under a model
+    that hardly differs.
     """
     s = settings
     budget = replace(budget)  # passes work side by side, each with its own
@@ -305,7 +311,10 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
         led = field_of(stated) is not None
         of_search = replace(s.search, more_places=0) if led else s.search
-        for loose in searched(stated, Noise(noise)):
+        search_again = known is None or noise != s.search.noise
+        if known is not None and not search_again:
+            motions.append(known)
+        for loose in searched(stated, Noise(noise)) if search_again else ():
             chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
             one = search(chain, starts, of_search, budget, pairs_to_try(loose, s.search))
             motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
@@ -354,7 +363,7 @@ def one_pass(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits
         fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
     if sees_sun_alone(stated.obs) and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
         # a stated strength of torques says that the body does not swing
-        fits += swings_by_all_ways(stated, fits, s.alternatives)
+        fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
@@ -397,28 +406,74 @@ def decide_wheels(
     if len(names) == 1:
         return with_momentum(seen, momenta[names[0]]), names[0], {}
     longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
-    models = [
-        replace(
-            stated,
-            obs=with_momentum(seen, momenta[name])
-            .obs.of_pass(passes[k].samples)
-            .take(passes[k].kept_in_pass),
-        )
+    models = {
+        name: [
+            replace(
+                stated,
+                obs=with_momentum(seen, momenta[name])
+                .obs.of_pass(passes[k].samples)
+                .take(passes[k].kept_in_pass),
+            )
+            for k in longest
+        ]
         for name in names
-        for k in longest
+    }
+    # Wheels that turn the body nearly alike have the same motions: one search serves them. The others are searched side by side.
+    near = [name for name in names[1:] if _turn_alike(models[names[0]], models[name], settings)]
+    alone = [name for name in names if name not in near]
+    fitted = _fits_of_models(models, alone, [None] * len(longest), settings, budget, run)
+    motions = [
+        None if one is None else leading(one.fits, settings.search.most, settings.search)
+        for one in fitted[names[0]]
     ]
-    fits = list(run(_pass_if_any, models, repeat(settings), repeat(budget)))
-    evidence = np.array([-np.inf if one is None else log_evidence(one) for one in fits])
-    if not np.isfinite(evidence).any():
-        one_pass(models[0], settings, budget)  # raises an error that says why there is no motion
-    # models are in the order of names, then of passes
-    total = evidence.reshape(len(names), len(longest)).sum(axis=1)
-    best = int(np.argmax(total))
-    above = total[best] - np.delete(total, best).max()
-    words = f"{names[best]} (evidence {above:.1f} above any other)"
-    of_best = fits[best * len(longest) : (best + 1) * len(longest)]
-    done = {k: one for k, one in zip(longest, of_best, strict=True) if one is not None}
-    return with_momentum(seen, momenta[names[best]]), words, done
+    known = [one if one is not None and len(one) else None for one in motions]
+    fitted |= _fits_of_models(models, near, known, settings, budget, run)
+    total = {
+        name: sum(-np.inf if one is None else log_evidence(one) for one in fitted[name])
+        for name in names
+    }
+    if not np.isfinite(
+        [log_evidence(one) for each in fitted.values() for one in each if one]
+    ).any():
+        one_pass(models[names[0]][0], settings, budget)  # raises an error that says why
+    best = max(names, key=lambda name: total[name])
+    above = total[best] - max(total[name] for name in names if name != best)
+    words = f"{best} (evidence {above:.1f} above any other)"
+    done = {k: one for k, one in zip(longest, fitted[best], strict=True) if one is not None}
+    return with_momentum(seen, momenta[best]), words, done
+
+
+def _turn_alike(first: Sequence[Model], second: Sequence[Model], settings: RatesSettings) -> bool:
+    """Return whether wheels turn the rate alike in each of some passes: no motion leaves the basin in which a fit finds it.
+
+    `first`, `second`: the models of each pass. The angle counts from the median sample: motions agree there and differ at the ends.
+    """
+    turned = []
+    for one, other in zip(first, second, strict=True):
+        rate = nutation(one.body.inertia, other.obs.momentum - one.obs.momentum)
+        middle = len(rate) // 2
+        halves = slice(middle + 1), slice(middle, None)
+        turned += [float(np.trapezoid(rate[half], one.obs.t_s[half])) for half in halves]
+    return max(turned) < settings.search.basin_rad
+
+
+def _fits_of_models(
+    models: dict[str, list[Model]],
+    names: Sequence[str],
+    known: Sequence[Track | None],
+    settings: RatesSettings,
+    budget: Budget,
+    run: Callable,
+) -> dict[str, list[PassFits | None]]:
+    """Return the fits of passes under some of the models of their wheels; `known`: motions of each pass, instead of a search."""
+    every = [model for name in names for model in models[name]]
+    shared = [
+        None if one is None else Track.free(one.attitude, one.omega)
+        for one in [*known] * len(names)
+    ]
+    fits = list(run(_pass_if_any, every, repeat(settings), repeat(budget), shared))
+    count = len(known)
+    return {name: fits[i * count : (i + 1) * count] for i, name in enumerate(names)}
 
 
 def doubted_wheels(
@@ -449,10 +504,12 @@ def doubted_wheels(
     )
 
 
-def _pass_if_any(stated: Model, settings: RatesSettings, budget: Budget) -> PassFits | None:
-    """Return the fits of a pass; None if the model allows no motion at all."""
+def _pass_if_any(
+    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
+) -> PassFits | None:
+    """Return the fits of a pass as :func:`one_pass` does; None if the model allows no motion at all."""
     try:
-        return one_pass(stated, settings, budget)
+        return one_pass(stated, settings, budget, known)
     except InputError:
         return None
 

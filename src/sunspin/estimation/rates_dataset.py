@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import printable
 from sunspin.base.provenance import provenance
@@ -34,7 +33,11 @@ from sunspin.estimation.verdict import (
     padded,
     passes_table,
 )
-from sunspin.solve.rotations import without_sign_jumps
+from sunspin.solve.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    without_sign_jumps,
+)
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle import Vehicle
@@ -75,7 +78,7 @@ def dataset(
         for name in ("attitude", "omega", "covariance", "sun_B")
     )
     pass_of = np.repeat(np.arange(len(passes)), [len(one.samples) for one in passes])
-    quaternion = without_sign_jumps(Rotation.from_matrix(attitude).as_quat(), pass_of)
+    quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
     each = ("pass_id", "solution")
     spread = [spread_of(one.mean, one.mean_sigma, one.probability) for one in solved]
     result = xr.Dataset(
@@ -156,7 +159,7 @@ def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
         for name in ("attitude", "omega", "covariance")
     )
     pass_of = np.repeat(np.arange(len(solved)), [len(instants) for instants in times])
-    quaternion = without_sign_jumps(Rotation.from_matrix(attitude).as_quat(), pass_of)
+    quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
     sigma = np.sqrt(np.einsum("nii->ni", covariance[:, RATE, RATE]))
     return {
         "curve_omega_B": (("curve_time", "axis"), omega),
@@ -232,9 +235,9 @@ def in_space(
         ("B_from_N", "time", "pass_of"),
         ("curve_B_from_N", "curve_time", "curve_pass_of"),
     ):
-        attitude = Rotation.from_quat(result[name].values).as_matrix()
+        attitude = matrix_from_quaternion(result[name].values)
         attitude = attitude @ local.N_from_J2000(result[time].values)
-        quaternion = Rotation.from_matrix(attitude).as_quat()
+        quaternion = quaternion_from_matrix(attitude)
         quaternion = without_sign_jumps(quaternion, result[pass_of].values)
         from_J2000[name] = (time, "quaternion"), quaternion
     return result.assign(from_J2000).assign_attrs(frame_N=J2000)

@@ -14,10 +14,10 @@ from functools import cache
 import numpy as np
 from scipy.special import sph_harm_y
 
-from sunspin.estimation.chain import RATE, TURN, TURN_PRIOR, Fit, costs, equations, fit, readings
-from sunspin.estimation.evidence import likeliest
+from sunspin.estimation.chain import RATE, TURN, Fit, costs, equations, fit, log_left_out
+from sunspin.estimation.evidence import likeliest, over_shares
 from sunspin.estimation.model import AS_STATED, Model, Noise, Observations, Track
-from sunspin.estimation.settings import AlternativeSettings
+from sunspin.estimation.settings import AlternativeSettings, LadderSettings
 from sunspin.estimation.terms.term import facing
 from sunspin.solve.rotations import rotate_by_smallest
 from sunspin.vehicle.response.planes import sphere
@@ -35,7 +35,9 @@ SWINGS = "an oscillation quicker than the samples"
 """Name of the model."""
 
 
-def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> list[Fit]:
+def swings_by_all_ways(
+    stated: Model, fits: Sequence[Fit], s: AlternativeSettings, of_ladder: LadderSettings
+) -> list[Fit]:
     """Return fits of a body that swings about rest, by each of the angles of the settings between two samples.
 
     `fits`: those of the other models; a size of swing that cannot be as probable as the best of them is left out. Only the Sun is
@@ -49,18 +51,16 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
     # gains as the best motion has them: errors enlarged by what is unknown of them would count as likelihood
     terms = zip(stated.obs.terms, stated.of_terms, strict=True)
     known = replace(obs, terms=tuple(term.held(motion.u[0, place]) for term, place in terms))
-    # The sum takes the place of the attitudes' Gaussian: in the measure of a fit the mean over the sphere counts twice, and the
-    # turn about the Sun has the width of its prior. The Gaussian of the rate stays.
-    measure = np.log(2 * TURN_PRIOR)
-    # under the Earth's light the sphere sees differences of panels, which cost less: as much less as at the best motion
-    cost = sum(
-        residual.law(residual.value)[0].sum() for residual, _ in readings(best.model, motion)
-    )
-    measure -= float(cost - costs(known, Track.free(motion.attitude, motion.omega)).sum())
+    alone = _of_known(best.model, motion, known, of_ladder)
+    if not np.isfinite(alone.log_evidence[0]):
+        return []
+    # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
+    # alone a true rotation once stood 12 below a swing: its gains, lights and zeros had cost it 28, and the swing nothing.
+    others = float(best.log_evidence.max() - alone.log_evidence[0])
+    measure = others + log_left_out(stated) + stated.log_prior
     # what the log of the mean likelihood must be at least
-    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless
-    least -= measure + 3 * np.log(stated.rate_sigma)
-    if _bound(best.model, motion, wanders).max() + ROUGHLY * len(obs) < least:
+    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless - measure
+    if _bound(alone.model, alone.motions, wanders).max() + ROUGHLY * len(obs) < least:
         return []
     still = _still(motion)
     swinging = []
@@ -70,9 +70,24 @@ def swings_by_all_ways(stated: Model, fits: Sequence[Fit], s: AlternativeSetting
         noise = Noise(best.model.noise.acceleration, rate=float(wander))
         model = replace(stated, noise=noise, what=SWINGS)
         one = fit(model, still, 8)
+        # the body is about rest, but how slow it is in the mean the readings tell only to this: a share of the rates before them
         of_rate = np.linalg.slogdet(one.motions.covariance[:, 0, RATE, RATE])[1] / 2
-        swinging.append(replace(one, log_evidence=stated.log_prior + log + of_rate + measure))
+        share = of_rate - 3 * np.log(stated.rate_sigma)
+        swinging.append(replace(one, log_evidence=log + share + measure))
     return swinging
+
+
+def _of_known(model: Model, motion: Track, known: Observations, s: LadderSettings) -> Fit:
+    """Return the fit of a motion (K = 1) of a model to readings of which the unknowns are held.
+
+    Unknowns of the body, and of terms that hold none, stay; so does what the sizes of their sigmas add.
+    """
+    places = zip(known.terms, model.of_terms, strict=True)
+    kept = [motion.u[:, place] for term, place in places if term.unknowns()]
+    u = np.concatenate([motion.u[:, model.of_body], *kept], axis=1)
+    begin = Track(motion.attitude, motion.omega, u)
+    one = fit(replace(model, obs=known), begin, s.steps, s.tolerance)
+    return over_shares(one, s.beyond_fit)
 
 
 @cache

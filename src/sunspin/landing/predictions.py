@@ -17,12 +17,12 @@ import xarray as xr
 
 from sunspin.cases import case_names, load_case
 from sunspin.dynamics.batch import Rows
-from sunspin.estimate.posterior.predict import (
-    carried,
+from sunspin.estimation.lander.predict import (
+    Carried,
+    DrawnMotions,
+    about,
     checked_times,
-    drawn_rows,
     predictions,
-    run_to,
 )
 from sunspin.landing.outcomes import collide
 from sunspin.landing.scenario import draw_uniform, paper_scenario
@@ -59,7 +59,7 @@ def predict_through_collision(
     collision: Collision = STICKS,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the motion as :func:`sunspin.estimate.posterior.predict.predict` does, through the collision of the built-in case.
+    """Predict the motion as :func:`sunspin.estimation.lander.predict.predict` does, through the collision of the built-in case.
 
     Parameters
     ----------
@@ -82,41 +82,39 @@ def predict_through_collision(
         Over `predicted_s`, as of `predict`, with the coordinate `after_collision (predicted_s)`. ``attrs["collision"]`` states in
         words how the collision was drawn.
     """
-    t_first_s = float(tree.attrs["t_first_s"])  # the draws are states at this time
-    times = checked_times(times_s, t_first_s)
+    motions = DrawnMotions.of(vehicle, tree)
+    times = checked_times(times_s, motions.start_s)
     impact_s = collision_time_s(vehicle, tree.attrs.get("epoch_utc"), timeline)
-    unknown, rows = drawn_rows(vehicle, tree)
-    mode = unknown.wheel_mode
     description = "none: free motion throughout" if impact_s is None else "later than all times"
     later = np.zeros(times.size, dtype=bool) if impact_s is None else times > impact_s
     parts = []
     if not later.all():
-        motion = run_to(vehicle, rows, times[~later] - t_first_s, mode, workers)
-        parts.append(predictions(unknown, rows, motion, times[~later]))
+        before_s = times[~later]
+        parts.append(predictions(motions, motions.at(before_s, workers), before_s))
     if impact_s is not None and later.any():
-        at_impact = run_to(vehicle, rows, [impact_s - t_first_s], mode, workers)
+        rows, at_impact = motions.rows, motions.at([impact_s], workers)
         # a draw whose motion could not be computed goes through the impact with finite numbers, and is NaN afterwards
-        computed = np.all(np.isfinite(at_impact["omega_B"]), axis=(1, 2))
+        computed = np.all(np.isfinite(at_impact.omega_B), axis=(1, 2))
         before = Rows(
-            np.nan_to_num(at_impact["omega_B"][:, 0]),
-            np.where(computed[:, None], at_impact["sun_B"][:, 0], rows.sun_B),
-            np.nan_to_num(at_impact["wheel_speed_rad_s"][:, 0]),
+            np.nan_to_num(at_impact.omega_B[:, 0]),
+            np.where(computed[:, None], at_impact.sun_B[:, 0], rows.sun_B),
+            np.nan_to_num(at_impact.wheel_speed_rad_s[:, 0]),
         )
         law = {"restitution": collision.restitution, "damper": collision.damper}
         scenario = replace(paper_scenario(load_case(vehicle.name)), **law)
         draw = draw_uniform(seed, np.arange(len(rows)))
-        _, hit = collide(vehicle, scenario, draw, before, mode)
+        _, hit = collide(vehicle, scenario, draw, before, motions.wheel_mode)
         bodies = rows.bodies_of(vehicle)
         # torques after the impact are not known
         bodies = replace(bodies, steady_N_m=np.zeros_like(bodies.steady_N_m))
         speeds = hit["wheel_speed_rad_s"].values
         after = Rows(hit["omega_B"].values, before.sun_B, speeds, bodies)
-        motion = run_to(vehicle, after, times[later] - impact_s, mode, workers)
-        motion = {
-            name: np.where(computed[:, None, None], values, np.nan)
-            for name, values in motion.items()
-        }
-        parts.append(predictions(unknown, after, motion, times[later]))
+        moving = replace(motions, rows=after, start_s=impact_s)
+        reached = (
+            np.where(computed[:, None, None], values, np.nan)
+            for values in moving.at(times[later], workers)
+        )
+        parts.append(predictions(moving, Carried(*reached), times[later]))
         action = "sticks for an instant"
         if collision != STICKS:
             action = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
@@ -127,7 +125,7 @@ def predict_through_collision(
     return (
         xr.concat(parts, "predicted_s", data_vars="minimal")
         .assign_coords(after_collision=("predicted_s", later))
-        .assign_attrs(carried(tree), collision=description)
+        .assign_attrs(about(tree), collision=description)
     )
 
 

@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError
 from sunspin.environment.frames import J2000
-from sunspin.output.export import motion_at
 from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.figures.rates import largest_passes
 from sunspin.output.kind import Drawing, Table
@@ -56,6 +54,8 @@ def compare_with(result: xr.Dataset, withheld: Withheld, readings: xr.DataArray)
         what = "no sample of the result has a reading to compare with"
         raise InputError(what, got=", ".join(withheld.columns), do="look at these columns")
     if withheld.late_s:
+        from sunspin.output.export import motion_at
+
         # the readings are older than the Sun of their row: the motion is evaluated when they were taken
         motion = motion_at(result, t_s - withheld.late_s)
         moved = {name: motion[name].values for name in ("omega_B", "B_from_N")}
@@ -92,6 +92,8 @@ def _compare_attitudes(
 
     `estimated` (n, 4): quaternions of the result. The parts are across the Sun direction, with two components, and about it.
     """
+    from scipy.spatial.transform import Rotation
+
     known = np.isfinite(read).all(axis=1) & np.isfinite(estimated).all(axis=1)
     difference, pass_of = np.full((len(read), 3), np.nan), result["pass_of"].values
     in_space = result.attrs.get("frame_N") == J2000

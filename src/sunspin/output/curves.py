@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.environment.frames import J2000
 from sunspin.estimation.observe import HELD, wheel_speeds, wheels_untold
+from sunspin.solve.rotations import matrix_from_quaternion
 from sunspin.vehicle import Vehicle
 
 MOST_PASSES = 12
@@ -17,10 +17,15 @@ CURVE = ("curve_B_from_N", "curve_omega_B", "curve_pass_of")
 """Variables of a result of `rates` that hold the motion between samples."""
 
 
+GAIN = "gain_"
+"""Begin of the name of an estimate that is the gain of a panel, as a factor on that of the vehicle file."""
+
+
 def pass_motions(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     """Return (title, motion) of each of the longest passes of a result of `rates`, in their order.
 
     A motion is a Dataset like that of `propagate`, without momentum, on the times of the curves. Without curves the list is empty.
+    `gain_factor` (panel) are the gains estimated with the motion over those of the vehicle file, for panels that have one.
     The longest passes are those of the longest time, at most `MOST_PASSES`.
     """
     if any(name not in rates for name in CURVE):
@@ -67,20 +72,27 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
         rates.isel({dim: np.flatnonzero(rates[name].values == k)})
         for dim, name in (("time", "pass_of"), ("curve_time", "curve_pass_of"))
     )
-    first_attitude = Rotation.from_quat(samples["B_from_N"].values[0])
-    attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
+    first_attitude = matrix_from_quaternion(samples["B_from_N"].values[0])
+    attitude = matrix_from_quaternion(curve["curve_B_from_N"].values)
     # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-    sun_N = first_attitude.inv().apply(samples["sun_B"].values[0])
+    sun_N = first_attitude.T @ samples["sun_B"].values[0]
     count = samples.sizes["time"]
     about = f"the likeliest motion of {count} samples; between samples it is propagated with the equations of motion"
     if rates.attrs.get("frame_N") != J2000:
         about += ", and the rotation about the Sun direction at its start is arbitrary"
+    variables = {
+        "omega_B": (("time", "axis"), curve["curve_omega_B"].values),
+        "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
+        "sun_B": (("time", "axis"), attitude @ sun_N),
+    }
+    # panels whose gain was not estimated are not listed
+    names = rates["estimate"].values.astype(str) if "estimate" in rates else np.array([], str)
+    gains = np.char.startswith(names, GAIN)
+    if gains.any():
+        variables["gain_factor"] = ("panel", rates["estimate_value"].values[k, gains])
+    panels = [name.removeprefix(GAIN) for name in names[gains].tolist()]
     return xr.Dataset(
-        {
-            "omega_B": (("time", "axis"), curve["curve_omega_B"].values),
-            "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
-            "sun_B": (("time", "axis"), attitude.apply(sun_N)),
-        },
-        coords={"time": curve["curve_time"].values},
+        variables,
+        coords={"time": curve["curve_time"].values, "panel": panels},
         attrs={"epoch_utc": str(rates.attrs.get("epoch_utc", "")), "about": about},
     )

@@ -13,7 +13,12 @@ from sunspin.base.atomic_write import make_folder
 from sunspin.base.errors import OutputError, TelemetryError, printable
 from sunspin.base.tables import read_table
 from sunspin.telemetry.reader import columns_of_readings
-from sunspin.telemetry.suggest import suggest_section, toml_string
+from sunspin.telemetry.suggest import (
+    SensorColumns,
+    Suggestion,
+    suggest_section,
+    toml_string,
+)
 from sunspin.vehicle import Vehicle
 
 FACES = {
@@ -22,6 +27,12 @@ FACES = {
     for n, axis in enumerate("XYZ")
 }
 """Faces of a box and their outward normals."""
+
+SHOWN = 12
+"""Columns that are listed by name if none can be read."""
+
+DARK_SHARE = 0.05
+"""Share of the largest reading of all panels below which a panel is taken as failed or never sunlit."""
 
 ON_FACE = 0.9
 """Least cosine between a panel's normal and that of the face on which it is taken to be."""
@@ -39,10 +50,11 @@ def write_templates(folder: Path) -> list[Path]:
     return _write(folder, {name: _template(name) for name in names})
 
 
-def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
-    """Write a vehicle.toml that reads a telemetry file into a folder and return its path.
+def write_vehicle_for(folder: Path, telemetry: Path) -> tuple[Path, list[str]]:
+    """Write a vehicle.toml that reads a telemetry file into a folder; return its path and the sensors in its comments.
 
-    It has a panel of unknown gain for each face that a column names, and neither inertia nor wheels.
+    It has a panel of unknown gain for each face that a column names, and neither inertia nor wheels. The columns of a gyro and of a
+    magnetometer stand in comments, as their axes are not known.
 
     Raises
     ------
@@ -51,22 +63,33 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
     OutputError
         The file exists, or the folder cannot be written.
     """
-    suggestion = suggest_section(read_table(telemetry))
+    table = read_table(telemetry)
+    suggestion = suggest_section(table)
     if suggestion is None:
         what = "no columns look like times and panels on two faces"
-        do = "write [telemetry] by hand: `sunspin init DIR` has an example"
-        raise TelemetryError(what, do=do, where=str(telemetry))
+        shown = ", ".join(table.header[:SHOWN]) + (", ..." if len(table.header) > SHOWN else "")
+        do = (
+            "names such as `time` or `ts_ms`, `px`, `I_X+ [mA]` are recognised: rename the columns, or write [telemetry] by "
+            "hand (`sunspin init DIR` has an example)"
+        )
+        raise TelemetryError(what, got=shown, do=do, where=str(telemetry))
     text = _template("vehicle.toml")
     panels = "".join(
         f'[[panel]]\nname = "{face}"\nnormal_B = {list(FACES[face])}\n'
-        "relative_gain = 1.0                   # REPLACE by cells, gain_W or gain_A\n"
+        f"relative_gain = 1.0                   # REPLACE by cells, gain_W or gain_A{_seen(suggestion, face)}\n"
         for face in sorted(suggestion.columns, key=lambda face: face[::-1])
     )
     text = _replace(text, '[[panel]]\nname = "+X"', "\n# Panels that share an input", panels)
     # the example's own keys of [telemetry] end where its columns end
     section, columns = suggestion.section.split("[telemetry.columns]\n")
     begin, end = text.index("[telemetry]\n"), text.index("# [telemetry.offset_s]")
-    keys = [line for line in text[begin:end].splitlines() if line.startswith("# ")]
+    keys, is_kept = [], False
+    for example in text[begin:end].splitlines():
+        line = f"# {example}" if example.startswith("noise =") else example
+        # lines that begin with blanks continue the remark of the line before
+        is_kept = line.startswith("#") and (is_kept or re.match(r"#\s{10}", line) is None)
+        if is_kept:
+            keys.append(line)
     text = (
         text[:begin] + section + "\n".join(keys) + "\n[telemetry.columns]\n" + columns + text[end:]
     )
@@ -74,6 +97,8 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
     text = _comment_out(text, "[[wheel]]", "# [wheel.alternative_frictions")
     for key in ("mass_kg", "inertia_kg_m2", "max_rate_rad_s"):
         text = re.sub(rf"^{key} =", f"# {key} =", text, count=1, flags=re.MULTILINE)
+    for sensor, triple in suggestion.sensors.items():
+        text = _fill_sensor(text, sensor, triple)
     about = f"Made by sunspin init from {telemetry.name}; to be completed."
     text = re.sub(
         r"^description = .*$",
@@ -83,7 +108,35 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> Path:
         flags=re.MULTILINE,
     )
     (path,) = _write(folder, {"vehicle.toml": text})
-    return path
+    return path, list(suggestion.sensors)
+
+
+def _seen(suggestion: Suggestion, face: str) -> str:
+    """Return the largest reading of a face in words, as a remark on its gain; empty for angles."""
+    largest = suggestion.largest[face]
+    if np.isnan(largest):
+        return ""
+    share = largest / max(*suggestion.largest.values(), 1e-300)
+    if share < DARK_SHARE:
+        return "; it reads hardly anything: failed, or never sunlit"
+    return f"; its largest reading is {share:.0%} of the largest of all panels"
+
+
+def _fill_sensor(text: str, sensor: str, triple: SensorColumns) -> str:
+    """Return a vehicle file whose commented example of a sensor names the columns of the telemetry, still as a comment."""
+    begin = text.index(f"# [{sensor}]\n")
+    head, example = text[:begin], text[begin:]
+    columns = ", ".join(map(toml_string, triple.columns))
+    # one replacement each: the example of the sensor comes first in the rest of the text
+    example = re.sub(
+        r"# columns = \[[^]]*\] *", lambda _: f"# columns = [{columns}]   ", example, count=1
+    )
+    key = {"gyro": "scale_rad_s", "magnetometer": "scale_T"}[sensor]
+    if triple.unit is not None:
+        example = re.sub(
+            rf"# {key} = \S+", lambda _: f"# {key} = {triple.unit:.6g}", example, count=1
+        )
+    return head + example
 
 
 def suggest_telemetry(telemetry: Path, vehicle: Vehicle) -> str:

@@ -18,14 +18,14 @@ from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.cases import Case, case_names, load_case
 from sunspin.dynamics.batch import EMD_ERROR, Rows, sun_heights
-from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
-from sunspin.estimate.scan.end_rates import end_rates
+from sunspin.estimation.scan.near_minimum import stored_near_minimum, stored_vehicle
 from sunspin.landing.outcomes import BINS
 from sunspin.philae.data_check import DataCheck
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.rebound import (
     Options,
     Rebound,
+    end_rates,
     momentum_angles,
     motion_and_panel_parameters,
     propagate_back,

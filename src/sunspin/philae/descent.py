@@ -15,8 +15,8 @@ from numpy.polynomial.polynomial import polyval
 
 from sunspin.base.errors import TelemetryError
 from sunspin.cases import Case
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
-from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
+from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimation.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
 from sunspin.output.figures import COLOURS, empty_figure, titled
 from sunspin.philae.rebound import event_seconds
 from sunspin.philae.row import Row, make_row
@@ -111,7 +111,7 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     t = samples["time"].values
     fit = fit_spin(t, samples["sun_B"].values)
     fitted, number = fit.directions(t), (first + 1, first + len(t))
-    in_view = allows(reconstructible_mask(case.vehicle), fitted)
+    in_view = reconstructible_mask(case.vehicle).contains(fitted)
     return Descent(case, samples, number, limit, fit, fitted, in_view)
 
 

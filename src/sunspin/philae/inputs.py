@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.cases import Case
-from sunspin.estimate.scan.mask import allows
-from sunspin.estimate.scan.metrics import direction_error, emd
+from sunspin.estimation.scan.metrics import direction_error, emd
 from sunspin.landing.scenario import spiral
 from sunspin.philae.rebound import (
     nominal_wheel_speeds,
@@ -63,8 +62,8 @@ def rows(case: Case) -> list[Row]:
     # statements that need no simulation: durations, shares of the sphere, ranges of E and EMD
     # shares of all directions, and of those below the xy plane, that the panels can reconstruct
     mask, everywhere = reconstructible_mask(vehicle), spiral()  # directions (n, 3) evenly spread
-    share = float(np.mean(allows(mask, everywhere)))
-    share_below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
+    share = float(np.mean(mask.contains(everywhere)))
+    share_below = float(np.mean(mask.contains(everywhere[everywhere[:, 2] < 0])))
     # E and EMD of equal and of opposite directions: the ends of their ranges
     up = np.array([[0.0, 0.0, 1.0]])
     E_range = [float(direction_error(sun, up)) for sun in (up, -up)]

@@ -21,13 +21,11 @@ from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan import error_growth
-from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines
-from sunspin.estimate.scan.mask import allows
-from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.parameters import nominal
-from sunspin.estimate.scan.table import Table, make_table
-from sunspin.estimate.scan.volume import near_minimum, scan
+from sunspin.estimation.scan import error_growth
+from sunspin.estimation.scan.lines import Line, fit_lines, line_deviation, match_lines
+from sunspin.estimation.scan.metrics import emd
+from sunspin.estimation.scan.near_minimum import near_minimum
+from sunspin.estimation.scan.volume import Table, make_table, scan
 from sunspin.output.figures import COLOURS, empty_figure, titled
 from sunspin.philae.rebound import (
     LINE_RANGE,
@@ -111,7 +109,9 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
         vehicle, samples, quoted / length, omega_x, omega_y, box[2][:1], speed, workers=workers
     ).isel(omega_z=0)
     # `Motion.of` makes the direction a unit vector
-    motion_8B = error_growth.Motion.of(vehicle, paper["E_study_omega"], quoted, speed, window)
+    motion_8B = error_growth.ReferenceMotion.of(
+        vehicle, paper["E_study_omega"], quoted, speed, window
+    )
     parameters = error_growth.parameter_map(
         motion_8B, samples, {"mu_0": mu_0, "theta_xx": theta_xx}, workers
     )
@@ -119,7 +119,7 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     # the motion of Fig. 8 B, and one on each published line, at omega_z = 0.1 rad/s
     interval_s, first = 60.0 * paper["sampling_interval"], first_sun(case)
     motions = {"Fig. 8 B": motion_8B} | {
-        f"L{k}": error_growth.Motion.of(vehicle, omega, first, speed, window)
+        f"L{k}": error_growth.ReferenceMotion.of(vehicle, omega, first, speed, window)
         for k, (omega,) in enumerate(points_on_lines(published_lines(case), [0.1]), 1)
     }
     changes = [
@@ -140,8 +140,8 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
         n_directions=int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
         start_length=length,
         # E of a unit start direction, converted to one of the quoted length
-        rates=error_growth.of_length(rates, length).assign_attrs(units="1"),
-        parameters=error_growth.of_length(parameters, length).assign_attrs(units="1"),
+        rates=error_growth.error_of_start_length(rates, length).assign_attrs(units="1"),
+        parameters=error_growth.error_of_start_length(parameters, length).assign_attrs(units="1"),
         motions=xr.concat(changes, "motion"),
         valley=error_growth.valleys(motion_8B, change_rad_s, windows_s, interval_s, workers),
     )
@@ -194,10 +194,11 @@ def sensitivity_rows(sensitivity: Sensitivity) -> list[Row]:
 
     windows = ", ".join(f"{seconds / 60:g}" for seconds in sensitivity.valley["window"].values)
     width = error_growth.valley_width(sensitivity.valley).tolist()
+    mu_0 = error_growth.nominal_value(case.vehicle, "mu_0")
     notes = {
         "E_map_rates": f"{sensitivity.n_directions} directions, {sensitivity.rates.size} motions; the box is {box_apart:.2f} rad/s "
         "from the nearest line",
-        "E_map_parameters": f"the range of mu_0 leaves out the lander's {nominal(case.vehicle, 'mu_0'):.3g} N m, that of theta_xx "
+        "E_map_parameters": f"the range of mu_0 leaves out the lander's {mu_0:.3g} N m, that of theta_xx "
         f"begins at theta_yy; nearest line {omega_apart:.2f} rad/s away",
         "E_study_bound": f"its length is {sensitivity.start_length:.4f}; as a unit vector it is {apart_deg:.1f} deg from the first "
         "direction of the scan",
@@ -317,7 +318,7 @@ def simulate_rz(case: Case, omega_B: np.ndarray) -> np.ndarray:
     t = np.arange(0.0, published_window_s(case) + 0.25, 0.5)
     speed, mask = nominal_wheel_speeds(case.vehicle), direction_mask(case)
     sun_B = propagate(case.vehicle, omega_B, first_sun(case), speed, t, rtol=1e-9)["sun_B"].values
-    in_view = slice(None) if mask is None else allows(mask, sun_B)
+    in_view = slice(None) if mask is None else mask.contains(sun_B)
     return sun_B[in_view, 2]
 
 

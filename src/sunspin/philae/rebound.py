@@ -14,22 +14,27 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, TelemetryError
+from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.base.untrusted import read_toml
 from sunspin.cases import Case
 from sunspin.compute.identity import to_json
-from sunspin.dynamics import gyrostat
+from sunspin.dynamics import batch, gyrostat
 from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
-from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, end_rates
-from sunspin.estimate.scan.lines import Line, point_at
-from sunspin.estimate.scan.mask import DirectionSet, reconstructible_mask
-from sunspin.estimate.scan.window import target_weights
+from sunspin.estimation.scan.directions import (
+    DirectionSet,
+    reconstructible_mask,
+    target_weights,
+)
+from sunspin.estimation.scan.lines import Line, point_at
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_seconds
+
+RATE_DIRECTION_ERROR = 1e-9
+"""Direction error (rad) at the end of a run of which the rates are wanted: their relative error is about as large."""
 
 LINE_RANGE = (-0.2, 0.3)
 """Range of omega_z (rad/s) over which fitted and published lines are compared."""
@@ -325,6 +330,31 @@ def make_rebound(case: Case, sun: xr.Dataset) -> Rebound:
         lead_s=lead_s,
         window_s=event_seconds(case, sun, "collision") - instant_s,
     )
+
+
+def end_rates(
+    vehicle: Vehicle,
+    states: Rows,
+    duration_s: float,
+    direction_error: float = RATE_DIRECTION_ERROR,
+    wheel_mode: str = "coast",
+) -> np.ndarray:
+    """Return body rates (n, 3) in rad/s `duration_s` after the states (n), or before them if it is negative.
+
+    `direction_error` is the allowed error (rad) of the Sun direction at the end.
+
+    Raises
+    ------
+    MotionError
+        A motion cannot be computed, such as one back through the time in which friction holds a wheel.
+    """
+    if len(states) == 0:
+        return np.zeros((0, 3))
+    run = batch.run(vehicle, states, float(duration_s), command=wheel_mode, error=direction_error)
+    if np.any(run.outcome != batch.Outcome.FINE):
+        what = batch.OUTCOME_TEXT[batch.Outcome(int(run.outcome.max()))]
+        raise MotionError("a motion could not be followed", got=what)
+    return run.omega_B[:, -1]
 
 
 def propagate_back(

@@ -34,10 +34,10 @@ from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import process_pool, worker_count
 from sunspin.dynamics.batch import Outcome
-from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.rows import distances_to, target_segments
-from sunspin.estimate.scan.table import Table
-from sunspin.estimate.spin import fit_spin
+from sunspin.estimation.scan.histogram import distances_to_target, target_segments
+from sunspin.estimation.scan.metrics import emd
+from sunspin.estimation.scan.volume import Table
+from sunspin.estimation.spin import fit_spin
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.descent import find_first_clean_sample
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
@@ -339,7 +339,7 @@ class PrintedScan:
 
     def may_show_lines(self, z: np.ndarray) -> bool:
         """Return whether the near-minimum set may have motions near all four lines: the second screen, by their tubes alone."""
-        distance = distances_to(self._tube_hist, target_segments(z, None), 1)
+        distance = distances_to_target(self._tube_hist, target_segments(z, None), 1)
         least = [tube.min() for tube in np.split(distance, self._tube_ends)]
         factor = self.case.assumptions.study.near_minimum_factor
         printed = self.case.published["emd_min"].value

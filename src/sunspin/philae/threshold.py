@@ -28,9 +28,9 @@ from sunspin.cases import Case
 from sunspin.compute.identity import fingerprint, to_json
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import EMD_ERROR, Outcome, Rows, run, sun_heights
-from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
-from sunspin.estimate.scan.table import Table
-from sunspin.estimate.scan.window import target_weights
+from sunspin.estimation.scan.directions import target_weights
+from sunspin.estimation.scan.histogram import BINS, distances_to_target, target_segments
+from sunspin.estimation.scan.volume import Table
 from sunspin.philae.rebound import (
     Options,
     Rebound,
@@ -269,7 +269,7 @@ def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple
 
     `states` have the true rates, and the first direction that the method would take. The measured directions of a rebound, its
     target, are r_z (n_direction) with weights (n_direction), None for equal weights. The EMD is 1 if no direction of the motion is
-    in view, as `distances_to` returns it.
+    in view, as `distances_to_target` returns it.
     """
     mask = direction_mask(case)
     ensemble = sun_heights(
@@ -277,7 +277,7 @@ def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple
     )
     return np.array(
         [
-            distances_to(histogram[None], target_segments(*target))[0]
+            distances_to_target(histogram[None], target_segments(*target))[0]
             for histogram, target in zip(ensemble.seconds, targets, strict=True)
         ]
     )

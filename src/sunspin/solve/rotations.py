@@ -43,7 +43,17 @@ def rotate_attitude(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return the rotation vectors (..., 3) in B by which :func:`rotate_attitude` takes attitude `start` to `end`."""
-    m = end @ np.swapaxes(start, -1, -2)  # = exp(-[angle]x)
+    q = _long_quaternion(end @ np.swapaxes(start, -1, -2))  # of exp(-[angle]x)
+    q = np.where(
+        q[..., 3:] < 0, -q, q
+    )  # of the two quaternions, that of an angle up to pi; neither has unit length
+    sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
+    angle = 2 * np.arctan2(sine, q[..., 3:])
+    return q[..., :3] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 0.0)
+
+
+def _long_quaternion(m: np.ndarray) -> np.ndarray:
+    """Return quaternions (..., 4), scalar last and of any length, of the transposes of rotation matrices m (..., 3, 3)."""
     # four times the products q_i q_j of the quaternion's elements; the row with the largest diagonal element is
     # proportional to the quaternion and loses no digits (Shepperd 1978)
     products = np.empty((*m.shape[:-2], 4, 4))
@@ -54,15 +64,8 @@ def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         products[..., k, 3] = products[..., 3, k] = m[..., i, j] - m[..., j, i]
     products[..., 3, 3] = 1 + trace
     largest = np.argmax(np.einsum("...ii->...i", products), axis=-1)
-    q = products.reshape(-1, 4, 4)[np.arange(largest.size), largest.ravel()].reshape(
-        products.shape[:-1]
-    )
-    q = np.where(
-        q[..., 3:] < 0, -q, q
-    )  # of the two quaternions, that of an angle up to pi; neither has unit length
-    sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
-    angle = 2 * np.arctan2(sine, q[..., 3:])
-    return q[..., :3] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 0.0)
+    rows = products.reshape(-1, 4, 4)[np.arange(largest.size), largest.ravel()]
+    return rows.reshape(products.shape[:-1])
 
 
 def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
@@ -73,6 +76,12 @@ def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
         v[..., :, None] * v[..., None, :] + w * cross_matrix(v)
     )
     return matrix / (w * w + square)
+
+
+def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
+    """Return unit quaternions (..., 4), scalar last and of any sign, of rotation matrices (..., 3, 3)."""
+    q = _long_quaternion(np.swapaxes(matrix, -1, -2))
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
 def without_sign_jumps(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:

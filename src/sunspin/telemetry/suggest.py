@@ -70,8 +70,28 @@ LARGEST_COSINE, LARGEST_RAD = 1.2, 3.3
 MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
 
-TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "t")
+TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
 """Words in the name of a time column, the likeliest first."""
+
+COUNT_WORDS = ("adc", "raw", "count", "counts", "cnt", "dn", "lsb")
+"""Words in the name of a column of raw counts of a converter."""
+
+SENSOR_WORDS = {
+    "gyro": ("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
+    "magnetometer": ("mag", "magn", "magnetometer", "mtm", "mgm", "field"),
+}
+"""Table of the vehicle file -> words in the names of the columns of that sensor."""
+
+SENSOR_UNITS = {
+    "gyro": {
+        "dps": 1 / DEG_PER_RAD,
+        "deg/s": 1 / DEG_PER_RAD,
+        "°/s": 1 / DEG_PER_RAD,
+        "rad/s": 1.0,
+    },
+    "magnetometer": {"nt": 1e-9, "ut": 1e-6, "µt": 1e-6, "mg": 1e-7, "t": 1.0},
+}
+"""Table of the vehicle file -> unit in small letters -> its size in rad/s or T."""
 
 FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
 """Unix times of satellites with such telemetry, s: from 1998 to 2128."""
@@ -81,10 +101,23 @@ READ_SHARE = 0.5
 
 
 class Suggestion(NamedTuple):
-    """How a table may be read: the text of a `[telemetry]` section, and the column of each face ("+X" ...), empty if none."""
+    """How a table may be read.
+
+    `section`: text of a `[telemetry]` section; `columns`: the column of each face ("+X" ...); `largest`: the largest reading of
+    each face in W or A, NaN for angles; `sensors`: columns of a gyro and a magnetometer.
+    """
 
     section: str
     columns: dict[str, str]
+    largest: dict[str, float]
+    sensors: dict[str, SensorColumns]
+
+
+class SensorColumns(NamedTuple):
+    """Columns x, y, z of a sensor along its own axes, and the size of their unit in rad/s or T; None if no name has a unit."""
+
+    columns: tuple[str, str, str]
+    unit: float | None
 
 
 class _Group(NamedTuple):
@@ -126,7 +159,40 @@ def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Sugge
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
-    return Suggestion("\n".join(lines) + "\n", group.columns)
+    largest = {
+        face: group.scale * float(np.nanmax(table.numbers([column]), initial=-np.inf))
+        for face, column in group.columns.items()
+    }
+    if group.quantity in ANGLE_WORDS:
+        largest = dict.fromkeys(largest, np.nan)
+    return Suggestion("\n".join(lines) + "\n", group.columns, largest, _sensor_columns(table, used))
+
+
+def _sensor_columns(table: Table, used: set[str]) -> dict[str, SensorColumns]:
+    """Return the columns of a gyro and of a magnetometer by the words in their names, without the columns in `used`.
+
+    Three columns whose names differ only in the axis are those of a sensor. Of several triples the first is taken.
+    """
+    triples: dict[str, dict[str, str]] = defaultdict(dict)
+    for column in table.header:
+        words = _words(column)
+        axis = re.search(r"(?<![a-z])[xyz](?![a-z])", words)
+        if axis is not None and column not in used and _is_numeric(table, column):
+            template = f"{words[: axis.start()]}#{words[axis.end() :]}"
+            triples[template].setdefault(axis[0], column)
+    sensors: dict[str, SensorColumns] = {}
+    for template, columns in triples.items():
+        if len(columns) < 3:
+            continue
+        words = set(re.findall(r"[a-z]+", template))
+        _, unit = _split_unit(columns["x"])
+        for sensor, known in SENSOR_WORDS.items():
+            if sensor not in sensors and words & set(known):
+                sizes = SENSOR_UNITS[sensor]
+                by_word = (sizes[word] for word in re.split(r"[_ #]+", template) if word in sizes)
+                size = sizes.get(unit, next(by_word, None))
+                sensors[sensor] = SensorColumns((columns["x"], columns["y"], columns["z"]), size)
+    return sensors
 
 
 def _entry(text: str, comment: str) -> str:
@@ -240,6 +306,8 @@ def _judge_quantity(
     quantities = [name for name, known in WORDS.items() if words & set(known)]
     if unit or quantities == [""]:
         return "", 1.0, ""
+    if words & set(COUNT_WORDS):
+        return "current_A", 1.0, "raw counts: A in this file and in what is printed means counts"
     quantity = next((name for name in quantities if name), "power_W")
     largest = float(np.nanmax(table.numbers(list(columns.values())), initial=0.0))
     letter = quantity[-1]

@@ -387,6 +387,11 @@ class Fitting:
         least = 0.0 if few and held else -5.0
         u = self.shots.u.copy()
         value = self.problem.of_panels(self.linear.value)
+        if panels.time_s:
+            # times at their best leave less than the noise
+            seen = self.linear.seen
+            states = SunStates.of(seen[..., :3], seen[..., 3:])
+            answered = answered + panels.taken_by_times(states, u[:, own])
         u[:, own] = panels.best_noise(value, u[:, own], answered, least)
         self.shots = replace(self.shots, u=u)
         self._weigh_again()

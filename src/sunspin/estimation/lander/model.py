@@ -29,6 +29,13 @@ from sunspin.solve.linear import extreme_eigenvalues
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.craft import SYMMETRY_TOLERANCE
 
+WHEEL_FACTORS = {
+    "wheel_inertia": "wheel_inertia_kg_m2",
+    "coulomb": "coulomb_N_m",
+    "viscous": "viscous_N_m_s",
+}
+"""Kinds of unknowns that are logs of factors on numbers of wheels -> names of these numbers of a body."""
+
 MASS = ("inertia", "wheel_inertia")
 """Kinds of unknowns that may describe a body that cannot exist."""
 
@@ -204,11 +211,7 @@ class LanderModel:
             tensor[:, b, a] = tensor[:, a, b]
         factors = {
             name: getattr(nominal, name) * np.exp(self._deviation(u, kind, wheels))
-            for name, kind in (
-                ("wheel_inertia_kg_m2", "wheel_inertia"),
-                ("coulomb_N_m", "coulomb"),
-                ("viscous_N_m_s", "viscous"),
-            )
+            for kind, name in WHEEL_FACTORS.items()
         }
         steady = self.steady_torques(u) * np.trace(self.vehicle.require_inertia()) / 3
         return replace(nominal, inertia_kg_m2=tensor, steady_N_m=steady, **factors)

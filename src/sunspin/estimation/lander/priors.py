@@ -28,7 +28,7 @@ from sunspin.estimation.settings import (
 from sunspin.estimation.terms.powers import PanelPowers, panel_turns, tilt_unknowns
 from sunspin.estimation.terms.torques import WORDS, ConstantTorque, Frame
 from sunspin.telemetry.assess import Assessment
-from sunspin.vehicle import Vehicle
+from sunspin.vehicle import Vehicle, Wheel
 from sunspin.vehicle.response.panels import misalignment_sigma
 
 KEYS = {
@@ -240,27 +240,34 @@ def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
     return tilt_unknowns(vehicle, own, common)
 
 
+def wheel_unknown(name: str, vehicle: Vehicle, wheel: Wheel) -> str:
+    """Return the name of an unknown of a wheel: that of the wheel is added if there are several."""
+    return name if len(vehicle.wheels) == 1 else f"{name}_{wheel.name}"
+
+
 def _of_wheels(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
     """Return speed, inertia and friction of each wheel; a motor keeps its speed."""
     unknowns = []
     commands = batch.one_command(vehicle, mode)
     for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
-        at, tail = f"wheel.{wheel.name}", "" if len(vehicle.wheels) == 1 else f"_{wheel.name}"
+        at = f"wheel.{wheel.name}"
         speed = abs(wheel.speed_rad_s)
         stated = _stated(vehicle, f"{at}.speed_rad_s", speed)
         assumed = WHEEL_SPEED if command != "hold" else 0.0
         sigma = speed * sources.sigma("wheel_speed", stated, assumed)
-        name = f"wheel_speed{tail}"
+        name = wheel_unknown("wheel_speed", vehicle, wheel)
         unknowns.append(Unknown(name, "wheel_speed", "rad/s", wheel.speed_rad_s, sigma, i))
         stated = _stated(vehicle, f"{at}.inertia_kg_m2", wheel.inertia_kg_m2)
         sigma = sources.sigma("wheel_inertia", stated, 0.0)
-        unknowns.append(Unknown(f"log_wheel_inertia{tail}", "wheel_inertia", "1", 0.0, sigma, i))
+        name = wheel_unknown("log_wheel_inertia", vehicle, wheel)
+        unknowns.append(Unknown(name, "wheel_inertia", "1", 0.0, sigma, i))
         for kind, key in (("coulomb", "coulomb_N_m"), ("viscous", "viscous_N_m_s")):
             value = getattr(wheel.friction, key)
             stated = _stated(vehicle, f"{at}.friction.{key}", value)
             sigma = sources.sigma("friction", stated, FRICTION)
             sigma = sigma if value and command == "coast" else 0.0
-            unknowns.append(Unknown(f"log_{kind}{tail}", kind, "1", 0.0, sigma, i))
+            name = wheel_unknown(f"log_{kind}", vehicle, wheel)
+            unknowns.append(Unknown(name, kind, "1", 0.0, sigma, i))
     return unknowns
 
 

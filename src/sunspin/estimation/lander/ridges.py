@@ -26,6 +26,7 @@ from sunspin.estimation.model import Unknown
 from sunspin.estimation.settings import SamplingSettings
 from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
+from sunspin.solve.weights import effective_draws
 
 FIVE = 5
 """Directions of rate and Sun together."""
@@ -128,16 +129,77 @@ class Target(Protocol):
         ...
 
 
+class Bend(NamedTuple):
+    """Coordinates y (d) in which the t thin directions `across` (d, t) of a curved ridge follow the f others.
+
+    `along` (f, d): those others as combinations of y - `centre` (d); `answer` (M, t): what the thin ones follow, by
+    :func:`monomials` of the others. Straight coordinates are y without that. Both have the same volume, since `along` times
+    `across` is zero.
+    """
+
+    centre: np.ndarray
+    across: np.ndarray
+    along: np.ndarray
+    answer: np.ndarray
+
+    def straight(self, y: np.ndarray) -> np.ndarray:
+        """Return the straight coordinates (n, d) of points y (n, d)."""
+        return y - self._followed(y)
+
+    def bent(self, straight: np.ndarray) -> np.ndarray:
+        """Return the points y (n, d) at straight coordinates (n, d)."""
+        return straight + self._followed(straight)
+
+    def _followed(self, y: np.ndarray) -> np.ndarray:
+        """Return by how much (n, d) the thin directions follow; it is the same for y and for its straight coordinates."""
+        free = (y - self.centre) @ self.along.T
+        return monomials(free, np.arange(free.shape[1])) @ self.answer @ self.across.T
+
+    @classmethod
+    def of(cls, y: np.ndarray, weight: np.ndarray, s: SamplingSettings) -> Bend | None:
+        """Return how the weighted draws y (n, d) are bent; None if no direction follows the others, or the draws are too few."""
+        centre, count = weight @ y, effective_draws(weight)
+        off = y - centre
+        sigma = np.sqrt(weight @ off**2)
+        if not np.all(sigma > 0):
+            return None
+        # principal directions of the correlation: of independent coordinates all would have size one
+        value, vector = np.linalg.eigh((weight[:, None] * off).T @ off / np.outer(sigma, sigma))
+        size = np.sqrt(value.clip(1e-12))
+        white, root = (off / sigma) @ vector / size, np.sqrt(weight)[:, None]
+        thin = size < s.thin
+        while thin.any():
+            terms = monomials(white[:, ~thin], np.arange(int(np.sum(~thin))))
+            if count < s.draws_per_term * terms.shape[1]:
+                return None
+            answer = np.linalg.lstsq(root * terms, root * white[:, thin], rcond=1e-10)[0]
+            left = weight @ (white[:, thin] - terms @ answer) ** 2
+            straight = left * count / (count - terms.shape[1]) > s.straight**2
+            if not straight.any():
+                across = vector[:, thin] * (size[thin] * sigma[:, None])
+                return cls(
+                    centre, across, (vector[:, ~thin] / size[~thin] / sigma[:, None]).T, answer
+                )
+            thin[np.flatnonzero(thin)[straight]] = False
+        return None
+
+
 class Law(NamedTuple):
     """A mixture of Student laws in d dimensions: `weight` (C), `mean` (C, d), `covariance` (C, d, d).
 
-    `stands_on` (C): the draw on which a component stands, -1 for none.
+    `stands_on` (C): the draw on which a component stands, -1 for none. Means and covariances are in the straight coordinates of
+    `bend`, if there is one.
     """
 
     weight: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
     stands_on: np.ndarray
+    bend: Bend | None = None
+
+    def straight(self, y: np.ndarray) -> np.ndarray:
+        """Return points y (n, d) in the coordinates of the means."""
+        return y if self.bend is None else self.bend.straight(y)
 
     def draw(self, n: int, rng: np.random.Generator, freedom: float) -> np.ndarray:
         """Return n draws (n, d), stratified over the components."""
@@ -145,11 +207,12 @@ class Law(NamedTuple):
         which = np.searchsorted(edges, (np.arange(n) + rng.random()) / n)
         which = np.minimum(which, len(edges) - 1)
         step, _ = student_draws(np.linalg.cholesky(self.covariance)[which], rng, freedom)
-        return self.mean[which] + step
+        y = self.mean[which] + step
+        return y if self.bend is None else self.bend.bent(y)
 
     def log_densities(self, y: np.ndarray, freedom: float) -> np.ndarray:
         """Return the log density (n, C) of each component times its weight at y (n, d)."""
-        root = np.linalg.cholesky(self.covariance)
+        root, y = np.linalg.cholesky(self.covariance), self.straight(y)
         parts = [
             student_log_density(np.linalg.solve(r, (y - mean).T).T, freedom)
             - np.log(np.diag(r)).sum()
@@ -160,11 +223,12 @@ class Law(NamedTuple):
 
     @staticmethod
     def joined(parts: Sequence[tuple[float, Law]]) -> Law:
-        """Return one mixture of several in these shares."""
+        """Return one mixture of several in these shares, all with the bend of the first."""
         weight = np.concatenate([share * law.weight / law.weight.sum() for share, law in parts])
         mean = np.concatenate([law.mean for _, law in parts])
         covariance = np.concatenate([law.covariance for _, law in parts])
-        return Law(weight, mean, covariance, np.concatenate([law.stands_on for _, law in parts]))
+        stands_on = np.concatenate([law.stands_on for _, law in parts])
+        return Law(weight, mean, covariance, stands_on, parts[0][1].bend)
 
 
 def student_draws(
@@ -308,14 +372,15 @@ class Ridge:
     """A ridge of the posterior and what was drawn from it.
 
     `answer` (M, q): the best stiff coordinates as polynomials of y; `scatter` (q, q): covariance of z about these. `first`: outer
-    law from the curvature; `law`: the one that proposes now; `laws`: those of all rounds, with the number of draws of each.
+    law from the curvature; `proposing`: those that propose now, with their shares; `learnt`: the one that the draws have taught;
+    `laws`: those of all rounds, with the number of draws of each.
     """
 
     chart: Chart
     answer: np.ndarray
     scatter: np.ndarray
     first: Law
-    law: Law
+    proposing: list[tuple[float, Law]]
     learnt: Law
     log_promise: float
     laws: list[tuple[int, Law]]
@@ -385,7 +450,7 @@ def ridges_of(
             if off @ np.linalg.solve(own, off) < s.on_ridge * len(off):
                 added = _components(ridge.chart, sized, y[0], ridge.log_promise)
                 ridge.first = Law.joined([(1.0, ridge.first), (float(added.weight.sum()), added)])
-                ridge.law = ridge.learnt = ridge.first
+                ridge.proposing, ridge.learnt = [(1.0, ridge.first)], ridge.first
                 break
         else:
             ridges.append(_begun(target, one, covariance[i], sized, s))
@@ -408,7 +473,7 @@ def _begun(
     scatter = whole[d:, d:] - whole[d:, :d] @ answer[1 : 1 + d]
     law = _components(chart, sized, np.zeros(d), promise)
     law = law._replace(covariance=s.widened * law.covariance)
-    return Ridge(chart, answer, (scatter + scatter.T) / 2, law, law, law, promise, [])
+    return Ridge(chart, answer, (scatter + scatter.T) / 2, law, [(1.0, law)], law, promise, [])
 
 
 def _components(
@@ -611,11 +676,15 @@ def trace_ridge(
 def propose(
     target: Target, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Add `count` draws from the present outer law of a ridge to its pool."""
+    """Add `count` draws from the present outer laws of a ridge to its pool."""
     chart, before = ridge.chart, ridge.known
     assert before is not None
     pools, known = [ridge.pool] if ridge.pool is not None else [], [before]
-    y_all = ridge.law.draw(count, rng, s.freedom)
+    ends = np.round(count * np.cumsum([share for share, _ in ridge.proposing])).astype(int)
+    counts = np.diff(np.minimum(ends, count), prepend=0)
+    counts[-1] += count - counts.sum()
+    drawn = [(int(n), law) for n, (_, law) in zip(counts, ridge.proposing, strict=True) if n]
+    y_all = np.concatenate([law.draw(n, rng, s.freedom) for n, law in drawn])
     for y in np.array_split(y_all, -(-count // s.block)):
         near = Slopes(*(part[nearest_points(before.y, y, ridge.learnt)] for part in before.slopes))
         best, root, u, slopes = settled(target, chart, y, ridge.best(y), near.u, near)
@@ -628,7 +697,7 @@ def propose(
     every = (np.concatenate([getattr(p, name) for p in pools]) for name in Pool._fields[:4])
     ridge.pool = Pool(*every, Shots.joined([p.shots for p in pools]))
     ridge.known = _joined(known)
-    ridge.laws.append((count, ridge.law))
+    ridge.laws += drawn
 
 
 def _joined(parts: Sequence[Known | None]) -> Known:
@@ -660,7 +729,8 @@ def follow(ridge: Ridge, s: SamplingSettings) -> None:
     mean = ridge.learnt.weight @ ridge.learnt.mean / ridge.learnt.weight.sum()
     spread = np.einsum("c,cij->ij", ridge.learnt.weight, ridge.learnt.covariance)
     root = np.linalg.cholesky(spread / ridge.learnt.weight.sum())
-    far = np.sum(np.linalg.solve(root, (known.y - mean).T) ** 2, axis=0) / len(mean)
+    off = ridge.learnt.straight(known.y) - mean
+    far = np.sum(np.linalg.solve(root, off.T) ** 2, axis=0) / len(mean)
     answer = ridge.answer
     for _ in range(3):  # points that least squares has led to another ridge are left out
         if good.sum() < least:

@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.lander.motions import RATE, Draws, ShotFit, Shots
 from sunspin.estimation.lander.ridges import (
+    Bend,
     Law,
     Ridge,
     Slopes,
@@ -157,7 +158,8 @@ def learn(
     """Fit the ridge by regression to all points, and the outer law to the moments of the weighted draws.
 
     Population Monte Carlo (Cappe et al. 2008): each draw is shared out among the components that may have proposed it. Where the
-    draws are still poor, further components stand on some of them. A part of the law stays with the first one.
+    draws are still poor, further components stand on some of them. A part of the draws stays with the first law. Means and
+    covariances are those about the bend of the draws, if some of their directions are thin.
     """
     pool = ridge.pool
     if pool is None or not np.isfinite(logsumexp(log_share)):
@@ -170,31 +172,34 @@ def learn(
     off = pool.z - ridge.best(pool.y)
     scatter = (weight[:, None] * off).T @ off
     ridge.scatter = scatter + 1e-6 * np.trace(scatter) * np.eye(len(scatter))
-    parts = ridge.learnt.log_densities(pool.y, s.freedom)
+    before, bend = ridge.learnt, Bend.of(pool.y, weight, s)
+    parts = before.log_densities(pool.y, s.freedom)
     part = np.exp(parts - logsumexp(parts, axis=1, keepdims=True)) * weight[:, None]
     used = np.flatnonzero(part.sum(axis=0) > 1e-4)
-    mean, covariance = ridge.learnt.mean[used], ridge.learnt.covariance[used]
+    mean, covariance, y = before.mean[used], before.covariance[used], pool.y
+    if before.bend is not None:
+        mean = before.bend.bent(mean)
+    if bend is not None:
+        mean, y = bend.straight(mean), bend.straight(y)
     for i, one in enumerate(used):
         own = part[:, one] / part[:, one].sum()
         # few draws move little
         keep = min(1.0, effective_draws(own) / (4.0 * mean.shape[1]))
-        centre = own @ pool.y
-        mean[i] = keep * centre + (1 - keep) * mean[i]
-        spread = (own[:, None] * (pool.y - mean[i])).T @ (pool.y - mean[i])
+        mean[i] = keep * (own @ y) + (1 - keep) * mean[i]
+        spread = (own[:, None] * (y - mean[i])).T @ (y - mean[i])
         covariance[i] = keep * spread + (1 - keep) * covariance[i]
-    covariance = covariance + 1e-9 * np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
-    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1))
+    least = np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
+    covariance = covariance + 1e-9 * least
+    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1), bend)
     wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
-    ridge.law = Law.joined([(s.defence, wide), (1 - s.defence, ridge.learnt)])
+    law = ridge.learnt
     if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
         pick = rng.choice(len(weight), s.local, p=weight)
         owner = np.argmax(part[np.ix_(pick, used)], axis=1)
         shrunk = s.local_size**2 * covariance[owner]
-        local = Law(np.full(s.local, 1 / s.local), pool.y[pick], shrunk, pick)
-        share = s.local_share * (1 - s.defence)
-        ridge.law = Law.joined(
-            [(s.defence, wide), (1 - s.defence - share, ridge.learnt), (share, local)]
-        )
+        local = Law(np.full(s.local, 1 / s.local), y[pick], shrunk, pick, bend)
+        law = Law.joined([(1 - s.local_share, ridge.learnt), (s.local_share, local)])
+    ridge.proposing = [(s.defence, wide), (1 - s.defence, law)]
 
 
 def walked_out(

@@ -108,7 +108,7 @@ def judged_orbit(
         remarks += f"; {check.turned_axes}"
     if check.verdict is Verdict.UNDECIDED:
         sigma_s = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-        offset = f"{orbit.shift_s:+z.0f} +- {sigma_s:.0f} s along the track"
+        offset = f"{orbit.shift_s:+z.0f} ± {sigma_s:.0f} s along the track"
         text = (
             f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
         )
@@ -123,7 +123,5 @@ def judged_orbit(
         drift_s_day=check.drift_s_day,
         drift_sigma_s_day=check.drift_sigma_s_day,
     )
-    offset = (
-        f"{check.shift_s:+z.0f} +- {check.shift_sigma_s:.0f} s along the track{drifting(check)}"
-    )
+    offset = f"{check.shift_s:+z.0f} ± {check.shift_sigma_s:.0f} s along the track{drifting(check)}"
     return known, check, f"the orbit is used: its elements fit, {offset}{remarks}"

@@ -16,13 +16,12 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA
 from sunspin.estimation.model import SUN_N, Unknown
 from sunspin.estimation.settings import EARTH_KNOWN, EARTH_WIDER, EARTH_ZERO
 from sunspin.estimation.terms.term import drifting
-from sunspin.solve.rotations import cross_matrix
+from sunspin.solve.rotations import cross_matrix, rotate_attitude
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import opposite_panels
 
@@ -156,7 +155,7 @@ class EarthLight:
             both = SUN_N + self.known_N.mean(axis=0)
             back = _rotation_by_sine(np.cross(both / np.linalg.norm(both), SUN_N))
             for angle in 2 * np.pi / AZIMUTHS * np.arange(1 if about_sun else AZIMUTHS):
-                yield Rotation.from_rotvec(angle * SUN_N).as_matrix() @ back, np.zeros(m)
+                yield rotate_attitude(back, -angle * SUN_N), np.zeros(m)
             return
         sigma = np.linalg.norm(self.light_N[0, 0])
         for direction in FIRST_DIRECTIONS:
@@ -195,4 +194,4 @@ def pairs_differing(
 def _rotation_by_sine(across: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) about a vector (3) that is as long as the sine of its angle."""
     size = np.linalg.norm(across)
-    return Rotation.from_rotvec(across * np.arcsin(min(size, 1.0)) / max(size, 1e-300)).as_matrix()
+    return rotate_attitude(np.eye(3), -across * np.arcsin(min(size, 1.0)) / max(size, 1e-300))

@@ -14,14 +14,13 @@ from typing import ClassVar, Protocol, Self
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from sunspin.environment import Surroundings
 from sunspin.estimation.model import SUN_N, States, Unknown
 from sunspin.estimation.settings import FIELD_TURN
 from sunspin.estimation.terms.directions import SunDirections
 from sunspin.estimation.terms.term import Residual, Term, drifting, facing, gaussian
-from sunspin.solve.rotations import cross_matrix, rotate_by_smallest
+from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotate_by_smallest
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
 
@@ -360,7 +359,7 @@ class KnownField(Term):
         # sums of |known| |read| times its sine and its cosine
         sine = ((known[:, 0] * read_N[..., 1] - known[:, 1] * read_N[..., 0]) * weight).sum(axis=1)
         cosine = ((known[:, :2] * read_N[..., :2]).sum(axis=2) * weight).sum(axis=1)
-        about_z = Rotation.from_rotvec(np.arctan2(sine, cosine)[:, None] * SUN_N).as_matrix()
+        about_z = rotate_attitude(np.eye(3), -np.arctan2(sine, cosine)[:, None] * SUN_N)
         return attitude @ about_z[:, None], u
 
     def for_search(self) -> list[Term]:

@@ -8,13 +8,12 @@ from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
-from scipy.spatial.transform import Rotation
 from scipy.special import gamma
 
 from sunspin.estimation.model import States, Unknown
 from sunspin.estimation.settings import GYRO_ZEROS
 from sunspin.estimation.terms.term import FREEDOM, Residual, Starts, Term, gaussian
-from sunspin.solve.rotations import rotation_between
+from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
 
@@ -172,7 +171,7 @@ class AttitudeChange(Term):
         quaternion = np.asarray(telemetry[VARIABLES["attitude"]], dtype=np.float64)
         there = np.isfinite(quaternion).all(axis=1)
         read = np.full((len(quaternion), 3, 3), np.nan)
-        read[there] = Rotation.from_quat(quaternion[there]).as_matrix().reshape(-1, 3, 3)
+        read[there] = matrix_from_quaternion(quaternion[there])
         part = vehicle.sensors.with_columns.get("attitude")
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         return cls(t_s, read, part.sigma_rad if part is not None else np.inf)
@@ -225,7 +224,7 @@ class AttitudeChange(Term):
             return Starts()
         dt = self.t_s[sample + 1] - self.t_s[sample]
         # a turn t of the body takes its attitude to exp(-[t x]) times it
-        angle = -Rotation.from_matrix(pair[1] @ pair[0].T).as_rotvec()
+        angle = rotation_between(pair[0], pair[1])
         size = max(float(np.linalg.norm(angle)), 1e-9)
         turns = 2 * np.pi * np.arange(-WHOLE_TURNS, WHOLE_TURNS + 1)[:, None]
         return Starts(rates=angle / dt * (1 + turns / size))

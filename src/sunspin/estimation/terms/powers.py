@@ -3,8 +3,8 @@
 A lit reading is the panel's power with Gaussian noise. A dark one says that noise keeps the power below the threshold: panels
 turned away say nothing. Any reading may, with a small probability, have nothing to do with the Sun: a shadow, a spike.
 
-The time of a sample may be off by `time_s` (one sigma): all its panels were read a little earlier or later than it says. That error
-is put at its best for each motion and integrated out by Laplace's method too.
+The time of a sample may be off by `time_s` (one sigma): all its panels were read a little earlier or later than it says. A fit puts
+that error at its best for each motion; the density is the sum over all errors, as a panel that lights up leaves two good ones.
 
 If a full battery throttles the panels, a sample has an unknown factor. It is put at its best for each motion (variable
 projection, Kaufman 1975) and integrated out: that leaves one power of the noise.
@@ -37,6 +37,10 @@ MEAN_LIT_SINE = 2 / 3
 
 TIME_STEPS, FAR_TIME = 3, 4.0
 """Newton steps to the best error of a sample's time, and how many sigmas it may be."""
+
+TIME_SPACING, FEWEST_TIMES = 1.5, 4.0
+"""Distance of the times over which the density of a sample is summed, at most, and how many times there are for each sigma of the
+error, at least. The distance is in sigmas of the narrowest possible peak: a normal law is summed to 1e-3."""
 
 LARGEST_LOG_NOISE = 5.0
 """Sigmas of its prior up to which the noise is sought."""
@@ -219,11 +223,18 @@ class PanelPowers(Term):
                 if again < TIME_STEPS:
                     pull = hold * late - np.sum(weight * slope * value, axis=-1)
                     late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            # by the integral over the error, not by the highest density: that has a tiny volume if the power changes fast
             cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
+            cost += 0.5 * np.log1p(self.time_s**2 * hold)
             better = cost < least
             best, curvature = np.where(better, late, best), np.where(better, hold, curvature)
             least = np.minimum(cost, least)
         return best, curvature
+
+    def taken_by_times(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return how many readings (K) the errors of times answer for: up to one for each sample, if it shows its time."""
+        sharp = self.time_s**2 * self.best_times(states, u)[1]
+        return np.sum(sharp / (1.0 + sharp), axis=1)
 
     def _throttle(
         self, light: np.ndarray, by_turn: np.ndarray, by_u: np.ndarray
@@ -321,14 +332,46 @@ class PanelPowers(Term):
 
         That is relative to no power at all, so that panels turned away say nothing.
         """
-        late_s, hold = self.best_times(states, u)
-        power = self.predicted(states, u, late_s)
-        each = np.where(self.used, self._log_densities(power, u), 0.0)
-        total = each.sum(axis=(1, 2)) + self.free_factors.sum(axis=-1) * self.log_noise(u)
-        if not self.time_s:
-            return total
-        of_times = (late_s / self.time_s) ** 2 + np.log1p(self.time_s**2 * hold)
-        return total - 0.5 * of_times.sum(axis=1)
+        if self.time_s:
+            return self._over_times(states, u).sum(axis=1)
+        none = np.zeros(states.sun_B.shape[:-1])
+        each = self._sample_densities(self.predicted(states, u, none), u)
+        return each.sum(axis=1) + self.free_factors.sum(axis=-1) * self.log_noise(u)
+
+    def _over_times(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n) of the readings of each sample, summed over the errors of its time.
+
+        Laplace's method about the best error is off where a panel lights up within it: there the density has two peaks, and which
+        one is higher changes with the motion. Draws were then unevenly weighed (2 to 5 effective ones of 100).
+        """
+        steepest = np.linalg.norm(self._full_power(u) / self.sigma, axis=1)
+        steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
+        narrow = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
+        # in powers of two, so that many motions share their times and each has its own result
+        doubled = np.ceil(np.log2(np.maximum(narrow / FEWEST_TIMES, 1.0))).astype(int)
+        total = np.empty(states.sun_B.shape[:-1])
+        for one in np.unique(doubled):
+            rows = doubled == one
+            panels = replace(self, power=self.power[rows]) if self.power.ndim == 3 else self
+            some = SunStates.of(states.sun_B[rows], states.omega[rows])
+            count = int(2 * FAR_TIME * FEWEST_TIMES) << one
+            times, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)
+            whole = np.full(some.sun_B.shape[:-1], -np.inf)
+            for late in times:
+                later = np.full(whole.shape, late * self.time_s)
+                each = panels._sample_densities(panels.predicted(some, u[rows], later), u[rows])
+                whole = np.logaddexp(whole, each - 0.5 * late**2)
+            total[rows] = whole + np.log(step) - 0.5 * LOG_2PI
+        return total
+
+    def _full_power(self, u: np.ndarray) -> np.ndarray:
+        """Return the power (K, p) of each input with the Sun along its normal."""
+        facing = self.response.power(self.response.facing_B).diagonal()
+        return self.gain(u) * facing
+
+    def _sample_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n) of the readings of each sample if these powers (K, n, p) are predicted."""
+        return np.where(self.used, self._log_densities(power, u), 0.0).sum(axis=-1)
 
     def _log_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the log density (K, n, p) of each reading if these powers (K, n, p) are predicted."""

@@ -26,6 +26,10 @@ MOST_PANELS = 2 / 3
 direction, two leave it open. If a file has a row for each packet, a row has a half or a third of the panels."""
 
 
+LOW_SHARE = 0.5
+"""Largest reading of a panel, relative to the panel that reads most, below which its gain is doubtful. In a satellite that tumbles
+about all axes the largest of 30 readings of each panel is above 0.8; panels of 3U and 6U satellites differ by factors of 2 to 6."""
+
 PASS_INTERVALS = 6
 """Usual sampling intervals from which a gap separates two passes, as by default in `rates`."""
 
@@ -93,6 +97,32 @@ def noise_lines(assessment: Assessment) -> list[str]:
     ]
 
 
+def unknown_gain_lines(assessment: Assessment) -> list[str]:
+    """Return a line if the gains look like placeholders: all relative, without sigma, and one panel never reads near full Sun.
+
+    If the data determine the gains there is none: then the estimators use these. Nor is there one for panels without signal.
+    """
+    craft, quality = assessment.vehicle, assessment.quality
+    stated = [craft.facts.get(f"panel.{panel.name}.relative_gain") for panel in craft.panels]
+    unstated = all(fact is not None and not fact.sigma for fact in stated)
+    estimated = np.isfinite(quality.attrs["spread"])
+    if not unstated or estimated or craft.channels or craft.telemetry.has_angles:
+        return []
+    readings = np.where(quality["reading"].values, signals(assessment.telemetry), np.nan)
+    largest = np.nanmax(readings, axis=0, initial=0.0) / craft.input_gains
+    share = largest / max(largest.max(), 1e-300)
+    low = (share < LOW_SHARE) & ~quality["dead"].values
+    if not low.any():
+        return []
+    names = quality["panel"].values.astype(str)
+    values = ", ".join(f"{name} {part:.0%}" for name, part in zip(names, share, strict=True))
+    return [
+        f"  GAINS NOT KNOWN: with the relative gains of the vehicle file the largest readings are {values} of that of panel "
+        f"{names[share.argmax()]}; if {', '.join(names[low])} has fewer or weaker cells, the rates are wrong. Give `cells`, "
+        "`gain_W` or `gain_A` of each panel"
+    ]
+
+
 def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
     """Return the findings on the quality of panel readings, on other sensors, and on the rates that the sampling can resolve.
 
@@ -151,9 +181,7 @@ def _describe_panels(assessment: Assessment) -> Findings:
         text = "no signal in any sample (failed, or never sunlit); excluded"
         lines.append(f"  panel {', '.join(dead)}: {text}")
     if unlit:
-        text = (
-            "no signal, probably never sunlit (the other panels account for the full Sun); not used"
-        )
+        text = "no signal (failed, or never sunlit; the other panels account for the full Sun); not used"
         lines.append(f"  panel {', '.join(unlit)}: {text}")
     # gain and sigma of each panel, relative to the gain in the vehicle file
     relative_gains = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
@@ -176,7 +204,7 @@ def _describe_panels(assessment: Assessment) -> Findings:
         gains = (
             f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {values}"
         )
-    lines.append(gains)
+    lines += [gains, *unknown_gain_lines(assessment)]
     lines.append(
         f"  albedo and stray light on unlit panels: up to {quality.attrs['albedo']:.0%} of full Sun"
     )

@@ -39,7 +39,8 @@ def panel_signals_figure(
 ) -> Any:
     """Draw measured signals as dots and predicted signals as lines: a row for each panel, a column for each motion.
 
-    The predicted signals of a motion are multiplied by one factor, which is fitted to the samples.
+    The predicted signals of a motion are multiplied by its `gain_factor` of each panel, if it has them, and by one factor, which is
+    fitted to the samples.
 
     Parameters
     ----------
@@ -72,6 +73,9 @@ def panel_signals_figure(
         early = motion["time"].values <= start_s + LONGEST_S
         t, sun = motion["time"].values[early], motion["sun_B"].values[early]
         predicted = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        if "gain_factor" in motion:
+            factors = motion["gain_factor"].reindex(panel=telemetry["panel"].values)
+            predicted = predicted * factors.fillna(1.0).values
         sampled = inside[k] & (time <= start_s + LONGEST_S)
         to_fit = sampled & fitted
         factor = _fit_factor(time[to_fit], measured[to_fit][:, ~dead], t, predicted[:, ~dead])

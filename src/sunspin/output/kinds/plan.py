@@ -115,6 +115,7 @@ def plan_figure(data: Any) -> Any:
         [0], [0], color="none", hatch="////", edgecolor=BLACK, lw=0, label="decided and wrong"
     )
     share_axes.set(ylabel="decided share of the passes", ylim=(0, 1.4))
+    share_axes.set_yticks(np.linspace(0, 1, 6))  # above 1 is room for the legend
     share_axes.set_xticks(np.arange(len(every)), [f"{each:g}" for each in every])
     share_axes.legend(ncols=2, loc="upper center", columnspacing=1, handletextpad=0.3)
     sigma_axes.set(ylabel="one sigma of the rate (deg/s)", xscale="log")

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.estimate.posterior.period import period_sentences
-from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
-from sunspin.estimate.posterior.verdict import summary as main_numbers
+from sunspin.estimation.lander.tree import TOO_FEW
+from sunspin.estimation.lander.verdict import sigmas
+from sunspin.estimation.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
 from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import (
@@ -82,6 +82,65 @@ def posterior_summary(tree: Any) -> Summary:
         predictions = predictions_summary(tree["predictions"].to_dataset())
         return Summary(numbers | predictions, lines + predictions.lines)
     return Summary(numbers, lines)
+
+
+def main_numbers(tree: Any) -> dict[str, Any]:
+    """Return the main numbers of a posterior as plain data: verdict, angular speed, solutions, quality of the draws."""
+    solutions, about = tree["solutions"], tree.attrs
+    rate = np.linalg.norm(tree["posterior"]["omega_B"].values.reshape(-1, 3), axis=1)
+    low, median, high = np.quantile(rate, [0.05, 0.5, 0.95]).tolist()
+    columns = {name: solutions[name].values for name in ("probability", "omega_B")}
+    columns["sigma"] = sigmas(solutions)
+    columns |= {
+        name: solutions[name].values for name in ("chi_square", "starts", "effective_draws")
+    }
+    lists = (values.tolist() for values in columns.values())
+    return {
+        "verdict": about["verdict"],
+        "verdict_word": about["verdict_word"],
+        "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
+        "solutions": [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)],
+        "p_value": float(about["p_value"]),
+        "effective_draws": float(about["effective_draws"]),
+        "pareto_k": float(about["pareto_k"]),
+        "synthetic_telemetry": bool(about.get("synthetic", 0)),
+    }
+
+
+def period_sentences(period: Any) -> list[str]:
+    """Return what the periods of the group `period` decide, in words."""
+    about = period.attrs
+    if (nearest := about["nearest_sigmas"]) > FAR_SIGMAS:
+        return [
+            f"periods: no solution of this posterior has them; the nearest is {nearest:.1f} sigma away"
+        ]
+    if (effective := about["effective_draws"]) < LEAST_DRAWS:
+        return [
+            f"periods not used: of these draws only {effective:.0f} have them; ask for more --draws"
+        ]
+    seen = zip(
+        *(np.atleast_1d(about[name]) for name in ("seen_s", "period_s", "sigma_s")),
+        period["probability"].values,
+        strict=True,
+    )
+    lines = []
+    for t_s, period_s, sigma_s, probability in seen:
+        shares = zip(READINGS, probability, strict=True)
+        words = ", ".join(f"{name} {share:.0%}" for name, share in shares)
+        lines.append(f"period {period_s:g} +- {sigma_s:g} s at {t_s:g} s: {words}")
+    (low, middle, high), (low_before, before, high_before) = (
+        np.degrees(period[name].values) for name in ("rate_quantile", "rate_quantile_before")
+    )
+    now, without = (
+        period[name].values.max()
+        for name in ("solution_probability", "solution_probability_before")
+    )
+    lines.append(
+        f"with periods the angular speed at the first sample is {middle:.3g} deg/s, 90 % in {low:.3g} to {high:.3g} (without: "
+        f"{before:.3g}, {low_before:.3g} to {high_before:.3g}); the likeliest solution has {now:.1%} (without: {without:.1%}); "
+        f"effective sample size {effective:.0f}"
+    )
+    return lines
 
 
 def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
@@ -198,7 +257,7 @@ def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
     """Return the best motion of each solution, by file name; nothing if the vehicle is not known, which the propagation needs."""
     if context.vehicle is None:
         return {}
-    from sunspin.estimate.posterior.motion import best_motions
+    from sunspin.estimation.lander.predict import best_motions
 
     motions = best_motions(context.craft(), tree)
     return {f"motion-solution-{run.attrs['solution']}": run for run in motions}

@@ -8,10 +8,47 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.posterior.predict import intervals
 from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.text import with_range
+
+LEVELS = (0.5, 0.9)
+"""Intervals that are reported, as shares of the draws, with as many below as above."""
+
+
+def intervals(predictions: xr.Dataset) -> list[dict[str, Any]]:
+    """Return medians and intervals of what is predicted, a row for each time and quantity; rates in rad/s, angles in rad.
+
+    `sun_off`: angle from the mean direction of the Sun, whose upper ends are the radii of the circles that hold 50 and 90 % of the
+    draws.
+    """
+    table: list[dict[str, Any]] = []
+    for i, t_s in enumerate(predictions["predicted_s"].values):
+        draws = predictions.isel(predicted_s=i, chain=0)
+        omega, sun = draws["omega_B"].values, draws["sun_B"].values
+        of_rate = {f"omega_{axis}": omega[:, k] for k, axis in enumerate("xyz")}
+        of_sun = {f"sun_{axis}": sun[:, k] for k, axis in enumerate("xyz")}
+        angles = {name: draws[name].values for name in ("z_to_sun", "z_to_momentum")}
+        mean = np.nanmean(sun, axis=0)
+        mean /= max(float(np.linalg.norm(mean)), 1e-12)
+        off = {"sun_off": np.arccos(np.clip(sun @ mean, -1.0, 1.0))}
+        for unit, quantities in (
+            ("rad/s", of_rate | {"rate": draws["rate"].values}),
+            ("1", of_sun),
+            ("rad", angles | off),
+        ):
+            for name, values in quantities.items():
+                row = {"t_s": float(t_s), "quantity": name, "unit": unit}
+                row["median"] = float(np.nanmedian(values))
+                for level in LEVELS:
+                    # a circle has its mean direction inside
+                    ends = (0.0, level) if name in off else (0.5 - level / 2, 0.5 + level / 2)
+                    low, high = np.nanquantile(values, ends)
+                    percent = f"{100 * level:.0f}"
+                    row[f"low_{percent}"] = 0.0 if name in off else float(low)
+                    row[f"high_{percent}"] = float(high)
+                table.append(row)
+    return table
 
 
 def predictions_summary(predictions: Any) -> Summary:
@@ -65,7 +102,7 @@ def predicted_figure(
 ) -> Any:
     """Draw predictions, a row for each time: speed, rate components, Sun direction, angles of z to the Sun and to H.
 
-    H is the angular momentum. `predictions`: from :func:`sunspin.estimate.posterior.predict.predict`; `labels`: the times in words;
+    H is the angular momentum. `predictions`: from :func:`sunspin.estimation.lander.predict.predict`; `labels`: the times in words;
     `truth`: predictions of one motion, the true one, drawn as dashed lines and as a cross on the sky.
     """
     count = predictions.sizes["predicted_s"]

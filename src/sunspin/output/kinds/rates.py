@@ -314,7 +314,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             lambda: panel_signals_figure(samples, motions, vehicle, used, left_out),
             "Signal of each panel against time in up to four passes: samples as dots, the solution's prediction as a line.",
             "Panel signals of the passes with the most samples: dots are samples, lines what the likeliest solution predicts, with "
-            "one factor for each pass.",
+            "the estimated gains and one factor for each pass.",
         )
 
 

@@ -1,13 +1,17 @@
-"""The scan: a grid of initial rates, the distance of each simulated Sun track from what was measured.
+"""The scan: a grid of initial rates, and the distance of each simulated Sun track from the measured one.
 
-Two distances, as in the paper: EMD between the distributions of r_z (eq. 13), accumulated while the kernel runs and never
-storing a track; and E, the mean misfit of directions at the times of the samples (eq. 12).
+There are two distances, as in the paper. EMD compares the distributions of r_z (eq. 13), which compiled code accumulates without
+storing a track. E is the mean misfit of directions at the times of the samples (eq. 12).
+
+`scan` runs each motion for one target. `make_table` keeps the histogram of r_z of every motion: it does not depend on what was
+measured. The EMD to a target then takes a microsecond a motion, a fiftieth of the motion itself. So many targets (simulated cases,
+thresholds, resampled telemetry) take little longer than one scan.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,19 +26,18 @@ from sunspin.compute.rows import ensemble
 from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.torques import Steady, acting
 from sunspin.environment import Environment
-from sunspin.estimate.scan.rows import (
-    ScanRows,
-    Start,
-    target_segments,
-    track_rows,
-)
+from sunspin.estimation.scan.histogram import distances_to_target, target_segments
+from sunspin.estimation.scan.rows import ScanRows, Start, track_rows
 from sunspin.vehicle import Vehicle
 
 MAX_ROWS = 50_000_000
-"""Grids beyond this are refused."""
+"""Larger grids are refused."""
 
 SECONDS_PER_ROW, BYTES_PER_ROW = 1e-4, 30
-"""For estimates: 42 to 189 microseconds of a core for 45 min of Philae, and two results with their copies."""
+"""Rough time and memory of a motion: 42 to 189 microseconds of a core for 45 min of Philae, and two results with their copies."""
+
+RATES = ("omega_x", "omega_y", "omega_z")
+"""Dimensions of a volume."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +48,11 @@ class Propagation:
     ----------
     wheel_mode : "coast", "hold", "brake", or one per wheel.
     direction_error : rad
-        Error wanted of the simulated Sun's direction at the end, in the place of `emd_error`; for a track 1e-3 unless given.
+        Allowed error of the simulated Sun direction at the end, instead of `emd_error`. Default for a track: 1e-3.
     environment, torques, B_from_N
-        As in :func:`sunspin.propagate`; such a scan runs by series.
+        As in :func:`sunspin.propagate`.
     start_s : s
-        When the motions begin, on the environment's clock.
+        Start of the motions, on the environment's clock.
     """
 
     wheel_mode: str | Sequence[str] = "coast"
@@ -79,34 +82,34 @@ def scan(
     executor: Any = None,
     progress: bool = False,
 ) -> xr.DataArray:
-    """Distance between simulation and measurement over a grid of initial body rates.
+    """Return the distance between simulation and measurement over a grid of initial body rates.
 
     Parameters
     ----------
     vehicle : Vehicle
     target_z : (n,) or Dataset
-        Measured z components of the Sun's direction: the distance is EMD. Or a track, a Dataset with `sun_B (time, axis)`
-        and `time` (s after the start of the run): the distance is E. Samples with NaN directions are left out.
+        For the EMD, the measured z components of the Sun direction. For E, a track: a Dataset with `sun_B (time, axis)` and `time`
+        (s after the start of the run). Samples with NaN directions are left out.
     sun_B : (3,)
         Direction to the Sun at the start, body axes.
     omega_x, omega_y, omega_z : 1-D, rad/s
         Grid of body rates at the start.
     wheel_speed_rad_s : number, (n_wheel,) or None
     duration_s : s
-        Length of the run (EMD); for E it is the time of the last sample.
+        Length of the run for the EMD. For E it is the time of the last sample.
     weights : (n,), optional
         Weights of `target_z`.
     mask : "reconstructible" or None
-        Count only directions that the panels allow to reconstruct, or all. Only for EMD.
+        Count only directions that the panels allow to reconstruct, or all. Only for the EMD.
     emd_error : float, optional
-        Error wanted of the EMD; 1e-3 unless given. Of bodies with wheels across their principal axes at most one motion in 100
-        errs by more than 2e-3, up to 7e-3; with 5e-4 none of 768 did. Anything tighter than 1e-3 is much slower.
+        Allowed error of the EMD; default 1e-3. If a wheel's axis is no principal axis, at most one motion in 100 errs by more than
+        2e-3, up to 7e-3; with 5e-4 none of 768 did. A value below 1e-3 makes the scan much slower.
     propagation : Propagation
-        Wheel modes, torques, and the error wanted of directions.
+        Wheel modes, torques, and the allowed error of directions.
     workers : int, optional
         Threads, or worker processes of the executor "local"; default one per core.
     store : path, optional
-        Folder in which rows are kept as they are computed; the same call resumes there after any interruption.
+        Folder in which rows are kept as they are computed. After an interruption the same call resumes from it.
     executor : concurrent.futures.Executor, dask.distributed.Client, address or "local", optional
         Compute the rows there, as the `scheduler` of :func:`sunspin.compute.rows.ensemble`.
     progress : bool
@@ -115,15 +118,14 @@ def scan(
     Returns
     -------
     xarray.DataArray
-        `emd` or `E` over (omega_x, omega_y, omega_z), with a coordinate `outcome` (0: computed as asked). A motion whose
-        Sun could never have been reconstructed has EMD 1, the largest there is.
+        `emd` or `E` over (omega_x, omega_y, omega_z), with a coordinate `outcome` (0: computed with the allowed error). A motion
+        whose Sun could never have been reconstructed has the largest EMD, 1.
     """
     axes = [
-        _axis(values, name)
-        for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))
+        _axis(values, name) for values, name in zip((omega_x, omega_y, omega_z), RATES, strict=True)
     ]
     check_size(*(len(axis) for axis in axes))
-    # what free motion and light do not depend on: a store stays good if it changes
+    # without what the motion and the light do not depend on, so that a store still serves after a change of it
     landing = {"mass_kg": None, "legs": (), "hull": (), "antenna": None}
     body = replace(vehicle, **landing, facts={}, changes=())
     forces = acting(propagation.torques, propagation.environment, propagation.start_s)
@@ -148,23 +150,26 @@ def scan(
     out = ensemble(
         rows, workers=workers, store=store, scheduler=executor, progress=progress, label="scan"
     )
-    return volume(vehicle, rows, rows.measure, out, count)
+    return as_volume(vehicle, rows, rows.measure, out, count)
 
 
-def volume(
+def as_volume(
     vehicle: Vehicle, rows: ScanRows, name: str, values: dict[str, np.ndarray], directions: int
 ) -> xr.DataArray:
-    """The variable `name` of all rows of a grid, with their outcomes, as `scan` returns them."""
-    start, dims = rows.start, ("omega_x", "omega_y", "omega_z")
-    axes = {dim: (dim, getattr(start, dim), {"units": "rad s-1"}) for dim in dims}
+    """Return a measure of all rows of a grid with their outcomes, as `scan` returns it.
+
+    `values`: arrays by name of all rows, among them `name` and "outcome". `directions`: number of measured directions.
+    """
+    start = rows.start
+    axes = {rate: (rate, getattr(start, rate), {"units": "rad s-1"}) for rate in RATES}
     flags = {
         "flag_values": [int(o) for o in Outcome],
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
     return xr.DataArray(
         values[name].reshape(start.shape),
-        dims=dims,
-        coords={**axes, "outcome": (dims, values["outcome"].reshape(start.shape), flags)},
+        dims=RATES,
+        coords={**axes, "outcome": (RATES, values["outcome"].reshape(start.shape), flags)},
         name=name,
         attrs=provenance("scan", **vehicle.result_attributes)
         | {
@@ -177,7 +182,7 @@ def volume(
 
 
 def check_size(*points: float) -> None:
-    """Refuse a grid of so many points along each axis that it would take unreasonably long, with an estimate."""
+    """Raise `InputError` for a grid of more than `MAX_ROWS` points, with its cost. `points`: number along each axis."""
     n_rows = math.prod(float(n) for n in points)
     if n_rows > MAX_ROWS:
         hours, memory = n_rows * SECONDS_PER_ROW / 3600, n_rows * BYTES_PER_ROW / 1e9
@@ -190,6 +195,7 @@ def check_size(*points: float) -> None:
 
 
 def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
+    """Return the rates of one axis of the grid as an array; raise `InputError` if they are no list of different finite rates."""
     axis = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if axis.ndim != 1 or axis.size == 0 or not np.all(np.isfinite(axis)):
         raise InputError(
@@ -200,39 +206,54 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
     return axis
 
 
-def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
-    """Grid points (n, 3) in rad/s with `emd` below `factor` times the smallest (paper, eq. 14 with factor 1.1).
+@dataclass(frozen=True)
+class Table:
+    """The histograms `hist` (n, BINS), in s, and outcomes (n) of the motions of a grid; 1 kB a motion."""
+
+    rows: ScanRows
+    hist: np.ndarray
+    outcome: np.ndarray
+
+    def distances(
+        self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
+    ) -> np.ndarray:
+        """Return the EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`."""
+        return distances_to_target(self.hist, target_segments(target_z, weights), workers)
+
+    def volume(
+        self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
+    ) -> xr.DataArray:
+        """Return the EMD to measured z components (m) over (omega_x, omega_y, omega_z), as `scan` returns it."""
+        values = {"emd": self.distances(target_z, weights, workers), "outcome": self.outcome}
+        return as_volume(self.rows.vehicle, self.rows, "emd", values, np.size(target_z))
+
+
+def make_table(
+    vehicle: Vehicle,
+    sun_B: npt.ArrayLike,
+    axes: Mapping[str, np.ndarray],
+    wheel_speed_rad_s: Any,
+    duration_s: float,
+    *,
+    mask: str | None = "reconstructible",
+    workers: int | None = None,
+    progress: bool = False,
+) -> Table:
+    """Run every motion of a grid once and return the histograms of r_z.
 
     Parameters
     ----------
-    emd : DataArray over omega_x, omega_y, omega_z
-        Of `scan`; its coordinates are rates in body axes.
-
-    Rows whose `outcome` says that they could not be computed take no part.
-
-    Raises
-    ------
-    InputError
-        A factor that is not above 1; nothing could be computed.
+    sun_B : (3,)
+        Direction to the Sun at the start, body axes.
+    axes : omega_x, omega_y, omega_z -> 1-D, rad/s
+    wheel_speed_rad_s : number, (n_wheel,) or None
+    duration_s : s
+    mask : "reconstructible", or None: all directions count
+    workers, progress
+        As in :func:`sunspin.compute.rows.ensemble`.
     """
-    if not factor > 1:
-        raise InputError("the factor of the near-minimum set must exceed 1", got=factor)
-    values = _computed(emd)
-    if not np.isfinite(values).any():
-        raise InputError(
-            "no motion of the grid could be computed", do="see its coordinate `outcome`"
-        )
-    return below(emd, factor * np.nanmin(values))
-
-
-def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
-    """Return the grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part."""
-    chosen = np.nonzero(_computed(emd) < threshold)
-    axes = emd["omega_x"], emd["omega_y"], emd["omega_z"]
-    return np.stack([axis.values[i] for axis, i in zip(axes, chosen, strict=True)], axis=-1)
-
-
-def _computed(emd: xr.DataArray) -> np.ndarray:
-    if "outcome" in emd.coords:
-        emd = emd.where(emd["outcome"] == Outcome.FINE)
-    return emd.transpose("omega_x", "omega_y", "omega_z").values
+    grid = [np.asarray(axes[rate], dtype=np.float64) for rate in RATES]
+    start = Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s)
+    rows = ScanRows(vehicle, start, float(duration_s), "hist", mask=mask)
+    out = ensemble(rows, workers=workers, progress=progress, label="scan")
+    return Table(rows, out["hist"], out["outcome"])

@@ -103,13 +103,13 @@ def test_tracks_that_cannot_be_compared_are_refused(sim, meas, said):
         ss.direction_error(sim, meas)
 
 
-@pytest.mark.parametrize("weights", [[1], [1, -1], [0, 0], [1, np.nan]])
-def test_emd_refuses_bad_weights(weights):
-    with pytest.raises(ss.InputError, match="weights_a"):
-        ss.emd([0.1, 0.2], [0.3], weights)
-
-
-@pytest.mark.parametrize(("a", "b"), [([], [0]), ([2.0], [0]), ([np.nan], [0])])
-def test_emd_refuses_bad_samples(a, b):
-    with pytest.raises(ss.InputError, match="z_a"):
-        ss.emd(a, b)
+@pytest.mark.parametrize(
+    ("z", "weights", "named"),
+    [
+        *(([0.1, 0.2], weights, "weights_a") for weights in ([1], [1, -1], [0, 0], [1, np.nan])),
+        *((z, None, "z_a") for z in ([], [2.0], [np.nan])),
+    ],
+)
+def test_emd_refuses_bad_samples_and_weights(z, weights, named):
+    with pytest.raises(ss.InputError, match=named):
+        ss.emd(z, [0.3], weights)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.spin import errors_of_rates, fit_spin, phase, turned
+from sunspin.estimation.spin import errors_of_rates, fit_spin, phase, rotated_sun
 
 CUBIC = np.array([0.01216, 5.161e-8, -3.189e-12, 3.013e-17])  # paper, section 3.1
 SUN = np.array([0.8, 0.0, 0.6])
@@ -14,7 +14,7 @@ def samples(seed, jitter=6.0, noise=0.03, n=90, coefficients=CUBIC, axis=(0, 0, 
     rng = np.random.default_rng(seed)
     t = interval * np.arange(n) + rng.uniform(-jitter, jitter, n)
     t -= t[0]
-    true = turned(SUN, axis, phase(coefficients, t))
+    true = rotated_sun(SUN, axis, phase(coefficients, t))
     seen = true + noise * rng.normal(size=true.shape)
     return t, seen / np.linalg.norm(seen, axis=1, keepdims=True)
 
@@ -22,7 +22,7 @@ def samples(seed, jitter=6.0, noise=0.03, n=90, coefficients=CUBIC, axis=(0, 0, 
 def test_the_spin_phase_is_the_integral_of_the_rate_and_the_sun_moves_backward():
     assert phase([0.1, 0.02], [3.0]) == pytest.approx(0.1 * 3 + 0.02 * 9 / 2)
     np.testing.assert_allclose(
-        turned([1, 0, 0], [0, 0, 1], np.array([np.pi / 2])), [[0, -1, 0]], atol=1e-15
+        rotated_sun([1, 0, 0], [0, 0, 1], np.array([np.pi / 2])), [[0, -1, 0]], atol=1e-15
     )
 
 
@@ -31,7 +31,7 @@ def test_a_constant_spin_agrees_with_the_equations_of_motion():
     t = np.linspace(0, 500, 11)
     run = ss.propagate(craft, [0, 0, 0.0122], SUN, None, t)
     np.testing.assert_allclose(
-        turned(SUN, [0, 0, 1], phase([0.0122], t)), run["sun_B"].values, atol=1e-10
+        rotated_sun(SUN, [0, 0, 1], phase([0.0122], t)), run["sun_B"].values, atol=1e-10
     )
 
 

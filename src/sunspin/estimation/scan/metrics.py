@@ -1,4 +1,4 @@
-"""How far a simulated Sun track is from the measured one: E (paper, eq. 12) and EMD (eq. 13)."""
+"""Distances between a simulated and a measured track of the Sun: E of directions (paper, eq. 12), EMD of r_z (eq. 13)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 
 Z_TOLERANCE = 1e-3
-"""A z component may exceed 1 by this much: directions are printed with few digits."""
+"""A z component may exceed 1 by this much, because directions are published with few digits."""
 
 
 @overload
@@ -23,12 +23,12 @@ def direction_error(
 def direction_error(
     sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset
 ) -> Any:
-    """E, the mean of (1 - r.n) / 2 over the samples: 0 for a perfect fit, 1 for opposite directions (paper, eq. 12).
+    """Return E, the mean of (1 - r.n) / 2 over the samples: 0 for a perfect fit, 1 for opposite directions (paper, eq. 12).
 
     Parameters
     ----------
     sun_sim, sun_meas : (..., n_time, 3) or Datasets with `sun_B`
-        Unit vectors in body axes at the same times. Samples with NaN in `sun_meas` (not reconstructible) are left out.
+        Unit vectors r and n in body axes at the same times. Samples with NaN in `sun_meas` (not reconstructible) are left out.
 
     Returns
     -------
@@ -42,15 +42,15 @@ def direction_error(
     known = np.all(np.isfinite(meas), axis=-1)
     if not np.all(np.any(known, axis=-1)):
         raise InputError("the measured track holds no direction to compare with")
-    cosine = np.where(
-        known, np.einsum("...i,...i->...", sim, np.where(known[..., None], meas, 0.0)), 0.0
-    )
+    product = np.einsum("...i,...i->...", sim, np.where(known[..., None], meas, 0.0))
+    cosine = np.where(known, product, 0.0)  # also where the simulated direction is NaN
     count = np.broadcast_to(known, cosine.shape).sum(axis=-1)
     error = (1.0 - cosine.sum(axis=-1) / count) / 2
     return float(error) if np.ndim(error) == 0 else error
 
 
 def _track(track: Any, name: str) -> np.ndarray:
+    """Return a track as an array (..., n_time, 3); raise `InputError` with its name if it has another shape."""
     values = track["sun_B"].transpose("time", "axis") if isinstance(track, xr.Dataset) else track
     array = np.asarray(values, dtype=np.float64)
     if array.ndim < 2 or array.shape[-1] != 3:
@@ -64,7 +64,7 @@ def emd(
     weights_a: npt.ArrayLike | None = None,
     weights_b: npt.ArrayLike | None = None,
 ) -> float:
-    """Earth mover's distance of the paper between two samples of z: half the first Wasserstein distance, in [0, 1].
+    """Return the earth mover's distance (paper, eq. 13) between two samples of z: half the first Wasserstein distance, in [0, 1].
 
     Parameters
     ----------
@@ -84,6 +84,7 @@ def emd(
 
 
 def _sample(z: npt.ArrayLike, name: str) -> np.ndarray:
+    """Return z components as an array (n); raise `InputError` if there are none or one lies outside [-1, 1]."""
     values = np.asarray(z, dtype=np.float64).ravel()
     if values.size == 0:
         raise InputError(f"{name} is empty", do="give at least one z component")
@@ -96,6 +97,7 @@ def _sample(z: npt.ArrayLike, name: str) -> np.ndarray:
 
 
 def _weights(weights: npt.ArrayLike | None, z: np.ndarray, name: str) -> np.ndarray | None:
+    """Return the weights of z (n) as an array (n), None for equal ones; raise `InputError` if they cannot be weights."""
     if weights is None:
         return None
     values = np.asarray(weights, dtype=np.float64).ravel()

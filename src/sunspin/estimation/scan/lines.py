@@ -1,8 +1,8 @@
-"""Straight lines through a cloud of points when nobody says which point belongs to which line.
+"""Straight lines through a cloud of points of which it is not known which point belongs to which line.
 
-The fit minimises the sum of (not squared) distances of the points to their nearest line, as the paper fits its four lines
-to the near-minimum set (section 2.3). Candidate lines through pairs of points, a facility-location search for the best few
-of them from many starts, then alternating assignment and refinement of each line to the smallest sum of distances.
+The fit minimises the sum of distances (not squared) of the points to their nearest line, as the paper fits its four lines to the
+near-minimum set (section 2.3). Candidates are lines through pairs of points. A search from many starts selects the few of them that
+fit best together (a facility-location problem). Then points are assigned to lines and lines fitted to their points, in turn.
 """
 
 from __future__ import annotations
@@ -19,50 +19,59 @@ from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 
 Line = tuple[np.ndarray, np.ndarray]
-"""A point of it and its direction, (3) each."""
+"""A point of the line and its unit direction, (3) each."""
 
-N_CANDIDATES = 400
-N_SEARCH_POINTS = 800
-"""Candidate lines and points that the search looks at; all points are used in the refinement."""
+ALL_PAIRS = 60
+"""In a cloud of at most this many different points every pair gives a candidate line, in a larger one random pairs."""
+
+N_CANDIDATES, N_SEARCH_POINTS = 400, 800
+"""Largest numbers of candidate lines and of points in the search. The refinement uses all points."""
 
 SEARCH_WORK = 6_000_000
+"""Point-line distances of all starts of the search together: a small cloud is cheap, and needs many starts most."""
+
 MIN_STARTS, MAX_STARTS = 12, 100
-"""The search begins as often as this many point-line distances allow: small clouds are cheap and need it most."""
+"""Limits of the number of starts."""
 
 N_REFINED = 4
-"""So many of the best sets of candidates are refined: the search ranks sets of lines through two points each."""
+"""Number of the best sets of candidates that are refined. Their order may change: all candidates are lines through two points."""
 
 MAX_ROUNDS = 60
+"""Largest number of assignments of points to lines in a refinement."""
+
 TOLERANCE = 1e-12
-"""Relative decrease of the sum of distances below which a refinement has arrived."""
+"""Relative decrease of the sum of distances below which a fit has converged."""
 
 SMOOTHING_STEPS = 40
-"""Halvings of the length below which distances are smoothed: from the cloud's own width down to rounding."""
+"""Halvings of the smoothing length, from the width of the cloud down to rounding errors."""
+
+MIN_SLOPE = 1e-9
+"""A line along which a component changes by less than this per unit length does not reach other values of the component."""
 
 
 def distances(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Distances of points (n, 3) to lines given by points (m, 3) and unit directions (m, 3): (m, n)."""
+    """Return the distances (m, n) of points (n, 3) from lines given by points (m, 3) and unit directions (m, 3)."""
     offset = points[None] - origin[:, None]
     offset -= np.einsum("mni,mi->mn", offset, direction)[..., None] * direction[:, None]
     return np.sqrt(np.einsum("mni,mni->mn", offset, offset))
 
 
 def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Dataset:
-    """Fit `n_lines` straight lines to points by the smallest sum of distances to the nearest line.
+    """Fit `n_lines` straight lines to points, with the smallest sum of distances to the nearest line.
 
     Parameters
     ----------
     points : (n, 3)
         At least two per line.
     seed : int
-        Of the random choice of candidate lines.
+        Seed of the random choice of candidate lines.
 
     Returns
     -------
     xarray.Dataset
-        `point (line, axis)`: on the line, nearest the middle of its members; `direction (line, axis)`: unit, its last
-        component that is not zero positive; `member (n)`: the line of each point; `mean_distance (line)`; `count (line)`.
-        Lines are ordered by their number of members, the largest first.
+        `point (line, axis)`: a point at the median of the members along the line. `direction (line, axis)`: unit vector, its last
+        component that is not zero is positive. `member (n)`: the line of each point. `mean_distance (line)` and `count (line)` of
+        its members. Lines are in order of decreasing count.
     """
     cloud = np.asarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.all(np.isfinite(cloud)):
@@ -73,30 +82,23 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
             got=len(np.unique(cloud, axis=0)),
             do="take a larger near-minimum set or fewer lines",
         )
-    cloud = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
-    found = [
-        _refine(cloud, *start) for start in _search(cloud, n_lines, np.random.default_rng(seed))
-    ]
-    best, best_cost = found[0], _total(cloud, *found[0])
-    for lines in found[1:]:
-        cost = _total(cloud, *lines)
+    ordered = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
+    best, best_cost = None, np.inf
+    for candidates in _search(ordered, n_lines, np.random.default_rng(seed)):
+        lines = _refine(ordered, *candidates)
+        cost = float(distances(ordered, *lines).min(axis=0).sum())
         if cost < best_cost * (1 - TOLERANCE):
-            best_cost, best = cost, lines
-    return _dataset(np.asarray(points, dtype=np.float64), *best).assign_attrs(
-        provenance("lines", seed=seed)
-    )
-
-
-def _total(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> float:
-    return float(distances(cloud, origin, direction).min(axis=0).sum())
+            best, best_cost = lines, cost
+    assert best is not None  # the search returns at least one set
+    return _dataset(cloud, *best).assign_attrs(provenance("lines", seed=seed))
 
 
 def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Lines (origin, direction) through pairs of different points: all pairs of a small cloud, random ones of a large."""
+    """Return lines (points and directions, (m, 3) each) through pairs of different points."""
     distinct = np.unique(cloud, axis=0)
     first, second = (
         np.triu_indices(len(distinct), 1)
-        if len(distinct) <= 60
+        if len(distinct) <= ALL_PAIRS
         else rng.integers(len(distinct), size=(2, 4096))
     )
     use = np.flatnonzero(first != second)
@@ -109,7 +111,10 @@ def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray
 def _search(
     cloud: np.ndarray, n_lines: int, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The best few sets of candidate lines: a greedy start and random ones, each improved by swaps while they help."""
+    """Return the `N_REFINED` best sets of candidate lines, best first, each as points and directions (n_lines, 3).
+
+    One start is greedy and the others are random. Each is improved by exchanges of one line as long as they help.
+    """
     sample = (
         cloud
         if len(cloud) <= N_SEARCH_POINTS
@@ -121,16 +126,16 @@ def _search(
     starts = [_greedy(cost, n_lines)] + [
         rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)
     ]
-    found: dict[tuple[int, ...], float] = {}
+    total: dict[tuple[int, ...], float] = {}  # sum of distances by the set of candidates
     for start in starts:
-        chosen = tuple(sorted(_swapped(cost, start)))
-        found[chosen] = float(cost[list(chosen)].min(axis=0).sum())
-    ranked = sorted(found, key=lambda chosen: (found[chosen], chosen))[:N_REFINED]
+        chosen = tuple(sorted(_exchanged(cost, start)))
+        total[chosen] = float(cost[list(chosen)].min(axis=0).sum())
+    ranked = sorted(total, key=lambda chosen: (total[chosen], chosen))[:N_REFINED]
     return [(origin[list(chosen)], direction[list(chosen)]) for chosen in ranked]
 
 
 def _greedy(cost: np.ndarray, n_lines: int) -> list[int]:
-    """One candidate (row of `cost`) after the other, each the one that helps most."""
+    """Choose candidates one after the other, each the one that lowers the sum of distances most. `cost` (m, n): distances."""
     chosen: list[int] = []
     nearest = np.full(cost.shape[1], np.inf)
     for _ in range(n_lines):
@@ -139,8 +144,11 @@ def _greedy(cost: np.ndarray, n_lines: int) -> list[int]:
     return chosen
 
 
-def _swapped(cost: np.ndarray, chosen: list[int]) -> list[int]:
-    """Exchange one chosen candidate for any other as long as the sum of distances falls."""
+def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
+    """Return the chosen candidates after exchanges of one for any other, as long as one lowers the sum of distances.
+
+    `cost` (m, n): distances of n points from m candidates.
+    """
     chosen, unchanged, slot = list(chosen), 0, 0
     while unchanged < len(chosen):
         others = [candidate for k, candidate in enumerate(chosen) if k != slot]
@@ -158,7 +166,7 @@ def _swapped(cost: np.ndarray, chosen: list[int]) -> list[int]:
 def _refine(
     cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Alternate between assigning points and fitting each line to its points, until the assignment settles."""
+    """Return lines refined by turns of two steps until nothing changes: assign points to lines, fit each line to its points."""
     origin, direction = origin.copy(), direction.copy()
     member = np.full(len(cloud), -1)
     for _ in range(MAX_ROUNDS):
@@ -166,21 +174,21 @@ def _refine(
         changed = np.unique(np.concatenate([before[before != member], member[before != member]]))
         if changed.size == 0:
             break
-        for k in changed[changed >= 0]:  # a line whose points stayed the same stays as it is
-            mine = cloud[member == k]
-            if len(mine) >= 2:
-                origin[k], direction[k] = line_through(mine, origin[k], direction[k])
+        for k in changed[changed >= 0]:  # a line with the same points stays
+            members = cloud[member == k]
+            if len(members) >= 2:
+                origin[k], direction[k] = line_through(members, origin[k], direction[k])
     return origin, direction
 
 
 def line_through(
     points: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The line with the smallest sum of distances d to points (n, 3), near a first guess; never worse than the guess.
+    """Return the line (point, direction) with the smallest sum of distances d to points (n, 3) near a guess, or the guess itself.
 
-    Iteratively reweighted least squares on the sum of sqrt(d^2 + s^2), the smoothing s falling by halves from the width of
-    the cloud about the guess. Without smoothing, a guess through two of the points would hold on to them for ever: their
-    weights 1/d are infinite.
+    The method is iteratively reweighted least squares for the sum of sqrt(d^2 + s^2). The smoothing length s falls by halves from
+    the width of the cloud about the guess. Without smoothing, a guess through two of the points would never leave them, because
+    their weights 1/d are infinite.
     """
     distance = distances(points, origin[None], direction[None])[0]
     best = distance.sum(), origin, direction
@@ -204,6 +212,7 @@ def line_through(
 
 
 def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> xr.Dataset:
+    """Return the Dataset of `fit_lines` for points (n, 3) and lines (n_lines, 3), which are ordered, centred and oriented here."""
     table = distances(points, origin, direction)
     member = table.argmin(axis=0)
     counts = np.bincount(member, minlength=len(origin))
@@ -231,14 +240,10 @@ def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> x
     )
 
 
-MIN_SLOPE = 1e-9
-"""A line whose unit direction has a smaller component than this does not reach other values of that component."""
-
-
 def point_at(
     origin: np.ndarray, direction: np.ndarray, axis: int, value: npt.ArrayLike
 ) -> np.ndarray:
-    """Points (..., 3) of a line at which component `axis` has the given values."""
+    """Return the points (..., 3) of a line at which the component `axis` has the values (...)."""
     step = (np.asarray(value, dtype=np.float64) - origin[axis]) / direction[axis]
     return origin + step[..., None] * direction
 
@@ -246,12 +251,12 @@ def point_at(
 def line_deviation(
     line_a: Line, line_b: Line, axis: int = 2, low: float = -0.2, high: float = 0.3
 ) -> dict[str, float]:
-    """How far two lines (point, direction) are apart: angle in rad, mean and largest distance over a range of one component.
+    """Return the angle between two lines (`angle_rad`), and the `mean` and `max` distance over a range of one component.
 
-    Distances are from the points of `line_b` in the range to line `line_a`.
+    Distances are from points of `line_b`, at which the component `axis` lies between `low` and `high`, to `line_a`.
     """
     (point_a, dir_a), (point_b, dir_b) = [
-        (np.asarray(p, float), np.asarray(d, float)) for p, d in (line_a, line_b)
+        (np.asarray(point, float), np.asarray(along, float)) for point, along in (line_a, line_b)
     ]
     dir_a, dir_b = dir_a / np.linalg.norm(dir_a), dir_b / np.linalg.norm(dir_b)
     if abs(dir_b[axis]) < MIN_SLOPE:
@@ -268,9 +273,9 @@ def line_deviation(
 
 
 def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -> list[int]:
-    """For each reference line (point, direction) the index of the fitted line that is its partner: smallest total distance.
+    """Return the index of the fitted line that belongs to each reference line, with the smallest sum of distances of all pairs.
 
-    `options` are those of :func:`line_deviation`, whose mean distance is the cost of a pair.
+    `options` are those of :func:`line_deviation`. Its mean distance is the distance of a pair.
     """
     lines = list(zip(fitted["point"].values, fitted["direction"].values, strict=True))
     if len(lines) < len(reference):
@@ -279,6 +284,9 @@ def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -
             got=f"{len(lines)} and {len(reference)}",
         )
     cost = np.array(
-        [[line_deviation(line, other, **options)["mean"] for line in lines] for other in reference]
+        [
+            [line_deviation(line, wanted, **options)["mean"] for line in lines]
+            for wanted in reference
+        ]
     )
     return [int(index) for index in linear_sum_assignment(cost)[1]]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
+from sunspin.estimation.scan.histogram import BINS, distances_to_target, target_segments
 
 Z = (np.arange(400_000) + 0.5) / 200_000 - 1
 
@@ -26,7 +26,7 @@ def test_histogram_emd_is_half_the_area_between_the_distributions(seed):
     hist = np.append(hist, np.zeros((1, BINS)), axis=0)
     target, weights = rng.uniform(-0.8, 1, 17), rng.uniform(0, 1, 17)
     target[:3] = target[3]
-    emd = distances_to(hist.astype(np.float32), target_segments(target, weights))
+    emd = distances_to_target(hist.astype(np.float32), target_segments(target, weights))
     expected = [area(row, target, weights) for row in hist[:-1]]
     np.testing.assert_allclose(emd[:-1], expected, rtol=0, atol=2e-6)
     assert emd[-1] == 1  # nothing was seen
@@ -37,7 +37,7 @@ def test_histogram_emd_by_hand():
     hist = np.zeros((2, BINS), dtype=np.float32)
     hist[0, 0], hist[1, -1] = 1.0, 0.25
     width = 2 / BINS
-    emd = distances_to(hist, target_segments([1.0]))
+    emd = distances_to_target(hist, target_segments([1.0]))
     np.testing.assert_allclose(emd, [1 - width / 4, width / 4], rtol=0, atol=1e-14)
-    emd = distances_to(hist, target_segments([-1 + width / 2]))  # a quarter of the bin away
+    emd = distances_to_target(hist, target_segments([-1 + width / 2]))  # a quarter of the bin away
     assert emd[0] == pytest.approx(width / 8, abs=1e-14)

@@ -6,8 +6,8 @@ import xarray as xr
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
-from sunspin.estimate.scan.volume import near_minimum
+from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimation.scan.near_minimum import near_minimum
 from sunspin.telemetry.sun import reconstructible_patterns
 from tests.support.vehicles import FIRST_SUN
 
@@ -25,7 +25,7 @@ def reference_emd(omega, target):
     track = ss.propagate(PHILAE, omega, FIRST_SUN, 865.0, np.linspace(0, 2700, 27001), rtol=1e-9)[
         "sun_B"
     ].values
-    seen = track[allows(reconstructible_mask(PHILAE), track), 2]
+    seen = track[reconstructible_mask(PHILAE).contains(track), 2]
     return wasserstein_distance(seen, target) / 2
 
 
@@ -55,7 +55,7 @@ def test_the_scan_mask_allows_what_the_panels_allow():
         good = reconstructible_patterns(vehicle)
         lit = ss.panel_power(vehicle, n) > 0
         expected = [frozenset(names[row].tolist()) in good for row in lit]
-        assert np.array_equal(allows(reconstructible_mask(vehicle), n), expected)
+        assert np.array_equal(reconstructible_mask(vehicle).contains(n), expected)
 
 
 @pytest.mark.evidence("scan", "verified", "one and three threads, and single motions")

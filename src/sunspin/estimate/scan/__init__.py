@@ -1,1 +1,0 @@
-"""A grid of initial rates, each motion compared with what was measured."""

@@ -1,0 +1,116 @@
+"""Earth mover's distances between many histograms of r_z and one measured distribution (paper, eq. 13)."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import numpy.typing as npt
+
+from sunspin.base.errors import InputError
+from sunspin.dynamics.processor import njit
+
+BINS = 256
+"""Bins of r_z over [-1, 1]. The CDF is linear inside a bin, the measured one exact: the EMD errs by less than 1e-3 (see tests)."""
+
+MAX_TARGET = 4096
+"""More target values than this are replaced by as many quantiles: measured tracks have tens, simulated ones 10^5."""
+
+LANES = 32
+"""Rows computed together: each has a sum of its own, and the processor's vectors hold several."""
+
+
+def target_segments(
+    target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None
+) -> tuple[np.ndarray, ...]:
+    """Return the CDF of measured r_z (n) as S pieces on which it is constant and which do not cross an edge of a bin.
+
+    Returns
+    -------
+    bin_of, low, high, level : (S,) each
+        Bin of the piece, its ends as fractions of that bin, and the CDF on it.
+    """
+    z = np.asarray(target_z, dtype=np.float64).ravel()
+    w = np.ones_like(z) if weights is None else np.asarray(weights, dtype=np.float64).ravel()
+    if (
+        z.size == 0
+        or w.shape != z.shape
+        or not np.all(np.isfinite(z))
+        or np.abs(z).max() > 1 + 1e-6
+    ):
+        raise InputError(
+            "target_z must be one or more values in [-1, 1], with as many weights if any"
+        )
+    if not (np.all(w >= 0) and w.sum() > 0):
+        raise InputError("weights must not be negative and not all zero")
+    order = np.argsort(z, kind="stable")
+    if z.size > MAX_TARGET:  # their distribution moves by less than 1 / MAX_TARGET
+        levels = (np.arange(MAX_TARGET) + 0.5) / MAX_TARGET
+        z = z[order][np.searchsorted(np.cumsum(w[order]) / w.sum(), levels)]
+        w, order = np.ones(MAX_TARGET), np.arange(MAX_TARGET)
+    place = np.clip((z[order] + 1) * BINS / 2, 0, BINS)  # in units of a bin
+    knots = np.unique(np.concatenate([np.arange(BINS + 1, dtype=float), place]))
+    cdf = np.concatenate([[0.0], np.cumsum(w[order])]) / w.sum()
+    bin_of = np.minimum(np.floor(knots[:-1]).astype(np.int64), BINS - 1)
+    level = cdf[np.searchsorted(place, knots[:-1], side="right")]
+    return bin_of, knots[:-1] - bin_of, knots[1:] - bin_of, level
+
+
+def distances_to_target(
+    hist: np.ndarray, segments: tuple[np.ndarray, ...], workers: int = 1
+) -> np.ndarray:
+    """Return the EMD (n) of histograms (n, BINS) to a target (`target_segments`); 1, the largest EMD, for an empty histogram.
+
+    `workers`: threads, each of which takes its share of the rows.
+    """
+    emd, share = np.empty(len(hist)), -(-len(hist) // workers) or 1
+
+    def fill(first: int) -> None:
+        emd_rows(hist[first : first + share], *segments, emd[first : first + share])
+
+    if workers == 1:
+        fill(0)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(fill, range(0, len(hist), share)))
+    return emd
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def emd_rows(hist, bin_of, low, high, level, emd):
+    """Fill emd (n) with half the integral over [-1, 1] of |C_r - C_n| (paper, eq. 13) for each histogram of hist (n, bins).
+
+    C_r, the CDF of a histogram, is linear inside a bin. C_n, that of the target, is level[s] on the segment s, which lies in
+    the bin bin_of[s] from the fraction low[s] to high[s] of it. An empty histogram has the EMD 1.
+    """
+    n, bins = hist.shape
+    width = 2.0 / bins
+    # LANES rows are transposed, so that the inner loops run over rows with consecutive memory
+    tile, share = np.empty((bins, LANES)), np.empty(LANES)
+    for first in range(0, n, LANES):
+        total, below, area = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
+        for i in range(LANES):
+            j = min(first + i, n - 1)  # the last tile repeats the last row
+            for b in range(bins):
+                tile[b, i] = hist[j, b]
+        for b in range(bins):
+            for i in range(LANES):
+                total[i] += tile[b, i]
+        for i in range(LANES):
+            share[i] = 1.0 / total[i]
+        current = 0
+        for s in range(bin_of.size):
+            while current < bin_of[s]:  # `below`: C_r at the lower edge of the current bin
+                for i in range(LANES):
+                    below[i] += tile[current, i] * share[i]
+                current += 1
+            length = (high[s] - low[s]) * width
+            for i in range(LANES):
+                slope = tile[current, i] * share[i]
+                a = below[i] + slope * low[s] - level[s]
+                b = below[i] + slope * high[s] - level[s]
+                # the area under |difference|: a trapezoid, or two triangles if the difference changes its sign
+                straight, crossing = 0.5 * abs(a + b), 0.5 * (a * a + b * b) / abs(b - a)
+                area[i] += (straight if a * b >= 0.0 else crossing) * length
+        for i in range(min(LANES, n - first)):
+            emd[first + i] = 0.5 * area[i] if total[i] != 0.0 else 1.0
