@@ -98,17 +98,32 @@ def test_tails_of_readings_hold_more_than_the_evidence_of_a_rotation_counts():
     assert 0.3 < mean_likelihood(model, sigma) - log < 1.5
 
 
+COMING_BACK = np.array([[0, 0, 1.0], [0.5, 0, 0.8], [0.4, 0.5, 0.8], [0, 0, 1.0]])
+"""Directions of the Sun, to be made units, that a body about rest shows."""
+
+
 @pytest.mark.parametrize("rate_sigma", [0.001, 0.01])
 def test_evidence_of_an_oscillation_is_its_mean_likelihood(rate_sigma):
-    """Of a body that hardly turns, and of one that may turn by a sixth of a radian between samples; its Sun comes back."""
+    """Of a body that hardly turns, and of one that may turn by a sixth of a radian between samples."""
     sigma = 0.5
-    suns = np.array([[0, 0, 1.0], [0.5, 0, 0.8], [0.4, 0.5, 0.8], [0, 0, 1.0]])
-    model = model_of(suns, sigma, rate_sigma)
+    model = model_of(COMING_BACK, sigma, rate_sigma)
     fits = swings_by_all_ways(model, [best_motion(model, np.zeros(3))], EVERY, RATES.ladder)
-    assert len(fits) == len(EVERY.swings_rad)
-    for one in fits[:3]:
-        log = one.log_evidence[0] - log_left_out(model)
-        assert np.isclose(log, mean_likelihood(model, sigma, one.model.noise.rate), atol=0.1)
+    of_size = {one.model.noise.rate: one for one in fits}
+    assert len(of_size) == len(EVERY.swings_rad)
+    for size in sorted(of_size)[:3]:
+        log = of_size[size].log_evidence[0] - log_left_out(model)
+        assert np.isclose(log, mean_likelihood(model, sigma, size), atol=0.1)
+
+
+def test_an_oscillation_counts_alike_under_every_torque_that_turns_the_body_less():
+    model = model_of(COMING_BACK, 0.5, 0.01)
+    fits = swings_by_all_ways(model, [best_motion(model, np.zeros(3))], EVERY, RATES.ladder)
+    for size in {one.model.noise.rate for one in fits}:
+        alike = [one for one in fits if one.model.noise.rate == size]
+        assert np.ptp([one.log_evidence[0] for one in alike]) < 0.2
+        strengths = [one.model.noise.acceleration for one in alike]
+        assert strengths == sorted(RATES.ladder.rungs)[: len(strengths)]
+        assert len(strengths) > 3 and strengths[-1] * np.ptp(model.obs.t_s) < 2 * size
 
 
 def panels_of(suns, noise, gain_sigma):

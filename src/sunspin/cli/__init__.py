@@ -108,8 +108,8 @@ def main() -> None:
 def _lean_process() -> Generator[None]:
     """Spare a command what its libraries do for other programs.
 
-    If dask is installed, xarray imports it to ask whether an array is one of dask's. Matplotlib imports its 3-D axes. No
-    command uses 3-D axes, and only those with --scheduler use dask. Garbage is collected less often: imports leave little.
+    If dask is installed, xarray imports it to know its arrays, and matplotlib imports 3-D axes. No command uses 3-D axes, and only
+    those with --scheduler use dask. Garbage is collected less often: imports make many objects and little garbage.
     """
     threshold = gc.get_threshold()
     gc.set_threshold(GARBAGE, *threshold[1:])

@@ -104,7 +104,8 @@ def step(
         One sigma of each error of the inertia by which they are wanted.
     """
     bare = errors is None or not len(errors)
-    if bare and _is_sphere(inertia) and not (momenta[0].any() or momenta[1].any()):
+    sphere = inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
+    if bare and sphere and not (momenta[0].any() or momenta[1].any()):
         return _turn_evenly(omega, dt, derivatives)
     bodies = inertia[None] if inertia.ndim == 2 else inertia  # one for all motions, or one of each
     angle = angle_turned(bodies, omega, dt, momenta)
@@ -130,11 +131,6 @@ def step(
     by_start[..., TURN, TURN] = turned[0]
     by_start[..., RATE] = by_rate * size[..., None] / DIFFERENCE
     return Step(turned[0], rate[0], by_start, by_error / INERTIA_DIFFERENCE)
-
-
-def _is_sphere(inertia: np.ndarray) -> bool:
-    """Return whether all bodies are spheres."""
-    return inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
 
 
 def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:

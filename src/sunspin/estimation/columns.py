@@ -44,7 +44,7 @@ from sunspin.estimation.equivalence import (
 )
 from sunspin.estimation.images import SAME_SIGMAS
 from sunspin.estimation.model import Body, Model, Noise
-from sunspin.estimation.observe import cut, observe, split, wheel_models, with_momentum
+from sunspin.estimation.observe import cut, observe, split, wheel_models
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
 from sunspin.estimation.terms.panels import DARK
@@ -54,7 +54,7 @@ from sunspin.estimation.verdict import (
     COLUMNS_UNCHECKED,
     alike_motions,
 )
-from sunspin.estimation.wheel_signs import Reversed, momentum_of_each
+from sunspin.estimation.wheels import Reversed, momentum_of_each, name_of_wheels
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -117,11 +117,6 @@ def what_was_observed(
     momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
     observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
     return replace(observed, panels=observed.panels and attrs["source"] == "panels")
-
-
-def name_of_wheels(words: str) -> str:
-    """Return the name of a wheel model of which the words say the evidence too."""
-    return words.split(" (evidence")[0]
 
 
 def _with_unseen_changes(
@@ -269,6 +264,13 @@ def _with_rivals(
     if better is None or better.gain < least:
         return result
     if better.gain <= CLEARLY:  # too little to accuse the file, but the pass is not decided with it
+        omega, sigma = (
+            np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
+            for name in ("omega", "sigma")
+        )
+        rates_of_changes = [one.omega for one in better.named if one.omega is not None]
+        if all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates_of_changes):
+            return result  # the rate is right with either
         what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
@@ -291,10 +293,10 @@ def _trials_of(
             (one, *_) = split(seen, np.inf, settings.passes)
         except InputError:
             return -np.inf
-        momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
-        obs = with_momentum(seen, momentum).obs
         noise = Noise(settings.search.noise)
-        stated = Model(obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        stated = Model(seen.obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
+        stated = stated.with_momentum(momentum)
         silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
         return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
 

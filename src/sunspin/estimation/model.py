@@ -261,14 +261,17 @@ class Model:
         """Return the model of some of the samples."""
         return replace(self, obs=self.obs.take(samples))
 
+    def with_momentum(self, momentum: np.ndarray) -> Model:
+        """Return the model with wheels of this momentum (n, 3)."""
+        return replace(self, obs=replace(self.obs, momentum=momentum))
+
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
         return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
-    def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
-        """Return the model with one more term, at these log odds to the model before the data."""
-        obs = replace(self.obs, terms=(*self.obs.terms, term))
-        return replace(self, obs=obs, what=what, log_prior=self.log_prior + log_odds)
+    def plus(self, term: Term, what: str) -> Model:
+        """Return the model with one more term, as probable before the data."""
+        return replace(self, obs=replace(self.obs, terms=(*self.obs.terms, term)), what=what)
 
     def without(self, term: Term, sample: int, what: str, log_odds: float) -> Model:
         """Return the model that a reading of a term is bad, at these log odds to its being good: it may then have seen anything."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -404,8 +404,3 @@ def wheels_untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
         for k, wheel in enumerate(vehicle.wheels)
         if wheel.speed_rad_s == 0 and not np.isfinite(read[:, k]).any()
     ]
-
-
-def with_momentum(seen: FileReadings, momentum: np.ndarray) -> FileReadings:
-    """Return what is seen with wheels of this momentum (n, 3)."""
-    return replace(seen, obs=replace(seen.obs, momentum=momentum))

@@ -38,7 +38,7 @@ SWINGS = "an oscillation quicker than the samples"
 def swings_by_all_ways(
     stated: Model, fits: Sequence[Fit], s: AlternativeSettings, of_ladder: LadderSettings
 ) -> list[Fit]:
-    """Return fits of a body that swings about rest, by each of the angles of the settings between two samples.
+    """Return fits of a body that swings about rest, by each angle of the settings between two samples, under weak torques.
 
     `fits`: those of the other models; a size of swing that cannot be as probable as the best of them is left out. Only the Sun is
     seen. The log evidence of a size is the log of the mean likelihood over all ways on the sphere, in the measure of the other
@@ -47,6 +47,7 @@ def swings_by_all_ways(
     best = likeliest([one for one in fits if one.model.what == AS_STATED])
     obs = stated.obs
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
+    span_s = float(np.ptp(obs.t_s))
     motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
     # gains as the best motion has them: errors enlarged by what is unknown of them would count as likelihood
     terms = zip(stated.obs.terms, stated.of_terms, strict=True)
@@ -67,13 +68,15 @@ def swings_by_all_ways(
     for wander, log in zip(wanders, log_mean_likelihood(known, wanders), strict=True):
         if log < least:
             continue
-        noise = Noise(best.model.noise.acceleration, rate=float(wander))
-        model = replace(stated, noise=noise, what=SWINGS)
-        one = fit(model, still, 8)
-        # the body is about rest, but how slow it is in the mean the readings tell only to this: a share of the rates before them
-        of_rate = np.linalg.slogdet(one.motions.covariance[:, 0, RATE, RATE])[1] / 2
-        share = of_rate - 3 * np.log(stated.rate_sigma)
-        swinging.append(replace(one, log_evidence=log + share + measure))
+        # under torques that turn the body less over the pass than the swing does, the sum is the same
+        weak = [rung for rung in of_ladder.rungs if rung * span_s / np.sqrt(3) <= wander]
+        for rung in weak or [min(of_ladder.rungs)]:
+            model = replace(stated, noise=Noise(rung, rate=float(wander)), what=SWINGS)
+            one = fit(model, still, 8)
+            # about rest: how slow the body is in the mean the readings tell to this, a share of the rates before them
+            of_rate = np.linalg.slogdet(one.motions.covariance[:, 0, RATE, RATE])[1] / 2
+            share = of_rate - 3 * np.log(stated.rate_sigma)
+            swinging.append(replace(one, log_evidence=log + share + measure))
     return swinging
 
 
