@@ -150,9 +150,8 @@ def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
     sinc, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi))
     along = np.swapaxes(axis, -1, -2) @ axis
     across = cross_matrix(axis[..., 0, :])
-    mean = (
-        sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
-    )  # of sin^2(x / 2) = (1 - cos x) / 2
+    # of sin^2(x / 2) = (1 - cos x) / 2
+    mean = sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
     by_start[..., TURN, TURN] = turned
     by_start[..., TURN, RATE] = np.asarray(dt)[..., None, None] * mean

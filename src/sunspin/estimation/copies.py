@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunspin.estimation.carry import RATE
 from sunspin.estimation.model import Track
 from sunspin.estimation.settings import SearchSettings
 
@@ -36,7 +37,7 @@ class Outline(NamedTuple):
         steps = motions.omega[:, :-1] * np.diff(t_s)[:, None]
         total = np.concatenate([np.zeros((len(steps), 1, 3)), np.cumsum(steps, axis=1)], axis=1)
         middle = total[:, len(t_s) // 2, None]
-        covariance = motions.covariance[..., 3:, 3:]
+        covariance = motions.covariance[..., RATE, RATE]
         return cls(steps, total - middle, motions.sun_B, motions.omega, covariance)
 
     def take(self, which: np.ndarray) -> Outline:

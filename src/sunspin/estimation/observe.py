@@ -295,9 +295,8 @@ def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
         return indices
     growing = growth ** np.arange(most - 1)
     low, high = 1.0, float(len(indices))
-    for _ in range(
-        60
-    ):  # bisection for the smallest bound of the steps with which they reach the end
+    # bisection for the smallest bound of the steps with which they reach the end
+    for _ in range(60):
         widest = (low + high) / 2
         reached = np.minimum(growing, widest).sum() >= len(indices) - 1
         low, high = (low, widest) if reached else (widest, high)

@@ -217,12 +217,11 @@ def rates(
         wheels = decide_wheels(assessment, stated, passes, fitter)
         stated = stated.with_momentum(wheels.momentum)
         models = [kept_samples(stated, one) for one in passes]
-        done = wheels.fits
-        open_still = [k for k in range(len(passes)) if k not in done]
+        open_still = [k for k in range(len(passes)) if k not in wheels.fits]
         fitted = fitter.fits([models[k] for k in open_still])
         if progress is True:
             fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
-        done |= dict(zip(open_still, fitted, strict=True))
+        done = wheels.fits | dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
         compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
         doubt = doubted_signs(assessment, stated.obs, wheels.name, compared, fitter)

@@ -512,8 +512,8 @@ class GridSettings:
     """Turn in rad per rad/s and s: what the nutation by a wheel or uneven moments adds."""
 
     between_rad: float = 0.08
-    """By how much nine of ten attitudes in the middle between runs of the grid may err: half of that, elsewhere, is less than what
-    interpolation in a cell leaves. For Philae runs are three steps apart, one for 27 points of the grid."""
+    """By how much nine of ten attitudes half way between runs of the grid may err; elsewhere they err half as much, less than by
+    interpolation in a cell. For Philae runs are three steps apart, one for 27 points of the grid."""
 
     near_rad: float = 0.35
     """What a point stands for: points are a quarter of a cell's edge apart."""

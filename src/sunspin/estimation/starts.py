@@ -153,9 +153,8 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
         each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
-    elif not _constant_rate_holds(
-        model, first
-    ):  # wheels or moments bend the motion: no closed form
+    elif not _constant_rate_holds(model, first):
+        # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
         each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
     else:

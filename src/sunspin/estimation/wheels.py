@@ -121,7 +121,7 @@ def decide_wheels(
     ]
     jobs = [(name, k) for name in momenta if name not in alike for k in compared]
     fits = dict(zip(jobs, fitter.fits_if_any([models[job] for job in jobs]), strict=True))
-    begin = {}
+    begin = {}  # motions of each pass, none if the first model allows none
     for k in compared:
         of_first = fits[first, k]
         best = None if of_first is None else leading(of_first.fits, s.most, s)
