@@ -155,7 +155,7 @@ def test_copies_fall_and_mirror_images_stay():
         np.zeros((3, 0)),
         np.array([1.0, 2.0, 3.0]),
     )
-    assert distinct(motions, model.obs.t_s, 9, 18.0, SEARCH.copies_rad, 3.0).tolist() == [0, 2]
+    assert distinct(motions, model.obs.t_s, SEARCH, most=9).tolist() == [0, 2]
 
 
 def test_a_fit_of_a_candidate_does_not_hang_on_the_others():
