@@ -15,6 +15,8 @@ EVIDENCE := build/evidence.json
 TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
 # as many workers as cores, four at most: threads of the linear algebra would only stand in their way
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
+# a test that takes longer than its claim is worth is seen here
+SLOWEST := --durations=25 --durations-min=4
 
 .PHONY: help install reproduce test test-all test-slow docs bench studies scoreboard validate-real long other-pythons lint contracts style types lock clean
 
@@ -70,7 +72,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test: $(READY)
 	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style
 	$(BIN)/python -m sunspin.dynamics
-	$(TESTS) $(SPREAD)
+	$(TESTS) $(SPREAD) $(SLOWEST)
 	@$(MAKE) --no-print-directory docs
 
 # other versions of Python wait for their packages while the long tests compute

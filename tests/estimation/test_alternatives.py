@@ -11,7 +11,7 @@ from sunspin.estimation.budget import Budget
 from sunspin.estimation.chain import Whitening, costs
 from sunspin.estimation.evidence import ladder
 from sunspin.estimation.model import AS_STATED, Body, Model, Noise, Observations, Track
-from sunspin.estimation.rates import one_pass
+from sunspin.estimation.one_pass import one_pass
 from sunspin.estimation.settings import RATES
 from sunspin.estimation.solutions import solutions
 from sunspin.estimation.swings import SWINGS, log_mean_likelihood

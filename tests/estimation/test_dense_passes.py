@@ -13,7 +13,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimation.chain import Whitening
 from sunspin.estimation.dense import curve, filled, residuals_by_sensor
 from sunspin.estimation.model import Body, Model, Noise, Observations, Track
-from sunspin.estimation.observe import HELD, observe, thinned, wheel_models, with_momentum
+from sunspin.estimation.observe import HELD, observe, thinned, wheel_models
 from sunspin.estimation.settings import RATES
 from sunspin.estimation.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
@@ -40,8 +40,8 @@ def tumble():
     telemetry = ss.twin(CRAFT, truth, seed=3)
     run = ss.propagate(CRAFT, RATE, SUN, 400.0, t_s)
     (momentum,) = (value for name, value in wheel_models(CRAFT, telemetry).items() if name != HELD)
-    seen = with_momentum(observe(assess(CRAFT, telemetry)), momentum)
-    model = Model(seen.obs, Body.of(CRAFT), Noise(NOISE), 0.05)
+    obs = observe(assess(CRAFT, telemetry)).obs
+    model = Model(obs, Body.of(CRAFT), Noise(NOISE), 0.05).with_momentum(momentum)
     return telemetry, run, model, thinned(len(t_s), RATES.passes)
 
 

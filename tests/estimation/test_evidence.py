@@ -76,7 +76,7 @@ def passes_of(logs):
                 one.motions,
                 np.array([log]),
                 one.u_covariance,
-                one.answer,
+                one.states_by_u,
             )
             for rung, log in zip(LADDER.rungs, row, strict=True)
         )

@@ -11,6 +11,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
+from sunspin.estimation.lander.allowed import Nodes, possible_directions, shortfall
 from sunspin.estimation.lander.carrier import Shooting
 from sunspin.estimation.lander.families import one_each_box, one_each_sheet, with_neighbours
 from sunspin.estimation.lander.fit import (
@@ -20,25 +21,29 @@ from sunspin.estimation.lander.fit import (
     corrected,
     in_tangents_at,
 )
-from sunspin.estimation.lander.grid import (
-    LookThrough,
-    Nodes,
-    RateGrid,
-    corner_slopes,
-    corner_weights,
-    grid_starts,
-    possible_directions,
-    reference,
-    rotated,
-    shortfall,
-)
+from sunspin.estimation.lander.grid import grid_starts, reference, settled_starts
 from sunspin.estimation.lander.motions import Shots, Trials
 from sunspin.estimation.lander.priors import with_priors
+from sunspin.estimation.lander.rate_grid import (
+    RateGrid,
+    Reached,
+    Sphere,
+    attitudes,
+    without_sphere,
+)
 from sunspin.estimation.lander.window import observe_window
 from sunspin.estimation.posterior import refitted, searched, under_torques
 from sunspin.estimation.settings import POSTERIOR
-from sunspin.solve.rotations import move_on_sphere
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.telemetry.assess import assess
+from tests.estimation.plain_cells import (
+    LookThrough,
+    Settling,
+    corner_slopes,
+    corner_weights,
+    corners_of,
+    rotated,
+)
 from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_model, lander_telemetry
 
 GRID, SHOOTING = POSTERIOR.grid, POSTERIOR.shooting
@@ -84,12 +89,18 @@ def test_corners_of_a_cell_count_by_trilinear_weights():
         np.testing.assert_allclose(change, slopes[..., axis], atol=1e-9)
 
 
+def rate_grid(model, place, settings=GRID):
+    """Return the grid of rates of a model whose reference is at a place."""
+    reached = Reached.of(model, place.limit, place.fastest)
+    return RateGrid.of(model, model.obs.t_s[place.others], reached, place.edge, settings)
+
+
 def test_interpolated_attitudes_are_those_of_the_motion():
-    """To 0.05 rad in the middle of cells, with the signs of neighbouring quaternions alike; exactly at their corners."""
+    """To 0.05 rad in the middle of cells, with the signs of neighbouring quaternions alike; at their corners if all are run."""
     model, place = placed(lander_model(max_rate_rad_s=0.03), limit=0.03)
-    grid = RateGrid.of(model, place)
+    grid = rate_grid(model, place, replace(GRID, between_rad=0.0))
     cells = grid.cells[:: max(1, len(grid.cells) // 40)]
-    turn = grid.corners(cells)
+    turn = corners_of(grid, cells)
     middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
     omega = grid.rates(cells) + 0.5 * grid.edge
     u = np.zeros((len(omega), len(model.unknowns)))
@@ -100,6 +111,48 @@ def test_interpolated_attitudes_are_those_of_the_motion():
     corner = Shots(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
     exact = model.carried(corner, 1e-6).seen.sun_B[:, place.others]
     np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
+
+
+def test_attitudes_between_runs_are_those_of_runs():
+    """To 0.1 rad for 97 of 100 rates, with one run for eight points or fewer; with the same settings as a search."""
+    model, place = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
+    times = model.obs.t_s[place.others]
+    grid = rate_grid(model, place)
+    picked = np.random.default_rng(6).choice(np.flatnonzero(grid.row_of >= 0), 500)
+    exact = attitudes(model, grid.rates(picked), times)
+    cosine = np.abs(np.sum(exact * grid.turn[grid.row_of[picked]], axis=-1))
+    off = 2 * np.arccos(np.minimum(cosine, 1.0))
+    assert np.quantile(off, 0.97) < 0.1
+    assert np.quantile(off, 0.9) < GRID.between_rad
+
+
+def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
+    """Rates of the ball at the first sample, also along the wheel that runs down; a fifth and more of a wider ball is left out."""
+    model = lander_model().after(800.0, 0.9)
+    first = replace(model, after_s=0.0)
+    rng = np.random.default_rng(8)
+    direction = rng.standard_normal((300, 3))
+    direction[:40, :2] *= 0.02  # nearly along the wheel
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    none = np.zeros((300, len(model.unknowns)))
+    rows = first.rows(Shots(0.6 * direction, np.tile(SUN, (300, 1)), none))
+    there = first.run(rows, np.array([800.0]), 1e-5).omega_B[:, 0]
+    reached = Reached.of(model, 2.0, 0.6)
+    assert reached.within(there, 0.0).all()
+    size = np.sqrt(np.einsum("ni,ij,nj->n", there, reached.inertia, there))
+    assert size.max() > 0.9 * reached.most
+    ball = 0.9 * rng.random((300, 1)) ** (1 / 3) * direction
+    assert 0.5 < reached.within(ball, 0.0).mean() < 0.8
+
+
+def test_of_a_sphere_without_a_wheel_its_own_turn_leaves_nothing():
+    """And of one with a wheel the same for all rates, a turn about the wheel's axis."""
+    sphere = replace(PHILAE, inertia_kg_m2=14.0 * np.eye(3), wheels=())
+    model = replace(lander_model(), vehicle=sphere, of_motion=())
+    omega = 0.05 * np.random.default_rng(7).standard_normal((20, 3))
+    left = without_sphere(model, Sphere.of(model), np.array([-40.0, 70.0]), omega)
+    np.testing.assert_allclose(np.abs(left[..., 3]), 1.0, atol=1e-6)
+    np.testing.assert_allclose(left[..., :3], 0.0, atol=2e-3)
 
 
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
@@ -116,14 +169,22 @@ def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
     )
 
 
-def test_the_equations_by_which_a_start_settles_change_as_they_say():
-    """The gradient of half the sum of squares, by place in the cell and direction, with readings that hardly err."""
+@pytest.fixture(scope="module")
+def small_search():
+    """Return a model with its reference where the search begins, that place, and a grid of rates up to 0.12 rad/s."""
     model, place = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
-    grid = RateGrid.of(model, place)
-    look = LookThrough(grid, model.panels, place, replace(GRID, cap=1e9))
-    omega, sun, misfit = look.settled_starts(grid.cells[:1500])
-    starts = _settling(look, grid, grid.cells[100:160])
-    sun_at, slope = look._directions(starts)
+    return model, place, rate_grid(model, place)
+
+
+def test_the_equations_by_which_a_start_settles_change_as_they_say(small_search):
+    """Directions change by place in the cell and by step as the derivatives of the plain version say."""
+    model, place, grid = small_search
+    look = LookThrough(grid, model.panels, place, GRID)
+    sun = np.tile(place.suns[0], (60, 1))
+    tangents = np.stack(tangent_basis(sun), axis=1)
+    turn = corners_of(grid, grid.cells[100:160])
+    starts = Settling(turn, sun, tangents, np.full((60, 3), 0.5), np.zeros((60, 2)))
+    _, slope = look._directions(starts)
     for axis in range(5):
         step = 1e-6 * np.eye(5)[axis]
         ahead, _ = look._directions(
@@ -133,20 +194,26 @@ def test_the_equations_by_which_a_start_settles_change_as_they_say():
             starts._replace(x=starts.x - step[:3], step=starts.step - step[3:])
         )
         np.testing.assert_allclose((ahead - back) / 2e-6, slope[..., axis], atol=2e-6)
-    assert len(omega) == len(sun) == len(misfit)
-    assert np.all(misfit <= GRID.settled)
 
 
-def _settling(look, grid, cells):
-    """Return starts in the middles of cells, for the first direction."""
-    from sunspin.estimation.lander.grid import Settling
-    from sunspin.solve.rotations import tangent_basis
-
-    sun = np.tile(look.place.suns[0], (len(cells), 1))
-    tangents = np.stack(tangent_basis(sun), axis=1)
-    return Settling(
-        grid.corners(cells), sun, tangents, np.full((len(cells), 3), 0.5), np.zeros((len(cells), 2))
-    )
+@pytest.mark.parametrize("throttled", [False, True])
+def test_compiled_starts_are_those_of_the_plain_version(small_search, throttled):
+    """All of them, where they settle and how well: both orders of sums differ by rounding, and one start in 200 by more."""
+    model, place, grid = small_search
+    panels = replace(model.panels, throttled=throttled)
+    some = replace(grid)
+    object.__setattr__(some, "cells", grid.cells[:6000])
+    look = LookThrough(grid, panels, place, GRID)
+    plain = look.settled_starts(some.cells)
+    compiled = settled_starts(some, panels, place, GRID)
+    off = np.abs(plain[0][:, None] - compiled[0]).max(axis=2)
+    off += np.abs(plain[1][:, None] - compiled[1]).max(axis=2)
+    assert len(plain[0]) > 20
+    assert np.mean(off.min(axis=1) > 1e-4) < 0.01
+    assert np.mean(off.min(axis=0) > 1e-4) < 0.01
+    nearest = off.argmin(axis=1)
+    np.testing.assert_allclose(np.median(compiled[2][nearest] / plain[2]), 1.0, rtol=1e-4)
+    assert np.all(compiled[2] <= GRID.settled)
 
 
 def test_a_start_lies_near_the_true_motion():

@@ -199,7 +199,7 @@ def fit_of_one_sensor() -> Calibration:
     wider = np.where(np.arange(19) % 2, 2.0, 0.5)
     robust = model * np.outer(wider, wider)
     values, nothing = 0.05 * rng.normal(size=19), np.zeros(2)
-    units, noise = (3e-5, 600.0, 1), (1e-6, 1.0, 1.0)
+    units, noise = (3e-5, 600.0, 1), (1e-6, 1.0)
     return Calibration(
         values, model, robust, np.eye(19), *units, *noise, nothing, nothing, {"field": 300}
     )

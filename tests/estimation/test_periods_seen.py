@@ -66,7 +66,8 @@ def two_solutions(probability, sigma=1e-6):
     """A pass of three samples with two solutions of constant rates and a body of known inertia."""
     body = replace(Body.of(WHEELED), errors=np.zeros((0, 3, 3)))
     t_s = np.array([0.0, 40.0, 80.0])
-    momentum = np.tile(1e-3 * np.array([0, 0.6, 0.8]) / body.unit_kg_m2, (3, 1))
+    mean_moment = np.trace(WHEELED.require_inertia()) / 3
+    momentum = np.tile(1e-3 * np.array([0, 0.6, 0.8]) / mean_moment, (3, 1))
     omega = np.repeat(RATES[:, None], 3, axis=1)
     covariance = np.broadcast_to(sigma**2 * np.eye(6), (2, 3, 6, 6))
     attitude = np.broadcast_to(np.eye(3), (2, 3, 3, 3))

@@ -1,15 +1,16 @@
 """The quick evidence of a pass: with motions that are known it needs no search, and without wheels nobody asks for it."""
 
 import numpy as np
+import xarray as xr
 
-from sunspin.estimation import wheel_signs
+from sunspin.estimation import wheels
 from sunspin.estimation.budget import Budget
 from sunspin.estimation.carry import step
-from sunspin.estimation.evidence import leading
+from sunspin.estimation.evidence import PassFits, leading
 from sunspin.estimation.model import Body, Model, Noise
-from sunspin.estimation.observe import observe
+from sunspin.estimation.observe import Pass, observe
+from sunspin.estimation.one_pass import PassFitter, one_pass
 from sunspin.estimation.quick import MOTIONS, quick_evidence
-from sunspin.estimation.rates import one_pass
 from sunspin.estimation.settings import RATES
 from sunspin.telemetry.assess import assess
 from tests.support.simulate import CUBE, simulated_pass, uneven_times
@@ -37,10 +38,16 @@ def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search(monkeypatch):
     def fail(*_):
         raise AssertionError("a search")
 
-    monkeypatch.setattr(wheel_signs, "quick_evidence", fail)
+    monkeypatch.setattr(wheels, "quick_evidence", fail)
     model, budget = stated(), Budget.of(1.0)
-    nothing = wheel_signs.doubted_signs(model.obs, {}, [], [model], [], fail, RATES, budget)
-    assert nothing is None
+    telemetry = xr.Dataset(coords={"time": model.obs.t_s})
+    every = np.arange(len(model.obs))
+    fits = PassFits(model, (), RATES.ladder.rungs, np.zeros(0))
+    compared = [wheels.FittedPass(Pass(every, every), model, fits)]
+    fitter = PassFitter(RATES, budget, fail)
+    assert (
+        wheels.doubted_signs(assess(CUBE, telemetry), model.obs, "none", compared, fitter) is None
+    )
 
 
 def test_one_inertia_for_all_motions_carries_them_as_one_of_each_does():

@@ -14,8 +14,9 @@ from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimation.field_led import field_of
 from sunspin.estimation.model import Body, Model, Noise, Track
 from sunspin.estimation.observe import FIELD_ALONE, observe, split, thinned
+from sunspin.estimation.one_pass import no_faster
 from sunspin.estimation.orbit.calibration import along_orbit
-from sunspin.estimation.rates import along_the_sun, no_faster, rates
+from sunspin.estimation.rates import along_the_sun, rates
 from sunspin.estimation.settings import FIELD_TURN, RATES
 from sunspin.estimation.terms.field import FieldChange, KnownField
 from sunspin.estimation.terms.panels import Panels

@@ -10,7 +10,7 @@ from sunspin.estimation.chain import equations
 from sunspin.estimation.evidence import ladder, leading, united
 from sunspin.estimation.model import AS_STATED, Body, Model, Noise
 from sunspin.estimation.observe import observe
-from sunspin.estimation.rates import one_pass
+from sunspin.estimation.one_pass import one_pass
 from sunspin.estimation.settings import RATES
 from sunspin.telemetry.assess import assess
 from validation.passes import make

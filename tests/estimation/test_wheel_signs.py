@@ -13,7 +13,7 @@ from sunspin.estimation.columns import samples_of
 from sunspin.estimation.model import Body
 from sunspin.estimation.observe import COASTING, HELD, cut, wheel_models
 from sunspin.estimation.rates import rates
-from sunspin.estimation.wheel_signs import WRAPPED_RAD, momentum_of_each, reversed_momenta
+from sunspin.estimation.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
 
 TWO = replace(

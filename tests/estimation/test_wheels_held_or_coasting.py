@@ -9,7 +9,7 @@ import pytest
 import sunspin as ss
 from sunspin.vehicle import Friction
 
-MODULE = import_module("sunspin.estimation.rates")
+ONE_PASS, WHEELS = (import_module(f"sunspin.estimation.{name}") for name in ("one_pass", "wheels"))
 
 
 @pytest.fixture(scope="module")
@@ -29,11 +29,11 @@ def estimated(monkeypatch):
             searches.append(arguments)
             return original(*arguments)
 
-        original = MODULE.search
+        original = ONE_PASS.search
         with monkeypatch.context() as patch:
-            patch.setattr(MODULE, "search", search)
+            patch.setattr(ONE_PASS, "search", search)
             for name, function in replaced.items():
-                patch.setattr(MODULE, name, function)
+                patch.setattr(WHEELS, name, function)
             result = ss.rates(vehicle, telemetry, max_rate_rad_s=np.radians(5))
         return result, len(searches)
 

@@ -3,7 +3,7 @@
 Each has the prior probability of the nominal model. Sigmas are never enlarged by hand: an alternative that explains the
 readings adds its own motion and errors to the sum. All samples between the kept ones are filled from both
 sides by the equations of the nominal model (:func:`sunspin.estimation.dense.filled`). So an alternative may add torques and change
-sensors, but not the momentum of the wheels, which :func:`sunspin.estimation.rates.decide_wheels` decides for the whole file.
+sensors, but not the momentum of the wheels, which :func:`sunspin.estimation.wheels.decide_wheels` decides for the whole file.
 """
 
 from __future__ import annotations

@@ -104,7 +104,8 @@ def step(
         One sigma of each error of the inertia by which they are wanted.
     """
     bare = errors is None or not len(errors)
-    if bare and _is_sphere(inertia) and not (momenta[0].any() or momenta[1].any()):
+    sphere = inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
+    if bare and sphere and not (momenta[0].any() or momenta[1].any()):
         return _turn_evenly(omega, dt, derivatives)
     bodies = inertia[None] if inertia.ndim == 2 else inertia  # one for all motions, or one of each
     angle = angle_turned(bodies, omega, dt, momenta)
@@ -132,11 +133,6 @@ def step(
     return Step(turned[0], rate[0], by_start, by_error / INERTIA_DIFFERENCE)
 
 
-def _is_sphere(inertia: np.ndarray) -> bool:
-    """Return whether all bodies are spheres."""
-    return inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
-
-
 def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
     """Return motions of a sphere without wheels at rates (K, n, 3), with derivatives if asked: its rate stays as it is.
 
@@ -154,9 +150,8 @@ def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
     sinc, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi))
     along = np.swapaxes(axis, -1, -2) @ axis
     across = cross_matrix(axis[..., 0, :])
-    mean = (
-        sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
-    )  # of sin^2(x / 2) = (1 - cos x) / 2
+    # of sin^2(x / 2) = (1 - cos x) / 2
+    mean = sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
     by_start[..., TURN, TURN] = turned
     by_start[..., TURN, RATE] = np.asarray(dt)[..., None, None] * mean

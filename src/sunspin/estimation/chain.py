@@ -49,15 +49,15 @@ class Fit:
     """K motions fitted under a model.
 
     `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m) of
-    the unknowns in sigmas; `answer` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown. `lowest`:
-    the motions where their cost is least, if `motions` are means over several sigmas of unknowns.
+    the unknowns in sigmas; `states_by_u` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown.
+    `lowest`: the motions where their cost is least, if `motions` are means over several sigmas of unknowns.
     """
 
     model: Model
     motions: Track
     log_evidence: np.ndarray
     u_covariance: np.ndarray
-    answer: np.ndarray
+    states_by_u: np.ndarray
     lowest: Track | None = None
 
     def __len__(self) -> int:
@@ -71,7 +71,7 @@ class Fit:
             self.motions.take(which),
             self.log_evidence[which],
             self.u_covariance[which],
-            self.answer[which],
+            self.states_by_u[which],
             None if self.lowest is None else self.lowest.take(which),
         )
 
@@ -193,7 +193,7 @@ def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarra
             continue
         assert late is not None
         for residual in term.residuals(earlier.states, motions.u[:, place]):
-            changed, by_late = earlier.answer(residual, late.late_s)
+            changed, by_late = earlier.derivatives_at_sample(residual, late.late_s)
             if late.place is None:
                 yield changed, every[place]
                 continue
@@ -228,7 +228,9 @@ class Earlier(NamedTuple):
     turned: np.ndarray
     acceleration: np.ndarray
 
-    def answer(self, residual: Residual, late_s: np.ndarray) -> tuple[Residual, np.ndarray]:
+    def derivatives_at_sample(
+        self, residual: Residual, late_s: np.ndarray
+    ) -> tuple[Residual, np.ndarray]:
         """Return differences of the earlier state with derivatives by that of the sample, and by the time (K, n, r) between, s."""
         by_late = np.zeros(residual.value.shape)
         by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
@@ -370,7 +372,7 @@ def log_left_out(model: Model) -> float:
 def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
-    That of the states with the unknowns held, and what the unknowns' own covariance adds through their answer. With the matrix H of
+    That of the states with the unknowns held, and what the unknowns' own covariance adds. With the matrix H of
     the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
     """
     system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
@@ -380,7 +382,7 @@ def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
         w = weights[..., row, :]
         (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
         variances.append(np.einsum("kni,kni->k", w, nodes))
-    by_u = np.einsum("knri,knim->krm", weights, one.answer)
+    by_u = np.einsum("knri,knim->krm", weights, one.states_by_u)
     of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
@@ -526,10 +528,7 @@ class Chain:
 
     def kept(self, motions: Track, window: slice) -> Track:
         """Return motions without copies and without improbable ones, best first."""
-        s = self.s
-        return motions.take(
-            distinct(motions, self.t_s[window], s.most, s.drop, s.copies_rad, s.copies_sigmas)
-        )
+        return motions.take(distinct(motions, self.t_s[window], self.s))
 
     def widened(self, motions: Track, window: slice, wider: slice) -> Track:
         """Return motions carried to the samples of a wider window, and others along what the window leaves open of the rate."""

@@ -44,7 +44,7 @@ from sunspin.estimation.equivalence import (
 )
 from sunspin.estimation.images import SAME_SIGMAS
 from sunspin.estimation.model import Body, Model, Noise
-from sunspin.estimation.observe import cut, observe, split, wheel_models, with_momentum
+from sunspin.estimation.observe import cut, observe, split, wheel_models
 from sunspin.estimation.quick import quick_evidence
 from sunspin.estimation.settings import RatesSettings
 from sunspin.estimation.terms.panels import DARK
@@ -54,7 +54,7 @@ from sunspin.estimation.verdict import (
     COLUMNS_UNCHECKED,
     alike_motions,
 )
-from sunspin.estimation.wheel_signs import Reversed, momentum_of_each
+from sunspin.estimation.wheels import Reversed, momentum_of_each, name_of_wheels
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -117,11 +117,6 @@ def what_was_observed(
     momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
     observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
     return replace(observed, panels=observed.panels and attrs["source"] == "panels")
-
-
-def name_of_wheels(words: str) -> str:
-    """Return the name of a wheel model of which the words say the evidence too."""
-    return words.split(" (evidence")[0]
 
 
 def _with_unseen_changes(
@@ -298,10 +293,10 @@ def _trials_of(
             (one, *_) = split(seen, np.inf, settings.passes)
         except InputError:
             return -np.inf
-        momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
-        obs = with_momentum(seen, momentum).obs
         noise = Noise(settings.search.noise)
-        stated = Model(obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        stated = Model(seen.obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
+        stated = stated.with_momentum(momentum)
         silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
         return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
 

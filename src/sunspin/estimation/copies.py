@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunspin.estimation.carry import RATE
 from sunspin.estimation.model import Track
+from sunspin.estimation.settings import SearchSettings
 
 SUN_SHARE, WHOLE_SHARE = 0.35, 0.7
 """Directions of the Sun, and turns from the middle of a window, count so much less than turns between neighbouring samples.
@@ -35,7 +37,7 @@ class Outline(NamedTuple):
         steps = motions.omega[:, :-1] * np.diff(t_s)[:, None]
         total = np.concatenate([np.zeros((len(steps), 1, 3)), np.cumsum(steps, axis=1)], axis=1)
         middle = total[:, len(t_s) // 2, None]
-        covariance = motions.covariance[..., 3:, 3:]
+        covariance = motions.covariance[..., RATE, RATE]
         return cls(steps, total - middle, motions.sun_B, motions.omega, covariance)
 
     def take(self, which: np.ndarray) -> Outline:
@@ -107,16 +109,17 @@ def _squared_sigmas(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def distinct(
     motions: Track,
     t_s: np.ndarray,
-    most: int,
-    drop: float,
-    apart_rad: float,
-    sigmas: float,
+    s: SearchSettings,
+    most: int | None = None,
+    drop: float | None = None,
     order_by: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the indices of motions (K) without the improbable ones and without copies, best first.
 
-    `order_by` (K): minus the log of their probabilities, by default their cost; those that exceed the least by `drop` are dropped.
+    At most `most`; `order_by` (K): minus the log of their probabilities, by default their cost; those that exceed the least by
+    `drop` are dropped. What the settings of the search say is the default.
     """
+    most, drop = s.most if most is None else most, s.drop if drop is None else drop
     cost = motions.cost if order_by is None else order_by
     order = np.argsort(cost, kind="stable")
     if not len(order):
@@ -127,6 +130,6 @@ def distinct(
     for i in order:
         if len(chosen) == most:
             break
-        if not outline.copies(i, outline.take(chosen), apart_rad, sigmas).any():
+        if not outline.copies(i, outline.take(chosen), s.copies_rad, s.copies_sigmas).any():
             chosen = np.append(chosen, i)
     return chosen

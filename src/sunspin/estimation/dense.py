@@ -127,9 +127,8 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
     angle = angle_turned(
         model.body.inertia[None], motion.omega[:, :-1], spans, (momentum[:-1], momentum[1:])
     )
-    turned = float(
-        (t_s[-1] - t_s[0]) * np.max(angle / spans)
-    )  # if it turned as fast as it ever does
+    # if it turned as fast as it ever does
+    turned = float((t_s[-1] - t_s[0]) * np.max(angle / spans))
     most = max(MOST_INSTANTS, min(np.ceil(turned / COARSE_RAD), MOST_COARSE))
     count = int(np.clip(np.ceil(turned / CURVE_RAD), LEAST_INSTANTS, most)) + 1
     instants = np.linspace(t_s[0], t_s[-1], count)

@@ -21,7 +21,7 @@ from sunspin.estimation.settings import LadderSettings, SearchSettings
 from sunspin.solve.rotations import rotate_attitude
 
 TORQUES = ("steady_torque", "magnetic_torque")
-"""Kinds of unknowns that turn the body far, so that its answer is linear only near the fit."""
+"""Kinds of unknowns that turn the body far, so that the states follow them linearly only near the fit."""
 
 
 @dataclass(frozen=True)
@@ -51,41 +51,38 @@ class PassFits:
             total[rung] = np.logaddexp(total[rung], logsumexp(one.log_evidence))
         return total
 
-    def with_rung_prior(self, log_rung: np.ndarray) -> PassFits:
-        """Return the fits with another prior of the rungs."""
-        return replace(self, log_rung=log_rung)
-
 
 def ladder(
     model: Model,
     motions: Track,
     s: LadderSettings,
-    copies: SearchSettings,
-    begin: float,
+    of_search: SearchSettings,
+    first_rung: float,
     rival: float = -np.inf,
 ) -> list[Fit]:
     """Return fits of a model under every strength of unknown torques, one for each rung that is reached.
 
-    From the rung `begin` up, then from the fit at `begin` down, each from where the one before ended: under weak torques a motion
-    hardly moves. A path ends with a rung that is hopeless compared with the best one, or with another model: its log evidence is
-    `rival`.
-    `copies`: what a copy of a motion is, and how many motions are kept.
+    From `first_rung` up, then from the fit there down, each from where the one before ended: under weak torques a motion hardly
+    moves. A path ends with a rung that is hopeless compared with the best one, or with another model of the log evidence `rival`.
+    `of_search`: what a copy of a motion is, and how many motions are kept.
     """
     if not len(motions):
         return []
-    start, shared = _fitted(model.under(begin), motions, s.first_steps, s, copies)
-    fits = [shared] if begin in s.rungs and len(start) else []
-    above = sorted(rung for rung in s.rungs if rung > begin)
-    below = sorted((rung for rung in s.rungs if rung < begin), reverse=True)
+    start, shared = _fitted(model.under(first_rung), motions, s.first_steps, s, of_search)
+    fits = [shared] if first_rung in s.rungs and len(start) else []
+    above = sorted(rung for rung in s.rungs if rung > first_rung)
+    below = sorted((rung for rung in s.rungs if rung < first_rung), reverse=True)
     for path in (above, below):
-        now, last = start, begin
+        last, last_rung = start, first_rung
         for rung in path:
-            for level in _levels(last, rung, s.cooling):
+            # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is
+            steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
+            for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
                 under = model.under(level)
-                begin_here = restated(now.motions, now.model, under)
-                now, shared = _fitted(under, begin_here, s.steps, s, copies)
-            last = rung
-            if not len(now):
+                begin = restated(last.motions, last.model, under)
+                last, shared = _fitted(under, begin, s.steps, s, of_search)
+            last_rung = rung
+            if not len(last):
                 break
             fits.append(shared)
             best = max(rival, *(float(one.log_evidence.max()) for one in fits))
@@ -95,7 +92,7 @@ def ladder(
 
 
 def _fitted(
-    model: Model, motions: Track, steps: int, s: LadderSettings, copies: SearchSettings
+    model: Model, motions: Track, steps: int, s: LadderSettings, of_search: SearchSettings
 ) -> tuple[Fit, Fit]:
     """Return the fit of motions without copies and hopeless ones, and the same with the shares of its unknowns' sigmas summed.
 
@@ -103,7 +100,7 @@ def _fitted(
     """
     one = fit(model, motions, steps, s.tolerance)
     shared = over_shares(one, s.beyond_fit)
-    which = _distinct(shared, s, copies)
+    which = _distinct(shared, s, of_search)
     return one.take(which), shared.take(which)
 
 
@@ -119,16 +116,11 @@ def restated(motions: Track, before: Model, after: Model) -> Track:
     return replace(motions, u=motions.u * ratio)
 
 
-def _levels(last: float, rung: float, cooling: float) -> list[float]:
-    """Return strengths from one rung to the next, in steps of a factor `cooling` at most: stiffened more, a motion would stay."""
-    count = max(1, int(np.ceil(abs(np.log(rung / last)) / np.log(cooling) - 1e-9)))
-    return [*np.geomspace(last, rung, count + 1)[1:-1].tolist(), rung]
-
-
-def _distinct(one: Fit, s: LadderSettings, copies: SearchSettings) -> np.ndarray:
+def _distinct(one: Fit, s: LadderSettings, of_search: SearchSettings) -> np.ndarray:
     """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
-    t_s, apart = one.model.obs.t_s, (copies.copies_rad, copies.copies_sigmas)
-    return distinct(one.motions, t_s, copies.most, s.hopeless, *apart, order_by=-one.log_evidence)
+    return distinct(
+        one.motions, one.model.obs.t_s, of_search, drop=s.hopeless, order_by=-one.log_evidence
+    )
 
 
 def over_shares(one: Fit, beyond_fit: float) -> Fit:
@@ -184,13 +176,13 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     centre = np.einsum("ck,ckg->kg", weight, mean)
     off = mean - centre
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
-    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `one.answer`
+    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `one.states_by_u`
     by_shared = one.u_covariance[:, :, shared] @ precision
     u_change = sound[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
     widening = sound[:, None, None] * by_shared @ (spread - of_shared)
     widening = widening @ np.swapaxes(by_shared, -1, -2)
-    state_change = np.einsum("knim,km->kni", one.answer, u_change)
-    state_widening = one.answer @ widening[:, None] @ np.swapaxes(one.answer, -1, -2)
+    state_change = np.einsum("knim,km->kni", one.states_by_u, u_change)
+    state_widening = one.states_by_u @ widening[:, None] @ np.swapaxes(one.states_by_u, -1, -2)
     motions = Track(
         rotate_attitude(one.motions.attitude, state_change[..., TURN]),
         one.motions.omega + state_change[..., RATE],
@@ -200,7 +192,7 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     )
     log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
     u_covariance = one.u_covariance + widening
-    return Fit(one.model, motions, log_evidence, u_covariance, one.answer, one.motions)
+    return Fit(one.model, motions, log_evidence, u_covariance, one.states_by_u, one.motions)
 
 
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
@@ -217,19 +209,18 @@ def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]
     combined = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
     others = combined.sum(axis=0) - combined
     prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
-    return [one.with_rung_prior(row) for one, row in zip(passes, prior, strict=True)]
+    return [replace(one, log_rung=row) for one, row in zip(passes, prior, strict=True)]
 
 
-def leading(fits: Sequence[Fit], count: int, copies: SearchSettings) -> Track:
+def leading(fits: Sequence[Fit], count: int, of_search: SearchSettings) -> Track:
     """Return the most probable motions of the nominal model, of any rung, without copies."""
     stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
     if not stated:
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
     motions = Track.joined([one.to_begin_from for one in stated])
     log = np.concatenate([one.log_evidence for one in stated])
-    apart = copies.copies_rad, copies.copies_sigmas
     t_s = stated[0].model.obs.t_s
-    return motions.take(distinct(motions, t_s, count, np.inf, *apart, order_by=-log))
+    return motions.take(distinct(motions, t_s, of_search, count, np.inf, order_by=-log))
 
 
 def likeliest(fits: Sequence[Fit]) -> Fit:
@@ -243,18 +234,18 @@ def likeliest_cost(fits: Sequence[Fit]) -> float:
     return float(max(pairs)[1]) if pairs else np.inf
 
 
-def united(fits: Sequence[Fit], s: LadderSettings, copies: SearchSettings) -> list[Fit]:
+def united(fits: Sequence[Fit], s: LadderSettings, of_search: SearchSettings) -> list[Fit]:
     """Return one fit for each model and rung: a motion that was met twice there counts once."""
     groups: dict[tuple[str, float], list[Fit]] = {}
     for one in fits:
         groups.setdefault((one.model.what, one.model.noise.acceleration), []).append(one)
     joined = [_joined(group) for group in groups.values()]
-    return [one.take(_distinct(one, s, copies)) for one in joined]
+    return [one.take(_distinct(one, s, of_search)) for one in joined]
 
 
 def _joined(fits: list[Fit]) -> Fit:
     """Return the motions of several fits of one model."""
-    parts = ((one.log_evidence, one.u_covariance, one.answer) for one in fits)
+    parts = ((one.log_evidence, one.u_covariance, one.states_by_u) for one in fits)
     motions = Track.joined([one.motions for one in fits])
     lowest = Track.joined([one.to_begin_from for one in fits])
     joined = (np.concatenate(part) for part in zip(*parts, strict=True))

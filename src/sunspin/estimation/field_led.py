@@ -24,7 +24,7 @@ FIT_STEPS = 12
 """Steps of the fits from these turns, of which few are left."""
 
 
-def searched(stated: Model, noise: Noise) -> list[Model]:
+def models_to_search(stated: Model, noise: Noise) -> list[Model]:
     """Return the models that are searched: by the field's directions in place of the Sun's if hardly any sample shows the Sun."""
     known = field_of(stated)
     if known is None:
@@ -71,8 +71,7 @@ def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
     if known is None:  # all turns fit the Sun alike: the fit with its unknowns decides
         return fitted
-    t_s = model.obs.t_s
-    return fitted.take(distinct(fitted, t_s, s.most, s.drop, s.copies_rad, s.copies_sigmas))
+    return fitted.take(distinct(fitted, model.obs.t_s, s))
 
 
 def begun(model: Model, motions: Track) -> Track:

@@ -15,7 +15,7 @@ from sunspin.estimation.column_tests import axes_matrix, signed_axes, to_write
 from sunspin.estimation.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimation.model import Body
 from sunspin.estimation.observe import wheel_models
-from sunspin.estimation.wheel_signs import momentum_of_each
+from sunspin.estimation.wheels import momentum_of_each
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.units import (
     BETTER,

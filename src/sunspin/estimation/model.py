@@ -62,14 +62,13 @@ class Unknown:
 class Body:
     """What moves.
 
-    `inertia` (3, 3) in units of its mean moment `unit_kg_m2`, which a torque-free motion does not determine; `errors` (e, 3, 3):
-    one sigma of each independent error of it; `sphere`: no inertia is known. `wander`: in a search the inertia is held, and the
-    body leaves a motion by this part of its turn, one sigma.
+    `inertia` (3, 3) in units of its mean moment, which a torque-free motion does not determine; `errors` (e, 3, 3): one sigma of
+    each independent error of it; `sphere`: no inertia is known. `wander`: in a search the inertia is held, and the body leaves a
+    motion by this part of its turn, one sigma.
     """
 
     inertia: np.ndarray
     errors: np.ndarray
-    unit_kg_m2: float = 1.0
     sphere: bool = False
     wander: float = 0.0
 
@@ -90,7 +89,7 @@ class Body:
             sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
         else:
             sigma = INERTIA * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
-        return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean(), moments.mean())
+        return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean())
 
     def for_search(self) -> Body:
         """Return the body with its inertia held.
@@ -173,9 +172,8 @@ class Noise:
         rate^2 / (2 T). In the mean over T, log-uniform, as often per interval dt as :data:`SWINGS_PER_INTERVAL` says.
         """
         quickest, slowest = SWINGS_PER_INTERVAL
-        mean_count = (quickest - slowest) / np.log(
-            quickest / slowest
-        )  # of forgetting times in an interval
+        # of forgetting times in an interval
+        mean_count = (quickest - slowest) / np.log(quickest / slowest)
         return float(self.rate**2 / (2 * np.median(dt)) * mean_count)
 
 
@@ -261,14 +259,17 @@ class Model:
         """Return the model of some of the samples."""
         return replace(self, obs=self.obs.take(samples))
 
+    def with_momentum(self, momentum: np.ndarray) -> Model:
+        """Return the model with wheels of this momentum (n, 3)."""
+        return replace(self, obs=replace(self.obs, momentum=momentum))
+
     def under(self, acceleration: float) -> Model:
         """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
         return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
-    def plus(self, term: Term, what: str, log_odds: float = 0.0) -> Model:
-        """Return the model with one more term, at these log odds to the model before the data."""
-        obs = replace(self.obs, terms=(*self.obs.terms, term))
-        return replace(self, obs=obs, what=what, log_prior=self.log_prior + log_odds)
+    def plus(self, term: Term, what: str) -> Model:
+        """Return the model with one more term, as probable before the data."""
+        return replace(self, obs=replace(self.obs, terms=(*self.obs.terms, term)), what=what)
 
     def without(self, term: Term, sample: int, what: str, log_odds: float) -> Model:
         """Return the model that a reading of a term is bad, at these log odds to its being good: it may then have seen anything."""

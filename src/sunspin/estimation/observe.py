@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -295,9 +295,8 @@ def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
         return indices
     growing = growth ** np.arange(most - 1)
     low, high = 1.0, float(len(indices))
-    for _ in range(
-        60
-    ):  # bisection for the smallest bound of the steps with which they reach the end
+    # bisection for the smallest bound of the steps with which they reach the end
+    for _ in range(60):
         widest = (low + high) / 2
         reached = np.minimum(growing, widest).sum() >= len(indices) - 1
         low, high = (low, widest) if reached else (widest, high)
@@ -404,8 +403,3 @@ def wheels_untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
         for k, wheel in enumerate(vehicle.wheels)
         if wheel.speed_rad_s == 0 and not np.isfinite(read[:, k]).any()
     ]
-
-
-def with_momentum(seen: FileReadings, momentum: np.ndarray) -> FileReadings:
-    """Return what is seen with wheels of this momentum (n, 3)."""
-    return replace(seen, obs=replace(seen.obs, momentum=momentum))

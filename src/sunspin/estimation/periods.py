@@ -254,9 +254,8 @@ def _euler_rates_of(
     """
     axis, rates = own_axis(body.inertia), []
     now, wheels_now = 0.0, momentum[0]
-    for t, wheels in zip(
-        after_s, momentum, strict=True
-    ):  # the motions are carried from each time to the next
+    # the motions are carried from each time to the next
+    for t, wheels in zip(after_s, momentum, strict=True):
         if t != now:
             ends = wheels_now[None], wheels[None]
             omega = step(inertia, omega[:, None], np.array([t - now]), ends).omega[:, 0]
@@ -302,9 +301,8 @@ def drawn_inertias(body: Body, rng: np.random.Generator) -> np.ndarray:
     for _ in range(MOST_TRIES):
         u = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.sphere)
         drawn = np.broadcast_to(body.inertia_at(u), (INERTIAS, 3, 3))
-        is_possible = (body.possible(u) == u).all(
-            axis=1
-        )  # errors that are possible come back as they are
+        # errors that are possible come back as they are
+        is_possible = (body.possible(u) == u).all(axis=1)
         kept = np.concatenate([kept, drawn[is_possible]])
         if len(kept) >= INERTIAS:
             break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -240,24 +241,30 @@ def sampled(
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
     mass = np.array([_log_mass(fit) for fit in fits])
     chosen = [h for h in range(len(fits)) if h == 0 or mass[h] > mass.max() - settings.hopeless]
-    drawn = Drawn([], [], [])
-    for left, h in zip(range(len(chosen), 0, -1), chosen, strict=True):
-        fit, s = fits[h], settings.sampling
+    # the budget is divided before the first draw, so that results do not depend on which model is ready first
+    most = (budget.most - budget.used) / (len(chosen) + 1) / count
+    limit = nominal.carrier.cost_limit(slice(0, count))
+
+    def draws_of(h: int) -> tuple[Draws, Budget]:
+        """Return the draws of a model and what they took, in motions over the whole stretch."""
+        fit, s, own = fits[h], settings.sampling, Budget(most)
+        if h == 0 and before is not None:
+            return before, own
         part = 1.0 if mass[h] == mass.max() else settings.others_draws
-        limit = nominal.carrier.cost_limit(slice(0, count))
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
         s = replace(s, draws=int(part * s.draws), wanted=part * s.wanted)
-        if h == 0 and before is not None:
-            draws = before
-        else:
-            # as much again is left for what follows
-            own = Budget((budget.most - budget.used) / (left + 1) / count)
-            # with which part of its sigma the prior held each unknown in the fit
-            under = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-            draws = sample(LanderTarget(fit.model), fit, streams[h], s, own, under)
-            budget.spend(own.used * count)
-            budget.cut |= own.cut
+        # with which part of its sigma the prior held each unknown in the fit
+        under = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
+        return sample(LanderTarget(fit.model), fit, streams[h], s, own, under), own
+
+    drawn = Drawn([], [], [])
+    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
+        every = list(pool.map(draws_of, chosen))
+    for h, (draws, own) in zip(chosen, every, strict=True):
+        fit = fits[h]
+        budget.spend(own.used * count)
+        budget.cut |= own.cut
         if np.isfinite(draws.evidence):
             drawn.fits.append(fit)
             drawn.draws.append(draws)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import repeat
 
 import numpy as np
 import xarray as xr
@@ -18,43 +17,29 @@ from sunspin.dynamics.step import load as load_step
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
-from sunspin.estimation.alternatives import alternatives
 from sunspin.estimation.between import link_passes
 from sunspin.estimation.budget import USUAL, Budget
-from sunspin.estimation.carry import nutation, require_followed
-from sunspin.estimation.chain import Chain, Fit
-from sunspin.estimation.columns import check_columns, name_of_wheels
+from sunspin.estimation.columns import check_columns
 from sunspin.estimation.evidence import (
     PassFits,
-    ladder,
-    leading,
-    likeliest,
-    likeliest_cost,
-    restated,
     share_noise,
-    united,
 )
-from sunspin.estimation.field_led import begun, field_of, in_axes_of, searched
-from sunspin.estimation.images import images_of, with_images
+from sunspin.estimation.images import images_of
 from sunspin.estimation.model import (
-    AS_STATED,
     SUN_N,
     Body,
     Model,
     Noise,
-    Observations,
-    Track,
 )
 from sunspin.estimation.observe import (
-    FileReadings,
     Pass,
     asked,
     observe,
     split,
     wheel_models,
     why_not_used,
-    with_momentum,
 )
+from sunspin.estimation.one_pass import PassFitter, sees_sun_alone
 from sunspin.estimation.orbit.calibration import along_orbit
 from sunspin.estimation.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimation.rates_dataset import (
@@ -64,32 +49,26 @@ from sunspin.estimation.rates_dataset import (
     latency_attributes,
     repeats_doubted,
 )
-from sunspin.estimation.search import search
 from sunspin.estimation.settings import (
     LARGEST_RATE,
     LARGEST_TURNS,
     RATES,
     RatesSettings,
-    SearchSettings,
 )
 from sunspin.estimation.solutions import Solutions, solutions
 from sunspin.estimation.starts import (
     allowed_directions,
     fine_up_to,
-    pair_starts,
-    pairs_to_try,
-    relatives,
 )
-from sunspin.estimation.swings import swings_by_all_ways
 from sunspin.estimation.terms.field import FieldCalibration
 from sunspin.estimation.terms.panels import Panels
 from sunspin.estimation.verdict import count_of_passes, more_effort, rates_words, slower
-from sunspin.estimation.wheel_signs import (
-    Reversed,
+from sunspin.estimation.wheels import (
+    FittedPass,
+    decide_wheels,
     doubted_signs,
-    log_evidence,
-    momentum_of_each,
-    reversed_momenta,
+    kept_samples,
+    longest,
 )
 from sunspin.telemetry.assess import LOW_SHARE, Assessment, assess
 from sunspin.vehicle import Vehicle
@@ -99,9 +78,6 @@ NOISE_RANGE = (1e-9, 1.0)
 
 ALONG_Z = 1e-6
 """The Sun of an environment is off z by less than this."""
-
-LONGEST_PASSES = 2
-"""Passes, those with the most samples, that say what the wheels do."""
 
 WIDE_RAD = 1.0
 """A sample that allows directions to the Sun so far apart leaves its direction open."""
@@ -196,22 +172,24 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
+    # What the file shows: all samples, why each is used or not, and the passes that they form.
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
     calibration = along_orbit(local, assessment) if calibration is None else calibration
-    seen = observe(
-        assessment, source, local, calibration, acting(torques, local)
-    )  # all samples, and why each is used or not
+    seen = observe(assessment, source, local, calibration, acting(torques, local))
     every = split(seen, gap_s, settings.passes)
     chosen = asked(every, pass_id)
     passes = [every[k] for k in chosen]
     why = why_not_used(seen, every, chosen)
+
+    # What is believed before the data: the nominal model of the whole file.
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
+    rate_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
     # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
-        max_rate_rad_s=largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes),
+        max_rate_rad_s=rate_max,
         gap_s=np.inf,
         environment=environment,
         calibration=calibration,
@@ -222,39 +200,36 @@ def rates(
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
     body = Body.of(vehicle, torques_stated=noise is not None)
-    rate_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
     stated = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
     budget = Budget.of(effort)
     if callable(progress):
-        progress(_said_before(passes))
+        used, kept = (sum(len(getattr(p, name)) for p in passes) for name in ("samples", "kept"))
+        thin = f", thinned to {kept} for the search" if kept < used else ""
+        progress(f"{used} samples used in {count_of_passes(len(passes))}{thin}")
 
+    # The fits of each pass, side by side. First those of the longest passes, which show what the wheels do.
     require_directions(stated, passes)
     tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     if (processes := min(worker_count(workers), tasks)) > 1:
         load_step()
     with process_pool(processes) as pool:
-        run = map if pool is None else pool.map
-        # Wheels without a measured speed are held or coast: the longest passes say which.
-        seen, wheels, done = decide_wheels(assessment, seen, stated, passes, settings, budget, run)
-        stated = replace(stated, obs=seen.obs)
-        # all samples of each pass, and the models of those that the search keeps
-        whole = [stated.obs.of_pass(one.samples) for one in passes]
-        models = [
-            replace(stated, obs=obs.take(one.kept_in_pass))
-            for obs, one in zip(whole, passes, strict=True)
-        ]
-        open_still = [k for k in range(len(passes)) if k not in done]
-        fitted = run(one_pass, [models[k] for k in open_still], repeat(settings), repeat(budget))
+        fitter = PassFitter(settings, budget, map if pool is None else pool.map)
+        wheels = decide_wheels(assessment, stated, passes, fitter)
+        stated = stated.with_momentum(wheels.momentum)
+        models = [kept_samples(stated, one) for one in passes]
+        open_still = [k for k in range(len(passes)) if k not in wheels.fits]
+        fitted = fitter.fits([models[k] for k in open_still])
         if progress is True:
             fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
-        done |= dict(zip(open_still, fitted, strict=True))
+        done = wheels.fits | dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
-        doubt = doubted_wheels(
-            assessment, seen, wheels, passes, models, fits, settings, budget, run
-        )
+        compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
+        doubt = doubted_signs(assessment, stated.obs, wheels.name, compared, fitter)
 
-    # Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
+    # The solutions of each pass. Passes help each other: the same torques act in all of them, and from one to the next a rate
+    # changes only so much.
     fits = share_noise(fits, settings.ladder)
+    whole = [stated.obs.of_pass(one.samples) for one in passes]
     solved = [
         solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
         for one, obs, p in zip(fits, whole, passes, strict=True)
@@ -267,6 +242,7 @@ def rates(
         for one, model in zip(solved, models, strict=True)
     ]
 
+    # The result, and what may be believed of it.
     stated = stated.under(common_noise(fits))
     result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
     in_doubt = assessment.doubtful_gains if seen.source == "panels" else {}
@@ -282,268 +258,17 @@ def rates(
         | coarse
         | of_periods
         | {
-            "wheels": wheels,
+            "wheels": wheels.words,
             "walk_between_passes": walk,
             "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
             "samples_searched": sum(len(p.kept) for p in passes),
             "symmetric_unlisted": 0,
         }
     )
-    tested = again if column_tests else None
-    result = check_columns(
-        result, assessment, doubt, tested, isinstance(local, SunAlongZ), settings, budget
-    )
+    again_if_asked = again if column_tests else None
+    in_orbit = isinstance(local, SunAlongZ)
+    result = check_columns(result, assessment, doubt, again_if_asked, in_orbit, settings, budget)
     return with_units(result.assign_attrs(verdict=rates_words(result)))
-
-
-def one_pass(
-    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
-) -> PassFits:
-    """Return every motion of one pass under every model that may explain it, with evidence.
-
-    `stated`: the nominal model of the samples kept for the search. `known`: motions that a search of the pass leaves under a model
-    that hardly differs.
-    """
-    s = settings
-    budget = replace(budget)  # passes work side by side, each with its own
-
-    def fits_under(noise: float) -> list[Fit]:
-        """Return fits on all rungs of the motions that a search under unknown torques of this strength leaves."""
-        motions = []
-        # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
-        led = field_of(stated) is not None
-        of_search = replace(s.search, more_places=0) if led else s.search
-        search_again = known is None or noise != s.search.noise
-        if known is not None and not search_again:
-            motions.append(known)
-        for loose in searched(stated, Noise(noise)) if search_again else ():
-            chain, starts = Chain(loose, s.search), pair_starts(loose, s.search)
-            one = search(chain, starts, of_search, budget, pairs_to_try(loose, s.search))
-            motions.append(in_axes_of(stated, loose, no_faster(loose, one, s.search), s.search))
-        fits = []
-        for one in motions:
-            begin = begun(stated.under(noise), with_images(one, stated, s.search))
-            fits += ladder(stated, begin, s.ladder, s.search, noise)
-        return united(fits, s.ladder, s.search)
-
-    fits = fits_under(s.search.noise)
-    limit = stated.obs.cost_limit
-    # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
-    # motion, as under the strongest torques nearly everything fits.
-    if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, fits_under(s.ladder.strong), key=likeliest_cost)
-    if not any(len(one) for one in fits):
-        raise InputError(
-            "no motion has a well-defined probability",
-            got=f"{len(stated.obs)} samples in the pass from {stated.obs.t_s[0]:.0f} s",
-            do="add samples, or check their errors",
-        )
-
-    # Motions that a search with the inertia held fast may lose: whole turns more or less, and bodies of another shape.
-    begin = leading(fits, s.alternatives.relatives_of, s.search)
-    others = relatives(begin, stated, s.alternatives)
-    budget.spend(len(others) * len(stated.obs))
-    fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
-    fits = united(fits, s.ladder, s.search)
-
-    # What else may have moved the body.
-    shorter = replace(s.ladder, hopeless=s.alternatives.hopeless)
-    # The generator sees `fits` grow: a second step of the rate is added to the first.
-    for model in alternatives(stated, fits, s.alternatives):
-        if budget.exhausted():
-            break
-        best = likeliest(fits)
-        begin = leading(fits, s.alternatives.begin_with, s.search)
-        nominal = likeliest([one for one in fits if one.model.what == AS_STATED])
-        # under the torques that the nominal model wants an alternative can grow; a stated strength may be too stiff for that
-        rung = nominal.model.noise.acceleration
-        rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
-        top = float(best.log_evidence.max())
-        begin = restated(begin, nominal.model, model.under(rung))
-        more = ladder(model, begin, shorter, s.search, rung, top)
-        budget.spend(sum(len(one) for one in more) * len(stated.obs))
-        fits += [one for one in more if one.log_evidence.max() > top - shorter.hopeless]
-    if sees_sun_alone(stated.obs) and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
-        # a stated strength of torques says that the body does not swing
-        fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
-    even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
-    return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
-
-
-def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
-    """Return motions without those that turn faster than the largest rate in the mean, if one that does not fits.
-
-    A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
-    """
-    speed = np.linalg.norm(motions.omega, axis=2).mean(axis=1)
-    slow = np.flatnonzero(speed <= model.rate_max)
-    fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
-    return motions.take(slow) if fits else motions
-
-
-def sees_sun_alone(obs: Observations) -> bool:
-    """Return whether no sensor but the Sun's reads anything."""
-    return not any(term.present().any() for term in obs.terms if not term.of_sun)
-
-
-def decide_wheels(
-    assessment: Assessment,
-    seen: FileReadings,
-    stated: Model,
-    passes: Sequence[Pass],
-    settings: RatesSettings,
-    budget: Budget,
-    run: Callable,
-) -> tuple[FileReadings, str, dict[int, PassFits]]:
-    """Return what is seen with the momentum of the wheels, what they do, in words, and the passes that are fitted with that.
-
-    If several things are possible, the one under which the longest passes have the largest evidence.
-    """
-    momenta = wheel_models(assessment.vehicle, assessment.telemetry)
-    names = list(momenta)
-    for one in passes:
-        longest_s = float(np.diff(seen.obs.t_s[one.kept]).max())
-        for momentum in momenta.values():
-            require_followed(stated.body.inertia, momentum[one.kept], longest_s)
-    if len(names) == 1:
-        return with_momentum(seen, momenta[names[0]]), names[0], {}
-    longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
-    models = {
-        name: [
-            replace(
-                stated,
-                obs=with_momentum(seen, momenta[name])
-                .obs.of_pass(passes[k].samples)
-                .take(passes[k].kept_in_pass),
-            )
-            for k in longest
-        ]
-        for name in names
-    }
-    # Wheels that turn the body nearly alike have the same motions: one search serves them. The others are searched side by side.
-    near = [name for name in names[1:] if _turn_alike(models[names[0]], models[name], settings)]
-    alone = [name for name in names if name not in near]
-    fitted = _fits_of_models(models, alone, [None] * len(longest), settings, budget, run)
-    motions = [
-        None if one is None else leading(one.fits, settings.search.most, settings.search)
-        for one in fitted[names[0]]
-    ]
-    known = [one if one is not None and len(one) else None for one in motions]
-    fitted |= _fits_of_models(models, near, known, settings, budget, run)
-    total = {
-        name: sum(-np.inf if one is None else log_evidence(one) for one in fitted[name])
-        for name in names
-    }
-    if not np.isfinite(
-        [log_evidence(one) for each in fitted.values() for one in each if one]
-    ).any():
-        one_pass(models[names[0]][0], settings, budget)  # raises an error that says why
-    best = max(names, key=lambda name: total[name])
-    above = total[best] - max(total[name] for name in names if name != best)
-    words = f"{best} (evidence {above:.1f} above any other)"
-    done = {k: one for k, one in zip(longest, fitted[best], strict=True) if one is not None}
-    return with_momentum(seen, momenta[best]), words, done
-
-
-def _turn_alike(first: Sequence[Model], second: Sequence[Model], settings: RatesSettings) -> bool:
-    """Return whether wheels turn the rate alike in each of some passes: no motion leaves the basin in which a fit finds it.
-
-    `first`, `second`: the models of each pass. The angle counts from the median sample on: motions agree there, and differ
-    at the ends.
-    """
-    turned = []
-    for one, other in zip(first, second, strict=True):
-        rate = nutation(one.body.inertia, other.obs.momentum - one.obs.momentum)
-        middle = len(rate) // 2
-        halves = slice(middle + 1), slice(middle, None)
-        turned += [float(np.trapezoid(rate[half], one.obs.t_s[half])) for half in halves]
-    return max(turned) < settings.search.basin_rad
-
-
-def _fits_of_models(
-    models: dict[str, list[Model]],
-    names: Sequence[str],
-    known: Sequence[Track | None],
-    settings: RatesSettings,
-    budget: Budget,
-    run: Callable,
-) -> dict[str, list[PassFits | None]]:
-    """Return the fits of passes under some of the models of their wheels; `known`: motions of each pass, instead of a search."""
-    every = [model for name in names for model in models[name]]
-    shared = [
-        None if one is None else Track.free(one.attitude, one.omega)
-        for one in [*known] * len(names)
-    ]
-    fits = list(run(_pass_if_any, every, repeat(settings), repeat(budget), shared))
-    count = len(known)
-    return {name: fits[i * count : (i + 1) * count] for i, name in enumerate(names)}
-
-
-def doubted_wheels(
-    assessment: Assessment,
-    seen: FileReadings,
-    wheels: str,
-    passes: Sequence[Pass],
-    models: Sequence[Model],
-    fits: Sequence[PassFits],
-    settings: RatesSettings,
-    budget: Budget,
-    run: Callable,
-) -> Reversed | None:
-    """Return the wheels that may turn the other way, by the longest passes; `wheels`: what they do, in words."""
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
-    each = momentum_of_each(vehicle, telemetry, name_of_wheels(wheels))
-    momenta = reversed_momenta(vehicle, each, models[0].body.inertia, seen.obs.t_s)
-    longest = sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
-    return doubted_signs(
-        seen.obs,
-        momenta,
-        [passes[k] for k in longest],
-        [models[k] for k in longest],
-        [fits[k] for k in longest],
-        lambda turned: list(run(_pass_if_any, turned, repeat(settings), repeat(budget))),
-        settings,
-        budget,
-    )
-
-
-def _pass_if_any(
-    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
-) -> PassFits | None:
-    """Return the fits of a pass as :func:`one_pass` does; None if the model allows no motion at all."""
-    try:
-        return one_pass(stated, settings, budget, known)
-    except InputError:
-        return None
-
-
-def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
-    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
-
-    `stated`: the nominal model of the whole file. Other sensors may do without directions.
-    """
-    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
-    if not panels or not sees_sun_alone(stated.obs):
-        return
-    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
-    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
-    if read >= count:
-        return
-    for one in passes:
-        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
-        model = of_pass.for_search(stated.noise)[0]
-        # whether the direction of the Sun is known at a sample, and was at the one before
-        known = False
-        for sample in range(len(one.kept)):
-            allowed = allowed_directions(model, sample)
-            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
-            if before and known:
-                return
-    raise InputError(
-        "too few Sun directions to estimate a rate",
-        got=f"rows with readings of {read} of {count} panels at most",
-        do="set sample_span_s under [telemetry] to the time in which all are read",
-    )
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:
@@ -595,6 +320,35 @@ def largest_rate(
         np.sort(np.diff(t_s[one.kept]))[: max(2, len(one.kept) // 8)].mean() for one in passes
     ]
     return min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE)
+
+
+def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
+    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
+
+    `stated`: the nominal model of the whole file. Other sensors may do without directions.
+    """
+    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
+    if not panels or not sees_sun_alone(stated.obs):
+        return
+    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
+    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
+    if read >= count:
+        return
+    for one in passes:
+        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
+        model = of_pass.for_search(stated.noise)[0]
+        # whether the direction of the Sun is known at a sample, and was at the one before
+        known = False
+        for sample in range(len(one.kept)):
+            allowed = allowed_directions(model, sample)
+            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if before and known:
+                return
+    raise InputError(
+        "too few Sun directions to estimate a rate",
+        got=f"rows with readings of {read} of {count} panels at most",
+        do="set sample_span_s under [telemetry] to the time in which all are read",
+    )
 
 
 def common_noise(fits: Sequence[PassFits]) -> float:
@@ -649,10 +403,3 @@ def doubts_of(
         "cut_passes": sum(one.cut for one in fits),
         "no_sphere": sum(no_sphere),
     }
-
-
-def _said_before(passes: Sequence[Pass]) -> str:
-    """Return what is searched, in words."""
-    used, kept = (sum(len(getattr(one, name)) for one in passes) for name in ("samples", "kept"))
-    thinned = f", thinned to {kept} for the search" if kept < used else ""
-    return f"{used} samples used in {count_of_passes(len(passes))}{thinned}"

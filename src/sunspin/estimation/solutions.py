@@ -108,7 +108,7 @@ def solutions(
     whole: Observations,
     kept: np.ndarray,
     s: SolutionSettings,
-    copies: SearchSettings,
+    of_search: SearchSettings,
 ) -> Solutions:
     """Return the solutions of a pass.
 
@@ -123,7 +123,7 @@ def solutions(
     kept : (n)
         Places of the kept samples among them.
     """
-    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, copies)
+    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, of_search)
     shares: dict[str, float] = {AS_STATED: 0.0}
     for member in (member for group in groups for member in group):
         what = member.fit.model.what
@@ -179,7 +179,7 @@ def _any_size(one: Fit, s: SolutionSettings) -> np.ndarray:
 
 
 def _grouped(
-    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, copies: SearchSettings
+    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, of_search: SearchSettings
 ) -> list[list[_Member]]:
     """Return the members of each solution, the heaviest first; solutions by their weight."""
     groups: list[tuple[Outline, list[_Member]]] = []
@@ -188,8 +188,8 @@ def _grouped(
         for head, group in groups:
             # two motions that one fit has separated are two, unless their sigmas join them
             met = any(member.fit is other.fit for other in group)
-            apart = copies.copies_rad if met else s.bent_rad
-            if outline.same(0, head, apart, s.bent_rad, copies.copies_sigmas)[0]:
+            apart = of_search.copies_rad if met else s.bent_rad
+            if outline.same(0, head, apart, s.bent_rad, of_search.copies_sigmas)[0]:
                 group.append(member)
                 break
         else:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from sunspin.estimation.carry import nutation
 from sunspin.estimation.chain import carried, costs, shot
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.images import images_of
-from sunspin.estimation.model import SUN_N, Model, Track
+from sunspin.estimation.model import SUN_N, Body, Model, Track
 from sunspin.estimation.settings import AlternativeSettings, SearchSettings
 from sunspin.estimation.terms.term import facing
 from sunspin.vehicle.response.planes import sphere
@@ -52,11 +53,25 @@ ANY_AXIS_RAD = 0.5
 MOST_AXES = 4000
 """Axes of whole turns that are tried, at most: enough for two turns."""
 
+AT_ONCE = 4000
+"""Starts that are carried together: memory."""
+
 OTHER_BODIES = np.array(list(permutations((1.0, 0.0, -1.0))))
 """Sigmas by which the three moments differ from those of a sphere."""
 
 FINE = 200
 """Turns by which the family of rates between two directions is drawn before its points are spaced evenly."""
+
+
+class PairStarts(NamedTuple):
+    """States at a sample from which a body may reach the next one: directions to the Sun `sun_B` (K, 3) and rates `omega` (K, 3).
+
+    `apart_rad`: how far the turn between the two samples may be from that of the nearest start.
+    """
+
+    sun_B: np.ndarray
+    omega: np.ndarray
+    apart_rad: float
 
 
 def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]]:
@@ -69,16 +84,16 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
         window = slice(max(0, first - s.around), min(len(model.obs), first + 2 + s.around))
         around, sample = model.seeing(window), first - window.start
         # further pairs are tried if nothing fits: then the gyro may be what is wrong
-        suns, rates, apart = starts(around, sample, s, trusted and not place)
-        if len(rates) > s.crowd:
-            suns, rates = _thinned(around, sample, suns, rates, apart, s)
-        if not len(rates):
+        begin = starts(around, sample, s, trusted and not place)
+        if len(begin.omega) > s.crowd:
+            begin = _thinned(around, sample, begin, s)
+        if not len(begin.omega):
             continue
-        motions = _best(around, sample, suns, rates, apart, s.tried[2])
+        motions = _best(around, sample, begin, s.tried[2])
         # each round trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
-            motions = shot(_loosened(around, sample, share * apart), sample, motions, 4)
-            motions = _distinct(motions, around, s.tried[2], s)
+            motions = shot(_loosened(around, sample, share * begin.apart_rad), sample, motions, 4)
+            motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[2]))
         yield window, motions
 
 
@@ -89,7 +104,11 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
         return s.places_if_flat
     first = _pairs(model)[0]
     dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
-    return 1 if dense or gyro_decides(model, first) or not _steady(model, first) else s.places
+    return (
+        1
+        if dense or gyro_decides(model, first) or not _constant_rate_holds(model, first)
+        else s.places
+    )
 
 
 def _pairs(model: Model) -> np.ndarray:
@@ -108,7 +127,7 @@ def gyro_decides(model: Model, first: int) -> bool:
     return bool(sigma * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < GYRO_RAD)
 
 
-def _steady(model: Model, first: int) -> bool:
+def _constant_rate_holds(model: Model, first: int) -> bool:
     """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
     wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
@@ -116,13 +135,8 @@ def _steady(model: Model, first: int) -> bool:
     return bool(turning * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < PRECESSION_RAD)
 
 
-def starts(
-    model: Model, first: int, s: SearchSettings, trust_gyro: bool
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return directions to the Sun (K, 3) and rates (K, 3) at a sample from which the next sample may be reached.
-
-    And how far (rad) the turn between the two samples may be from that of the nearest start. Rest is always among the starts.
-    """
+def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> PairStarts:
+    """Return the starts of a pair of samples, the `first` of which is given. Rest is always among them."""
     dt = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
     rate_max = model.rate_max
     if not rate_max * dt < 2 * np.pi * s.most_turns:
@@ -139,7 +153,8 @@ def starts(
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
         each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
-    elif not _steady(model, first):  # wheels or moments bend the motion: no closed form
+    elif not _constant_rate_holds(model, first):
+        # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
         each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
     else:
@@ -147,13 +162,13 @@ def starts(
         each = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            if (ends @ sun).max() > np.cos(
-                ANY_AXIS_RAD
-            ):  # whole turns about any axis end there too
+            # whole turns about any axis end there too
+            if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
             each.append(np.concatenate([rest, *rates, read]))
         apart = s.step_rad
-    return np.repeat(suns, [len(rates) for rates in each], axis=0), np.concatenate(each), apart
+    sun_B = np.repeat(suns, [len(rates) for rates in each], axis=0)
+    return PairStarts(sun_B, np.concatenate(each), apart)
 
 
 def allowed_directions(model: Model, sample: int) -> np.ndarray:
@@ -224,33 +239,63 @@ def _spaced(path: np.ndarray, step: float) -> np.ndarray:
     return path[np.unique(np.minimum(np.searchsorted(place, marks - 1e-12), len(path) - 1))]
 
 
-def relatives(motions: Track, model: Model, s: AlternativeSettings) -> Track:
-    """Return motions that a search with the inertia held fast may have lost, made from the most probable ones (K).
+def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
+    """Return the most probable motions (K) with whole revolutions more and fewer between the samples, up to the largest rate.
 
-    If the samples are even and no gyro excludes them: whole turns more and fewer between the samples, no faster than the
-    largest rate. Without an inertia also bodies with each axis the longest, the middle and the shortest: a body that turns about
-    a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may stay there.
+    None if the samples are uneven, or a gyro excludes them. The angular momentum L of a free body is fixed in space: whole
+    revolutions more about it between the samples show the same attitudes, and change the rate by a vector along L. How L moves in
+    the body follows from the part of |L| I^-1 that differs between the axes. If the inertia I is known the faster body nutates
+    faster, and hardly any alias fits. If it is not, a body fits for which that part is the same: exactly, without wheels.
     """
-    tracks = [motions.take(slice(0))]
     dt = np.diff(model.obs.t_s)
     first = int(np.argmin(dt))
     uneven = dt / dt[first] - np.round(dt / dt[first])
+    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+        return motions.take(slice(0))
     turn, rate_max = 2 * np.pi / dt[first], model.rate_max
-    if 2 * np.pi * np.abs(uneven).max() < s.even_rad and not gyro_decides(model, first):
-        most = int(2 * rate_max / turn)
-        more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
-        begin = motions.take(slice(s.relatives_of))
-        speed = np.linalg.norm(begin.omega, axis=2, keepdims=True)
-        faster = begin.omega * (1 + more / np.maximum(speed, 1e-12))  # (turns, K, n, 3)
-        turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
-        tracks.append(Track(begin.attitude[which], faster[turns, which], begin.u[which]))
-    if model.body.sphere and len(model.body.errors) and len(motions):
-        best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
-        sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
-        u = best.u.copy()
-        u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
-        tracks.append(Track(best.attitude, best.omega, u))
-    return Track.joined([Track(one.attitude, one.omega, one.u) for one in tracks])
+    most = int(2 * rate_max / turn)
+    more = turn * np.array([k for k in range(-most, most + 1) if k])
+    begin = motions.take(slice(s.relatives_of))
+    inertia = model.body.inertia_at(begin.u[:, model.of_body])
+    momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
+    momentum += model.obs.momentum
+    size = np.linalg.norm(momentum, axis=2, keepdims=True)
+    along = momentum / np.maximum(size, 1e-12)
+    faster = begin.omega + more[:, None, None, None] * along  # (turns, K, n, 3)
+    turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
+    u = begin.u[which]
+    if model.body.sphere and len(model.body.errors):
+        # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
+        rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
+        rates += more[turns, None, None] * np.eye(3)
+        u[:, model.of_body] = _errors_of_body(model.body, rates, u[:, model.of_body])
+    return Track(begin.attitude[which], faster[turns, which], u)
+
+
+def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Return the errors (K, e), in sigmas, of bodies whose I^-1 is proportional to `rates` (K, 3, 3); of no body: `otherwise`."""
+    lowest, _, highest = np.linalg.eigvalsh(rates).T
+    sound = (lowest > 0) | (highest < 0)  # the other way about L all are negative
+    inertia = np.linalg.inv(np.where(sound[:, None, None], rates, np.eye(3)))
+    inertia *= 3 / np.trace(inertia, axis1=1, axis2=2)[:, None, None]
+    off = (inertia - body.inertia).reshape(-1, 9)
+    u = np.linalg.lstsq(body.errors.reshape(-1, 9).T, off.T, rcond=None)[0].T
+    return np.where(sound[:, None], body.possible(u), otherwise)
+
+
+def other_bodies(motions: Track, model: Model) -> Track:
+    """Return the most probable motion of K with each axis of a body without an inertia the longest, the middle and the shortest.
+
+    A body that turns about a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may
+    stay there. None if an inertia is known.
+    """
+    if not (model.body.sphere and len(model.body.errors) and len(motions)):
+        return motions.take(slice(0))
+    best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
+    sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
+    u = best.u.copy()
+    u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+    return Track(best.attitude, best.omega, u)
 
 
 def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:
@@ -269,7 +314,7 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
-    if _steady(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
+    if _constant_rate_holds(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
         return np.inf
     return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
 
@@ -290,15 +335,14 @@ def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
     return replace(model, obs=replace(obs, terms=terms))
 
 
-def _best(
-    model: Model, sample: int, suns: np.ndarray, rates: np.ndarray, apart: float, most: int
-) -> Track:
+def _best(model: Model, sample: int, begin: PairStarts, most: int) -> Track:
     """Return the starts that fit all samples best, carried by the equations of motion, and the slowest one."""
-    loose = _loosened(model, sample, apart)
+    loose = _loosened(model, sample, begin.apart_rad)
     tracks, every = [], []
-    for part in np.array_split(np.arange(len(rates)), 1 + len(rates) // 4000):
-        track = carried(model, sample, facing(suns[part]), rates[part])
-        prior = (rates[part] ** 2).sum(axis=1) / (2 * model.rate_sigma**2)
+    for part in np.array_split(np.arange(len(begin.omega)), 1 + len(begin.omega) // AT_ONCE):
+        rates = begin.omega[part]
+        track = carried(model, sample, facing(begin.sun_B[part]), rates)
+        prior = (rates**2).sum(axis=1) / (2 * model.rate_sigma**2)
         cost = costs(loose.obs, track).sum(axis=1) + prior
         keep = np.argsort(cost, kind="stable")[:most]
         tracks.append(track.take(keep))
@@ -311,26 +355,15 @@ def _best(
     return track.take(keep)
 
 
-def _thinned(
-    model: Model,
-    sample: int,
-    suns: np.ndarray,
-    rates: np.ndarray,
-    apart: float,
-    s: SearchSettings,
-) -> tuple[np.ndarray, np.ndarray]:
+def _thinned(model: Model, sample: int, begin: PairStarts, s: SearchSettings) -> PairStarts:
     """Return the better ones of a crowd of starts: by the pair alone, then fitted to four samples."""
+    apart = begin.apart_rad
     pair = model.seeing(slice(sample, sample + 2))
-    motions = _best(pair, 0, suns, rates, apart, s.tried[0])
+    motions = _best(pair, 0, begin, s.tried[0])
     window = slice(max(0, sample - 1), min(len(model.obs), sample + 3))
     around, sample = model.seeing(window), sample - window.start
-    motions = _best(around, sample, motions.sun_B[:, 0], motions.omega[:, 0], apart, s.tried[1])
+    of_pair = PairStarts(motions.sun_B[:, 0], motions.omega[:, 0], apart)
+    motions = _best(around, sample, of_pair, s.tried[1])
     motions = shot(_loosened(around, sample, apart), sample, motions, 3)
-    motions = _distinct(motions, around, s.tried[1], replace(s, drop=np.inf))
-    return motions.sun_B[:, sample], motions.omega[:, sample]
-
-
-def _distinct(motions: Track, model: Model, most: int, s: SearchSettings) -> Track:
-    """Return motions without copies and improbable ones, best first."""
-    chosen = distinct(motions, model.obs.t_s, most, s.drop, s.copies_rad, s.copies_sigmas)
-    return motions.take(chosen)
+    motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[1], drop=np.inf))
+    return PairStarts(motions.sun_B[:, sample], motions.omega[:, sample], apart)

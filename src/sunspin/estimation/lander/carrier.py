@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from sunspin.compute.pool import worker_count
+from sunspin.estimation.lander.allowed import shortfall
 from sunspin.estimation.lander.families import (
     distinct_fits,
     one_each_box,
@@ -23,7 +24,7 @@ from sunspin.estimation.lander.fit import (
     fit_first,
     in_pieces,
 )
-from sunspin.estimation.lander.grid import Place, shortfall
+from sunspin.estimation.lander.grid import Place
 from sunspin.estimation.lander.model import ALL_SIZES, LanderModel, Sizes
 from sunspin.estimation.lander.motions import ShotFit, Shots, Trials
 from sunspin.estimation.search import grown

@@ -117,9 +117,8 @@ class FieldCalibration:
 
         `field_along_N` (n, 3): change of the field by one sigma along the track, T.
         """
-        by_error = self.errors[
-            :, SHIFT:
-        ]  # (13, 1): how far each error moves the place along the track, in sigmas
+        # (13, 1): how far each error moves the place along the track, in sigmas
+        by_error = self.errors[:, SHIFT:]
         return by_error * field_along_N[:, None]
 
     def sigma_T(
@@ -152,7 +151,7 @@ class Calibration:
 
     `values` (D) of all unknowns, with their covariances (D, D): `model` by the curvature, `robust` by leaving out each pass
     (jackknife), and `prior`. `unit_T` and `unit`: units of the field in T and of the readings in theirs; `sensors`: number of Sun
-    sensors. `noise_T` of a component of the field; `sun_noise`, `panel_noise` in units of the stated sigmas. `strength` (2) and
+    sensors. `noise_T` of a component of the field; `sun_noise` in units of the stated sigmas. `strength` (2) and
     `angle` (2): median residuals in T and rad, before and after. `samples`: numbers of those that show something.
     """
 
@@ -165,7 +164,6 @@ class Calibration:
     sensors: int
     noise_T: float
     sun_noise: float
-    panel_noise: float
     strength: np.ndarray
     angle: np.ndarray
     samples: dict[str, int]
@@ -410,7 +408,6 @@ def _described(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
         len(law.vehicle.sensors.sun_sensors),
         law.scatter[2] * law.unit_T,
         law.scatter[0],
-        law.scatter[1],
         residuals[:, 0],
         residuals[:, 1],
         {

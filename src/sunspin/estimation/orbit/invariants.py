@@ -317,10 +317,11 @@ class MagnetometerLaw:
         length = np.maximum(np.linalg.norm(field, axis=2), 1e-9)
         unit = field / length[..., None]
         off = length - state.strength  # d
+        # slopes of d by the field, and by the reading: g
         by_field, by_reading = (
             unit,
             unit @ matrix,
-        )  # slopes of d by the field, and by the reading: g
+        )
         steepness = np.ones(length.shape)  # |g|
         if self.of_readings:
             # The slope of d / |g| has that of |g| too. As e turns with f, |g| d|g| / df = (A g - |g|^2 e) / |f|; A follows below.
@@ -383,9 +384,8 @@ class MagnetometerLaw:
         """Return, at each offset, the state that costs less."""
         wins = self.linearise(second).cost < self.linearise(first).cost
         parts = []
-        for of_first, of_second in zip(
-            first, second, strict=True
-        ):  # the first axis of each part are the offsets
+        # the first axis of each part are the offsets
+        for of_first, of_second in zip(first, second, strict=True):
             part = of_first.copy()
             part[wins] = of_second[wins]
             parts.append(part)

@@ -33,9 +33,10 @@ def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
             do="three lit panels with independent normals are needed somewhere",
         )
     lit_if_good, lit_if_bad = (
+        # also if there is no pattern
         np.array([[name in pattern for name in names] for pattern in patterns], dtype=bool).reshape(
             -1, len(names)
-        )  # also if there is no pattern
+        )
         for patterns in (good, bad)
     )
     return vehicle.response_in().direction_set(lit_if_good, lit_if_bad)

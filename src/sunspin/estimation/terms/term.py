@@ -157,9 +157,8 @@ def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
     The vector at t is `sigma` (u[0:3] + `rate_rad_s` (t - mean time) u[3:6]): it drifts as fast as a turn at this rate makes it.
     """
     away = rate_rad_s * (t_s - t_s.mean())
-    sigmas = sigma * np.stack(
-        [np.ones(len(t_s)), away], axis=1
-    )  # (n, 2): of the mean, and of the drift
+    # (n, 2): of the mean, and of the drift
+    sigmas = sigma * np.stack([np.ones(len(t_s)), away], axis=1)
     return (sigmas[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
 
 
