@@ -384,9 +384,10 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
     earth = _earth_light(albedo, albedo_samples, relative_noise)
     fitted = estimate_gains(vehicle, value[clean], full, light.dead, light.missed, earth)
     gains = stated_gains * fitted.factor
-    lit_share, gain_cov = fitted.spread, fitted.covariance
-    lit_beside_gains = lit_share
-    if lit_share is None:
+    gain_cov = fitted.covariance
+    if fitted.spread is not None:
+        lit_share = lit_beside_gains = fitted.spread
+    else:
         # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
         of_full = value / (level * gains)
         lit_share = np.hypot(albedo, fitted.sigma * of_full)
@@ -397,7 +398,8 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
 
     # sigma of each reading: a share of full Sun, which is the albedo for unlit panels, and the noise
     lit = value > SURELY_LIT * albedo * level * gains
-    share, beside_gains = (np.where(lit, one, albedo) for one in (lit_share, lit_beside_gains))
+    share = np.where(lit, lit_share, albedo)
+    beside_gains = np.where(lit, lit_beside_gains, albedo)
     # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
     # state, which is as large as the scatter of full Sun, or up to all of that light.
     unstated = 0.0
