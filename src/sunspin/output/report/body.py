@@ -274,10 +274,8 @@ def _panel_colour(share: float) -> str:
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 
-def _arrow(
-    direction: np.ndarray, length: float, colour: str, name: str, beside: str
-) -> go.Scatter3d:
-    """Return an arrow from the origin with its name on one side of the tip (`beside`); a zero direction gives a point."""
+def _arrow(direction: np.ndarray, length: float, colour: str, name: str, side: str) -> go.Scatter3d:
+    """Return an arrow from the origin with its name on one side of the tip (`side`); a zero direction gives a point."""
     tip = direction / max(float(np.linalg.norm(direction)), 1e-30) * length
     return go.Scatter3d(
         {axis: [0, end] for axis, end in zip("xyz", tip, strict=True)},
@@ -285,7 +283,7 @@ def _arrow(
         line={"width": 6, "color": colour},
         marker={"size": [0, 6], "color": colour},
         text=["", name],
-        textposition=beside,
+        textposition=side,
         textfont={"color": colour},
         hoverinfo="skip",
         showlegend=False,
