@@ -132,3 +132,20 @@ def test_which_alias_is_likelier_does_not_hang_on_the_prior_of_the_rate(slow, fa
     assert np.isclose(result.probability.sum(), 1.0)
     slower = result.mean[:, 2] < np.radians(5.0)
     assert low <= result.probability[slower].sum() <= high
+
+
+def test_a_motion_that_ends_on_its_way_under_the_first_torques_is_followed_down_from_stronger_ones():
+    model, motions = problem(torque=False)
+    off = 0.02 * np.array([1.0, -1.0, 0.5])
+    poor = replace(motions, omega=motions.omega + off)
+    hurried = replace(LADDER, first_steps=1, steps=3)
+    first = fit(model.under(5e-6), poor, 1)
+    found = {
+        one.model.noise.acceleration: one for one in ladder(model, motions, LADDER, SEARCH, 5e-6)
+    }
+    again = {
+        one.model.noise.acceleration: one for one in ladder(model, poor, hurried, SEARCH, 5e-6)
+    }
+    best = found[5e-6].log_evidence.max()
+    assert first.log_evidence[0] < best - LADDER.hopeless
+    assert np.isclose(again[5e-6].log_evidence.max(), best, atol=0.1)
