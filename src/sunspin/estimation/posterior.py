@@ -236,7 +236,7 @@ def sampled(
 ) -> Drawn:
     """Return draws of the nominal model, the first of the fits, and of others that promise to count, each from its own stream.
 
-    The likeliest model gets all draws, the others fewer. `before`: draws of the nominal model that there are already.
+    The likeliest model gets all draws and walkers, the others fewer. `before`: draws of the nominal model that there are already.
     """
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
     mass = np.array([_log_mass(fit) for fit in fits])
@@ -253,7 +253,12 @@ def sampled(
         part = 1.0 if mass[h] == mass.max() else settings.others_draws
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
-        s = replace(s, draws=int(part * s.draws), wanted=part * s.wanted)
+        s = replace(
+            s,
+            draws=int(part * s.draws),
+            wanted=part * s.wanted,
+            walkers=int(np.ceil(part * s.walkers)),
+        )
         # with which part of its sigma the prior held each unknown in the fit
         under = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
         return sample(LanderTarget(fit.model), fit, streams[h], s, own, under), own

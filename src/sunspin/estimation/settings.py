@@ -348,7 +348,8 @@ class SamplingSettings:
     """The same of the direction at the reference."""
 
     walkers: int = 200
-    """Chains that start from draws, to see whether the proposals cover what is around these."""
+    """Chains that start from draws, to see whether the proposals cover what is around these; of a model that gets a part of the
+    draws, this part."""
 
     walk_steps: int = 20
     """Steps of each."""
