@@ -180,7 +180,10 @@ class Problem:
         return steps
 
     def differences(self, shots: Shots, seen: np.ndarray, moves: np.ndarray) -> Linear:
-        """Return differences and derivatives of motions of which is `seen` (K, n, w), with derivatives `moves` (K, c, n, w)."""
+        """Return differences and derivatives of motions of which is `seen` (K, n, w), with derivatives `moves` (K, c, n, w).
+
+        Without any (c = 0) the derivatives are those by unknowns on which the motion does not depend.
+        """
         model, count = self.model, len(shots)
         fine = np.all(np.isfinite(seen), axis=(1, 2))
         seen = np.where(fine[:, None, None], seen, 0.0)
@@ -189,17 +192,17 @@ class Problem:
         turn = np.moveaxis(cross(moves[..., :3], sun[:, None]), 1, -1)
         of_rate = np.moveaxis(moves[..., 3:], 1, -1)
         own = self.fitted[len(self.moving) :] - len(model.of_motion)
-        of_motion = slice(0, 5 + len(self.moving))
+        moving = moves.shape[1]
         values, columns = [], []
         for term in (model.panels, *model.given):
             for residual in term.residuals(SunStates.of(sun, omega), shots.u[:, model.of_panels]):
-                jacobian = np.zeros((*residual.value.shape, len(self.coordinates)))
-                if residual.by_turn is not None:
-                    jacobian[..., of_motion] += residual.by_turn @ turn
-                if residual.by_rate is not None:
-                    jacobian[..., of_motion] += residual.by_rate @ of_rate
+                jacobian = np.zeros((*residual.value.shape, moving + len(own)))
+                if moving and residual.by_turn is not None:
+                    jacobian[..., :moving] += residual.by_turn @ turn
+                if moving and residual.by_rate is not None:
+                    jacobian[..., :moving] += residual.by_rate @ of_rate
                 if residual.by_u is not None:
-                    jacobian[..., 5 + len(self.moving) :] = residual.by_u[..., own]
+                    jacobian[..., moving:] = residual.by_u[..., own]
                 values.append(residual.value.reshape(count, -1))
                 columns.append(jacobian.reshape(count, -1, jacobian.shape[-1]))
         value, jacobian = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)

@@ -96,11 +96,12 @@ class LanderTarget:
         self, seen: np.ndarray, u: np.ndarray, wider: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the standing unknowns."""
-        problem, still = self._problem, np.zeros((len(u), FIVE, *seen.shape[1:]))
+        problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
         # the differences depend on u and on what is seen alone
-        linear = problem.differences(Shots(still[:, :3, 0, 0], still[:, :3, 0, 0], u), seen, still)
+        none = np.zeros((len(u), 3))
+        linear = problem.differences(Shots(none, none, u), seen, still)
         _, weight = problem.weigh(linear.value, u, wider)
-        jacobian = linear.jacobian[:, :, FIVE:]
+        jacobian = linear.jacobian
         weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
         return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian
 
