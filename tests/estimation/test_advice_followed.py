@@ -185,7 +185,7 @@ def test_strong_torques_of_a_body_without_an_inertia_ask_for_it(noise, sphere, s
     data, _ = seen([0.01, 0.012, -0.01], np.arange(0.0, 60.0, 5.0))
     obs = observe(assess(vehicle, data)).obs
     model = Model(obs, Body.of(vehicle), Noise(1e-4), 0.025)
-    result = xr.Dataset(attrs={"wheels_untold": ""})
+    result = xr.Dataset(attrs={"wheels_untold": "", "gains_unknown": ""})
     fits: Any = [SimpleNamespace(cut=False)]
     solved: Any = [SimpleNamespace(noise=np.array([noise]))]
     words, counts = doubts_of(result, [model], fits, solved, not stated, 1.0, RATES)
@@ -197,7 +197,7 @@ def test_weaker_torques_that_turn_a_sphere_far_between_samples_ask_for_its_inert
     vehicle = replace(CUBE, inertia_kg_m2=None)
     solved: Any = [SimpleNamespace(noise=np.array([9e-4]))]
     fits: Any = [SimpleNamespace(cut=False)]
-    result = xr.Dataset(attrs={"wheels_untold": ""})
+    result = xr.Dataset(attrs={"wheels_untold": "", "gains_unknown": ""})
     for apart_s, asked in ((5.0, 0), (20.0, 0), (22.0, 1)):
         data, _ = seen([0.01, 0.012, -0.01], apart_s * np.arange(12))
         model = Model(observe(assess(vehicle, data)).obs, Body.of(vehicle), Noise(1e-4), 0.025)

@@ -19,10 +19,6 @@ def test_sparse_samples_are_decided_for_the_true_alias_once_the_inertia_is_free(
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    reason="the search for a body without an inertia loses the truth, whose log evidence is 1.3 below that of the alias it keeps",
-)
 def test_an_alias_of_a_body_without_an_inertia_is_not_decided():
     """A body at 10.5 deg/s, its inertia unknown, sampled every 45 s: from the truth a fit costs 8, as the alias does."""
     vehicle, data, _, truth, about = rates_case(11, 1, **SPARSE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import repeat
 
 import numpy as np
@@ -26,7 +27,7 @@ from sunspin.estimation.images import with_images
 from sunspin.estimation.model import AS_STATED, Model, Noise, Observations, Track
 from sunspin.estimation.search import search
 from sunspin.estimation.settings import RatesSettings, SearchSettings
-from sunspin.estimation.starts import pair_starts, pairs_to_try, relatives
+from sunspin.estimation.starts import aliases, other_bodies, pair_starts, pairs_to_try
 from sunspin.estimation.swings import swings_by_all_ways
 
 
@@ -81,12 +82,13 @@ def one_pass(
             do="add samples, or check their errors",
         )
 
-    # Relatives: motions that the search may lose, as it holds the inertia: whole turns more or less, and bodies of another shape.
-    best = leading(fits, s.alternatives.relatives_of, s.search)
-    others = relatives(best, stated, s.alternatives)
-    budget.spend(len(others) * len(stated.obs))
-    fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
-    fits = united(fits, s.ladder, s.search)
+    # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
+    # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
+    for related in (other_bodies, partial(aliases, s=s.alternatives)):
+        others = related(leading(fits, s.alternatives.relatives_of, s.search), stated)
+        budget.spend(len(others) * len(stated.obs))
+        fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
+        fits = united(fits, s.ladder, s.search)
 
     # Alternatives: what else may have moved the body. The generator sees `fits` grow: a second step of the rate is added to the
     # first.

@@ -70,7 +70,7 @@ from sunspin.estimation.wheels import (
     kept_samples,
     longest,
 )
-from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.assess import LOW_SHARE, Assessment, assess
 from sunspin.vehicle import Vehicle
 
 NOISE_RANGE = (1e-9, 1.0)
@@ -245,7 +245,9 @@ def rates(
     # The result, and what may be believed of it.
     stated = stated.under(common_noise(fits))
     result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
-    result = result.assign_coords(pass_id=chosen)
+    in_doubt = assessment.doubtful_gains if seen.source == "panels" else {}
+    unknown = ", ".join(name for name, share in in_doubt.items() if share < LOW_SHARE)
+    result = result.assign_coords(pass_id=chosen).assign_attrs(gains_unknown=unknown)
     doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
@@ -368,9 +370,9 @@ def doubts_of(
 ) -> tuple[list[str], dict[str, float]]:
     """Return what the search of each pass may have left out and what would help, in words; and attributes that count such passes.
 
-    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown. Or it took a body
-    without an inertia for a sphere, but the data want torques that hardly any satellite has. Torques that turn the body far between
-    two samples are doubted too, as a nutation does that.
+    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; the gains are,
+    and no other sensor gives the rate. Or it took a body without an inertia for a sphere, but the data want torques that hardly any
+    satellite has. Torques that turn the body far between two samples are doubted too, as a nutation does that.
     """
     fine = [fine_up_to(model, settings.search) for model in models]
     no_sphere = []
@@ -380,15 +382,17 @@ def doubts_of(
         far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
         strong = one.noise[0] >= settings.ladder.strong
         no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))
-    wheels = result.attrs["wheels_untold"]
+    wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
     cures = [
         {
             f"budget reached: {more_effort(effort)}": one.cut,
             f"coarse: {slower(limit)}" if np.isfinite(limit) else "": np.isfinite(limit),
             "torques too strong for a satellite, or the body is no sphere: give its inertia": odd,
             f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column": wheels,
+            f"the gain of panel {gains} is not known: give cells, gain_W, gain_A, or a sigma": gains
+            and sees_sun_alone(model.obs),
         }
-        for one, limit, odd in zip(fits, fine, no_sphere, strict=True)
+        for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True)
     ]
     words = ["; ".join(what for what, so in one.items() if so) for one in cures]
     coarse = [limit for limit in fine if np.isfinite(limit)]

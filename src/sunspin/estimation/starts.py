@@ -20,7 +20,7 @@ from sunspin.estimation.carry import nutation
 from sunspin.estimation.chain import carried, costs, shot
 from sunspin.estimation.copies import distinct
 from sunspin.estimation.images import images_of
-from sunspin.estimation.model import SUN_N, Model, Track
+from sunspin.estimation.model import SUN_N, Body, Model, Track
 from sunspin.estimation.settings import AlternativeSettings, SearchSettings
 from sunspin.estimation.terms.term import facing
 from sunspin.vehicle.response.planes import sphere
@@ -239,33 +239,63 @@ def _spaced(path: np.ndarray, step: float) -> np.ndarray:
     return path[np.unique(np.minimum(np.searchsorted(place, marks - 1e-12), len(path) - 1))]
 
 
-def relatives(motions: Track, model: Model, s: AlternativeSettings) -> Track:
-    """Return motions that a search with the inertia held fast may have lost, made from the most probable ones (K).
+def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
+    """Return the most probable motions (K) with whole revolutions more and fewer between the samples, up to the largest rate.
 
-    If the samples are even and no gyro excludes them: whole turns more and fewer between the samples, no faster than the
-    largest rate. Without an inertia also bodies with each axis the longest, the middle and the shortest: a body that turns about
-    a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may stay there.
+    None if the samples are uneven, or a gyro excludes them. The angular momentum L of a free body is fixed in space: whole
+    revolutions more about it between the samples show the same attitudes, and change the rate by a vector along L. How L moves in
+    the body follows from the part of |L| I^-1 that differs between the axes. If the inertia I is known the faster body nutates
+    faster, and hardly any alias fits. If it is not, a body fits for which that part is the same: exactly, without wheels.
     """
-    tracks = [motions.take(slice(0))]
     dt = np.diff(model.obs.t_s)
     first = int(np.argmin(dt))
     uneven = dt / dt[first] - np.round(dt / dt[first])
+    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+        return motions.take(slice(0))
     turn, rate_max = 2 * np.pi / dt[first], model.rate_max
-    if 2 * np.pi * np.abs(uneven).max() < s.even_rad and not gyro_decides(model, first):
-        most = int(2 * rate_max / turn)
-        more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
-        begin = motions.take(slice(s.relatives_of))
-        speed = np.linalg.norm(begin.omega, axis=2, keepdims=True)
-        faster = begin.omega * (1 + more / np.maximum(speed, 1e-12))  # (turns, K, n, 3)
-        turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
-        tracks.append(Track(begin.attitude[which], faster[turns, which], begin.u[which]))
-    if model.body.sphere and len(model.body.errors) and len(motions):
-        best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
-        sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
-        u = best.u.copy()
-        u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
-        tracks.append(Track(best.attitude, best.omega, u))
-    return Track.joined([Track(one.attitude, one.omega, one.u) for one in tracks])
+    most = int(2 * rate_max / turn)
+    more = turn * np.array([k for k in range(-most, most + 1) if k])
+    begin = motions.take(slice(s.relatives_of))
+    inertia = model.body.inertia_at(begin.u[:, model.of_body])
+    momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
+    momentum += model.obs.momentum
+    size = np.linalg.norm(momentum, axis=2, keepdims=True)
+    along = momentum / np.maximum(size, 1e-12)
+    faster = begin.omega + more[:, None, None, None] * along  # (turns, K, n, 3)
+    turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
+    u = begin.u[which]
+    if model.body.sphere and len(model.body.errors):
+        # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
+        rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
+        rates += more[turns, None, None] * np.eye(3)
+        u[:, model.of_body] = _errors_of_body(model.body, rates, u[:, model.of_body])
+    return Track(begin.attitude[which], faster[turns, which], u)
+
+
+def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Return the errors (K, e), in sigmas, of bodies whose I^-1 is proportional to `rates` (K, 3, 3); of no body: `otherwise`."""
+    lowest, _, highest = np.linalg.eigvalsh(rates).T
+    sound = (lowest > 0) | (highest < 0)  # the other way about L all are negative
+    inertia = np.linalg.inv(np.where(sound[:, None, None], rates, np.eye(3)))
+    inertia *= 3 / np.trace(inertia, axis1=1, axis2=2)[:, None, None]
+    off = (inertia - body.inertia).reshape(-1, 9)
+    u = np.linalg.lstsq(body.errors.reshape(-1, 9).T, off.T, rcond=None)[0].T
+    return np.where(sound[:, None], body.possible(u), otherwise)
+
+
+def other_bodies(motions: Track, model: Model) -> Track:
+    """Return the most probable motion of K with each axis of a body without an inertia the longest, the middle and the shortest.
+
+    A body that turns about a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may
+    stay there. None if an inertia is known.
+    """
+    if not (model.body.sphere and len(model.body.errors) and len(motions)):
+        return motions.take(slice(0))
+    best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
+    sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
+    u = best.u.copy()
+    u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+    return Track(best.attitude, best.omega, u)
 
 
 def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:

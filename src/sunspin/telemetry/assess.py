@@ -27,6 +27,10 @@ from sunspin.vehicle import Vehicle
 HEALTH_SAMPLES = 3000
 """Largest number of samples, evenly chosen, that are searched for impossible lit patterns: a day at 1 Hz must not take minutes."""
 
+LOW_SHARE = 0.5
+"""Largest reading of a panel, relative to the panel that reads most, below which its gain is doubtful. In a satellite that tumbles
+about all axes the largest of 30 readings of each panel is above 0.8; panels of 3U and 6U satellites differ by factors of 2 to 6."""
+
 DERIVED_FROM = dict.fromkeys(
     ("sun_sensor_cov_B", "sun_sensor_other_B", "sun_sensor_other_cov_B", "sun_sensor_angle"),
     "sun_sensor_B",
@@ -77,6 +81,28 @@ class Assessment:
             if repeated.any():
                 masked[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))
         return self.telemetry.assign(masked) if masked else self.telemetry
+
+    @cached_property
+    def doubtful_gains(self) -> dict[str, float]:
+        """Largest reading of each panel with signal by the largest of all, if the gains look like placeholders; else empty.
+
+        They do if all are relative, without sigma, and a panel with signal reads less than `LOW_SHARE`. If the data determine the
+        gains the estimators use these, and nothing is in doubt.
+        """
+        craft = self.vehicle
+        stated = [craft.facts.get(f"panel.{panel.name}.relative_gain") for panel in craft.panels]
+        unstated = all(fact is not None and not fact.sigma for fact in stated)
+        if not (self.has_panels and unstated) or craft.channels or craft.telemetry.has_angles:
+            return {}
+        quality = self.quality
+        readings = np.where(quality["reading"].values, signals(self.telemetry), np.nan)
+        largest = np.nanmax(readings, axis=0, initial=0.0) / craft.input_gains
+        share = largest / max(largest.max(), 1e-300)
+        alive = ~quality["dead"].values
+        if np.isfinite(quality.attrs["spread"]) or not (share < LOW_SHARE)[alive].any():
+            return {}
+        names = quality["panel"].values.astype(str)[alive].tolist()
+        return dict(zip(names, share[alive].tolist(), strict=True))
 
     @cached_property
     def panel_unit(self) -> WrongUnit | None:

@@ -14,11 +14,14 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import (
+    PRIOR_SIGMA,
     READING_SIGMA,
     WIDE_SIGMA,
     Gains,
     estimate_gains,
     prior_sigmas,
+    scale_gains,
+    stated_sigmas,
 )
 from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise, lowest_reading
 from sunspin.telemetry.repeats import PANELS, Repeats, find_repeats
@@ -71,6 +74,10 @@ QUANTUM_SAMPLES = 20_000
 
 IDLE_FRACTION = 0.35
 """Samples below this fraction of full Sun are dropped: on skCUBE the current then came from panels that were less in the Sun."""
+
+GAIN_SIGMAS = 2.0
+"""Samples are dropped only if they are still dim with gains lower by so many sigmas of the vehicle file. A guess with a sigma of
+0.3 otherwise lost each sample with the Sun on a panel of a third of the cells."""
 
 LIMITED_SIGMA = 0.5
 """Error of a power-limited reading, as a fraction of the sample's largest: the lit panels are right, the ratios are not."""
@@ -174,7 +181,8 @@ class _Errors(NamedTuple):
 
     `albedo`: light on unlit panels as a share of full Sun, from `albedo_samples` readings. `earth`: Earth's light on a panel that
     looks at it. `fitted`: gains and weak panels. `gains` (n_panel) with the covariance `gain_cov`, relative to the vehicle file's.
-    `sigma`, `sigma_modelled` (n, n_panel): of each reading without and with a model of the Earth's light; infinite if not used.
+    `sigma`, `sigma_beside_gains`, `sigma_modelled` (n, n_panel): of each reading with all its errors, without those of the gains,
+    and without those and the Earth's light; infinite if not used.
     """
 
     albedo: float
@@ -184,6 +192,7 @@ class _Errors(NamedTuple):
     gains: np.ndarray
     gain_cov: np.ndarray
     sigma: np.ndarray
+    sigma_beside_gains: np.ndarray
     sigma_modelled: np.ndarray
 
 
@@ -207,8 +216,9 @@ def judge_readings(
     -------
     xarray.Dataset
         On (time, panel): `sigma`, one sigma of a reading in the unit of the gains, infinite if the reading is not used;
-        `sigma_beside_earth`, the same if the Earth's light is modelled; `reading`, true if the panel was read, lit or not;
-        `measured`, true if the reading depends on the Sun direction alone.
+        `sigma_beside_gains`, the same if the errors of the gains are modelled; `sigma_beside_earth`, if the Earth's light is
+        modelled too; `reading`, true if the panel was read, lit or not; `measured`, true if the reading depends on the Sun
+        direction alone.
 
         On time: `scale`, the factor between gain and reading at full Sun, with its relative uncertainty `scale_sigma`; `use`
         (0 used, 1 down-weighted, 2 dropped); `why`, the reason as a sentence.
@@ -265,9 +275,11 @@ def judge_readings(
     scale = np.where(limited, np.maximum(light.bright, 1e-12), light.level[:, 0])
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     uses = {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}
-    modelled_name = "the same where the Earth's light is modelled"
+    gains_name = "the same where the errors of the gains are modelled"
+    modelled_name = "the same where the Earth's light is modelled too"
     variables: dict[str, Any] = {
         "sigma": (errors.sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
+        "sigma_beside_gains": (errors.sigma_beside_gains, {"long_name": gains_name}),
         "sigma_beside_earth": (errors.sigma_modelled, {"long_name": modelled_name}),
         "reading": (was_read, {"units": "1", "long_name": "the panel was read"}),
         "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
@@ -372,16 +384,22 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
     earth = _earth_light(albedo, albedo_samples, relative_noise)
     fitted = estimate_gains(vehicle, value[clean], full, light.dead, light.missed, earth)
     gains = stated_gains * fitted.factor
-    lit_share, gain_cov = fitted.spread, fitted.covariance
-    if lit_share is None:
+    gain_cov = fitted.covariance
+    if fitted.spread is not None:
+        lit_share = lit_beside_gains = fitted.spread
+    else:
         # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
-        lit_share = np.hypot(albedo, fitted.sigma * value / (level * gains))
+        of_full = value / (level * gains)
+        lit_share = np.hypot(albedo, fitted.sigma * of_full)
+        lit_beside_gains = np.hypot(albedo, READING_SIGMA * of_full)
         gain_cov = np.diag(prior_sigmas(vehicle, WIDE_SIGMA) ** 2)
     # what the Earth adds to a lit panel on average appears as a larger gain
     gain_cov = gain_cov + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
 
     # sigma of each reading: a share of full Sun, which is the albedo for unlit panels, and the noise
-    share = np.where(value > SURELY_LIT * albedo * level * gains, lit_share, albedo)
+    lit = value > SURELY_LIT * albedo * level * gains
+    share = np.where(lit, lit_share, albedo)
+    beside_gains = np.where(lit, lit_beside_gains, albedo)
     # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
     # state, which is as large as the scatter of full Sun, or up to all of that light.
     unstated = 0.0
@@ -397,11 +415,11 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
     by_battery = by_battery * largest * light.limited[:, None]
     unused_samples = readings.dropped | light.dark | light.idle
     unused = ~np.isfinite(readings.value) | light.spike | light.dead[None] | unused_samples[:, None]
-    sigma, sigma_modelled = (
+    sigmas = (
         np.where(unused, np.inf, np.hypot(by_battery, np.hypot(each * level * gains, noise)))
-        for each in (share, modelled_share)
+        for each in (share, beside_gains, modelled_share)
     )
-    return _Errors(albedo, albedo_samples, earth, fitted, gains, gain_cov, sigma, sigma_modelled)
+    return _Errors(albedo, albedo_samples, earth, fitted, gains, gain_cov, *sigmas)
 
 
 def find_late_frames(telemetry: xr.Dataset) -> np.ndarray:
@@ -510,10 +528,21 @@ def _find_dim_samples(
     if vehicle.throttled:
         idle, limited = np.zeros((2, len(lit)), dtype=bool)
     else:
-        idle = lit & (bright < IDLE_FRACTION * full)
-        limited = lit & ~idle & (bright < LIMITED_FRACTION * full)
+        brightest = np.maximum(bright, brightness(_with_lowest_gains(vehicle), use_value))
+        idle = lit & (brightest < IDLE_FRACTION * full)
+        limited = lit & ~idle & (brightest < LIMITED_FRACTION * full)
     oblique = (idle | limited) & _is_oblique(vehicle, use_value, full, dead)
     return idle & ~oblique, limited & ~oblique, oblique
+
+
+def _with_lowest_gains(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle with each gain as low as its stated sigma allows (`GAIN_SIGMAS`).
+
+    The limits of dim samples allow for errors up to `PRIOR_SIGMA`: only what is beyond it counts.
+    """
+    stated = np.nan_to_num(stated_sigmas(vehicle))
+    beyond = np.sqrt(np.maximum(stated**2 - PRIOR_SIGMA**2, 0.0))
+    return scale_gains(vehicle, np.maximum(1 - GAIN_SIGMAS * beyond, DEAD_FRACTION))
 
 
 def _beyond_noise(

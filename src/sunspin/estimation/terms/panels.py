@@ -135,7 +135,7 @@ class Panels(Term):
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
             signals(assessment.telemetry),
-            quality["sigma"].values,
+            quality["sigma_beside_gains"].values,
             vehicle.response_in(),
             quality["gain"].values / vehicle.input_gains,
             errors,
@@ -144,7 +144,7 @@ class Panels(Term):
             vehicle.input_names,
             Instants.of(vehicle),
             shown.any(axis=0),
-            quality["sigma"].values,
+            quality["sigma_beside_gains"].values,
             quality["sigma_beside_earth"].values,
             np.where(shown, dark, np.inf),
             np.ones(len(shown)),

@@ -9,7 +9,7 @@ import xarray as xr
 
 from sunspin.output.check.findings import Findings
 from sunspin.output.text import count_text, size_text, with_sigma
-from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.assess import LOW_SHARE, Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, count_reasons
 from sunspin.telemetry.sun import LIT_SIGMAS, SunStatus, signals
@@ -24,11 +24,6 @@ SHOWN = 30
 MOST_PANELS = 2 / 3
 """Least fraction of the panels that a row must have read to count as a sample of the motion. Five of six panels bound the Sun
 direction, two leave it open. If a file has a row for each packet, a row has a half or a third of the panels."""
-
-
-LOW_SHARE = 0.5
-"""Largest reading of a panel, relative to the panel that reads most, below which its gain is doubtful. In a satellite that tumbles
-about all axes the largest of 30 readings of each panel is above 0.8; panels of 3U and 6U satellites differ by factors of 2 to 6."""
 
 PASS_INTERVALS = 6
 """Usual sampling intervals from which a gap separates two passes, as by default in `rates`."""
@@ -98,28 +93,16 @@ def noise_lines(assessment: Assessment) -> list[str]:
 
 
 def unknown_gain_lines(assessment: Assessment) -> list[str]:
-    """Return a line if the gains look like placeholders: all relative, without sigma, and one panel never reads near full Sun.
-
-    If the data determine the gains there is none: then the estimators use these. Nor is there one for panels without signal.
-    """
-    craft, quality = assessment.vehicle, assessment.quality
-    stated = [craft.facts.get(f"panel.{panel.name}.relative_gain") for panel in craft.panels]
-    unstated = all(fact is not None and not fact.sigma for fact in stated)
-    estimated = np.isfinite(quality.attrs["spread"])
-    if not unstated or estimated or craft.channels or craft.telemetry.has_angles:
+    """Return a line if the gains look like placeholders (`Assessment.doubtful_gains`)."""
+    share = assessment.doubtful_gains
+    if not share:
         return []
-    readings = np.where(quality["reading"].values, signals(assessment.telemetry), np.nan)
-    largest = np.nanmax(readings, axis=0, initial=0.0) / craft.input_gains
-    share = largest / max(largest.max(), 1e-300)
-    low = (share < LOW_SHARE) & ~quality["dead"].values
-    if not low.any():
-        return []
-    names = quality["panel"].values.astype(str)
-    values = ", ".join(f"{name} {part:.0%}" for name, part in zip(names, share, strict=True))
+    values = ", ".join(f"{name} {part:.0%}" for name, part in share.items())
+    low = ", ".join(name for name, part in share.items() if part < LOW_SHARE)
     return [
         f"  GAINS NOT KNOWN: with the relative gains of the vehicle file the largest readings are {values} of that of panel "
-        f"{names[share.argmax()]}; if {', '.join(names[low])} has fewer or weaker cells, the rates are wrong. Give `cells`, "
-        "`gain_W` or `gain_A` of each panel"
+        f"{max(share, key=share.__getitem__)}; if {low} has fewer or weaker cells, the rates are wrong. Give `cells`, `gain_W` or "
+        "`gain_A` of each panel, or its relative gain a sigma"
     ]
 
 
