@@ -1,6 +1,7 @@
 """The Taylor kernel against heyoka on random bodies, event for event, and against the plain equations."""
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -307,6 +308,34 @@ def test_motions_at_rest_without_momentum_and_without_time_are_followed():
 def test_a_wheel_at_rest_has_no_past():
     initial = batch.Rows(np.array([[0.1, 0.2, 0.3]]), SUN[None], np.zeros((1, 1)))
     assert batch.run(philae_body(), initial, -60.0).outcome[0] == batch.Outcome.PAST_UNKNOWN
+
+
+class AllOfOmega(batch.Problem):
+    """The same motions, with no part of omega left out of the series."""
+
+    @cached_property
+    def modes(self) -> np.ndarray:
+        """Return the modes with a share of H of zero."""
+        return super().modes * np.array([0.0] + [1.0] * 6)
+
+
+@pytest.mark.parametrize("end_s", [600.0, -200.0])
+def test_what_is_left_out_under_steady_torques_changes_no_motion_by_1e_10_and_saves_steps(end_s):
+    """Torques that turn H by far more than `wheels.FAR`, and those of a lander; forward and backward, with a wheel."""
+    rng = np.random.default_rng(4)
+    vehicle = philae_body()
+    omega = 0.1 * rng.normal(size=(32, 3))
+    bodies = replace(Bodies.of(vehicle, 32), steady_N_m=1e-6 * rng.normal(size=(32, 2, 3)))
+    bodies.steady_N_m[:16] *= 1e3
+    initial = batch.Rows(omega, np.tile(SUN, (32, 1)), rng.uniform(5, 9, (32, 1)), bodies)
+    given = vehicle, initial, ("coast",), Acting((Steady(),))
+    times = end_s * np.array([0.4, 1.0])
+    for error, agreed in ((1e-12, 1e-10), (3e-8, 1e-4)):
+        less, whole = (
+            batch.advance(kind(*given), times, error, True) for kind in (batch.Problem, AllOfOmega)
+        )
+        np.testing.assert_allclose(less.states, whole.states, atol=agreed)
+    assert less.steps[16:].mean() < 0.75 * whole.steps[16:].mean()
 
 
 @pytest.mark.parametrize(

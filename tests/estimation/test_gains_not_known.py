@@ -55,6 +55,8 @@ def test_a_pass_is_not_decided_if_readings_deny_gains_that_are_placeholders():
 def test_gains_are_in_doubt_only_if_all_are_relative_without_a_sigma_and_one_panel_reads_little():
     data, _ = seen(2)
     assert list(assess(with_gains(None), data).doubtful_gains) == list(FIVE.panel_names)
+    dead = data.assign(power_W=data["power_W"] * [1, 1, 1, 1, 0])
+    assert list(assess(with_gains(None), dead).doubtful_gains) == list(FIVE.panel_names[:4])
     assert not assess(with_gains(0.3), data).doubtful_gains
     assert not assess(FIVE, data).doubtful_gains  # numbers of cells
     equal = data.assign(power_W=data["power_W"] / [1, 1, WEAK, 1, 1])

@@ -45,7 +45,9 @@ def result():
     )
 
 
-def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner"):
+def save(
+    result, folder, day, speed_factor=1.0, decided=True, name="a spinner", text_of_vehicle=VEHICLE
+):
     """Save the rates as if the pass had been on another day and the body had had another speed."""
     utc = np.datetime64("2026-03-01T12:00:00", "ms") + np.timedelta64(round(day * 86_400_000), "ms")
     changed = result.copy(deep=True).assign_attrs(vehicle=name)
@@ -58,7 +60,7 @@ def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner"):
     changed["decided"] = changed["decided"] & decided
     vehicle = folder.parent / f"{folder.name}.toml"
     vehicle.parent.mkdir(exist_ok=True)
-    vehicle.write_text(VEHICLE.replace("a spinner", name), "utf-8")
+    vehicle.write_text(text_of_vehicle.replace("a spinner", name), "utf-8")
     changed.sunspin.save(folder, vehicle=vehicle)
     return folder
 
@@ -97,6 +99,17 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     stored = xr.load_dataset(out / "history.nc", engine="h5netcdf")
     assert all(v.attrs.get("units") and v.attrs.get("long_name") for v in stored.variables.values())
     assert "a spinner" in write_report(out).read_text("utf-8")
+
+
+def test_vehicle_files_of_one_name_that_differ_are_named_and_those_that_agree_are_not(
+    result, tmp_path
+):
+    other = VEHICLE.replace("0.02, 0, 0", "0.05, 0, 0")
+    for name, text in (("alike", VEHICLE), ("apart", other)):
+        save(result, tmp_path / name / "0", 0.0)
+        save(result, tmp_path / name / "1", 1.0, text_of_vehicle=text)
+        lines = "\n".join(ss.history([tmp_path / name]).sunspin.summary().lines)
+        assert ("VEHICLE FILES DIFFER" in lines) is (name == "apart")
 
 
 @pytest.mark.parametrize(

@@ -170,6 +170,19 @@ def test_the_page_shows_a_slow_motion_to_its_end_and_a_coarse_one_not_at_all():
             assert len(labels) == 20 and labels[-1].startswith("190.0 s")
 
 
+@pytest.mark.parametrize("sun_B", [[0.1, 0, 0.995], [1, 0, 0], [-0.8, 0, 0.6]])
+def test_the_names_of_sun_and_axis_stand_on_sides_that_do_not_meet(sun_B):
+    cube = Vehicle("cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0),))
+    toward_sun = np.array(sun_B) / np.linalg.norm(sun_B)
+    run = ss.propagate(cube, [0, 0, 0.05], toward_sun, None, np.arange(0.0, 200.0, 10.0))
+    results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
+    (view,) = body_in_motion(results, read_motions(results))
+    sun, axis = view.figure.data[2:4]
+    right = view.figure.layout.scene.camera.eye.y < 0  # seen from there x is to the right
+    assert right and sun.x[1] >= axis.x[1] - 1e-6
+    assert (sun.textposition, axis.textposition) == ("middle right", "middle left")
+
+
 def test_the_page_lights_panels_of_a_shared_input_one_by_one():
     """The view colours panels, not inputs: a pair of opposite panels on one channel is lit on one side at a time."""
     cube = replace(

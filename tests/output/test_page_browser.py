@@ -109,6 +109,17 @@ def test_the_page_of_a_vehicle_with_a_hostile_name_animates_its_motion(browser, 
     browser.until(f"{eye} !== {json.dumps(seen)}", 5)
 
 
+def test_a_narrow_window_sees_a_view_from_farther_away(browser, user_runs):
+    """Else the titles of the axes are cut at 420 pixels."""
+    distance = []
+    for width in (420, 900):
+        browser.open(user_runs["simulate"] / "report.html", width, 480)
+        browser.show(MOTION)
+        eye = f'document.querySelector("{MOTION}")._fullLayout.scene.camera.eye'
+        distance.append(browser.js(f"Math.hypot({eye}.x, {eye}.y, {eye}.z)"))
+    assert distance[0] == pytest.approx(1.3 * distance[1], rel=1e-3)
+
+
 def contrast(a: str, b: str) -> float:
     """Contrast of two colours "rgb(r, g, b)" by WCAG 2: 1 to 21."""
     levels = []

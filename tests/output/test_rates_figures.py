@@ -76,6 +76,24 @@ def test_the_speed_of_a_pass_is_the_mean_of_speeds():
     np.testing.assert_allclose(rate.sigma, np.degrees(other), rtol=1e-6)
 
 
+def test_gyro_readings_are_drawn_less_the_zero_that_was_estimated():
+    result, samples = tumble()
+    zero = np.radians([0.4, -0.3, 0.0])
+    samples = samples.assign(gyro_B=(("time", "axis"), result["omega_B"].values + zero))
+    estimates = xr.Dataset(
+        {"estimate_value": (("pass_id", "estimate"), [zero[:2]])},
+        {"estimate": ["gyro_zero_x", "gyro_zero_y"]},
+    )
+    for known, off in ((result.merge(estimates), np.zeros(3)), (result, zero)):
+        figure = rates_figure(known, samples)
+        for k, axes in enumerate(figure.axes[:3]):
+            (crosses,) = (line for line in axes.lines if line.get_marker() == "x")
+            expected = np.degrees(result["omega_B"].values[:, k] + off[k])
+            np.testing.assert_allclose(crosses.get_ydata(), expected, atol=1e-9)
+        label = figure.legends[0].get_texts()[-1].get_text()
+        assert label == ("gyro" if off.any() else "gyro, less its estimated zero")
+
+
 def test_residuals_are_drawn_by_sensor_with_the_share_beyond_the_limit(tmp_path):
     result, _ = tumble()
     value = np.full((3, 60), np.nan)

@@ -243,6 +243,14 @@ def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened(fol
     np.testing.assert_allclose(data["field_B"].values[0], [20000, -5000, 30000])
 
 
+def test_a_vehicle_file_for_an_export_is_named_after_it(folder):
+    """Two satellites of an operator are told apart by their names."""
+    for stem in ("norte", 'a "quoted" name'):
+        (folder / f"{stem}.csv").write_text(export("i{AXIS}{sign:pm}", 0.001), "utf-8")
+        CliRunner().invoke(cli, ["init", f"of {stem[0]}", "--from", f"{stem}.csv"])
+        assert ss.load_vehicle(folder / f"of {stem[0]}" / "vehicle.toml").name == stem
+
+
 def test_the_comments_of_a_vehicle_file_for_an_export_follow_what_they_explain(folder):
     """A line that continues the remark of a key must not follow another key; a commented key stays valid when opened."""
     (folder / "export.csv").write_text(export("i{AXIS}{sign:pm}", 0.001), "utf-8")

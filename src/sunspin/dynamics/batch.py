@@ -473,6 +473,9 @@ def advance(
     n, n_wheels = len(problem.initial), len(problem.vehicle.wheels)
     size = 9 + 2 * n_wheels + (6 if attitude else 0)
     arrays = problem.in_arrays()
+    if nodes is not None and problem.torques:
+        # nodes turn directions about H, which torques move: nothing is left out of omega
+        arrays.modes[..., 0] = 0.0
     duration = abs(float(ends[-1]))
     task = rows.Task(
         plain(ends),

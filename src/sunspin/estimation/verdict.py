@@ -350,7 +350,7 @@ def rates_words(result: xr.Dataset) -> str:
     if count := int((~fits).sum()):
         notes.append(
             f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, wrong "
-            "inertia, light of the Earth on the panels, faulty data"
+            "inertia, light of the Earth on the panels (a `noise` of 3 % of full Sun under [telemetry] allows for it), faulty data"
         )
     if "columns_doubt" in attrs:
         notes.append(attrs["columns_doubt"])

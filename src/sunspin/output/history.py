@@ -20,6 +20,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.frames import J2000
 from sunspin.output.folder import MARKER
 from sunspin.output.report.read import Results, read_results
+from sunspin.vehicle import Vehicle
 
 DAY_S = 86_400.0
 
@@ -67,7 +68,7 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
         its direction where an orbit was given. These three are NaN without an inertia.
 
         attrs: `trend`, `trend_sigma` (rad/s per day), `walk` (rad/s per square root of a day), from the decided passes, NaN if too
-        few; `jumps`: a sentence for each.
+        few; `jumps`: a sentence for each; `vehicles_differ`: two folders whose vehicle files differ in panels or inertia, else "".
 
     Raises
     ------
@@ -131,10 +132,14 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
         f"{_utc_text(rows[numbers[k]]['utc'])}: {np.degrees(step):+.3g} ± {np.degrees(error):.2g} deg/s"
         for k, step, error in trend.jumps
     ]
+    # the last folder of each vehicle
+    bodies = {row["body"]: row["folder"] for row in rows if row["body"]}
+    differ = " and ".join(list(bodies.values())[:2]) if len(bodies) > 1 else ""
     attrs = provenance(
         "history",
         epoch_utc=f"{epoch}Z",
         vehicle=vehicles[0],
+        vehicles_differ=differ,
         synthetic=int(any(row["synthetic"] for row in rows)),
         trend=trend.slope,
         trend_sigma=trend.slope_sigma,
@@ -180,6 +185,7 @@ def _read_passes(folder: Path) -> list[dict[str, Any]]:
         "vehicle": str(data.attrs.get("vehicle", "")),
         "synthetic": results.synthetic,
         "folder": str(folder),
+        "body": _body_text(results.vehicle),
     }
     rows = []
     for place in range(data.sizes["pass_id"]):
@@ -207,6 +213,18 @@ def _read_passes(folder: Path) -> list[dict[str, Any]]:
             | _momentum(results, data, place, inertia)
         )
     return rows
+
+
+def _body_text(vehicle: Vehicle | None) -> str:
+    """Return panels and inertia of a vehicle as text, which differs for two satellites of one name; empty without a vehicle.
+
+    Gains are left out: an operator corrects them from week to week.
+    """
+    if vehicle is None:
+        return ""
+    panels = [f"{one.name} {np.round(one.normal_B, 3).tolist()}" for one in vehicle.panels]
+    inertia = "" if vehicle.inertia_kg_m2 is None else f"{np.round(vehicle.inertia_kg_m2, 9)}"
+    return "; ".join([*panels, inertia])
 
 
 def _momentum(

@@ -99,14 +99,16 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> tuple[Path, list[str]]:
         text = re.sub(rf"^{key} =", f"# {key} =", text, count=1, flags=re.MULTILINE)
     for sensor, triple in suggestion.sensors.items():
         text = _fill_sensor(text, sensor, triple)
-    about = f"Made by sunspin init from {telemetry.name}; to be completed."
-    text = re.sub(
-        r"^description = .*$",
-        lambda _: f"description = {toml_string(printable(about))}",
-        text,
-        count=1,
-        flags=re.MULTILINE,
-    )
+    # satellites of one operator need names of their own: `sunspin history` refuses to mix two names
+    head = {
+        "name": telemetry.stem,
+        "description": f"Made by sunspin init from {telemetry.name}; to be completed.",
+    }
+    for key, value in head.items():
+        line = f"{key} = {toml_string(printable(value))}"
+        text = re.sub(
+            rf"^{key} = .*$", lambda _, line=line: line, text, count=1, flags=re.MULTILINE
+        )
     (path,) = _write(folder, {"vehicle.toml": text})
     return path, list(suggestion.sensors)
 

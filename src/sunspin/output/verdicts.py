@@ -44,7 +44,7 @@ ANCHORS = {
     ),
     "orbit": (
         *("elements not consistent", "inconclusive:", "NOT USED", "cannot judge it", "NO ORBIT"),
-        "HAS THE OPPOSITE SIGN",
+        *("HAS THE OPPOSITE SIGN", "FIELD AND SUN DISAGREE"),
     ),
     "sun-status": (
         *("direction known only to", "ambiguous: several directions", "no panel lit"),

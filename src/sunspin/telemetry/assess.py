@@ -84,7 +84,7 @@ class Assessment:
 
     @cached_property
     def doubtful_gains(self) -> dict[str, float]:
-        """Largest reading of each panel relative to that of the brightest, if the gains look like placeholders; else empty.
+        """Largest reading of each panel with signal by the largest of all, if the gains look like placeholders; else empty.
 
         They do if all are relative, without sigma, and a panel with signal reads less than `LOW_SHARE`. If the data determine the
         gains the estimators use these, and nothing is in doubt.
@@ -98,10 +98,11 @@ class Assessment:
         readings = np.where(quality["reading"].values, signals(self.telemetry), np.nan)
         largest = np.nanmax(readings, axis=0, initial=0.0) / craft.input_gains
         share = largest / max(largest.max(), 1e-300)
-        low = (share < LOW_SHARE) & ~quality["dead"].values
-        if np.isfinite(quality.attrs["spread"]) or not low.any():
+        alive = ~quality["dead"].values
+        if np.isfinite(quality.attrs["spread"]) or not (share < LOW_SHARE)[alive].any():
             return {}
-        return dict(zip(quality["panel"].values.astype(str).tolist(), share.tolist(), strict=True))
+        names = quality["panel"].values.astype(str)[alive].tolist()
+        return dict(zip(names, share[alive].tolist(), strict=True))
 
     @cached_property
     def panel_unit(self) -> WrongUnit | None:

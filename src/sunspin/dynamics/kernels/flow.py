@@ -13,7 +13,12 @@ after the share x of the step is the sum of c[k] x^k.
 
 The part SPIN H of omega is left out: the rows OMEGA hold omega - SPIN H. H does not notice, since H x H = 0; a direction v is then
 seen from axes that turn about H at the rate SPIN |H|, which is most of its motion: what remains is slow, and steps are longer.
-`wheels.straighten` brings directions back whenever they are needed. Torques turn H in space; then SPIN is zero.
+`wheels.straighten` brings directions back whenever they are needed.
+
+Torques turn H in space. Then the part left out is SPIN PIVOT, of a vector that stands in space and was H when directions were last
+straightened: for them the same holds about PIVOT, exactly, and what remains is slow while H is near it (`wheels.follow_momentum`).
+H itself and the torque in space turn with omega, in rows of its own: H does not notice, and a torque that turns it by little in a
+step adds little to the last coefficients.
 
 What decides the speed, each found by measuring (`python -m bench kernels` keeps watch):
 
@@ -46,11 +51,15 @@ from sunspin.dynamics.kernels.rows import (
     LIFT,
     NADIR,
     NX,
+    NY,
     OMEGA,
     PER_WHEEL,
+    PIVOT,
     PULL,
+    RATE,
     REST,
     SPIN,
+    STATE_ROWS,
     SUN,
     TORQUE,
     TORQUE_B,
@@ -100,6 +109,20 @@ def write_rates(lanes, n_wheels, k):
 
 
 @compiled
+def write_rates_under_torques(c, p, k):
+    """Write coefficient k of omega, and of omega less SPIN PIVOT instead of omega less SPIN H."""
+    for l in range(L):
+        spin = p[SPIN + l]
+        x, y, z = spin * c[k, H + l], spin * c[k, H + L + l], spin * c[k, H + 2 * L + l]
+        c[k, RATE + l] = c[k, OMEGA + l] + x
+        c[k, RATE + L + l] = c[k, OMEGA + L + l] + y
+        c[k, RATE + 2 * L + l] = c[k, OMEGA + 2 * L + l] + z
+        c[k, OMEGA + l] = c[k, RATE + l] - spin * c[k, PIVOT + l]
+        c[k, OMEGA + L + l] = c[k, RATE + L + l] - spin * c[k, PIVOT + L + l]
+        c[k, OMEGA + 2 * L + l] = c[k, RATE + 2 * L + l] - spin * c[k, PIVOT + 2 * L + l]
+
+
+@compiled
 def add_turned(c, k, V, rate, slope):
     """Add coefficient k of v x w to `slope` (3 L), v and w being the vectors in the rows from V and from `rate`."""
     for i in range(k + 1):
@@ -114,20 +137,19 @@ def add_turned(c, k, V, rate, slope):
 
 @compiled
 def write_turned(c, p, k, V, slope):
-    """Write coefficient k + 1 of a vector v that stands in space, in the rows from V: of dv/dt = v x (omega - SPIN H)."""
+    """Write coefficient k + 1 of a vector v that stands in space, in the rows from V: of dv/dt = v x omega, under torques."""
     for l in range(3 * L):
         slope[l] = 0.0
-    add_turned(c, k, V, OMEGA, slope)
+    add_turned(c, k, V, RATE, slope)
     write_next(c, p, k, V, slope)
 
 
-def pair_writer(V: int) -> Any:
-    """Return the function that writes coefficient k of v x (omega - SPIN H) for two vectors into `slope` (6 L).
+def pair_writer(V: int, U: int, W: int) -> Any:
+    """Return the function that writes coefficient k of v x w and u x w for two vectors into `slope` (6 L), w being a rate.
 
-    They lie in the rows from V, a constant of its machine code (rule 1). The products (i, j) and (j, i), j = k - i, are added
-    together, and omega is read once for both vectors: 0.4 of the time of two calls of `write_turned`.
+    They lie in the rows from V, U and W, constants of its machine code (rule 1). The products (i, j) and (j, i), j = k - i, are
+    added together, and the rate is read once for both vectors: 0.4 of the time of two calls of `write_turned`.
     """
-    U = V + 3 * L
 
     @compiled
     def write_turned_pair(c, k, slope):
@@ -137,8 +159,8 @@ def pair_writer(V: int) -> Any:
         for i in range((k + 1) // 2):
             j = k - i
             for l in range(L):
-                x, y, z = c[j, OMEGA + l], c[j, OMEGA + L + l], c[j, OMEGA + 2 * L + l]
-                p, q, r = c[i, OMEGA + l], c[i, OMEGA + L + l], c[i, OMEGA + 2 * L + l]
+                x, y, z = c[j, W + l], c[j, W + L + l], c[j, W + 2 * L + l]
+                p, q, r = c[i, W + l], c[i, W + L + l], c[i, W + 2 * L + l]
                 a, b, d = c[i, V + l], c[i, V + L + l], c[i, V + 2 * L + l]
                 e, f, g = c[j, V + l], c[j, V + L + l], c[j, V + 2 * L + l]
                 slope[l] = slope[l] + b * z - d * y + f * r - g * q
@@ -152,7 +174,7 @@ def pair_writer(V: int) -> Any:
         if k % 2 == 0:  # the product in the middle is its own partner
             i = k // 2
             for l in range(L):
-                x, y, z = c[i, OMEGA + l], c[i, OMEGA + L + l], c[i, OMEGA + 2 * L + l]
+                x, y, z = c[i, W + l], c[i, W + L + l], c[i, W + 2 * L + l]
                 a, b, d = c[i, V + l], c[i, V + L + l], c[i, V + 2 * L + l]
                 slope[l] = slope[l] + b * z - d * y
                 slope[L + l] = slope[L + l] + d * x - a * z
@@ -165,22 +187,28 @@ def pair_writer(V: int) -> Any:
     return write_turned_pair
 
 
-write_H_and_sun, write_attitude = pair_writer(H), pair_writer(NX)
+write_H_and_sun, write_attitude = pair_writer(H, SUN, OMEGA), pair_writer(NX, NY, OMEGA)
 """Half of all time is spent in the first. H x omega is H x (omega - SPIN H)."""
+
+write_H_and_torque, write_sun_and_pivot = (
+    pair_writer(H, TORQUE, RATE),
+    pair_writer(SUN, PIVOT, OMEGA),
+)
+"""The same under torques."""
 
 
 @compiled
-def write_next_pair(c, p, k, V, slope):
-    """Write coefficient k + 1 of two vectors in the rows from V from coefficient k of their derivatives, `slope` (6 L)."""
+def write_next_pair(c, p, k, V, U, slope):
+    """Write coefficient k + 1 of two vectors in the rows from V and U from coefficient k of their derivatives, `slope` (6 L)."""
     part = 1.0 / (k + 1)
     for l in range(L):
         d = part * p[DT + l]
         c[k + 1, V + l] = d * slope[l]
         c[k + 1, V + L + l] = d * slope[L + l]
         c[k + 1, V + 2 * L + l] = d * slope[2 * L + l]
-        c[k + 1, V + 3 * L + l] = d * slope[3 * L + l]
-        c[k + 1, V + 4 * L + l] = d * slope[4 * L + l]
-        c[k + 1, V + 5 * L + l] = d * slope[5 * L + l]
+        c[k + 1, U + l] = d * slope[3 * L + l]
+        c[k + 1, U + L + l] = d * slope[4 * L + l]
+        c[k + 1, U + 2 * L + l] = d * slope[5 * L + l]
 
 
 @compiled
@@ -217,8 +245,9 @@ def write_series(lanes, n_wheels, order, torques, attitude):
     c, p, u, slope = lanes.c, lanes.p, lanes.u, lanes.slope
     for k in range(order):
         write_rates(lanes, n_wheels, k)
-        write_H_and_sun(c, k, slope)
         if torques:
+            write_rates_under_torques(c, p, k)
+            write_H_and_torque(c, k, slope)
             if k == 0:
                 for l in range(3 * L):
                     slope[l] += p[TORQUE_B + l]
@@ -226,20 +255,23 @@ def write_series(lanes, n_wheels, order, torques, attitude):
                 slope[l] += c[k, TORQUE + l]
             if torques == GRADIENT:
                 add_gravity_gradient(c, p, k, slope)
-        write_next_pair(c, p, k, H, slope)
-        if torques:
-            write_turned(c, p, k, TORQUE, slope)
+            write_next_pair(c, p, k, H, TORQUE, slope)
+            write_sun_and_pivot(c, k, slope)
+            write_next_pair(c, p, k, SUN, PIVOT, slope)
             if torques == GRADIENT:
                 write_turned(c, p, k, TURN, slope)
                 # the nadir d turns in space: d x (omega - turn) = turn x d + d x omega
                 for l in range(3 * L):
                     slope[l] = 0.0
                 add_turned(c, k, TURN, NADIR, slope)
-                add_turned(c, k, NADIR, OMEGA, slope)
+                add_turned(c, k, NADIR, RATE, slope)
                 write_next(c, p, k, NADIR, slope)
+        else:
+            write_H_and_sun(c, k, slope)
+            write_next_pair(c, p, k, H, SUN, slope)
         if attitude:
             write_attitude(c, k, slope)
-            write_next_pair(c, p, k, NX, slope)
+            write_next_pair(c, p, k, NX, NY, slope)
         part, dry = 1.0 / (k + 1), 1.0 if k == 0 else 0.0  # dry friction is constant between events
         for i in range(n_wheels):
             w = i * PER_WHEEL
@@ -292,10 +324,12 @@ def write_share(lanes, order):
 @compiled
 def rows_in_use(n_wheels, torques, attitude):
     """Return how many rows of the state, from the first on, take part in the motion; their order is that of `rows`."""
-    of_motion, of_attitude = 6 + WHEELS, 6  # H, r and h; two axes of N
-    if torques:  # the torque in space (3) and, for the gradient, nadir and its turn (6)
-        return of_motion + of_attitude + (9 if torques == GRADIENT else 3)
-    return of_motion + of_attitude if attitude else 6 + n_wheels
+    of_torques = 6 + WHEELS + 6  # H, r and h; the torque in space and PIVOT
+    if torques == GRADIENT:
+        return STATE_ROWS
+    if attitude:
+        return of_torques + 6
+    return of_torques if torques else 6 + n_wheels
 
 
 @compiled

@@ -65,6 +65,7 @@ from sunspin.dynamics.kernels.rows import (
 from sunspin.dynamics.kernels.wheels import (
     are_watched,
     first_event,
+    follow_momentum,
     pass_event,
     set_mode,
     settle,
@@ -179,7 +180,7 @@ def idle(lanes, clock, l):
 def write_state(lanes, n_wheels, l, task, seconds, state):
     """Write a state of lane l from `lanes.spare` into `state`: H, h, Sun, omega, speeds, axes of N (:class:`rows.Answer`).
 
-    `seconds`: how long directions have been seen from axes that turn about H.
+    `seconds`: how long directions have been seen from axes that turn about H, or PIVOT.
     """
     y, u = lanes.spare, lanes.u
     vector, omega = np.empty(3), np.empty(3)
@@ -197,12 +198,12 @@ def write_state(lanes, n_wheels, l, task, seconds, state):
         else:  # h of a wheel that is held is not integrated
             state[3 + i] = (along + u[w + KEPT]) / u[w + INVERSE_J]
             state[at + 6 + i] = u[w + KEPT]
-    write_seen(y, SUN, lanes, l, seconds, vector)
+    write_seen(y, SUN, lanes, l, seconds, task.torques, vector)
     for k in range(3):
         state[at + k] = vector[k]
     if task.attitude:
         for first, V in ((at + 6 + n_wheels, NX), (at + 9 + n_wheels, NY)):
-            write_seen(y, V, lanes, l, seconds, vector)
+            write_seen(y, V, lanes, l, seconds, task.torques, vector)
             for k in range(3):
                 state[first + k] = vector[k]
 
@@ -372,6 +373,8 @@ def advance(queue, motions, task, answer, work):
         move(lanes, order, n_rows)
         for l in range(L):
             lanes.since[l] += share[l] * lanes.p[DT + l]
+        if task.torques:
+            follow_momentum(lanes, task.torques)
         if with_histogram:
             deposit_step(lanes, work, n_wheels)
         for l in range(L):

@@ -22,21 +22,22 @@ WHEELS = 4
 H = 0  # total angular momentum, N m s
 SUN = 3 * L  # direction to the Sun
 AXIAL = 6 * L  # h of wheel i at AXIAL + i L, N m s
-NX, NY = (
-    AXIAL + WHEELS * L,
-    AXIAL + (WHEELS + 3) * L,
-)  # the axes x and y of N, which give the attitude
-TORQUE = AXIAL + (WHEELS + 6) * L  # the torque that stands in space, N m
-NADIR = AXIAL + (WHEELS + 9) * L
-TURN = AXIAL + (WHEELS + 12) * L  # rate at which the nadir turns in space, rad/s
-STATE_ROWS = 6 + WHEELS + 15
-OMEGA = STATE_ROWS * L  # omega less SPIN H
-ALONG = OMEGA + 3 * L  # u.omega of wheel i at ALONG + i L
-ROWS = STATE_ROWS + 3 + WHEELS + 1  # one more: a power of two would crowd the processor's cache
+TORQUE = AXIAL + WHEELS * L  # the torque that stands in space, N m
+PIVOT = (
+    TORQUE + 3 * L
+)  # under torques: H as it was when directions were last straightened, standing in space
+NX, NY = PIVOT + 3 * L, PIVOT + 6 * L  # the axes x and y of N, which give the attitude
+NADIR = NY + 3 * L
+TURN = NADIR + 3 * L  # rate at which the nadir turns in space, rad/s
+STATE_ROWS = 6 + WHEELS + 18
+OMEGA = STATE_ROWS * L  # omega less SPIN H, under torques less SPIN PIVOT
+RATE = OMEGA + 3 * L  # omega, under torques only
+ALONG = RATE + 3 * L  # u.omega of wheel i at ALONG + i L
+ROWS = STATE_ROWS + 6 + WHEELS + 1  # no power of two, which would crowd the processor's cache
 
 # ---- numbers of the motion in a lane -------------------------------------------------------------
 DT = 0  # length of the step, s, negative backward in time
-SPIN = L  # share of H that is left out of omega, 1/(kg m2)
+SPIN = L  # share of H, or PIVOT, that is left out of omega, 1/(kg m2)
 HELD = 2 * L  # K, momentum of the wheels that do not turn freely (3)
 INVERSE = 5 * L  # A^-1: xx, xy, xz, yy, yz, zz
 TORQUE_B = 11 * L  # torque that is constant in body axes (3), N m

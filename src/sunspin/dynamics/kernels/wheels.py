@@ -36,6 +36,7 @@ from sunspin.dynamics.kernels.rows import (
     NY,
     OVERLOADED,
     PER_WHEEL,
+    PIVOT,
     PULL,
     REST,
     RESTS,
@@ -62,6 +63,10 @@ ROUNDING = 1e-11
 
 NO_ZERO = 2.0
 """More than any share of a step."""
+
+FAR = 0.02
+"""Share of itself by which torques may move H before directions turn about where it is then: what this adds to the rest of omega is
+a seventh of the rest that Philae's unequal moments leave."""
 
 
 # ---- where the next event is ---------------------------------------------------------------------
@@ -192,13 +197,15 @@ def along_axis(u, w, vector):
 
 
 @compiled
-def write_seen(y, V, lanes, l, seconds, out):
+def write_seen(y, V, lanes, l, seconds, torques, out):
     """Write into `out` (3) the vector in the rows V of `y`, lane l, as the body sees it.
 
-    The rows hold it as seen from axes that have turned for `seconds` about H at the rate SPIN |H| (Rodrigues' formula).
+    The rows hold it as seen from axes that have turned for `seconds` about H at the rate SPIN |H|; under torques
+    about PIVOT (Rodrigues' formula).
     """
+    P = PIVOT if torques else H
     x, y_, z = y[V + l], y[V + L + l], y[V + 2 * L + l]
-    a, b, c = y[H + l], y[H + L + l], y[H + 2 * L + l]
+    a, b, c = y[P + l], y[P + L + l], y[P + 2 * L + l]
     square = a * a + b * b + c * c
     if lanes.p[SPIN + l] == 0.0 or square == 0.0:
         out[0], out[1], out[2] = x, y_, z
@@ -213,26 +220,45 @@ def write_seen(y, V, lanes, l, seconds, out):
 
 
 @compiled
-def straighten(lanes, l):
-    """Bring the directions of lane l back from the axes that turn about H to those of the body."""
+def straighten(lanes, l, torques):
+    """Bring the directions of lane l back from the axes that turn about H, or PIVOT, to those of the body; PIVOT is then H."""
     out = np.empty(3)
     for V in (SUN, NX, NY):
-        write_seen(lanes.y, V, lanes, l, lanes.since[l], out)
+        write_seen(lanes.y, V, lanes, l, lanes.since[l], torques, out)
         for j in range(3):
             lanes.y[V + j * L + l] = out[j]
+    if torques:
+        for j in range(3):
+            lanes.y[PIVOT + j * L + l] = lanes.y[H + j * L + l]
     lanes.since[l] = 0.0
+
+
+@compiled
+def follow_momentum(lanes, torques):
+    """After a step under torques: straighten the directions of those lanes in which H has moved far from PIVOT."""
+    y = lanes.y
+    for l in range(L):
+        off, size = 0.0, 0.0
+        for j in range(3):
+            off += (y[H + j * L + l] - y[PIVOT + j * L + l]) ** 2
+            size += y[PIVOT + j * L + l] ** 2
+        if off > FAR**2 * size:
+            straighten(lanes, l, torques)
+            for V in (SUN, PIVOT, NX, NY):
+                for j in range(3):
+                    lanes.c[0, V + j * L + l] = y[V + j * L + l]
 
 
 @compiled
 def set_mode(lanes, n_wheels, l, modes, torques):
     """Load lane l with what depends on which wheels turn freely: A^-1, the share of H left out of omega, A^-1 K and A^-1 u."""
     y, p, u = lanes.y, lanes.p, lanes.u
-    straighten(lanes, l)
+    straighten(lanes, l, torques)
     mode = 0
     for i in range(n_wheels):
         if u[i * PER_WHEEL + FREE + l] > 0.5:
             mode |= 1 << i
-    p[SPIN + l] = 0.0 if torques else modes[mode, 0]
+    p[SPIN + l] = modes[mode, 0]
     for k in range(6):
         p[INVERSE + k * L + l] = modes[mode, 1 + k]
         p[REST + k * L + l] = modes[mode, 1 + k]

@@ -23,6 +23,11 @@ NODE_GAIN = 1.05
 """Factor by which another node must make the residuals smaller for the check to name it."""
 
 
+LARGE_ANGLE_RAD = 0.17
+"""Median residual of the angle between field and Sun above which few samples are a warning: sound panels and a sound magnetometer
+agree to 5 degrees. Axes turned by 90 degrees gave 18 degrees in 12 samples, with consistent elements."""
+
+
 class ChosenOrbit(NamedTuple):
     """The orbit that `sunspin rates` uses.
 
@@ -153,6 +158,11 @@ def _lines(summary: dict[str, Any], check: Any) -> list[str]:
         sun = f", Sun-field angle {angle:.1f} deg{remark}" if np.isfinite(angle) else ""
         strength = f"{1e6 * check.strength_residual_T:.2f} uT"
         lines.append(f"  median residuals: field magnitude {strength}{sun}")
+        if n < FEWEST and check.angle_residual_rad > LARGE_ANGLE_RAD and not check.turned_axes:
+            lines.append(
+                "  FIELD AND SUN DISAGREE: axes, matrix or zero of the magnetometer, or columns of the panels, may be wrong. The "
+                f"magnitude of the field shows none of these, and {n} samples are too few to judge: give a longer file"
+            )
     with_sun, in_eclipse = check.eclipse
     if in_eclipse:
         lines.append(f"  eclipse: {in_eclipse} samples, {with_sun} of them with a Sun signal")

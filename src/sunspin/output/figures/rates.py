@@ -41,7 +41,8 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
                 # readings from a second before the first sample to a second after the last one
                 component = gyro.isel(axis=k).dropna("time").sel(time=slice(t[0] - 1, t[-1] + 1))
                 minutes = (component["time"].values - t[0]) / 60
-                axes.plot(minutes, np.degrees(component.values), "x", color=BLACK, ms=4)
+                readings = np.degrees(component.values - _estimated_zero(result, number, k))
+                axes.plot(minutes, readings, "x", color=BLACK, ms=4)
         remark = f"probability {result['probability'].values[number, 0]:.2f}"
         if "fits" in result and not result["fits"].values[number]:
             remark += ", poor fit"
@@ -61,9 +62,19 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
     band = Patch(color=GREY, alpha=0.5, lw=0, label="one sigma")
     handles: list[Any] = [curve, band]
     if gyro is not None:
-        handles.append(Line2D([], [], color=BLACK, marker="x", ls="", ms=4, label="gyro"))
+        zeros = [_estimated_zero(result, number, k) for number in passes for k in range(3)]
+        label = "gyro, less its estimated zero" if any(zeros) else "gyro"
+        handles.append(Line2D([], [], color=BLACK, marker="x", ls="", ms=4, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return figure
+
+
+def _estimated_zero(result: xr.Dataset, number: int, k: int) -> float:
+    """Return the estimated zero (rad/s) of axis `k` of the gyro in pass `number`; 0 if the file states it."""
+    name = f"gyro_zero_{'xyz'[k]}"
+    if "estimate" not in result or name not in result["estimate"].values:
+        return 0.0
+    return float(np.nan_to_num(result["estimate_value"].sel(estimate=name).values[number]))
 
 
 def draw_component(

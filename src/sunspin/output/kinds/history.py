@@ -31,6 +31,7 @@ def history_summary(data: Any) -> Summary:
         "trend_deg_s_day": trend if np.isfinite(trend) else None,
         "trend_sigma_deg_s_day": error if np.isfinite(error) else None,
         "jumps": attrs["jumps"].splitlines(),
+        "vehicles_differ": attrs["vehicles_differ"],
     }
     lines = [
         f"{attrs['vehicle']}: {decided.size} passes from {numbers['from'][:16]} to {numbers['to'][:16]}, "
@@ -40,6 +41,10 @@ def history_summary(data: Any) -> Summary:
         lines.append("trend of the speed: not determined (it takes at least five decided passes)")
     else:
         lines.append(_trend_text(trend, error, float(np.median(speed[decided]))))
+    if differ := attrs["vehicles_differ"]:
+        lines.append(
+            f"VEHICLE FILES DIFFER in panels or inertia: {differ}. If they are of two satellites, give the results of one"
+        )
     lines += [f"JUMP of the speed before {jump}" for jump in numbers["jumps"]]
     for k in range(min(decided.size, MOST_LINES)):
         axis, turn = (

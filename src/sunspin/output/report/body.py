@@ -109,8 +109,9 @@ def _animate(vehicle: Vehicle, motion: xr.Dataset) -> tuple[go.Figure, list[dict
         [
             mesh,
             line_trace(leg_lines, INK, 5).update(leg_ends),
-            _arrow(to_scene[0].apply(sun[0]), reach, COLOURS[4], "Sun"),
-            _arrow(to_scene[0].apply(up), reach, COLOURS[0], up_name),
+            # the Sun is to the right of the axis, in the scene and on the screen: names to both sides never overlap
+            _arrow(to_scene[0].apply(sun[0]), reach, COLOURS[4], "Sun", "middle right"),
+            _arrow(to_scene[0].apply(up), reach, COLOURS[0], up_name, "middle left"),
         ]
     )
     axes = {f"{axis}axis": {"range": [-reach, reach], "visible": False} for axis in "xyz"}
@@ -273,8 +274,8 @@ def _panel_colour(share: float) -> str:
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 
-def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.Scatter3d:
-    """Return an arrow from the origin with its name at the tip; a zero direction gives a point."""
+def _arrow(direction: np.ndarray, length: float, colour: str, name: str, side: str) -> go.Scatter3d:
+    """Return an arrow from the origin with its name on one side of the tip (`side`); a zero direction gives a point."""
     tip = direction / max(float(np.linalg.norm(direction)), 1e-30) * length
     return go.Scatter3d(
         {axis: [0, end] for axis, end in zip("xyz", tip, strict=True)},
@@ -282,6 +283,7 @@ def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.S
         line={"width": 6, "color": colour},
         marker={"size": [0, 6], "color": colour},
         text=["", name],
+        textposition=side,
         textfont={"color": colour},
         hoverinfo="skip",
         showlegend=False,

@@ -12,7 +12,11 @@
     const spec = data[element.dataset.plot];
     if (drawn.has(element) || !spec) return;
     drawn.add(element);
-    spec.layout.font = { family: "system-ui, sans-serif", size: window.innerWidth < 640 ? 11 : 13, color: ink() };
+    const narrow = window.innerWidth < 640;
+    spec.layout.font = { family: "system-ui, sans-serif", size: narrow ? 11 : 13, color: ink() };
+    // from farther away the titles of the axes stay inside a narrow window
+    const eye = ((spec.layout.scene || {}).camera || {}).eye;
+    if (narrow && eye) for (const axis of "xyz") eye[axis] *= 1.3;
     Plotly.newPlot(element, spec.data, spec.layout, config)
       .then(() => (spec.frames && spec.frames.length ? Plotly.addFrames(element, spec.frames) : null))
       .then(() => { element.dataset.drawn = "yes"; });
