@@ -31,10 +31,11 @@ if TYPE_CHECKING:
     )
     from sunspin.estimation.scan.lines import fit_lines as fit_lines
     from sunspin.estimation.scan.metrics import direction_error as direction_error, emd as emd
-    from sunspin.estimate.posterior.estimate import posterior as posterior
     from sunspin.estimation.calibrate import calibrate_sensors as calibrate_sensors
+    from sunspin.estimation.lander.predict import predict as predict
+    from sunspin.estimation.periods import Period as Period
+    from sunspin.estimation.posterior import posterior as posterior
     from sunspin.estimation.rates import rates as rates
-    from sunspin.estimate.terms.period import Period as Period
     from sunspin.estimation.scan.near_minimum import near_minimum as near_minimum
     from sunspin.estimation.scan.volume import Propagation as Propagation, scan as scan
     from sunspin.telemetry.health import panel_health as panel_health
@@ -88,7 +89,7 @@ _MODULES = {
     "panel_quality": "sunspin.telemetry.assess",
     "calibrate_sensors": "sunspin.estimation.calibrate",
     "rates": "sunspin.estimation.rates",
-    "Period": "sunspin.estimate.terms.period",
+    "Period": "sunspin.estimation.periods",
     "propagate": "sunspin.dynamics.propagate",
     "impact": "sunspin.dynamics.impact",
     "fit_spin_down": "sunspin.dynamics.friction",
@@ -98,7 +99,8 @@ _MODULES = {
     "Propagation": "sunspin.estimation.scan.volume",
     "near_minimum": "sunspin.estimation.scan.near_minimum",
     "fit_lines": "sunspin.estimation.scan.lines",
-    "posterior": "sunspin.estimate.posterior.estimate",
+    "posterior": "sunspin.estimation.posterior",
+    "predict": "sunspin.estimation.lander.predict",
     "twin": "sunspin.philae.simulation",
     "outcomes": "sunspin.landing.outcomes",
     "Scenario": "sunspin.landing.scenario",

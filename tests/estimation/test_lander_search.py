@@ -420,3 +420,13 @@ def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
     assert kept.cost[-1] == pytest.approx(9.9)
     assert not carrier.complete
     assert "more trial solutions" in carrier.notes[-1]
+
+
+def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_followed(caplog):
+    """They are as many as the ball of rates holds, which grows with its cube; the rate is printed with two digits."""
+    model, place = placed(lander_model())
+    Shooting(model, place, POSTERIOR, 1)._announce(6000, 2000, 5)
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert "6000 motions may fit 5 samples; 2000 of them are followed" in said
+    smaller = float(said.split("max_rate_rad_s=")[1].split()[0])
+    assert 6000 * (smaller / place.given) ** 3 == pytest.approx(2000, rel=0.1)

@@ -64,6 +64,12 @@ def aliases(*probability: float, apart: float = 0.1) -> Findings:
         (replace(GOOD, outside=0.03), "not sure", "3.0%"),
         (replace(GOOD, accused=["panel a: bad"]), "unique", "; panel a: bad"),
         (replace(GOOD, p=0.0, dark="no panel lit"), "not explained", "If this is an eclipse"),
+        (replace(GOOD, tail=0.6, dark="no panel lit"), "not sure", "If this is an eclipse"),
+        (
+            replace(GOOD, p=0.0, complete=False, dark="no panel lit"),
+            "not sure",
+            "If this is an eclipse",
+        ),
     ],
 )
 def test_word_and_sentence_follow_from_the_findings(findings, word, text):

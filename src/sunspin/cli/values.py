@@ -182,7 +182,7 @@ def parse_observation(text: str, name: str) -> dict[str, Any]:
 
 def parse_period(text: str, epoch_utc: str | None) -> Any:
     """Return the observed period (`Period`) of a text SECONDS+-SIGMA@TIME."""
-    from sunspin.estimate.terms.period import Period
+    from sunspin.estimation.periods import Period
 
     value, _, rest = text.partition("+-")
     sigma, _, when = rest.partition("@")

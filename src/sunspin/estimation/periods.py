@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,12 +56,25 @@ SQRT_2PI = np.sqrt(2 * np.pi)
 """By which the sigma of a normal law is multiplied for one over its height."""
 
 
-class PeriodSeen(Protocol):
-    """A period `period_s` with one sigma `sigma_s`, seen at `t_s` (s from the epoch of the telemetry)."""
+@dataclass(frozen=True)
+class Period:
+    """A period (s) with one sigma (s), seen at `t_s` (s from the epoch of the telemetry)."""
 
     t_s: float
     period_s: float
     sigma_s: float
+
+    def __post_init__(self) -> None:
+        """Refuse values that are no numbers, and periods and sigmas that are not positive."""
+        for name in ("t_s", "period_s", "sigma_s"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or (name != "t_s" and not value > 0):
+                wanted = "a number of seconds" if name == "t_s" else "a positive number of seconds"
+                raise InputError(f"{name} of a period must be {wanted}", got=value)
+
+
+PeriodSeen = Period | FoundPeriod
+"""A period that a person states, or one that was found in a column."""
 
 
 def every_of(seen: PeriodSeen) -> Sequence[LikelyPeriod]:

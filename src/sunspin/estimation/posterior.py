@@ -376,7 +376,6 @@ def _about(
         "wheel_mode": json.dumps(mode),
         "max_rate_rad_s": place.given,
         "searched_rate_rad_s": float(place.limit),
-        "torques": "[]",
         "time_sigma_s": model.panels.time_s,
     }
 

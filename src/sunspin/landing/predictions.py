@@ -20,7 +20,7 @@ from sunspin.dynamics.batch import Rows
 from sunspin.estimation.lander.predict import (
     Carried,
     DrawnMotions,
-    about,
+    attributes_of,
     checked_times,
     predictions,
 )
@@ -125,7 +125,7 @@ def predict_through_collision(
     return (
         xr.concat(parts, "predicted_s", data_vars="minimal")
         .assign_coords(after_collision=("predicted_s", later))
-        .assign_attrs(about(tree), collision=description)
+        .assign_attrs(attributes_of(tree), collision=description)
     )
 
 

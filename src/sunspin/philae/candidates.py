@@ -282,7 +282,7 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
 
 def sample_posterior(rebound: Rebound, options: Options) -> xr.DataTree:
     """Return the posterior of the rebound's readings; raise `TelemetryError` if no motion explains them."""
-    from sunspin.estimate.posterior.estimate import posterior
+    from sunspin.estimation.posterior import posterior
 
     times = rebound.samples["utc_s"].values
     tree = posterior(

@@ -65,8 +65,6 @@ class DrawnMotions:
     def of(cls, vehicle: Vehicle, tree: xr.DataTree) -> DrawnMotions:
         """Return the draws of a posterior at its first sample; `vehicle`: the one that it was made with."""
         draws, mode = group(tree, "posterior"), json.loads(tree.attrs["wheel_mode"])
-        if (torques := tree.attrs.get("torques", "[]")) != "[]":
-            raise InputError("draws under named torques cannot be carried on", got=torques)
         bodies = _bodies_of(vehicle, draws)
         count = draws.sizes["chain"] * draws.sizes["draw"]
         state = (draws[name].values.reshape(count, -1) for name in ("omega_B", "sun_B"))
@@ -186,7 +184,7 @@ def predict(
     """
     times = checked_times(times_s, float(tree.attrs["t_first_s"]))
     motions = DrawnMotions.of(vehicle, tree)
-    return predictions(motions, motions.at(times, workers), times).assign_attrs(about(tree))
+    return predictions(motions, motions.at(times, workers), times).assign_attrs(attributes_of(tree))
 
 
 def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) -> xr.Dataset:
@@ -230,7 +228,7 @@ def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) ->
     return xr.Dataset(variables, coords)
 
 
-def about(tree: xr.DataTree) -> dict[str, Any]:
+def attributes_of(tree: xr.DataTree) -> dict[str, Any]:
     """Return the attributes of predictions: provenance, and of which posterior they are."""
     names = ("vehicle", "changes", "verdict_word")
     of_posterior = {name: tree.attrs[name] for name in names if name in tree.attrs}

@@ -1,4 +1,4 @@
-"""The computing budget: counting, limits, and values that are refused."""
+"""The computing budget: limits, and values that are refused."""
 
 import numpy as np
 import pytest
@@ -6,24 +6,7 @@ from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.cli.rates import rates as command
-from sunspin.estimate.effort import BATCH, Effort, may_go_on, share_of_left, spend
 from sunspin.estimation.budget import USUAL, Budget
-
-
-def test_effort_spent_in_a_part_counts_in_every_whole():
-    with Effort(10.0 + 3 * BATCH) as whole:
-        with share_of_left(0.5) as part:
-            assert part.most == (10.0 + 3 * BATCH) / 2
-            spend(3)
-            assert may_go_on() and part.left == part.most - 3 - BATCH
-            spend(BATCH)
-            assert not may_go_on() and part.cut and not whole.cut
-        assert may_go_on() and whole.spent == 3 + 3 * BATCH
-        spend(10)
-        with share_of_left(1.0) as other:
-            assert not may_go_on() and other.cut  # nothing is left of the whole
-    spend(1)  # nobody counts
-    assert may_go_on() and whole.spent == 13 + 4 * BATCH
 
 
 def test_a_budget_that_is_spent_says_that_something_was_left_out():

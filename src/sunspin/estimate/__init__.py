@@ -1,1 +1,0 @@
-"""Where what was seen meets what would be seen: scans, rates, posteriors."""
