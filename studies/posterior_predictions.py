@@ -18,7 +18,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.batch import Rows
-from sunspin.estimation.lander.predict import Carried, DrawnMotions, predictions
+from sunspin.estimate.lander.predict import Carried, DrawnMotions, predictions
 from sunspin.landing.predictions import collision_time_s
 from sunspin.output.kinds.predictions import predicted_figure
 from validation.campaign import command, rows_folder, study_parser

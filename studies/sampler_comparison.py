@@ -30,10 +30,10 @@ from scipy.special import logsumexp
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
-from sunspin.estimation.lander.model import LanderModel
-from sunspin.estimation.lander.motions import Shots
-from sunspin.estimation.lander.priors import with_priors
-from sunspin.estimation.lander.window import observe_window
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.priors import with_priors
+from sunspin.estimate.lander.window import observe_window
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import make

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimate.scan.directions import reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.flat import normalise_readings

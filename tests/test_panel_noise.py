@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimation.lander.window import observe_window
+from sunspin.estimate.lander.window import observe_window
 from sunspin.output.check.samples import noise_lines
 from sunspin.philae.sun_directions import apply_measured_noise
 from sunspin.telemetry.assess import assess

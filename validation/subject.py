@@ -15,16 +15,16 @@ import xarray as xr
 from sunspin.vehicle import Vehicle
 
 MODULES = {
-    "rates": {"estimation": "sunspin.estimation.rates"},
-    "check_orbit": {"estimation": "sunspin.estimation.orbit.check"},
-    "orbit_of": {"estimation": "sunspin.estimation.orbit.judged"},
-    "calibrate_sensors": {"estimation": "sunspin.estimation.calibrate"},
-    "posterior": {"estimation": "sunspin.estimation.posterior"},
-    "predict": {"estimation": "sunspin.estimation.lander.predict"},
+    "rates": {"estimate": "sunspin.estimate.rates"},
+    "check_orbit": {"estimate": "sunspin.estimate.orbit.check"},
+    "orbit_of": {"estimate": "sunspin.estimate.orbit.judged"},
+    "calibrate_sensors": {"estimate": "sunspin.estimate.calibrate"},
+    "posterior": {"estimate": "sunspin.estimate.posterior"},
+    "predict": {"estimate": "sunspin.estimate.lander.predict"},
 }
 """Functions that are judged -> packages that have them, that of the commands first -> their modules."""
 
-ROOMS = ("estimation",)
+ROOMS = ("estimate",)
 """Packages that can be judged."""
 
 OF_COMMANDS = "commands"
@@ -88,9 +88,9 @@ def log_density(
 
     Rates (rad/s) and directions (n, 3) are those at the first sample; `values`: of the unknowns (n), by name.
     """
-    from sunspin.estimation.lander.motions import Shots
-    from sunspin.estimation.lander.priors import with_priors
-    from sunspin.estimation.lander.window import observe_window
+    from sunspin.estimate.lander.motions import Shots
+    from sunspin.estimate.lander.priors import with_priors
+    from sunspin.estimate.lander.window import observe_window
     from sunspin.telemetry.assess import assess
 
     assessment = assess(vehicle, telemetry)

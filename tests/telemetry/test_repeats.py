@@ -10,10 +10,10 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.estimation.lander.window import observe_window
-from sunspin.estimation.observe import ALONE, observe, split
-from sunspin.estimation.scan.directions import directions_within
-from sunspin.estimation.settings import RATES
+from sunspin.estimate.lander.window import observe_window
+from sunspin.estimate.observe import ALONE, observe, split
+from sunspin.estimate.scan.directions import directions_within
+from sunspin.estimate.settings import RATES
 from sunspin.output.check.repeats import describe_repeats
 from sunspin.output.check.samples import describe_samples
 from sunspin.telemetry.assess import assess

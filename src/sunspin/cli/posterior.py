@@ -92,7 +92,7 @@ def posterior(
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --out posterior
     """
     from sunspin.cases import case_telemetry_path, read_timeline
-    from sunspin.estimation.posterior import posterior as sample_posterior
+    from sunspin.estimate.posterior import posterior as sample_posterior
     from sunspin.landing.predictions import add_predictions
     from sunspin.telemetry.reader import read_telemetry
 

@@ -17,7 +17,7 @@ import xarray as xr
 
 from sunspin.cases import case_names, load_case
 from sunspin.dynamics.batch import Rows
-from sunspin.estimation.lander.predict import (
+from sunspin.estimate.lander.predict import (
     Carried,
     DrawnMotions,
     attributes_of,
@@ -59,7 +59,7 @@ def predict_through_collision(
     collision: Collision = STICKS,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the motion as :func:`sunspin.estimation.lander.predict.predict` does, through the collision of the built-in case.
+    """Predict the motion as :func:`sunspin.estimate.lander.predict.predict` does, through the collision of the built-in case.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.dynamics.batch import Rows, run
-from sunspin.estimation.lander.predict import predict
+from sunspin.estimate.lander.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, empty_figure, titled
 from sunspin.philae.candidates import (
