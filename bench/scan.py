@@ -20,7 +20,7 @@ from bench.baselines import Contestant, DormandPrince, TaylorBatch, on_cores
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.timing import Table, cores, timings
 from sunspin.dynamics import batch
-from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimate.scan.directions import reconstructible_mask
 
 TOLERANCES = (1e-5, 1e-6, 1e-9)
 """heyoka's tolerances per step: about what an EMD needs, what directions good to 1e-3 need, and a tight one."""

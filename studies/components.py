@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sunspin.dynamics.batch import run
-from sunspin.estimation.scan.directions import reconstructible_mask
-from sunspin.estimation.scan.histogram import BINS, distances_to_target, target_segments
+from sunspin.estimate.scan.directions import reconstructible_mask
+from sunspin.estimate.scan.histogram import BINS, distances_to_target, target_segments
 from sunspin.output.figures import COLOURS
 from sunspin.philae.rebound import Rebound, make_rebound, scan_grid
 from sunspin.philae.threshold import CONFIDENCE, simulate_similar_rebounds, threshold_index

@@ -22,7 +22,7 @@ from scipy.stats import binomtest
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimation.scan.volume import Table
+from sunspin.estimate.scan.volume import Table
 from sunspin.output.figures import COLOURS
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid

@@ -12,8 +12,8 @@ import numpy as np
 from sunspin.cases import Case
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimation.scan.directions import reconstructible_mask
-from sunspin.estimation.spin import error_of_rate, rotated_sun
+from sunspin.estimate.scan.directions import reconstructible_mask
+from sunspin.estimate.spin import error_of_rate, rotated_sun
 from sunspin.landing.strategies import wheel_stop_at_rest
 from sunspin.philae.rebound import (
     LINE_RANGE,

@@ -18,8 +18,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.batch import Rows
-from sunspin.estimate.posterior.model import model
-from sunspin.estimate.posterior.predict import predictions, run_to
+from sunspin.estimate.lander.predict import Carried, DrawnMotions, predictions
 from sunspin.landing.predictions import collision_time_s
 from sunspin.output.kinds.predictions import predicted_figure
 from validation.campaign import command, rows_folder, study_parser
@@ -37,11 +36,9 @@ def true_motion(case: Case, times_s: np.ndarray) -> xr.Dataset:
     parts = []
     for t in times_s:
         rows, begin_s = (after, collision) if t > collision else (start, truth["t_s"])
-        parts.append(run_to(case.vehicle, rows, [t - begin_s]))
-    motion = {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}
-    # the form of predictions needs a model, whose priors have no effect on them
-    nominal_model, *_ = model(case.vehicle, None, 1.0)
-    return predictions(nominal_model, start, motion, times_s)
+        parts.append(DrawnMotions(case.vehicle, rows, begin_s).at([t]))
+    carried = Carried(*(np.concatenate(part, axis=1) for part in zip(*parts, strict=True)))
+    return predictions(DrawnMotions(case.vehicle, start, truth["t_s"]), carried, times_s)
 
 
 def read_predictions(folder: Path) -> xr.Dataset:

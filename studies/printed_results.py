@@ -27,9 +27,9 @@ from tqdm import tqdm
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import Outcome, Rows, run
-from sunspin.estimation.scan.histogram import distances_to_target, target_segments
-from sunspin.estimation.scan.metrics import emd
-from sunspin.estimation.scan.volume import Table
+from sunspin.estimate.scan.histogram import distances_to_target, target_segments
+from sunspin.estimate.scan.metrics import emd
+from sunspin.estimate.scan.volume import Table
 from sunspin.landing.tally import Estimate, effective_runs, estimate, probability
 from sunspin.output.figures import COLOURS
 from sunspin.philae.data_check import LEAST_DIRECTIONS

@@ -30,10 +30,11 @@ from scipy.special import logsumexp
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
-from sunspin.estimate.posterior.brightness import brightness
-from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import Model, State, model
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.priors import with_priors
+from sunspin.estimate.lander.window import observe_window
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import make
 from validation.campaign import command, study_parser
@@ -46,6 +47,9 @@ LIVE_POINTS, EFFECTIVE_DRAWS, DRAWS = 800, 3000, 8000
 
 WALKERS, STEPS, BURN_IN = 120, 1500, 500
 """Of emcee: walkers, steps of each, and steps that are left out at the beginning."""
+
+DIRECTION_ERROR = 1e-6
+"""Error of directions (rad) in the likelihood."""
 
 LOWEST = -1e6
 """Log posterior outside the support, in place of minus infinity, with which nautilus cannot train its networks."""
@@ -103,7 +107,7 @@ class Coordinates:
     `root` are the mean and the Cholesky factor of the covariance of these values.
     """
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: Shots) -> None:
         direction = state.sun.mean(axis=0)
         direction /= np.linalg.norm(direction)
         across = np.linalg.svd(direction[None])[2][1:]  # two unit vectors at right angles to it
@@ -113,17 +117,17 @@ class Coordinates:
         # 1e-16 keeps the covariance of almost fixed values positive definite
         self.root = np.linalg.cholesky(np.cov(x.T) + 1e-16 * np.eye(x.shape[1]))
 
-    def mapped(self, state: State) -> np.ndarray:
+    def mapped(self, state: Shots) -> np.ndarray:
         """Return rates, mapped Sun direction and nuisance parameters (n, D) of states."""
         components = state.sun @ self.frame.T
         stretch = np.sqrt(2.0 / np.maximum(1.0 + components[:, 2:], 1e-12))
         return np.concatenate([state.omega, stretch * components[:, :2], state.u], axis=1)
 
-    def sigmas(self, state: State) -> np.ndarray:
+    def sigmas(self, state: Shots) -> np.ndarray:
         """Return the coordinates (n, D) of states."""
         return np.linalg.solve(self.root, (self.mapped(state) - self.mean).T).T
 
-    def states(self, y: np.ndarray) -> tuple[State, np.ndarray]:
+    def states(self, y: np.ndarray) -> tuple[Shots, np.ndarray]:
         """Return the states at coordinates (n, D), and a mask (n) of those inside the map, which ends at the antipode."""
         x = self.mean + y @ self.root.T
         square = np.sum(x[:, 3:5] ** 2, axis=1)
@@ -132,7 +136,7 @@ class Coordinates:
         across = np.sqrt(1.0 - square / 4)[:, None] * x[:, 3:5]
         along = (1.0 - square / 2)[:, None]
         sun = np.concatenate([across, along], axis=1) @ self.frame
-        return State(x[:, :3], sun / np.linalg.norm(sun, axis=1, keepdims=True), x[:, 5:]), inside
+        return Shots(x[:, :3], sun / np.linalg.norm(sun, axis=1, keepdims=True), x[:, 5:]), inside
 
     @property
     def log_volume(self) -> float:
@@ -140,30 +144,32 @@ class Coordinates:
         return float(np.log(np.diag(self.root)).sum())
 
 
-def log_posterior(likelihood: Likelihood, state: State, inside: np.ndarray) -> np.ndarray:
+def log_posterior(model: LanderModel, state: Shots, inside: np.ndarray) -> np.ndarray:
     """Return log prior plus log likelihood (n) of states; `LOWEST` outside the support, and where the mask `inside` is false."""
-    prior = likelihood.model.log_prior(state)
+    prior = model.log_prior_density(state)
     support = np.flatnonzero(np.isfinite(prior) & inside)
     values = np.full(len(state), LOWEST)
     if len(support):
-        values[support] = prior[support] + likelihood(state.take(support))
+        values[support] = prior[support] + model.log_likelihood(
+            state.take(support), DIRECTION_ERROR
+        )
     return np.where(np.isfinite(values), values, LOWEST)
 
 
 def nautilus_in_box(
-    likelihood: Likelihood, coordinates: Coordinates, seed: int = 1
-) -> tuple[float, State, int]:
+    model: LanderModel, coordinates: Coordinates, seed: int = 1
+) -> tuple[float, Shots, int]:
     """Return log evidence, draws and number of calls of the likelihood by nautilus, in the box around a solution."""
     from nautilus import Sampler
 
     dimensions = len(coordinates.mean)
 
-    def states(unit_cube: np.ndarray) -> tuple[State, np.ndarray]:
+    def states(unit_cube: np.ndarray) -> tuple[Shots, np.ndarray]:
         return coordinates.states((2 * unit_cube - 1) * HALF_WIDTH)
 
     sampler = Sampler(
         lambda unit_cube: unit_cube,
-        lambda unit_cube: log_posterior(likelihood, *states(unit_cube)),
+        lambda unit_cube: log_posterior(model, *states(unit_cube)),
         n_dim=dimensions,
         n_live=LIVE_POINTS,
         vectorized=True,
@@ -180,9 +186,7 @@ def nautilus_in_box(
     return evidence, states(drawn)[0], sampler.n_like
 
 
-def emcee_from(
-    likelihood: Likelihood, coordinates: Coordinates, state: State
-) -> tuple[State, float]:
+def emcee_from(model: LanderModel, coordinates: Coordinates, state: Shots) -> tuple[Shots, float]:
     """Return the states that the walkers of emcee reach from some of these draws, and the longest correlation time in steps."""
     import emcee
 
@@ -196,7 +200,7 @@ def emcee_from(
     sampler = emcee.EnsembleSampler(
         WALKERS,
         start.shape[1],
-        lambda y: log_posterior(likelihood, *coordinates.states(y)),
+        lambda y: log_posterior(model, *coordinates.states(y)),
         moves=moves,
         vectorize=True,
     )
@@ -207,16 +211,16 @@ def emcee_from(
     return coordinates.states(chain)[0], float(np.max(correlation))
 
 
-def state_of_draws(model_: Model, draws: xr.Dataset) -> State:
+def state_of_draws(model: LanderModel, draws: xr.Dataset) -> Shots:
     """Return the draws of a posterior as states, their nuisance parameters (n, k) in sigmas of the prior."""
-    u = np.zeros((draws.sizes["draw"], len(model_.unknowns)))
-    for i, unknown in enumerate(model_.unknowns):
+    u = np.zeros((draws.sizes["draw"], len(model.unknowns)))
+    for i, unknown in enumerate(model.unknowns):
         if unknown.kind == "wheel_speed":  # one variable for all wheels
             value = draws["wheel_speed_rad_s"].values[0, :, unknown.index]
         else:
             value = draws[unknown.name].values[0]
         u[:, i] = (value - unknown.centre) / unknown.sigma
-    return State(draws["omega_B"].values[0], draws["sun_B"].values[0], u)
+    return Shots(draws["omega_B"].values[0], draws["sun_B"].values[0], u)
 
 
 def summary(omega: np.ndarray) -> str:
@@ -238,10 +242,10 @@ def compare(kind: str, case: int, walk: bool) -> None:
     tree = ss.posterior(craft, telemetry, priors, seed=0, workers=1)
     took = time.process_time() - begin
     print(f"{kind} {case}: {tree.attrs['verdict']}; k {tree.attrs['pareto_k']:.2f}; {took:.0f} s")
-    data, _, _ = readings(craft, telemetry)
-    likelihood = Likelihood(model(craft, priors, brightness(craft, data))[0], data, 1e-6)
+    assessment = assess(craft, telemetry)
+    model, _ = with_priors(assessment, observe_window(assessment), priors)
     draws, solutions = tree["posterior"].to_dataset(), tree["solutions"]
-    state, solution_id = state_of_draws(likelihood.model, draws), draws["solution_id"].values[0]
+    state, solution_id = state_of_draws(model, draws), draws["solution_id"].values[0]
     # sunspin's prior of the rates is uniform in the searched ball at its reference time, that of the box in the ball of max_rate
     log_volume_ratio = 3 * np.log(tree.attrs["searched_rate_rad_s"] / max_rate)
     probability = solutions["probability"].values
@@ -251,7 +255,7 @@ def compare(kind: str, case: int, walk: bool) -> None:
     for m in listed:
         in_solution = state.take(solution_id == m)
         coordinates = Coordinates(in_solution)
-        log_evidence, drawn, calls = nautilus_in_box(likelihood, coordinates)
+        log_evidence, drawn, calls = nautilus_in_box(model, coordinates)
         box_evidence.append(log_evidence)
         took = time.process_time() - begin
         values = f"sunspin {evidence[m]:.2f}, nautilus {log_evidence:.2f}"
@@ -261,7 +265,7 @@ def compare(kind: str, case: int, walk: bool) -> None:
             flush=True,
         )
         if walk:
-            walked, steps = emcee_from(likelihood, coordinates, in_solution)
+            walked, steps = emcee_from(model, coordinates, in_solution)
             print(
                 f"    emcee    {summary(walked.omega)}; correlation {steps:.0f} steps", flush=True
             )

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from studies.skcube_data import FREE_S, LAST_DAY, add_data_option, read_beacons, utc
-from sunspin.estimation.terms.term import student
+from sunspin.estimate.terms.term import student
 from validation.campaign import command, study_parser
 
 LONGEST_S = 60.0

@@ -20,10 +20,10 @@ from studies.skcube_data import FREE_S, LAST_DAY, add_data_option, read_beacons,
 from sunspin.base.errors import InputError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimation.orbit.calibration import MOST_SAMPLES, along_orbit, by_sun_sensors
-from sunspin.estimation.orbit.check import OrbitCheck
-from sunspin.estimation.orbit.judged import judged_orbit
-from sunspin.estimation.orbit.readings import read
+from sunspin.estimate.orbit.calibration import MOST_SAMPLES, along_orbit, by_sun_sensors
+from sunspin.estimate.orbit.check import OrbitCheck
+from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.orbit.readings import read
 from sunspin.telemetry.assess import assess
 from validation.campaign import command, study_parser
 

@@ -330,7 +330,7 @@ def test_short_names_of_changes_work_in_several_commands(tmp_path):
 
 
 def test_a_posterior_without_predictions_does_not_use_a_change_of_the_collision(monkeypatch):
-    monkeypatch.setattr("sunspin.estimate.posterior.estimate.posterior", refuse)
+    monkeypatch.setattr("sunspin.estimate.posterior.posterior", refuse)
     told = [
         command(
             "posterior", "philae", *words, "--restitution", "0.2", "--set", "body.mass_kg=90"

@@ -1,19 +1,13 @@
 """Panels that share an input of the power system: the file, the readings, and the remaining ambiguity."""
 
-from dataclasses import replace
 from importlib import resources
 
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.light import between, light_of, seen
-from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import State, model
-from sunspin.estimation.scan.directions import reconstructible_mask
+from sunspin.estimate.scan.directions import reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.flat import normalise_readings
@@ -188,28 +182,6 @@ def test_more_planes_than_can_be_cut_are_refused():
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
-def test_compiled_readings_slopes_and_bounds_of_channels_agree_with_numpy(reads):
-    """Readings, their slopes where lit, and bounds against directions within an angle."""
-    vehicle, angles = craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads), (0.1, 0.35)
-    response, sun, light = vehicle.response_in(), directions(40, 21), light_of(vehicle, angles)
-    exact, full = response.slopes(sun), vehicle.input_gains
-    rng = np.random.default_rng(6)
-    for i, k in np.ndindex(40, 4):
-        share, *slope = seen(light, k, *sun[i])
-        assert share * full[k] == pytest.approx(exact.power[i, k], abs=1e-15)
-        if exact.power[i, k] > 0:
-            across = slope - (slope @ sun[i]) * sun[i]
-            np.testing.assert_allclose(full[k] * across, exact.to_sun[i, k], atol=1e-15)
-    for number, angle in enumerate(angles):
-        low, high = response.bounds(sun, angle)
-        turns = Rotation.from_rotvec(angle * directions(300, 5) * rng.uniform(0, 1, (300, 1)))
-        near = np.array([response.power(turn.apply(sun)) for turn in turns])
-        assert (near >= low - 1e-12).all() and (near <= high + 1e-12).all()
-        both = [[between(light, number, k, *one) for k in range(4)] for one in sun]
-        np.testing.assert_allclose(full[:, None] * both, np.stack([low, high], -1), atol=1e-12)
-
-
-@pytest.mark.parametrize("reads", ["sum", "largest"])
 def test_the_mask_of_a_scan_counts_what_channels_allow(reads):
     vehicle, sun = craft({"odd": ("+X", "+Y")}, reads=reads), directions(20_000, 3)
     good, names = reconstructible_patterns(vehicle), np.array(vehicle.input_names)
@@ -350,33 +322,3 @@ def test_the_posterior_of_power_limited_panels_uses_their_ratios():
     assert "log_scale" not in tree["posterior"] and "throttled" in str(tree.attrs)
     with pytest.raises(ss.InputError, match=r"turns of panels that .* are throttled"):
         ss.posterior(vehicle, data, {"tilt": 0.02})
-
-
-def test_derivatives_of_power_limited_readings_agree_with_differences():
-    """At readings as the motion makes them, dimmed sample by sample, by differences; and the factors are found again."""
-    vehicle = craft({}, more=MOVES, telemetry="throttled = true")
-    data = readings(vehicle, flight(vehicle, 1)[0])[0]
-    unknown, _ = model(vehicle, {}, 1.0)
-    state = State(
-        np.array([[0.01, -0.02, 0.03]]), directions(1, 5), np.full((1, len(unknown.unknowns)), 0.3)
-    )
-    free, rng = Likelihood(unknown, data, 1e-9), np.random.default_rng(2)
-    light = free.light(free.predict(state).sun, state.u)[0]
-    factor = rng.uniform(0.2, 1.0, (len(data), 1))
-    here = replace(free, data=replace(data, value=factor * light, lit=light > 0))
-    np.testing.assert_allclose(
-        here.throttle(light[None]).factor[0][light.any(axis=1)],
-        factor[light.any(axis=1)],
-        rtol=1e-9,
-    )
-    jacobian, step = here.linearised(state).jacobian[0], 1e-6
-    for i in range(3):
-        more, less = (
-            here.misfit(
-                here.predict(State(state.omega + h * np.eye(3)[i], state.sun, state.u)), state.u
-            )[0][0]
-            for h in (step, -step)
-        )
-        np.testing.assert_allclose(
-            jacobian[:, i], (more - less) / (2 * step), atol=2e-3 * np.abs(jacobian[:, i]).max()
-        )

@@ -80,7 +80,7 @@ def test_rates_wait_for_no_module_that_they_do_not_use():
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
         ).stdout.split()
     )
-    assert "sunspin.estimation.rates" in loaded
+    assert "sunspin.estimate.rates" in loaded
     assert not loaded & {"scipy.stats", "scipy.optimize", "matplotlib"}
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.lander.window import observe_window
 from sunspin.output.check.samples import noise_lines
 from sunspin.philae.sun_directions import apply_measured_noise
 from sunspin.telemetry.assess import assess
@@ -57,8 +57,9 @@ def test_the_same_noise_for_each_panel_equals_a_common_noise():
         for name in before.variables:
             assert np.array_equal(before[name], after[name], before[name].dtype.kind == "f"), name
         assert before.attrs.get("noise") == after.attrs.get("noise")
-    first, second = (readings(vehicle, samples)[0] for vehicle in (one, each))
-    assert np.array_equal(first.sigma, second.sigma) and first.noise_from == second.noise_from
+    first, second = (observe_window(assess(vehicle, samples)) for vehicle in (one, each))
+    assert np.array_equal(first.obs.terms[0].sigma, second.obs.terms[0].sigma)
+    assert first.noise_from == second.noise_from
     # the usual formula, to the last bit
     design = np.random.default_rng(0).normal(size=(5, 3))
     usual = 0.3**2 * np.linalg.inv(design.T @ design)

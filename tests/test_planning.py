@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from sunspin import planning
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
-from sunspin.estimation.synthetic import simulate_pass
+from sunspin.estimate.synthetic import simulate_pass
 from sunspin.output.kinds.plan import plan_summary
 from sunspin.output.template import write_templates
 from sunspin.planning import plan

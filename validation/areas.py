@@ -76,7 +76,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
 
 def _any_vehicle(seed: int, i: int) -> Row:
     """Run and judge `rates` on random vehicle `i`."""
-    from sunspin.estimation.verdict import DECIDED
+    from sunspin.estimate.verdict import DECIDED
     from tests.support.any_vehicle import judge_rates
 
     row = judge_rates(seed, i)
@@ -572,7 +572,7 @@ def _witness(name: str) -> Row:
 
 def _emd_bound() -> float:
     """Return the largest error of an EMD from histograms: half a bin for each sample, halved in the paper's distance."""
-    from sunspin.estimation.scan.histogram import BINS
+    from sunspin.estimate.scan.histogram import BINS
 
     return 2.0 / BINS / 4
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.estimation.synthetic import Truth, synthetic_telemetry
+from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.solve.rotations import tangent_basis
 from sunspin.vehicle import Friction, Vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma

@@ -17,7 +17,7 @@ from unittest import mock
 import click
 import numpy as np
 
-from sunspin.estimation import carry
+from sunspin.estimate import carry
 from validation import hostile, pool
 from validation.border import Accepted, judge, sunspin
 from validation.pool import Suite, Verdict
@@ -181,9 +181,9 @@ def shorten_work() -> list[Any]:
         raise Accepted
 
     return [
-        mock.patch("sunspin.estimation.scan.volume.ensemble", run_if_small),
+        mock.patch("sunspin.estimate.scan.volume.ensemble", run_if_small),
         mock.patch("sunspin.landing.outcomes.ensemble", run_if_small),
-        mock.patch("sunspin.estimate.posterior.modes.ensemble", raise_accepted),
+        mock.patch("sunspin.estimate.posterior.searched_by", raise_accepted),
         mock.patch("sunspin.philae.reproduction.compute", raise_accepted),
     ]
 

@@ -35,8 +35,6 @@ STORE = "--store=STORE"
 TARGETS = {
     "scan": "scan philae TELEMETRY --from=90 --to=2800 --workers=2 --lines=0 --omega-x-deg-s=-30:60:3 --omega-y-deg-s=-30:60:3 "
     f"--omega-z-deg-s=-18:18:2.4 {STORE}",
-    "posterior": "posterior philae --prior=inertia=0 --prior=friction=0 --prior=wheel_speed=0 --draws=1000 --workers=2 --from=100 "
-    f"--to=1500 --prior=max_rate_rad_s=0.05 {STORE}",
     "outcomes": f"outcomes philae --runs=5000 --workers=2 {STORE}",
     "reproduce": "reproduce --coarser=25 --without posterior",
 }

@@ -17,7 +17,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import SunspinError
-from sunspin.estimation.verdict import DECIDED, NARROWER
+from sunspin.estimate.verdict import DECIDED, NARROWER
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
 from validation.subject import rates

@@ -15,22 +15,16 @@ import xarray as xr
 from sunspin.vehicle import Vehicle
 
 MODULES = {
-    "rates": {"estimation": "sunspin.estimation.rates"},
-    "check_orbit": {"estimation": "sunspin.estimation.orbit.check"},
-    "orbit_of": {"estimation": "sunspin.estimation.orbit.judged"},
-    "calibrate_sensors": {"estimation": "sunspin.estimation.calibrate"},
-    "posterior": {
-        "estimate": "sunspin.estimate.posterior.estimate",
-        "estimation": "sunspin.estimation.posterior",
-    },
-    "predict": {
-        "estimate": "sunspin.estimate.posterior.predict",
-        "estimation": "sunspin.estimation.lander.predict",
-    },
+    "rates": {"estimate": "sunspin.estimate.rates"},
+    "check_orbit": {"estimate": "sunspin.estimate.orbit.check"},
+    "orbit_of": {"estimate": "sunspin.estimate.orbit.judged"},
+    "calibrate_sensors": {"estimate": "sunspin.estimate.calibrate"},
+    "posterior": {"estimate": "sunspin.estimate.posterior"},
+    "predict": {"estimate": "sunspin.estimate.lander.predict"},
 }
 """Functions that are judged -> packages that have them, that of the commands first -> their modules."""
 
-ROOMS = ("estimation", "estimate")
+ROOMS = ("estimate",)
 """Packages that can be judged."""
 
 OF_COMMANDS = "commands"
@@ -94,11 +88,9 @@ def log_density(
 
     Rates (rad/s) and directions (n, 3) are those at the first sample; `values`: of the unknowns (n), by name.
     """
-    if _room_of("posterior") == "estimate":
-        return _old_log_density(vehicle, telemetry, priors, omega_B, sun_B, values)
-    from sunspin.estimation.lander.motions import Shots
-    from sunspin.estimation.lander.priors import with_priors
-    from sunspin.estimation.lander.window import observe_window
+    from sunspin.estimate.lander.motions import Shots
+    from sunspin.estimate.lander.priors import with_priors
+    from sunspin.estimate.lander.window import observe_window
     from sunspin.telemetry.assess import assess
 
     assessment = assess(vehicle, telemetry)
@@ -109,26 +101,6 @@ def log_density(
 
 DIRECTION_ERROR = 1e-5
 """Error of directions (rad) in a density."""
-
-
-def _old_log_density(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
-    priors: Mapping[str, Any],
-    omega_B: np.ndarray,
-    sun_B: np.ndarray,
-    values: Mapping[str, np.ndarray],
-) -> np.ndarray:
-    """Return the log posterior density (n) of the old package."""
-    from sunspin.estimate.posterior.brightness import brightness
-    from sunspin.estimate.posterior.data import readings
-    from sunspin.estimate.posterior.likelihood import Likelihood
-    from sunspin.estimate.posterior.model import State, model
-
-    data, _, _ = readings(vehicle, telemetry)
-    unknown, _ = model(vehicle, priors, brightness(vehicle, data))
-    state = State(omega_B, sun_B, _in_sigmas(unknown.unknowns, values))
-    return Likelihood(unknown, data, DIRECTION_ERROR)(state) + unknown.log_prior(state)
 
 
 def _in_sigmas(unknowns: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:

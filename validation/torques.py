@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from sunspin.base.errors import SunspinError
 from sunspin.dynamics.torques import Steady
-from sunspin.estimation.synthetic import Truth, synthetic_telemetry
+from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation import subject
 from validation.calibrate import AS_DRAWN, draw_from_prior

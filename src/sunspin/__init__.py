@@ -29,14 +29,15 @@ if TYPE_CHECKING:
         TelemetryError as TelemetryError,
         VehicleError as VehicleError,
     )
-    from sunspin.estimation.scan.lines import fit_lines as fit_lines
-    from sunspin.estimation.scan.metrics import direction_error as direction_error, emd as emd
-    from sunspin.estimate.posterior.estimate import posterior as posterior
-    from sunspin.estimation.calibrate import calibrate_sensors as calibrate_sensors
-    from sunspin.estimation.rates import rates as rates
-    from sunspin.estimate.terms.period import Period as Period
-    from sunspin.estimation.scan.near_minimum import near_minimum as near_minimum
-    from sunspin.estimation.scan.volume import Propagation as Propagation, scan as scan
+    from sunspin.estimate.scan.lines import fit_lines as fit_lines
+    from sunspin.estimate.scan.metrics import direction_error as direction_error, emd as emd
+    from sunspin.estimate.calibrate import calibrate_sensors as calibrate_sensors
+    from sunspin.estimate.lander.predict import predict as predict
+    from sunspin.estimate.periods import Period as Period
+    from sunspin.estimate.posterior import posterior as posterior
+    from sunspin.estimate.rates import rates as rates
+    from sunspin.estimate.scan.near_minimum import near_minimum as near_minimum
+    from sunspin.estimate.scan.volume import Propagation as Propagation, scan as scan
     from sunspin.telemetry.health import panel_health as panel_health
     from sunspin.vehicle.response.panels import panel_power as panel_power
     from sunspin.telemetry.assess import panel_quality as panel_quality
@@ -86,19 +87,20 @@ _MODULES = {
     "SunStatus": "sunspin.telemetry.sun",
     "panel_health": "sunspin.telemetry.health",
     "panel_quality": "sunspin.telemetry.assess",
-    "calibrate_sensors": "sunspin.estimation.calibrate",
-    "rates": "sunspin.estimation.rates",
-    "Period": "sunspin.estimate.terms.period",
+    "calibrate_sensors": "sunspin.estimate.calibrate",
+    "rates": "sunspin.estimate.rates",
+    "Period": "sunspin.estimate.periods",
     "propagate": "sunspin.dynamics.propagate",
     "impact": "sunspin.dynamics.impact",
     "fit_spin_down": "sunspin.dynamics.friction",
-    "direction_error": "sunspin.estimation.scan.metrics",
-    "emd": "sunspin.estimation.scan.metrics",
-    "scan": "sunspin.estimation.scan.volume",
-    "Propagation": "sunspin.estimation.scan.volume",
-    "near_minimum": "sunspin.estimation.scan.near_minimum",
-    "fit_lines": "sunspin.estimation.scan.lines",
-    "posterior": "sunspin.estimate.posterior.estimate",
+    "direction_error": "sunspin.estimate.scan.metrics",
+    "emd": "sunspin.estimate.scan.metrics",
+    "scan": "sunspin.estimate.scan.volume",
+    "Propagation": "sunspin.estimate.scan.volume",
+    "near_minimum": "sunspin.estimate.scan.near_minimum",
+    "fit_lines": "sunspin.estimate.scan.lines",
+    "posterior": "sunspin.estimate.posterior",
+    "predict": "sunspin.estimate.lander.predict",
     "twin": "sunspin.philae.simulation",
     "outcomes": "sunspin.landing.outcomes",
     "Scenario": "sunspin.landing.scenario",

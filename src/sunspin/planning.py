@@ -15,8 +15,8 @@ from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import provenance, with_units
 from sunspin.compute.pool import process_pool
 from sunspin.environment.orbit import Source
-from sunspin.estimation.rates import rates
-from sunspin.estimation.synthetic import SimulatedPass, simulate_pass
+from sunspin.estimate.rates import rates
+from sunspin.estimate.synthetic import SimulatedPass, simulate_pass
 from sunspin.telemetry.synthetic import TIME_STEP_S, generator
 from sunspin.vehicle import Vehicle
 

@@ -6,9 +6,9 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimation.model import States
-from sunspin.estimation.terms.directions import SunDirections
-from sunspin.estimation.terms.term import facing, student
+from sunspin.estimate.model import States
+from sunspin.estimate.terms.directions import SunDirections
+from sunspin.estimate.terms.term import facing, student
 from sunspin.telemetry.sensors import AGREE
 from sunspin.vehicle.file import parse_vehicle
 

@@ -115,7 +115,7 @@ def test_rates_without_a_terminal_print_that_work_began_unless_quiet(start, monk
         said.append(sys.stderr.buffer.getvalue().decode())
         raise InputError("no further")
 
-    monkeypatch.setattr(import_module("sunspin.estimation.rates"), "decide_wheels", begin)
+    monkeypatch.setattr(import_module("sunspin.estimate.rates"), "decide_wheels", begin)
     files = start / "vehicle.toml", start / "telemetry.csv"
     options = "--workers", 1, "--acceleration-noise", 1e-4
     sunspin("rates", *files, *options, code=2)

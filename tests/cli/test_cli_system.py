@@ -209,7 +209,7 @@ def test_init_writes_both_files_or_none(sunspin, tmp_path):
 def test_a_folder_with_other_results_is_refused_before_the_computation(
     sunspin, tmp_path, monkeypatch
 ):
-    import sunspin.estimation.scan.volume as scan
+    import sunspin.estimate.scan.volume as scan
 
     def never(*_, **__):
         raise AssertionError("the scan ran although its results could not be written")

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
-from sunspin.estimation import rates as estimation
+from sunspin.estimate import rates as estimation
 from sunspin.output.template import write_templates
 
 PERIOD_S = 61.0

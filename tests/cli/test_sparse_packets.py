@@ -12,9 +12,9 @@ from click.testing import CliRunner
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.cli.check import check
-from sunspin.estimation.observe import observe, split
-from sunspin.estimation.settings import RATES
-from sunspin.estimation.verdict import upper_text
+from sunspin.estimate.observe import observe, split
+from sunspin.estimate.settings import RATES
+from sunspin.estimate.verdict import upper_text
 from sunspin.output.check.samples import noise_lines
 from sunspin.output.template import write_templates
 from sunspin.telemetry.assess import assess

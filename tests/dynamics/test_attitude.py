@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimation.carry import STEP_RAD, angle_turned, step
+from sunspin.estimate.carry import STEP_RAD, angle_turned, step
 
 INERTIA = np.array([[1.2, 0.05, -0.02], [0.05, 1.0, 0.04], [-0.02, 0.04, 0.8]])
 

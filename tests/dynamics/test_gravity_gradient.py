@@ -1,4 +1,4 @@
-"""Gravity gradient in the reference propagator, the kernel and the motion of `posterior`."""
+"""Gravity gradient in the reference propagator and the kernel."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ import sunspin as ss
 from sunspin.dynamics import batch
 from sunspin.dynamics.torques import acting
 from sunspin.environment import circular
-from sunspin.estimate.posterior.model import State, model, under
 from sunspin.vehicle import Panel, Vehicle
 
 N = 1.1e-3
@@ -50,19 +49,10 @@ def in_the_kernel() -> np.ndarray:
     return seen_nadir(run.attitude[0])
 
 
-def moved_by_the_posterior() -> np.ndarray:
-    """Begun an orbit late, on a clock that counts from there: the model's Sun of a body at the first sample, without a turn."""
-    unknown = under(
-        model(BODY, {"inertia": 0.0}, 1.0)[0], acting(["gravity_gradient"], ORBIT, 2 * np.pi / N)
-    )
-    rows = unknown.rows(State(OMEGA[None], SUN[None], np.zeros((1, len(unknown.unknowns)))))
-    return seen_nadir(unknown.run(rows, TIMES[1:], 1e-6, attitude=True).attitude[0])
-
-
 @pytest.mark.evidence(
     "propagate", "verified", "closed form of a small libration under gravity gradient"
 )
-@pytest.mark.parametrize("moved", [propagated, in_the_kernel, moved_by_the_posterior])
+@pytest.mark.parametrize("moved", [propagated, in_the_kernel])
 def test_a_body_librates_about_the_nadir_at_the_rate_of_the_closed_form(moved, reached):
     nadir = moved()
     angle = np.arctan2(nadir[:, 0], nadir[:, 2])

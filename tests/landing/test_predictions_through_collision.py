@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sunspin.estimation.lander.predict import predict
+from sunspin.estimate.lander.predict import predict
 from sunspin.landing.predictions import predict_through_collision
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.assumptions import Collision

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sunspin.estimation.orbit.check import OrbitCheck, Verdict
+from sunspin.estimate.orbit.check import OrbitCheck, Verdict
 from sunspin.output.check.orbit import _lines
 
 SUMMARY = {"name": "a cube", "satellite": 90001, "notes": []}

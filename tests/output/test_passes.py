@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from sunspin.estimation.verdict import Answers, PassRow, Speed
-from sunspin.estimation.verdict import passes_table as pass_variables
+from sunspin.estimate.verdict import Answers, PassRow, Speed
+from sunspin.estimate.verdict import passes_table as pass_variables
 from sunspin.output.figures import axis_labels, render
 from sunspin.output.folder import Contents, write_contents
 from sunspin.output.kinds.panels import health_lines

@@ -9,7 +9,7 @@ import pytest
 
 from sunspin.base.errors import InputError
 from sunspin.cli.values import parse_times
-from sunspin.estimation.lander.predict import predict
+from sunspin.estimate.lander.predict import predict
 from sunspin.landing.predictions import add_predictions
 from sunspin.output.kinds.predictions import intervals, predicted_figure, predictions_summary
 from tests.support.philae import AS_DRAWN, philae_draws

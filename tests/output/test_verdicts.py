@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
-from sunspin.estimation.orbit.check import Verdict
-from sunspin.estimation.verdict import Answers, Speed
+from sunspin.estimate.orbit.check import Verdict
+from sunspin.estimate.verdict import Answers, Speed
 from sunspin.output.verdicts import ANCHORS, PAGE, find_labels, read_section
 from sunspin.telemetry.sun import RECONSTRUCTED, STATUS_TEXT
 

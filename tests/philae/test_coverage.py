@@ -14,8 +14,8 @@ from sunspin.cases import load_case
 from sunspin.cli import cli
 from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimation.scan.metrics import emd
-from sunspin.estimation.scan.volume import make_table
+from sunspin.estimate.scan.metrics import emd
+from sunspin.estimate.scan.volume import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
 from sunspin.philae.metrics import simulate_rz

@@ -9,9 +9,9 @@ import pytest
 import sunspin as ss
 from studies import components
 from sunspin.base.errors import InputError
-from sunspin.estimation.scan.histogram import distances_to_target, target_segments
-from sunspin.estimation.scan.rows import ScanRows, Start
-from sunspin.estimation.scan.volume import Table, make_table
+from sunspin.estimate.scan.histogram import distances_to_target, target_segments
+from sunspin.estimate.scan.rows import ScanRows, Start
+from sunspin.estimate.scan.volume import Table, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
 from sunspin.philae.simulation import CELL_W

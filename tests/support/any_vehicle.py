@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 import sunspin as ss
 from sunspin.base.errors import SunspinError
-from sunspin.estimation.verdict import DECIDED
+from sunspin.estimate.verdict import DECIDED
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 from tests.support.simulate import telemetry_of, uneven_times

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import SunspinError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimation.orbit.calibration import along_orbit
-from sunspin.estimation.orbit.check import check_orbit
-from sunspin.estimation.orbit.judged import judged_orbit
-from sunspin.estimation.settings import ORBIT
+from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.check import check_orbit
+from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.settings import ORBIT
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact

@@ -25,7 +25,7 @@ SMOKE = (
     "tests/telemetry/test_sun.py",
     "tests/dynamics/test_propagate.py",
     "tests/dynamics/test_impact.py",
-    "tests/estimation/test_metrics.py",
+    "tests/estimate/test_metrics.py",
     "tests/cli/test_cli_system.py",
 )
 """One file of each layer that compiles no kernel."""

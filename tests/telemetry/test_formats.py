@@ -13,8 +13,8 @@ import tomlkit
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimation.column_tests import signed_axes, to_write
-from sunspin.estimation.terms.panels import Instants
+from sunspin.estimate.column_tests import signed_axes, to_write
+from sunspin.estimate.terms.panels import Instants
 from sunspin.output.folder import write_netcdf
 from sunspin.telemetry.stored import restore_telemetry
 from sunspin.vehicle.file import parse_vehicle

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimation.terms.panels import Panels
+from sunspin.estimate.terms.panels import Panels
 from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle

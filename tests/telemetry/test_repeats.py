@@ -10,10 +10,10 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.estimate.posterior.data import readings
-from sunspin.estimation.observe import ALONE, observe, split
-from sunspin.estimation.scan.directions import directions_within
-from sunspin.estimation.settings import RATES
+from sunspin.estimate.lander.window import observe_window
+from sunspin.estimate.observe import ALONE, observe, split
+from sunspin.estimate.scan.directions import directions_within
+from sunspin.estimate.settings import RATES
 from sunspin.output.check.repeats import describe_repeats
 from sunspin.output.check.samples import describe_samples
 from sunspin.telemetry.assess import assess
@@ -348,10 +348,11 @@ def test_repeated_readings_are_used_by_no_command(fault, noise):
     seen = is_reconstructed(found.sun["status"]).sum()
     assert directions_within(vehicle, found, None, None).sizes["time"] == seen
     # posterior
-    data, start, _ = readings(vehicle, found)
-    place = np.searchsorted(data.t_s + start, t[rows])
-    there = np.isin(np.round(t[rows], 9), np.round(data.t_s + start, 9))
-    used = data.used[np.minimum(place, len(data) - 1), panel].reshape(len(rows), -1).any(axis=1)
+    window = observe_window(found)
+    t_used, count = window.obs.t_s + window.start_s, len(window.obs)
+    place = np.minimum(np.searchsorted(t_used, t[rows]), count - 1)
+    there = np.isin(np.round(t[rows], 9), np.round(t_used, 9))
+    used = window.obs.terms[0].used[place, panel].reshape(len(rows), -1).any(axis=1)
     assert not (there & used).any() or fault == "late"
     # rates
     seen = observe(found)

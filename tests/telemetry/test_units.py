@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimation.column_tests import signed_axes
-from sunspin.estimation.gyro_axes import wrong_gyro_axes
+from sunspin.estimate.column_tests import signed_axes
+from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.units import panel_unit

@@ -9,13 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from sunspin.base.errors import InputError
-from sunspin.cases import load_case
-from sunspin.estimate.posterior import cells
-from sunspin.estimate.posterior.brightness import brightness
-from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.model import model
-from sunspin.estimate.posterior.modes import require_few
 from validation.border import CommandResult, judge, sunspin
 
 KERNEL = [
@@ -91,24 +84,6 @@ def test_telemetry_can_be_piped_in(home, monkeypatch):
     for endless, words in ((20 * content, "is smaller than 0.01 MB"), (b"", "empty")):
         told = sunspin("check", "vehicle.toml", "-", piped=endless)
         assert judge(told).what == "refused" and words in told.err, told
-
-
-@pytest.mark.parametrize("rate", [5.0, 1e3, 1e20, 1e30])
-def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit(rate):
-    case = load_case("philae")
-    data, _, _ = readings(case.vehicle, case.telemetry)
-    scale = brightness(case.vehicle, data)
-
-    def tried(limit):
-        unknown, _ = model(case.vehicle, {"max_rate_rad_s": limit}, scale)
-        return require_few(unknown, data, scale)
-
-    with pytest.raises(InputError, match=r"asks for \S+ starts, and 4e\+07 at most") as told:
-        tried(rate)
-    most = float(str(told.value).split("give ")[1].split()[0])
-    assert 0.6 < most < rate and tried(most).limit <= most
-    assert cells.cell_count(tried(most).limit, tried(most).edge) < 1.01 * cells.MAX_CELLS
-    assert tried(0.6).limit == 0.6  # the default is searched whole
 
 
 def test_the_command_posterior_refuses_a_prior_with_too_many_starts(home, soon):

@@ -36,12 +36,6 @@ def test_without_a_choice_the_package_of_the_commands_is_judged(name):
     assert subject._of_room(name) is getattr(ss, name)
 
 
-def test_a_function_that_a_package_lacks_is_refused():
-    subject.judge_room("estimate")
-    with pytest.raises(ValueError, match="has no rates"):
-        subject.rates()
-
-
 @pytest.mark.parametrize("room", list(subject.MODULES["posterior"]))
 def test_the_density_of_the_truth_exceeds_that_of_motions_beside_it(room):
     """Of a case drawn from the prior: a rate that is off by 0.2 deg/s, or a moment by 3 %, is less likely by far."""

@@ -37,9 +37,9 @@ def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output)
     Example:
       sunspin calibrate-sensors vehicle.toml telemetry.csv --out calibrated.toml
     """
-    from sunspin.estimation.calibrate import calibrate_sensors as calibrate
-    from sunspin.estimation.calibrate import new_values
-    from sunspin.estimation.orbit.judged import orbit_of
+    from sunspin.estimate.calibrate import calibrate_sensors as calibrate
+    from sunspin.estimate.calibrate import new_values
+    from sunspin.estimate.orbit.judged import orbit_of
     from sunspin.output.folder import write_whole
     from sunspin.vehicle.file import parse_vehicle, read_vehicle_text
     from sunspin.vehicle.rewrite import rewrite_values

@@ -25,7 +25,7 @@ def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
       sunspin check vehicle.toml telemetry.csv
       sunspin check philae philae
     """
-    from sunspin.estimation.orbit.judged import elements_of
+    from sunspin.estimate.orbit.judged import elements_of
     from sunspin.output.check.files import describe_telemetry, describe_vehicle
     from sunspin.output.check.orbit import describe_orbit
     from sunspin.output.template import suggest_telemetry

@@ -79,7 +79,7 @@ def plan(
       sunspin plan vehicle.toml --every 10,30,60 --bits 8 --tle my.tle --passes 30 --out beacons
     """
     from sunspin.compute.pool import worker_count
-    from sunspin.estimation.orbit.judged import elements_of
+    from sunspin.estimate.orbit.judged import elements_of
     from sunspin.output.kinds.plan import plan_summary
     from sunspin.planning import plan as plan_beacons
     from sunspin.vehicle import load_vehicle

@@ -63,7 +63,7 @@ def observation_option(name: str, text_type: Parsed, about: str) -> Callable:
     "--draws", type=click.IntRange(100, 1_000_000), default=4000, help="Draws in the result."
 )
 @set_options("collision", short=("friction", "restitution", "damper"), idle=("hull", "antenna"))
-@shared("--from", "--to", "--wheel-mode", "--period", "--store", "--seed", "--workers", "--data")
+@shared("--from", "--to", "--wheel-mode", "--period", "--seed", "--workers", "--data")
 def posterior(
     vehicle,
     telemetry,
@@ -89,10 +89,10 @@ def posterior(
     \b
     Examples:
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
-      sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store checkpoints
+      sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --out posterior
     """
     from sunspin.cases import case_telemetry_path, read_timeline
-    from sunspin.estimate.posterior.estimate import posterior as sample_posterior
+    from sunspin.estimate.posterior import posterior as sample_posterior
     from sunspin.landing.predictions import add_predictions
     from sunspin.telemetry.reader import read_telemetry
 

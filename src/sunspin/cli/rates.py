@@ -118,9 +118,9 @@ def rates(
     if output.progress:  # on a terminal, before the imports, which take longer than a short pass
         output.announce(f"reading {telemetry.name}")
     from sunspin.compute.pool import worker_count
-    from sunspin.estimation.orbit.judged import elements_of
-    from sunspin.estimation.rates import rates as estimate_rates
-    from sunspin.estimation.short_windows import rates_in_windows
+    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.estimate.rates import rates as estimate_rates
+    from sunspin.estimate.short_windows import rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.column_periods import describe_periods, read_column_periods

@@ -78,10 +78,10 @@ def scan(
       sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x-deg-s=-6:6:1 --omega-y-deg-s=-6:6:1 --omega-z-deg-s=0:6:1
       sunspin scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:60:6 --store scan-rows --out scan-results
     """
-    from sunspin.estimation.scan.directions import directions_within, target_weights
-    from sunspin.estimation.scan.near_minimum import with_near_minimum
-    from sunspin.estimation.scan.volume import Propagation
-    from sunspin.estimation.scan.volume import scan as scan_rates
+    from sunspin.estimate.scan.directions import directions_within, target_weights
+    from sunspin.estimate.scan.near_minimum import with_near_minimum
+    from sunspin.estimate.scan.volume import Propagation
+    from sunspin.estimate.scan.volume import scan as scan_rates
     from sunspin.telemetry.reader import read_telemetry
 
     inputs = load_inputs(vehicle, changes)

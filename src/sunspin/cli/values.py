@@ -121,7 +121,7 @@ def parse_grid(text: str, name: str) -> np.ndarray:
     """
     import numpy as np
 
-    from sunspin.estimation.scan.volume import check_size
+    from sunspin.estimate.scan.volume import check_size
 
     if ":" not in text:
         return np.radians(parse_numbers(text, name))
@@ -182,7 +182,7 @@ def parse_observation(text: str, name: str) -> dict[str, Any]:
 
 def parse_period(text: str, epoch_utc: str | None) -> Any:
     """Return the observed period (`Period`) of a text SECONDS+-SIGMA@TIME."""
-    from sunspin.estimate.terms.period import Period
+    from sunspin.estimate.periods import Period
 
     value, _, rest = text.partition("+-")
     sigma, _, when = rest.partition("@")

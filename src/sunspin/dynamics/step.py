@@ -1,4 +1,4 @@
-"""Attitude and momentum of many bodies, each over an interval of its own: the step of :mod:`sunspin.estimation.carry`, compiled.
+"""Attitude and momentum of many bodies, each over an interval of its own: the step of :mod:`sunspin.estimate.carry`, compiled.
 
 The equations are those of :mod:`sunspin.dynamics.gyrostat` for a body without torques whose wheels are given by their momentum K
 (docs/model.md):

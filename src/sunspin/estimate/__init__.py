@@ -1,1 +1,1 @@
-"""Where what was seen meets what would be seen: scans, rates, posteriors."""
+"""How a spacecraft moved, estimated from what its sensors saw: model, observations, search, fit, evidence, verdict."""

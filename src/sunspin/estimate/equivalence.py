@@ -1,9 +1,9 @@
 """Which changes of columns, panels, wheel signs and sensor axes look the same in the telemetry.
 
-Two changes of a vehicle file are equivalent if a rotation or a mirror M of the body maps what the telemetry has read under the one
-onto what it has read under the other: s' = M s for directions, omega' = det(M) M omega for rates and momenta, M Theta M^T for the
-inertia. Then no data can tell them apart. One function decides it (`equivalence`); advice, and what is said of columns that
-cannot be checked, use it.
+Two changes of a vehicle file are equivalent if a rotation or a mirror M of the body maps the readings under the one onto those
+under the other. That is s' = M s for directions, omega' = det(M) M omega for rates and momenta, and M Theta M^T for the inertia.
+Then no data distinguish them. One function decides it, :func:`equivalence`: normals of lit panels propose matrices M (Procrustes),
+which other sensors, dark panels, inertia and wheels may refuse. Stated errors allow small differences, at a cost in log evidence.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from types import MappingProxyType
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.inertia import ASSUMED, inertia_errors
+from sunspin.estimate.model import Body
+from sunspin.estimate.settings import INERTIA
 from sunspin.telemetry.gains import prior_sigmas
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
 
 CLEARLY = 10.0
-"""Log evidence by which a change, or a pass without one of its sensors, must be better before that is named. Changes are equivalent
-if what the file states must be off by no more than this costs."""
+"""Log evidence by which a change must be better before it is named. Changes are equivalent if the errors of the file that they
+need cost no more than this."""
 
-ALIKE = 0.01
-"""Difference of two unit normals without a stated sigma that costs `CLEARLY`: 40 samples of 1 % noise tell more than that."""
+NORMALS_ALIKE = 0.01
+"""Difference of two unit normals without a stated sigma that costs `CLEARLY`: 40 samples of 1 % noise show a smaller one."""
 
 AXES_ALIKE = 0.05
 """Largest difference of two matrices of axes that are the same axes."""
@@ -37,8 +38,8 @@ LIT_SHARE, LIT_SAMPLES, BRIGHTEST = 0.15, 2, 0.9
 gains have no unit full Sun is this quantile of the largest reading of a sample."""
 
 WHEEL_SIGMA, WEAK_RAD = 0.02, 0.05
-"""Relative sigma of a wheel's momentum and direction; and wheels that turn a rate by less than this (rad) in the whole file are
-not seen."""
+"""Relative sigma of a wheel's momentum and direction; and the turn of the rate (rad) in the whole file below which wheels are not
+seen."""
 
 SAME_WAY = 0.01
 """One less the cosine between normals that may be mirror images of each other; `equivalence` decides."""
@@ -49,6 +50,9 @@ FLAT = 0.05
 MOST_ASSIGNMENTS = 1000
 """Assignments of the panels of shared inputs to each other that are tried."""
 
+WHEEL_SIGNS = "axis_B, speed_rad_s and speed_scale_rad_s"
+"""Keys of a wheel that may have the wrong sign."""
+
 READINGS = ("power_W", "current_A")
 """What telemetry calls the readings of panels."""
 
@@ -57,9 +61,9 @@ READINGS = ("power_W", "current_A")
 class Change:
     """One way in which columns, signs or axes of a vehicle file may be wrong.
 
-    `what`: in words; `columns`: input k reads the column `columns[k]`, as the file states it where empty; `reversed_panels`,
-    `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis; `axes`: variable of telemetry -> matrix (3, 3)
-    by which its readings are multiplied; `do`: what to write in the file, in words; `errors`: mistakes that it supposes.
+    `what`: in words. `columns`: input k reads the column `columns[k]`; if empty, the one that the file states. `reversed_panels`,
+    `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis. `axes`: variable of telemetry -> matrix (3, 3)
+    by which its readings are multiplied. `do`: what to write in the file, in words; `errors`: how many mistakes it supposes.
     """
 
     what: str
@@ -70,20 +74,22 @@ class Change:
     do: str = ""
     errors: int = 1
 
+    def with_wheels(self, wheels: tuple[int, ...], names: Sequence[str]) -> Change:
+        """Return this change together with reversed wheels."""
+        what = f"{self.what} and {_wheel_words(wheels, names)}"
+        keys = f"look at the signs of {WHEEL_SIGNS}"
+        do = f"{self.do}, and {keys} of {' and '.join(names[k] for k in wheels)}"
+        return replace(self, what=what, reversed_wheels=wheels, do=do, errors=self.errors + 1)
+
     def applied(self, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Vehicle, xr.Dataset]:
-        """Vehicle and telemetry as they are if the file is wrong in this way."""
-        if self.reversed_panels:
-            turned = (
-                replace(p, normal_B=-p.normal_B) if k in self.reversed_panels else p
-                for k, p in enumerate(vehicle.panels)
-            )
-            vehicle = replace(vehicle, panels=tuple(turned))
-        if self.reversed_wheels:
-            turned = (
-                replace(w, axis_B=-w.axis_B) if k in self.reversed_wheels else w
-                for k, w in enumerate(vehicle.wheels)
-            )
-            vehicle = replace(vehicle, wheels=tuple(turned))
+        """Return vehicle and telemetry as they are if the file is wrong in this way."""
+        panels, wheels = list(vehicle.panels), list(vehicle.wheels)
+        for k in self.reversed_panels:
+            panels[k] = replace(panels[k], normal_B=-panels[k].normal_B)
+        for k in self.reversed_wheels:
+            wheels[k] = replace(wheels[k], axis_B=-wheels[k].axis_B)
+        if self.reversed_panels or self.reversed_wheels:
+            vehicle = replace(vehicle, panels=tuple(panels), wheels=tuple(wheels))
         for name in READINGS if self.columns else ():
             if name in telemetry:
                 value = telemetry[name].transpose("time", "panel")
@@ -101,7 +107,7 @@ AS_WRITTEN = Change("the file as it is written", errors=0)
 
 
 def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
-    """The columns of two inputs exchanged."""
+    """Return the change that exchanges the columns of two inputs."""
     order = list(range(len(vehicle.inputs)))
     order[a], order[b] = b, a
     names = vehicle.input_names
@@ -111,8 +117,13 @@ def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
     )
 
 
+def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
+    """Return in words which wheels turn the other way."""
+    return f"wheel{'s' if len(wheels) > 1 else ''} {' and '.join(names[k] for k in wheels)} turning the other way"
+
+
 def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
-    """Each pair of inputs exchanged, and each panel with an input of its own reversed; none without readings of panels."""
+    """Return each exchange of two inputs and each reversed panel with an input of its own; none without readings of panels."""
     if not any(name in telemetry for name in READINGS):
         return []
     pairs = [exchange(vehicle, a, b) for a, b in combinations(range(len(vehicle.inputs)), 2)]
@@ -128,14 +139,28 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
     ]
 
 
+def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> Change:
+    """Return the change that gives wheels the opposite sign."""
+    names = [wheel.name for wheel in vehicle.wheels]
+    do = f"look at the signs of its {WHEEL_SIGNS}"
+    return Change(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
+
+
+def wheel_changes(vehicle: Vehicle) -> list[Change]:
+    """Return the changes that reverse each wheel, and all of them."""
+    count = len(vehicle.wheels)
+    which = dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))])
+    return [wheel_change(vehicle, one) for one in which if one]
+
+
 @dataclass(frozen=True)
 class Observed:
-    """What a telemetry file has read, as far as it tells changes apart.
+    """What a telemetry file has read, as far as that distinguishes changes.
 
-    `lit` (n_input): columns that were in sunlight; `momenta` (n_wheel, n, 3): of each wheel as stated, in mean moments of inertia
-    times rad/s; `span_s`: length of the file; `sensors`: variables of other sensors that were read; `in_orbit`: elements make the
-    Sun and the field known in space; `sun_B` (n, 3): the Sun's directions of the motion estimated under `estimated_with`, empty
-    where none is known; `panels`: the panels were used.
+    `lit` (n_input): columns that were in sunlight. `momenta` (n_wheel, n, 3): of each wheel in the file, in mean moments of inertia
+    times rad/s. `span_s`: length of the file; `sensors`: variables of other sensors that were read. `in_orbit`: elements make the
+    Sun and the field known in space. `sun_B` (n, 3): the Sun's directions of an estimated motion, empty if there is none. `panels`:
+    whether the panels were used.
     """
 
     vehicle: Vehicle
@@ -149,138 +174,147 @@ class Observed:
 
     @classmethod
     def of(cls, vehicle: Vehicle, telemetry: xr.Dataset, **more) -> Observed:
-        """That of `read_telemetry`."""
+        """Return what a Dataset of `read_telemetry` has read; `more`: fields that it does not say, as `momenta`."""
         name = next((one for one in READINGS if one in telemetry), None)
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
-            share = (
-                np.nan_to_num(telemetry[name].transpose("time", "panel").values)
-                / vehicle.input_gains
-            )
-            known = vehicle.gain_unit == name[-1] or not len(share)
-            bright = 1.0 if known else max(float(np.quantile(share.max(axis=1), BRIGHTEST)), 1e-300)
-            lit = (share > LIT_SHARE * bright).sum(axis=0) >= LIT_SAMPLES
-        read = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
-        known = frozenset(
-            one for one in read if one in telemetry and bool(telemetry[one].notnull().any())
+            power = np.nan_to_num(telemetry[name].transpose("time", "panel").values)
+            share = power / vehicle.input_gains
+            full_sun = 1.0
+            # gains in the unit of the readings, W or A, say what full Sun is
+            if vehicle.gain_unit != name[-1] and len(share):
+                full_sun = max(float(np.quantile(share.max(axis=1), BRIGHTEST)), 1e-300)
+            lit = (share > LIT_SHARE * full_sun).sum(axis=0) >= LIT_SAMPLES
+        names = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
+        were_read = frozenset(
+            one for one in names if one in telemetry and bool(telemetry[one].notnull().any())
         )
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
-        return cls(vehicle, lit, span_s=span, sensors=known, panels=name is not None, **more)
+        return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **more)
 
     @cached_property
     def free_scale(self) -> bool:
-        """Whether only the ratios of the gains count."""
+        """Return whether only the ratios of the gains count."""
         return self.vehicle.throttled or self.vehicle.gain_unit is None
 
 
 def equivalence(observed: Observed, first: Change, second: Change) -> np.ndarray:
-    """Rotations and mirrors of the body (m, 3, 3) by which two changes look the same in the telemetry, the best first; none
-    (0, 3, 3) where the data tell them apart.
+    """Return rotations and mirrors of the body (m, 3, 3) by which two changes look the same in the telemetry, the best first.
+
+    There are none (0, 3, 3) if the data distinguish the changes.
 
     With such an M, directions under the second change are M times those under the first, and rates det(M) M times.
-    `observed.sun_B` is that of a motion under the first change.
+    `observed.sun_B` is that of a motion under the first change. The cost of a matrix is the log evidence that it costs the stated
+    errors of gains and normals, of the inertia and of the wheels.
     """
     if first.axes.get("attitude_B_from_N") is not second.axes.get("attitude_B_from_N"):
         return np.zeros((0, 3, 3))
-    kept: list[tuple[float, np.ndarray]] = []
-    for m, cost in _panel_maps(observed, first, second):
-        if (
-            cost > CLEARLY
-            or not _sensors_agree(observed, first, second, m)
-            or not _stays_dark(observed, second, m)
-        ):
+    distinct: list[tuple[float, np.ndarray]] = []
+    for m, panels_cost in _panel_maps(observed, first, second):
+        # the quick refusals first
+        if not (_sensors_agree(observed, first, second, m) and _stays_dark(observed, second, m)):
             continue
-        cost += _inertia_cost(observed.vehicle, m) + _wheel_cost(observed, first, second, m)
-        if cost <= CLEARLY and all(np.abs(m - other).max() > AXES_ALIKE for _, other in kept):
-            kept.append((cost, m))
-    kept.sort(key=lambda one: one[0])
-    return np.array([m for _, m in kept]).reshape(-1, 3, 3)
+        cost = panels_cost + _inertia_cost(observed.vehicle, m)
+        cost += _wheel_cost(observed, first, second, m)
+        is_new = all(np.abs(m - other).max() > AXES_ALIKE for _, other in distinct)
+        if cost <= CLEARLY and is_new:
+            distinct.append((cost, m))
+    distinct.sort(key=lambda one: one[0])
+    return np.array([m for _, m in distinct]).reshape(-1, 3, 3)
 
 
 def rate_under(matrix: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Rates (..., 3) as a rotation or mirror of the body (3, 3) shows them."""
+    """Return rates (..., 3) as a rotation or mirror of the body (3, 3) shows them."""
     return np.linalg.det(matrix) * (omega @ matrix.T)
 
 
 def alike(
     observed: Observed, first: Change, others: Sequence[Change]
 ) -> list[tuple[Change, np.ndarray]]:
-    """Those of the changes that look the same as the first, with the best M (3, 3) of each."""
+    """Return those of the changes that look the same as the first, with the best M (3, 3) of each."""
     maps = [(one, equivalence(observed, first, one)) for one in others]
     return [(one, each[0]) for one, each in maps if len(each)]
 
 
 def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Change, np.ndarray]]:
-    """Changes of columns and panels that look the same as the file as it is written but show another motion, with the M (3, 3)
-    of each: those of one mistake, else those with the fewest exchanges."""
-    singles = column_changes(observed.vehicle, telemetry)
-    if not singles:
+    """Return changes of columns and panels that look the same as the file as it is written but show another motion.
+
+    With the M (3, 3) of each; those of one mistake, else those with the fewest exchanges.
+    """
+    of_one_mistake = column_changes(observed.vehicle, telemetry)
+    if not of_one_mistake:
         return []
-    for level in (singles, symmetric_exchanges(observed.vehicle)):
-        same = [(change, m) for change, m in alike(observed, AS_WRITTEN, level) if _moves(m)]
+    for changes in (of_one_mistake, symmetric_exchanges(observed.vehicle)):
+        same = [
+            (change, m)
+            for change, m in alike(observed, AS_WRITTEN, changes)
+            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE  # rates change
+        ]
         if same:
-            return [
-                (change, m)
-                for change, m in same
-                if change.errors == min(one.errors for one, _ in same)
-            ]
+            fewest = min(change.errors for change, _ in same)
+            return [(change, m) for change, m in same if change.errors == fewest]
     return []
 
 
 def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
-    """Whether panels alone tell which column is which: no change of columns looks the same. Wheels count at their nominal speed."""
+    """Return whether panels alone tell which column is which: no change of columns looks the same as the file.
+
+    Wheels count at their nominal speed.
+    """
     momenta = np.zeros((0, 1, 3))
     if vehicle.inertia_kg_m2 is not None:
         unit = np.trace(vehicle.inertia_kg_m2) / 3
-        each = [
-            w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels
-        ]
-        momenta = np.array(each).reshape(-1, 1, 3)
+        momenta = np.array(
+            [w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels]
+        ).reshape(-1, 1, 3)
     observed = replace(Observed.of(vehicle, telemetry, momenta=momenta), sensors=frozenset())
     return not unseen_changes(observed, telemetry)
 
 
-def _moves(matrix: np.ndarray) -> bool:
-    """Whether rates change by a map."""
-    return bool(np.abs(np.linalg.det(matrix) * matrix - np.eye(3)).max() > AXES_ALIKE)
-
-
 def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
-    """Pairs of columns exchanged together, as a mirror that maps the normals of all panels onto each other exchanges them, or two
-    such mirrors at right angles; none for panels that share inputs."""
+    """Return changes that exchange several pairs of columns, as a symmetry of all panels together exchanges the panels.
+
+    Symmetries are mirrors that map the normals of all panels onto each other, and the half turns by two such mirrors at right
+    angles. There are no such changes for panels that share inputs.
+    """
     if any(len(one.panels) > 1 for one in vehicle.inputs):
         return []
     normals, count = np.array(vehicle.panel_normals_B), len(vehicle.panels)
 
     def order_of(m: np.ndarray) -> tuple[int, ...] | None:
-        near = normals @ (normals @ m.T).T
-        order = near.argmax(axis=0)
-        fits = (
-            near.max(axis=0).min(initial=1.0) > 1 - SAME_WAY and len(set(order.tolist())) == count
-        )
-        return tuple(order.tolist()) if fits else None
+        """Return which panel each normal is mapped onto by m (3, 3); None if one is mapped onto none."""
+        cosine = normals @ (normals @ m.T).T  # (panel, mapped normal)
+        order = tuple(cosine.argmax(axis=0).tolist())
+        all_mapped = cosine.max(axis=0).min(initial=1.0) > 1 - SAME_WAY
+        return order if all_mapped and len(set(order)) == count else None
 
     mirrors: list[np.ndarray] = []
     for a, b in combinations(range(count), 2):
-        apart = normals[a] - normals[b]
-        if (size := float(apart @ apart)) > 1e-6 and order_of(
-            m := np.eye(3) - 2 * np.outer(apart, apart) / size
-        ) is not None:
-            mirrors += [] if any(np.abs(m - other).max() < AXES_ALIKE for other in mirrors) else [m]
-    turns = [a @ b for a, b in combinations(mirrors, 2) if np.abs(a @ b - b @ a).max() < AXES_ALIKE]
-    found: dict[tuple[int, ...], Change] = {}
-    for order in filter(None, map(order_of, [*mirrors, *turns])):
-        pairs = [exchange(vehicle, a, b).what for a, b in enumerate(order) if a < b]
-        found[order] = Change(", and ".join(pairs), columns=order, errors=len(pairs))
-    return list(found.values())
+        across = normals[a] - normals[b]  # the normal of the plane of a mirror that exchanges both
+        square = float(across @ across)
+        if square <= 1e-6:
+            continue
+        mirror = np.eye(3) - 2 * np.outer(across, across) / square
+        is_new = all(np.abs(mirror - other).max() >= AXES_ALIKE for other in mirrors)
+        if is_new and order_of(mirror) is not None:
+            mirrors.append(mirror)
+    # mirrors at right angles commute
+    half_turns = [
+        a @ b for a, b in combinations(mirrors, 2) if np.abs(a @ b - b @ a).max() < AXES_ALIKE
+    ]
+    changes: dict[tuple[int, ...], Change] = {}
+    for symmetry in [*mirrors, *half_turns]:
+        order = order_of(symmetry)
+        if order:
+            pairs = [exchange(vehicle, a, b).what for a, b in enumerate(order) if a < b]
+            changes[order] = Change(", and ".join(pairs), columns=order, errors=len(pairs))
+    return list(changes.values())
 
 
 def _panels_of(observed: Observed, change: Change) -> list[tuple[int, ...]]:
-    """Panels whose light each column shows under a change: the readings of column `columns[k]` belong to input k."""
-    inputs, columns = (
-        observed.vehicle.inputs,
-        change.columns or tuple(range(len(observed.vehicle.inputs))),
-    )
+    """Return the panels whose light each column shows under a change: readings of column `columns[k]` belong to input k."""
+    inputs = observed.vehicle.inputs
+    columns = change.columns or tuple(range(len(inputs)))
     shown: list[tuple[int, ...]] = [()] * len(inputs)
     for k, column in enumerate(columns):
         shown[column] = inputs[k].panels
@@ -288,6 +322,7 @@ def _panels_of(observed: Observed, change: Change) -> list[tuple[int, ...]]:
 
 
 def _normals(observed: Observed, change: Change) -> np.ndarray:
+    """Return the normals (n_panel, 3) under a change."""
     normals = np.array(observed.vehicle.panel_normals_B)
     normals[list(change.reversed_panels)] *= -1
     return normals
@@ -296,65 +331,77 @@ def _normals(observed: Observed, change: Change) -> np.ndarray:
 def _panel_maps(
     observed: Observed, first: Change, second: Change
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Orthogonal matrices that may map the panels of lit columns under the first change onto those under the second, each with the
-    log evidence that gains and normals cost."""
+    """Yield orthogonal matrices that may map the panels of lit columns under the first change onto those under the second.
+
+    Each with the log evidence that gains and normals cost, at most :data:`CLEARLY`. A column shows one panel, or the sum or the
+    largest of several on a shared input: then every assignment of these panels to those of the other change is tried.
+    """
     vehicle = observed.vehicle
     if not observed.panels:
-        for m in _any_maps(observed):
+        for m in _maps_of_axes(observed):
             yield m, 0.0
         return
     lit = np.flatnonzero(observed.lit)
-    own, other = _panels_of(observed, first), _panels_of(observed, second)
-    if any(len(own[k]) != len(other[k]) for k in lit) or not len(lit):
+    first_panels, second_panels = _panels_of(observed, first), _panels_of(observed, second)
+    if any(len(first_panels[k]) != len(second_panels[k]) for k in lit) or not len(lit):
         return
-    sums = {one.panels: one.largest for one in vehicle.inputs}
-    if any(len(own[k]) > 1 and sums[own[k]] != sums[other[k]] for k in lit):
-        return
-    from_normals, to_normals = _normals(observed, first), _normals(observed, second)
-    sigma = np.hypot(misalignment_sigma(vehicle)[0], ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2))
+    shows_largest = {one.panels: one.largest for one in vehicle.inputs}
+    for k in lit:
+        shared = len(first_panels[k]) > 1
+        if shared and shows_largest[first_panels[k]] != shows_largest[second_panels[k]]:
+            return
+    # one sigma of each component of a normal: two normals that differ by NORMALS_ALIKE cost CLEARLY
+    least_sigma = NORMALS_ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2)
+    sigma = np.hypot(misalignment_sigma(vehicle)[0], least_sigma)
     gain_sigma = np.zeros(len(vehicle.panels))
     for one, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
         gain_sigma[list(one.panels)] = value
-    a = [k for column in lit for k in own[column]]
     log_gain = np.log(vehicle.panel_gains)
-    for assigned in islice(
-        product(*(permutations(other[column]) for column in lit)), MOST_ASSIGNMENTS
-    ):
-        b = [k for panels in assigned for k in panels]
-        gains = log_gain[a] - log_gain[b]
+    first_normals, second_normals = _normals(observed, first), _normals(observed, second)
+    a = [k for column in lit for k in first_panels[column]]
+    assignments = product(*(permutations(second_panels[column]) for column in lit))
+    for assigned in islice(assignments, MOST_ASSIGNMENTS):
+        b = [k for panels in assigned for k in panels]  # panel a[i] is mapped onto panel b[i]
+        gain_off = log_gain[a] - log_gain[b]
         weight = 1 / (gain_sigma[a] ** 2 + gain_sigma[b] ** 2)
-        gains = gains - (np.average(gains, weights=weight) if observed.free_scale else 0.0)
-        gain_cost = float(weight @ gains**2) / 2
+        if observed.free_scale:
+            gain_off = gain_off - np.average(gain_off, weights=weight)
+        gain_cost = float(weight @ gain_off**2) / 2
         if gain_cost > CLEARLY:
             continue
-        for m in _procrustes(observed, from_normals[a], to_normals[b]):
-            off = np.linalg.norm(from_normals[a] @ m.T - to_normals[b], axis=1)
+        for m in _procrustes(observed, first_normals[a], second_normals[b]):
+            off = np.linalg.norm(first_normals[a] @ m.T - second_normals[b], axis=1)
             cost = gain_cost + float((off**2 / (sigma[a] ** 2 + sigma[b] ** 2)).sum()) / 2
             if cost <= CLEARLY:
                 yield m, cost
 
 
 def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
-    """Orthogonal matrices that map unit vectors (n, 3) best onto others: one where they span space, two where they lie in a plane,
-    and where they lie on a line those that carry axes of the body to each other too."""
-    u, size, v = np.linalg.svd(end.T @ start)
+    """Yield orthogonal matrices that map unit vectors `start` (n, 3) best onto `end` (n, 3) in least squares (Procrustes).
+
+    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. It is one if the vectors span space;
+    in a plane its side is open, which makes two; on a line the turn about the line is open: those that map axes of the body onto
+    each other are tried, made to map the line.
+    """
+    u, size, v_T = np.linalg.svd(end.T @ start)
     if size[2] > FLAT * size[0]:
-        yield u @ v
+        yield u @ v_T
     elif size[1] > FLAT * size[0]:
         for side in (1.0, -1.0):
-            yield u @ np.diag([1.0, 1.0, side]) @ v
+            yield u @ np.diag([1.0, 1.0, side]) @ v_T
     else:
-        for m in _any_maps(observed):
-            turned = u[:, :1] @ v[:1] + (np.eye(3) - u[:, :1] @ u[:, :1].T) @ m @ (
-                np.eye(3) - v[:1].T @ v[:1]
-            )
-            left, sizes, right = np.linalg.svd(turned)
+        end_line, start_line = u[:, :1], v_T[:1].T  # (3, 1)
+        across_end = np.eye(3) - end_line @ end_line.T
+        across_start = np.eye(3) - start_line @ start_line.T
+        for m in _maps_of_axes(observed):
+            mapped = end_line @ start_line.T + across_end @ m @ across_start
+            left, sizes, right = np.linalg.svd(mapped)  # the nearest orthogonal matrix
             if sizes[2] > FLAT:
                 yield left @ right
 
 
-def _any_maps(observed: Observed) -> Iterator[np.ndarray]:
-    """Signed permutations of the principal axes of the body."""
+def _maps_of_axes(observed: Observed) -> Iterator[np.ndarray]:
+    """Yield the 48 signed permutations (3, 3) of the principal axes of the body; of its axes if no inertia is known."""
     inertia = observed.vehicle.inertia_kg_m2
     frame = np.eye(3) if inertia is None else np.linalg.eigh(inertia)[1]
     for order in permutations(range(3)):
@@ -363,7 +410,7 @@ def _any_maps(observed: Observed) -> Iterator[np.ndarray]:
 
 
 def _stays_dark(observed: Observed, second: Change, m: np.ndarray) -> bool:
-    """Whether panels whose columns were never lit face away from the Sun under the second change too."""
+    """Return whether panels whose columns were never lit face away from the Sun under the second change too."""
     dark = np.flatnonzero(~observed.lit)
     if not observed.panels or not len(dark) or not len(observed.sun_B):
         return True
@@ -374,54 +421,58 @@ def _stays_dark(observed: Observed, second: Change, m: np.ndarray) -> bool:
 
 
 def _inertia_cost(vehicle: Vehicle, m: np.ndarray) -> float:
-    """Log evidence that M Theta M^T costs in place of Theta; nothing where the inertia is not known."""
+    """Return the log evidence that M Theta M^T costs in place of Theta; zero if the inertia is not known."""
     if vehicle.inertia_kg_m2 is None:
         return 0.0
-    tensor = np.array(vehicle.inertia_kg_m2)
-    errors = inertia_errors(vehicle)
-    sigma = np.maximum(np.abs(errors).max(axis=0, initial=0.0), 1e-6 * np.trace(tensor))
+    body = Body.of(vehicle)
+    tensor = body.inertia
+    # each element has an error of its own, if any
+    sigma = np.maximum(np.abs(body.errors).max(axis=0, initial=0.0), 1e-6 * np.trace(tensor))
     square = ((m @ tensor @ m.T - tensor) / sigma) ** 2
     return float(square[np.triu_indices(3)].sum()) / 2
 
 
 def _wheel_cost(observed: Observed, first: Change, second: Change, m: np.ndarray) -> float:
-    """Log evidence that the wheels cost: their momentum, det(M) M times, must be that under the second change."""
+    """Return the log evidence that wheels cost: their momentum, det(M) M times, must be that under the second change."""
     if not len(observed.momenta) or observed.vehicle.inertia_kg_m2 is None:
         return 0.0
-    own, other = (np.ones(len(observed.momenta)) for _ in range(2))
-    own[list(first.reversed_wheels)] = -1
-    other[list(second.reversed_wheels)] = -1
-    before, after = (np.einsum("w,wni->ni", sign, observed.momenta) for sign in (own, other))
-    off = float(np.linalg.norm(rate_under(m, before) - after, axis=1).max(initial=0.0))
+    totals = []
+    for change in (first, second):
+        sign = np.ones(len(observed.momenta))
+        sign[list(change.reversed_wheels)] = -1
+        totals.append(np.einsum("w,wni->ni", sign, observed.momenta))
+    off = float(np.linalg.norm(rate_under(m, totals[0]) - totals[1], axis=1).max(initial=0.0))
+    # momenta are over the mean moment: a momentum turns the rate by about as much per s
     if off / 2 * observed.span_s < WEAK_RAD:
         return 0.0
     size = float(np.linalg.norm(observed.momenta, axis=2).max(initial=0.0))
-    return float((off / (max(WHEEL_SIGMA, ASSUMED) * size)) ** 2) / 2
+    return float((off / (max(WHEEL_SIGMA, INERTIA) * size)) ** 2) / 2
 
 
 def _sensors_agree(observed: Observed, first: Change, second: Change, m: np.ndarray) -> bool:
-    """Whether the other sensors that were read fit both changes."""
+    """Return whether the other sensors that were read fit both changes.
+
+    A sensor does if its axes (3, 3) under the second change are those under the first, mapped by m as its readings are: directions
+    by m, rates by det(m) m. `mapped`: the axes that would do.
+    """
     side = float(np.linalg.det(m))
     dipole = observed.vehicle.sensors.disturbance.dipole
     for name in observed.sensors:
-        own, other = (change.axes.get(name, np.eye(3)) for change in (first, second))
-        if name == "attitude_B_from_N":
-            ways: list[np.ndarray] = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
+        axes, second_axes = (change.axes.get(name, np.eye(3)) for change in (first, second))
+        mapped: list[np.ndarray] = []
+        if name == "attitude_B_from_N":  # shows how the body itself turns: no other body will do
+            mapped = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
         elif name == "gyro_B":
-            ways = [side * m @ own]
+            mapped = [side * m @ axes]
         elif name == "sun_sensor_B":
-            ways = [m @ own]
-        else:  # the field: in space it is known only from elements
-            ways = (
-                [m @ own]
-                if observed.in_orbit and side > 0
-                else []
-                if observed.in_orbit
-                else [m @ own, -m @ own]
-            )
-            if dipole is not None:  # its torque pulls another way
-                off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
-                ways = ways if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
-        if all(np.abs(way - other).max() > AXES_ALIKE for way in ways):
+            mapped = [m @ axes]
+        elif not observed.in_orbit:  # a field of unknown direction in space has no sign either
+            mapped = [m @ axes, -m @ axes]
+        elif side > 0:  # with the Sun, a known field excludes mirrors
+            mapped = [m @ axes]
+        if name == "field_B" and dipole is not None:  # the torque must be the same
+            off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
+            mapped = mapped if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
+        if all(np.abs(one - second_axes).max() > AXES_ALIKE for one in mapped):
             return False
     return True

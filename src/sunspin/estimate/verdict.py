@@ -1,27 +1,116 @@
-"""What may be believed of a posterior: three questions, which `rates` asks of every pass too.
+"""What may be believed of an estimate: four questions, asked alike everywhere, and the words that say it.
 
-Is one motion left? Do the data inform it, or is the prior given back? Does it fit, each sensor by itself? A motion is decided
-if all three are answered with yes and the search left nothing out. Everything here is a pure function of what was found.
+Is one motion left? Do the data constrain all components, or is the prior given back? Does it fit, each sensor by itself? Was the
+search complete? A motion is decided if all four are answered with yes. The numbers here are the error rates of the verdict.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
+from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import than a short pass
 
+from sunspin.environment.frames import FIELD_Z_LOCAL
+from sunspin.estimate.model import AS_STATED
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import utc_after
+
+DECIDED = 0.9
+"""A solution is unique if it has at least this probability."""
 
 NARROWER = 0.5
 """A component is constrained if its standard deviation, all solutions counted, is below this part of the prior's."""
 
-LEAST_DRAWS = 200.0
-"""Effective draws from which a median is known to a tenth of its sigma."""
+BEYOND = 2 * float(ndtr(-3.0))
+"""Chance of a sound reading to lie beyond three sigma."""
+
+MOST_BEYOND, ONE_SPIKE = 0.3, 1.5
+"""No motion fits if a larger share of one sensor's readings, and more than one, lies beyond three sigma, however strewn."""
+
+FEW_BEYOND, LEAST_BEYOND = 0.04, 4
+"""Readings beyond three sigma that follow one another are no spikes, but another motion: from this share on, and so many."""
+
+IN_RUNS = 1e-2
+"""Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
+
+COLUMNS_STATED, COLUMNS_UNCHECKED, COLUMNS_DOUBTED = "as_stated", "unchecked", "doubtful"
+"""Whether the data confirm which column is which: they do; they cannot; another order, sign or axis fits better."""
+
+SPEEDS = (0.05, 0.5, 0.95)
+"""Quantiles of the angular speed that are reported."""
+
+DRAWS = 10_000
+"""Draws behind them: the 95 % quantile of one normal number is then known to 2 % of its sigma."""
+
+UPPER = 0.95
+"""Probability of an upper limit of the speed."""
+
+SUN_ALONE = "only Sun directions were used: rotation about the Sun direction is constrained only by the dynamics"
+
+
+FIELD_ALONE = (
+    "magnetometer only, NO ORBIT: rates are relative to the field direction (itself rotating by about 0.1 deg/s, included in the "
+    "errors); inertial attitude and Sun direction are not available"
+)
+
+OTHER_SENSORS = ("gyro", "field", "attitude")
+"""Sensors other than the Sun's; the attributes say which were used."""
+
+
+class Misfit(NamedTuple):
+    """One sensor's residuals along the best motion.
+
+    `count`: of readings; `share`: of those beyond three sigma; `chance`: of so few runs of good and bad readings over time if bad
+    ones were strewn at random.
+    """
+
+    count: int
+    share: float
+    chance: float
+
+    @property
+    def fits(self) -> bool:
+        """Return whether the sensor agrees with the motion."""
+        beyond = self.share * self.count
+        in_runs = self.share > FEW_BEYOND and beyond > LEAST_BEYOND - 0.5 and self.chance < IN_RUNS
+        return not (in_runs or (self.share > MOST_BEYOND and beyond > ONE_SPIKE))
+
+
+def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
+    """Return sums of squared residuals (...) with so many degrees of freedom as a size in sigmas.
+
+    It is the root of the sum, scaled so that it exceeds 3 as often as one normal number does (:data:`BEYOND`).
+    """
+    return 3 * np.sqrt(np.maximum(square, 0.0) / chdtri(np.maximum(freedom, 1), BEYOND))
+
+
+def misfit(sigmas: np.ndarray) -> Misfit:
+    """Return the misfit of one sensor's residuals (n) in the order of time, as :func:`in_sigma` has them, NaN without a reading.
+
+    The number of runs of good and bad readings is compared with its mean and variance for a random order, as by Wald and Wolfowitz
+    (1940, Ann. Math. Statist. 11, 147).
+    """
+    beyond = np.asarray(sigmas)[np.isfinite(sigmas)] > 3.0
+    n, bad = len(beyond), int(beyond.sum())
+    good = n - bad
+    if not bad or not good:
+        return Misfit(n, bad / max(n, 1), 1.0)
+    runs = 1 + int(np.count_nonzero(beyond[1:] != beyond[:-1]))
+    expected = 1 + 2 * bad * good / n
+    variance = (expected - 1) * (expected - 2) / max(n - 1, 1)
+    chance = ndtr((runs - expected) / np.sqrt(variance)) if variance > 0 else 1.0
+    return Misfit(n, bad / n, float(chance))
 
 
 class Speed(NamedTuple):
-    """The angular speed of the reported motion, rad/s: `value`, that of the most probable solution; `sigma`, the root mean square
-    of the speed's difference from it within that solution; `below`, the 95 % quantile of the speed, all solutions counted."""
+    """The angular speed of the reported motion in rad/s.
+
+    `value`: that of the most probable solution; `sigma`: the root mean square of the difference from it within that solution;
+    `below`: the 95 % quantile, all solutions counted.
+    """
 
     value: float
     sigma: float
@@ -29,12 +118,12 @@ class Speed(NamedTuple):
 
     @property
     def constrained(self) -> bool:
-        """Whether the data give a speed. Otherwise they give an upper limit only, `below`."""
+        """Return whether the data give a speed; else they give an upper limit only, `below`."""
         return bool(self.sigma <= self.value)
 
     @property
     def limit(self) -> str:
-        """The upper limit in words, in deg/s with two digits."""
+        """Return the upper limit in words, in deg/s with two digits."""
         return f"speed below {upper_text(np.degrees(self.below))} deg/s (95 %)"
 
 
@@ -44,39 +133,67 @@ def upper_text(value: float) -> str:
         return f"{value:g}"
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)
     # a limit rounded down would not hold; 1e-9 keeps 0.050 from becoming 0.051 by rounding errors
-    return np.format_float_positional(
-        np.ceil(value / unit - 1e-9) * unit, precision=2, fractional=False, trim="-"
-    )
+    up = np.ceil(value / unit - 1e-9) * unit
+    return np.format_float_positional(up, precision=2, fractional=False, trim="-")
+
+
+def drawn_speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return draws (K, `DRAWS`) of the angular speed of rates (K, 3) with covariances (K, 3, 3), the same ones every time."""
+    normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
+    values, axes = np.linalg.eigh(covariance)
+    spread = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return np.linalg.norm(omega[:, None] + np.einsum("kij,nj->kni", spread, normal), axis=-1)
+
+
+def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray) -> Speed:
+    """Return the speed of the rate `omega` (3) of the first of K solutions.
+
+    Near zero the speed is not normally distributed, so that its error and its limit come from draws (K, `DRAWS`). The error is that
+    of the first: an unlikely alias makes it no larger. The limit counts all by their probability (K).
+    """
+    value = float(np.linalg.norm(omega))
+    if not (np.isfinite(value) and np.isfinite(drawn).all()):
+        return Speed(value, np.nan, np.nan)
+    # the weighted quantile of all draws
+    weight = np.repeat(probability / probability.sum() / drawn.shape[1], drawn.shape[1])
+    speed = drawn.ravel()
+    order = np.argsort(speed)
+    quantile = np.searchsorted(np.cumsum(weight[order]), UPPER)
+    below = float(speed[order[min(quantile, len(order) - 1)]])
+    return Speed(value, float(np.sqrt(np.mean((drawn[0] - value) ** 2))), below)
 
 
 class Answers(NamedTuple):
-    """The three answers for a posterior, and whether the search left nothing out; `constrained` (3) by component, `speed` that of
-    the motion, if it was judged."""
+    """The four answers for one pass.
+
+    `constrained` (3) by component; `wrong`: the sensors that do not agree with the motion; `cure`: what the search may have left
+    out and what would help; `speed`: that of the motion.
+    """
 
     unique: bool
     constrained: tuple[bool, bool, bool]
     fits: bool
     search_complete: bool
-    speed: Speed | None = None
-
-    @property
-    def speed_constrained(self) -> bool:
-        """Whether the error of the speed is not larger than the speed."""
-        return self.speed is None or self.speed.constrained
+    wrong: tuple[str, ...]
+    cure: str
+    speed: Speed
 
     @property
     def decided(self) -> bool:
-        """Whether an operator may act on the motion."""
-        constrained = all(self.constrained) and self.speed_constrained
+        """Return whether an operator may act on the motion: all four answers are yes.
+
+        Held readings, mirror images that are not listed, and doubted columns take it back later.
+        """
+        constrained = all(self.constrained) and self.speed.constrained
         return self.unique and self.fits and constrained and self.search_complete
 
     @property
     def why_not(self) -> str:
-        """What keeps the motion from being decided, in words; empty where it is."""
-        known = [axis for axis, told in zip("xyz", self.constrained, strict=True) if told]
+        """Return what keeps the motion from being decided, in words; empty if it is."""
+        known = [axis for axis, is_known in zip("xyz", self.constrained, strict=True) if is_known]
         reasons = []
         if not self.fits:
-            reasons.append("POOR FIT")
+            reasons.append("POOR FIT" + (f" ({', '.join(self.wrong)})" if self.wrong else ""))
         if not self.unique:
             reasons.append("several solutions")
         if len(known) < 3:
@@ -86,29 +203,222 @@ class Answers(NamedTuple):
                 else "NOT CONSTRAINED (result equals the prior)"
             )
         # an upper limit needs a model that fits, and data that say more than the prior
-        elif self.speed and not self.speed.constrained and self.fits:
+        elif not self.speed.constrained and self.fits:
             reasons.append(self.speed.limit)
         if not self.search_complete:
-            reasons.append("search incomplete")
+            reasons.append("search incomplete" + (f" ({self.cure})" if self.cure else ""))
         return "; ".join(reasons)
 
 
 def answers(
-    unique: bool, sigma: np.ndarray, prior_sigma: float, explained: bool, search_complete: bool
-) -> Answers:
-    """The answers for one posterior.
+    probability: np.ndarray,
+    omega: np.ndarray,
+    covariance: np.ndarray,
+    rate_sigma: float,
+    misfits: Mapping[str, Misfit],
+    explained: bool,
+    cure: str,
+    one_rate: np.ndarray,
+) -> tuple[Answers, np.ndarray]:
+    """Return the answers for the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
 
-    `sigma` (3), standard deviation of each component over all solutions, and `prior_sigma`, that before anything was measured, in
-    one unit; `explained`: the misfit of all readings together is as of a motion of this kind.
+    Parameters
+    ----------
+    probability : (K)
+    omega, covariance : (K, 3) rad/s, (K, 3, 3)
+    rate_sigma : float, rad/s
+        Sigma of a component before the data.
+    misfits
+        By sensor.
+    explained : bool
+        Whether all readings together cost as little as those of a motion of this kind.
+    cure
+        What the search may have left out, in words; empty if nothing.
+    one_rate : (K)
+        Which solutions are the first one, or differ from it in the sign of the Sun's direction alone.
     """
-    x, y, z = (
-        bool(one < NARROWER * prior_sigma) for one in np.asarray(sigma)
-    )  # NaN is not constrained
-    return Answers(bool(unique), (x, y, z), bool(explained), bool(search_complete))
+    wrong = tuple(name for name, one in misfits.items() if not one.fits)
+    # one sigma about the first solution, all solutions counted
+    share = (probability / probability.sum())[:, None]
+    variance = np.einsum("kii->ki", covariance) + (omega - omega[0]) ** 2
+    sigma = np.sqrt((share * variance).sum(axis=0))
+    x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
+    drawn = drawn_speeds(omega, covariance)
+    four_answers = Answers(
+        unique=bool(probability[one_rate].sum() >= DECIDED),
+        constrained=(x, y, z),
+        fits=bool(explained and not wrong),
+        search_complete=not cure,
+        wrong=wrong,
+        cure=cure,
+        speed=speed_of(omega[0], drawn, probability),
+    )
+    return four_answers, np.quantile(drawn, SPEEDS, axis=1).T
+
+
+class PassRow(NamedTuple):
+    """What the table of passes says of one: samples used, first and last instant, and its K solutions at the instant `at_s` (s)."""
+
+    samples: int
+    first_s: float
+    last_s: float
+    at_s: float
+    probability: np.ndarray
+    omega: np.ndarray
+    sigma: np.ndarray
+    speed: np.ndarray
+    answers: Answers
+    columns_checked: str
+
+
+def padded(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Return values (n_solution, ...) of each pass as one array (n_pass, most solutions, ...), NaN if a pass has fewer."""
+    out = np.full((len(values), max(map(len, values)), *values[0].shape[1:]), np.nan)
+    for row, value in zip(out, values, strict=True):
+        row[: len(value)] = value
+    return out
+
+
+def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, Any]:
+    """Return the variables on (`pass_id`, `solution`), those of `passes.csv`; NaN if a pass has fewer solutions."""
+
+    def utc(seconds: float) -> str:
+        """Return a time in UTC; empty without an epoch."""
+        return "" if epoch_utc is None else utc_after(seconds, epoch_utc, 3)
+
+    def flags(values: Sequence[bool]) -> Any:
+        """Return a variable of yes and no on passes."""
+        return "pass_id", np.array(values, dtype=bool)
+
+    said = [row.answers for row in rows]
+    each = ("pass_id", "solution")
+    table: dict[str, Any] = {
+        "utc_start": ("pass_id", [utc(row.first_s) for row in rows]),
+        "utc_end": ("pass_id", [utc(row.last_s) for row in rows]),
+        "samples": ("pass_id", [row.samples for row in rows]),
+        "probability": (each, padded([row.probability for row in rows])),
+        "decided": flags([one.decided for one in said]),
+        "unique": flags([one.unique for one in said]),
+        **{
+            f"constrained_{axis}": flags([one.constrained[k] for one in said])
+            for k, axis in enumerate("xyz")
+        },
+        "fits": flags([one.fits for one in said]),
+        "search_complete": flags([one.search_complete for one in said]),
+        "columns_checked": ("pass_id", [row.columns_checked for row in rows]),
+        "utc_at": ("pass_id", [utc(row.at_s) for row in rows]),
+    }
+    for k, name in enumerate(("speed_low", "speed_median", "speed_high")):
+        table[name] = each, padded([row.speed[:, k] for row in rows])
+    for name in ("omega", "sigma"):
+        for k, axis in enumerate("xyz"):
+            table[f"{name}_{axis}"] = each, padded([getattr(row, name)[:, k] for row in rows])
+    table["constrained_speed"] = flags([one.speed.constrained for one in said])
+    table["speed_sigma"] = "pass_id", [one.speed.sigma for one in said]
+    table["speed_below"] = "pass_id", [one.speed.below for one in said]
+    table["why_not_decided"] = "pass_id", [one.why_not for one in said]
+    return table
+
+
+def more_effort(given: float) -> str:
+    """Return what to do if an effort was spent: an option that gives ten times the usual one, or ten times that."""
+    return f"give more effort (`--effort {10 * max(given, 1.0):g}`)"
+
+
+def slower(limit_rad_s: float) -> str:
+    """Return what to do if the search is fine up to a limit only, which is given in three figures, rounded down."""
+    limit = np.degrees(limit_rad_s)
+    figure = 10.0 ** (np.floor(np.log10(limit)) - 2)
+    return (
+        f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as "
+        "`--max-rate-deg-s`"
+    )
+
+
+def rates_words(result: xr.Dataset) -> str:
+    """Return what the data show, in words: how many passes are decided, then a line for each note.
+
+    First what is wrong with passes, then why others are not unique or not constrained, then what the search and the sensors lack.
+    """
+    decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
+    constrained = np.all([result[f"constrained_{axis}"].values for axis in "xyz"], axis=0)
+    attrs = result.attrs
+    notes = [
+        f"{int(decided.sum())} of {len(decided)} passes decided (unique, all components and the speed constrained, fits, "
+        "search complete)"
+    ]
+    if count := int((~fits).sum()):
+        notes.append(
+            f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, wrong "
+            "inertia, light of the Earth on the panels (a `noise` of 3 % of full Sun under [telemetry] allows for it), faulty data"
+        )
+    if "columns_doubt" in attrs:
+        notes.append(attrs["columns_doubt"])
+    if count := int((fits & unique & ~constrained).sum()):
+        notes.append(
+            f"{count_of_passes(count)}: single solution, but not all rate components are constrained"
+        )
+    speed_known = result["constrained_speed"].values
+    if count := int((fits & unique & constrained & ~speed_known).sum()):
+        notes.append(
+            f"{count_of_passes(count)}: the error of the speed exceeds the speed, so only an upper limit is given"
+        )
+    if count := sum(model != AS_STATED for model in result["model"].values):
+        notes.append(f"{count_of_passes(count)}: an alternative model fits better, as named below")
+    either = fits & unique & (result["probability"].values[:, 0] < DECIDED)
+    if count := int(either.sum()):
+        notes.append(
+            f"{count_of_passes(count)}: the sign of the Sun direction is ambiguous; rates are unaffected, attitude is unknown"
+        )
+    unlisted = attrs["symmetric_unlisted"]
+    if unlisted:
+        notes.append(
+            f"{count_of_passes(unlisted)}: a rotation or mirror of the body gives the same readings; that solution is not listed"
+        )
+    count = int((fits & ~unique).sum()) - unlisted
+    if count and "alike" in attrs:
+        notes.append(f"{count_of_passes(count)} with several solutions: {attrs['alike']}")
+    elif count:
+        notes.append(
+            f"{count_of_passes(count)} with several solutions, which mostly differ by whole revolutions between samples: see "
+            "passes.csv"
+        )
+    if count := attrs["cut_passes"]:
+        notes.append(
+            f"{count_of_passes(count)}: SEARCH STOPPED at the computing budget, best solution so far is shown: "
+            f"{more_effort(attrs['effort_given'])}"
+        )
+    if attrs.get("column_tests_cut"):
+        cure = more_effort(attrs["effort_given"])
+        notes.append(f"not every other order of columns was tried: {cure}")
+    if count := attrs["coarse_passes"]:
+        notes.append(
+            f"{count_of_passes(count)}: coarse search, a solution may be missing: {slower(attrs['fine_up_to_rad_s'])}"
+        )
+    if unsure := attrs["wheels_untold"]:
+        notes.append(
+            f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
+            "remove the wheel if it is at rest"
+        )
+    late, sigma = attrs["sensors_late_s"], attrs["sensors_late_sigma_s"]
+    if np.isfinite(late):
+        notes.append(
+            f"gyro, magnetometer and attitude are {late:.2f} +- {sigma:.2f} s late ({attrs['sensors_late_from']})"
+        )
+    if attrs["frame_N"] == FIELD_Z_LOCAL:
+        notes.append(FIELD_ALONE)
+    elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
+        notes.append(SUN_ALONE)
+        if count := attrs["no_sphere"]:
+            notes.append(
+                f"{count_of_passes(count)}: the search assumed a sphere, which does not fit this motion: GIVE ITS INERTIA "
+                "(inertia_kg_m2)"
+            )
+    return "\n".join(notes)
 
 
 def alike_motions(vehicle: Vehicle) -> str:
-    """Which motions panels on shared inputs cannot tell apart, for the verdict; empty where they tell all."""
+    """Return which motions panels on shared inputs cannot distinguish, in words; empty if they distinguish all."""
     count = len(vehicle.response_in().symmetries)
     if count == 1:
         return ""
@@ -119,3 +429,8 @@ def alike_motions(vehicle: Vehicle) -> str:
         f"{which} do not show which panel is lit, so each solution has {copies} with some signs reversed. A gyro, magnetometer or "
         "Sun sensor resolves this; inertia or wheels sometimes do"
     )
+
+
+def count_of_passes(count: int) -> str:
+    """Return 1 pass, 2 passes."""
+    return f"{count} pass" + "es" * (count > 1)

@@ -17,10 +17,10 @@ import xarray as xr
 
 from sunspin.cases import case_names, load_case
 from sunspin.dynamics.batch import Rows
-from sunspin.estimation.lander.predict import (
+from sunspin.estimate.lander.predict import (
     Carried,
     DrawnMotions,
-    about,
+    attributes_of,
     checked_times,
     predictions,
 )
@@ -59,7 +59,7 @@ def predict_through_collision(
     collision: Collision = STICKS,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the motion as :func:`sunspin.estimation.lander.predict.predict` does, through the collision of the built-in case.
+    """Predict the motion as :func:`sunspin.estimate.lander.predict.predict` does, through the collision of the built-in case.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def predict_through_collision(
     return (
         xr.concat(parts, "predicted_s", data_vars="minimal")
         .assign_coords(after_collision=("predicted_s", later))
-        .assign_attrs(about(tree), collision=description)
+        .assign_attrs(attributes_of(tree), collision=description)
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.frames import J2000
-from sunspin.estimation.observe import HELD, wheel_speeds, wheels_untold
+from sunspin.estimate.observe import HELD, wheel_speeds, wheels_untold
 from sunspin.solve.rotations import matrix_from_quaternion
 from sunspin.vehicle import Vehicle
 

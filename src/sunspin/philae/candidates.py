@@ -18,7 +18,7 @@ from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.cases import Case, case_names, load_case
 from sunspin.dynamics.batch import EMD_ERROR, Rows, sun_heights
-from sunspin.estimation.scan.near_minimum import stored_near_minimum, stored_vehicle
+from sunspin.estimate.scan.near_minimum import stored_near_minimum, stored_vehicle
 from sunspin.landing.outcomes import BINS
 from sunspin.philae.data_check import DataCheck
 from sunspin.philae.metrics import TelemetryScan
@@ -282,7 +282,7 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
 
 def sample_posterior(rebound: Rebound, options: Options) -> xr.DataTree:
     """Return the posterior of the rebound's readings; raise `TelemetryError` if no motion explains them."""
-    from sunspin.estimate.posterior.estimate import posterior
+    from sunspin.estimate.posterior import posterior
 
     times = rebound.samples["utc_s"].values
     tree = posterior(

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.cases import Case
-from sunspin.estimation.spin import fit_spin
+from sunspin.estimate.spin import fit_spin
 from sunspin.philae.descent import Descent
 from sunspin.philae.rebound import event_seconds, select_rebound
 from sunspin.philae.row import Row, make_row

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.cases import Case
-from sunspin.estimation.scan.metrics import direction_error, emd
+from sunspin.estimate.scan.metrics import direction_error, emd
 from sunspin.landing.scenario import spiral
 from sunspin.philae.rebound import (
     nominal_wheel_speeds,

@@ -15,7 +15,7 @@ import xarray as xr
 
 from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
-from sunspin.estimation.scan.metrics import emd
+from sunspin.estimate.scan.metrics import emd
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, paper_scenario
 from sunspin.landing.tally import lowest_rz, tally

@@ -22,12 +22,12 @@ from sunspin.dynamics import batch, gyrostat
 from sunspin.dynamics.batch import Rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
-from sunspin.estimation.scan.directions import (
+from sunspin.estimate.scan.directions import (
     DirectionSet,
     reconstructible_mask,
     target_weights,
 )
-from sunspin.estimation.scan.lines import Line, point_at
+from sunspin.estimate.scan.lines import Line, point_at
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle

@@ -39,7 +39,7 @@ from sunspin.base.errors import InputError
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimation.synthetic import Truth, synthetic_telemetry
+from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.synthetic import (
     draw_tilts,
     generator,

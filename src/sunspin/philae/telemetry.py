@@ -34,10 +34,10 @@ from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
 from sunspin.compute.pool import process_pool, worker_count
 from sunspin.dynamics.batch import Outcome
-from sunspin.estimation.scan.histogram import distances_to_target, target_segments
-from sunspin.estimation.scan.metrics import emd
-from sunspin.estimation.scan.volume import Table
-from sunspin.estimation.spin import fit_spin
+from sunspin.estimate.scan.histogram import distances_to_target, target_segments
+from sunspin.estimate.scan.metrics import emd
+from sunspin.estimate.scan.volume import Table
+from sunspin.estimate.spin import fit_spin
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.descent import find_first_clean_sample
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid

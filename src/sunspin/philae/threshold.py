@@ -28,9 +28,9 @@ from sunspin.cases import Case
 from sunspin.compute.identity import fingerprint, to_json
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import EMD_ERROR, Outcome, Rows, run, sun_heights
-from sunspin.estimation.scan.directions import target_weights
-from sunspin.estimation.scan.histogram import BINS, distances_to_target, target_segments
-from sunspin.estimation.scan.volume import Table
+from sunspin.estimate.scan.directions import target_weights
+from sunspin.estimate.scan.histogram import BINS, distances_to_target, target_segments
+from sunspin.estimate.scan.volume import Table
 from sunspin.philae.rebound import (
     Options,
     Rebound,

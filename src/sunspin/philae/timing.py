@@ -1,6 +1,6 @@
 """What the order and the times of the samples add: the third act of the study, past the paper.
 
-The EMD of r_z ignores when a sample was taken. The posterior (`sunspin.estimate.posterior`) compares each reading of the rebound at
+The EMD of r_z ignores when a sample was taken. The posterior (`sunspin.posterior`) compares each reading of the rebound at
 its own time, so that it may leave one motion where the EMD leaves a line. Its draws give the angular speed just after the first
 touchdown, up to the collision, and, with simulated collisions, after it. For the case's own telemetry the truth is known and shown.
 """
@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.dynamics.batch import Rows, run
-from sunspin.estimate.posterior.predict import predict
+from sunspin.estimate.lander.predict import predict
 from sunspin.landing.outcomes import outcomes
 from sunspin.output.figures import ABOVE, COLOURS, empty_figure, titled
 from sunspin.philae.candidates import (

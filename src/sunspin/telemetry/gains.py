@@ -29,7 +29,7 @@ READING_SIGMA = 0.02
 temperatures, and edges cast shadows."""
 
 WIDE_SIGMA = 0.2
-"""Relative uncertainty of a gain that is estimated with the motion (:mod:`sunspin.estimation.terms.panels`). The full scale of
+"""Relative uncertainty of a gain that is estimated with the motion (:mod:`sunspin.estimate.terms.panels`). The full scale of
 a vehicle file may be wrong by a third without a contradiction in brightness. A wide prior costs little, because 40 samples of a
 motion determine the gain to a few percent."""
 

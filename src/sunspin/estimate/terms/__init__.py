@@ -1,1 +1,1 @@
-"""What the motions of a posterior are compared with beside panels: a file for each kind of reading, and the unknowns."""
+"""One file for each kind of sensor or torque: what it would read of a motion, and how that changes with the motion."""

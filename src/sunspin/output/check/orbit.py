@@ -9,10 +9,10 @@ import xarray as xr
 
 from sunspin.environment.elements import nearest
 from sunspin.environment.ephemeris import OrbitFile
-from sunspin.estimation.orbit.calibration import along_orbit
-from sunspin.estimation.orbit.check import check_orbit
-from sunspin.estimation.orbit.invariants import FEWEST
-from sunspin.estimation.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.check import check_orbit
+from sunspin.estimate.orbit.invariants import FEWEST
+from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.output.check.findings import Findings
 from sunspin.output.check.samples import noise_lines
 from sunspin.output.text import with_sigma

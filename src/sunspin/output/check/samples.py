@@ -53,7 +53,7 @@ def describe_mismatches(assessment: Assessment, vehicle: str | None = None) -> F
     gyro_misread = any(wrong.table == "gyro" for wrong in assessment.wrong_units)
     if "gyro_B" in samples and not gyro_misread:
         # imported late, because it brings the compiler
-        from sunspin.estimation.gyro_axes import wrong_gyro_axes
+        from sunspin.estimate.gyro_axes import wrong_gyro_axes
 
         axes = wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []

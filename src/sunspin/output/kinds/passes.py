@@ -35,7 +35,7 @@ SOLUTION = tuple(
 def pass_numbers(result: Any, k: int) -> dict[str, Any]:
     """Return the entries of a summary on pass number `k`.
 
-    `result`: a Dataset with the variables of :func:`sunspin.estimation.verdict.passes_table`. Rates are in rad/s and deg/s.
+    `result`: a Dataset with the variables of :func:`sunspin.estimate.verdict.passes_table`. Rates are in rad/s and deg/s.
     """
     optional = (name for name in (*MODEL, *SPEED) if name in result)
     names = (*PASS, *CHECKS, "why_not_decided", *optional)

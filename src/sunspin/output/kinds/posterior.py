@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.estimation.lander.tree import TOO_FEW
-from sunspin.estimation.lander.verdict import sigmas
-from sunspin.estimation.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
+from sunspin.estimate.lander.tree import TOO_FEW
+from sunspin.estimate.lander.verdict import sigmas
+from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
 from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import (
@@ -257,7 +257,7 @@ def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
     """Return the best motion of each solution, by file name; nothing if the vehicle is not known, which the propagation needs."""
     if context.vehicle is None:
         return {}
-    from sunspin.estimation.lander.predict import best_motions
+    from sunspin.estimate.lander.predict import best_motions
 
     motions = best_motions(context.craft(), tree)
     return {f"motion-solution-{run.attrs['solution']}": run for run in motions}

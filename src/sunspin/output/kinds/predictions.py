@@ -102,7 +102,7 @@ def predicted_figure(
 ) -> Any:
     """Draw predictions, a row for each time: speed, rate components, Sun direction, angles of z to the Sun and to H.
 
-    H is the angular momentum. `predictions`: from :func:`sunspin.estimation.lander.predict.predict`; `labels`: the times in words;
+    H is the angular momentum. `predictions`: from :func:`sunspin.estimate.lander.predict.predict`; `labels`: the times in words;
     `truth`: predictions of one motion, the true one, drawn as dashed lines and as a cross on the sky.
     """
     count = predictions.sizes["predicted_s"]

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
-from sunspin.estimation.model import AS_STATED
-from sunspin.estimation.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
-from sunspin.estimation.verdict import upper_text
+from sunspin.estimate.model import AS_STATED
+from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
+from sunspin.estimate.verdict import upper_text
 from sunspin.output.compared import compared_drawings, compared_summary, compared_tables
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.estimation.scan.near_minimum import near_minimum
+from sunspin.estimate.scan.near_minimum import near_minimum
 from sunspin.output.figures import COLOURS, axes_grid, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.text import count_text, number_text, rate_text

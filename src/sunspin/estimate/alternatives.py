@@ -1,0 +1,161 @@
+"""What else may have moved the body: models with one entry changed, fitted from the motions of the nominal model.
+
+Each has the prior probability of the nominal model. Sigmas are never enlarged by hand: an alternative that explains the
+readings adds its own motion and errors to the sum. All samples between the kept ones are filled from both
+sides by the equations of the nominal model (:func:`sunspin.estimate.dense.filled`). So an alternative may add torques and change
+sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the whole file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sunspin.estimate.chain import RATE, Fit, Whitening, defects, fit
+from sunspin.estimate.evidence import likeliest
+from sunspin.estimate.model import AS_STATED, Model, Track
+from sunspin.estimate.settings import AlternativeSettings
+from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.torques import WORDS, ConstantTorque
+
+LEAST_STEP = 1e-3
+"""Least size of a step, in sigmas of the rate before the data."""
+
+
+def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
+    """Yield the models that are tried in addition to the nominal one.
+
+    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate; bad readings in a short pass.
+    `fits`: all so far, which grow as the models are fitted.
+    """
+    obs = stated.obs
+    duration = float(np.ptp(obs.t_s))
+    for frame, words in WORDS.items():
+        torque = ConstantTorque.turning(
+            frame, s.torque_turns_rad, duration, stated.body.inertia, obs.momentum
+        )
+        yield stated.plus(torque, f"a steady torque in {words}")
+    yield from another_zero(stated, s)
+    yield from steps_of_the_rate(stated, fits, s)
+    yield from without_readings(stated, fits, s)
+
+
+def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
+    """Yield the model of a gyro whose zero is off by more than the vehicle file states, by any of the sizes of an unknown one.
+
+    A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
+    8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
+    """
+    for term in stated.obs.terms:
+        if isinstance(term, Gyro) and term.zero_stated and term.present().any():
+            obs = replace(
+                stated.obs,
+                terms=tuple(
+                    one.with_any_zero() if one is term else one for one in stated.obs.terms
+                ),
+            )
+            log_prior = stated.log_prior + s.zero_odds
+            yield replace(
+                stated, obs=obs, what="another zero offset of the gyro", log_prior=log_prior
+            )
+
+
+def without_readings(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
+    """Yield models of a short pass without each reading, then without a second one in addition to the one that is missed least.
+
+    A term keeps one reading at least. Leaving a reading out is not free: it costs the odds that it is bad, and its density had it
+    seen anything.
+    """
+    if len(stated.obs) > s.few:
+        return
+    begin = stated
+    for _ in range(s.bad_readings):
+        tried = []
+        for term in begin.obs.terms:
+            present = np.flatnonzero(term.present())
+            for sample in present if len(present) > 1 else ():
+                at = f"the {term.label} at {begin.obs.t_s[sample]:.0f} s"
+                what = f"without the reading of {at}"
+                if begin is not stated:
+                    what = f"{begin.what} and that of {at}"
+                tried.append(begin.without(term, int(sample), what, s.bad_odds))
+                yield tried[-1]
+        # of the models just tried, the one whose fits have the largest evidence
+        best = {
+            one.model.what: float(one.log_evidence.max())
+            for one in sorted(fits, key=lambda one: float(one.log_evidence.max()))
+        }
+        tried = [one for one in tried if one.what in best]
+        if not tried:
+            return
+        begin = max(tried, key=lambda one: best[one.what])
+
+
+def steps_of_the_rate(
+    stated: Model, fits: Sequence[Fit], s: AlternativeSettings
+) -> Iterator[Model]:
+    """Yield models in which the rate changes at once in one interval, then in a second one too, as long as the evidence grows.
+
+    A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
+    step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
+    with a thrust was decided and wrong by 6 sigma. A step may be anywhere, which costs evidence, and near a sample the data hardly
+    tell before from after: the last steps are also tried one interval earlier and later.
+    """
+    best = likeliest([one for one in fits if one.model.what == AS_STATED])
+    top, steps = float(best.log_evidence.max()), ()
+    model = stated
+    intervals = len(stated.obs) - 1
+    price = np.log(intervals) + s.step_sizes
+    for _ in range(min(s.most_steps, intervals - 1)):
+        motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+        value, *_ = defects(best.model, motion)
+        square = (value[0] ** 2).sum(axis=1)
+        square[[interval for interval, _ in steps]] = 0.0
+        worst = int(np.argmax(square))
+        # A motion that wants hardly any torque gains what it leaves the equations by in one interval. One that wants more gains
+        # weaker torques everywhere, which only the fit can show.
+        calm = best.model.noise.acceleration == min(one.model.noise.acceleration for one in fits)
+        if calm and square[worst] / 2 < price:
+            return
+        sigma = _size_of_step(best.model, motion, worst)
+        steps = (*steps, (worst, sigma))
+        model = _with_steps(stated, steps, price)
+        yield model
+        best = likeliest([one for one in fits if one.model.what == model.what] or [best])
+        if best.log_evidence.max() <= top or best.model.what != model.what:
+            return
+        top = float(best.log_evidence.max())
+        for interval in (worst - 1, worst + 1):
+            if 0 <= interval < intervals and all(interval != other for other, _ in steps):
+                yield _with_steps(stated, (*steps[:-1], (interval, sigma)), price)
+
+
+def _size_of_step(model: Model, motion: Track, interval: int) -> float:
+    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size.
+
+    The motion is fitted with a step that is as free as the rate itself. What it then leaves of the equations of motion in the
+    interval, undone from its whitening, is the change of the rate: the size is the root mean square of its components.
+    """
+    widest = model.rate_sigma
+    noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
+    wide = replace(model, noise=noise)
+    free = fit(wide, motion, 6).motions
+    value, *_ = defects(wide, free)
+    white = Whitening.of(noise, np.diff(model.obs.t_s)).matrix[interval]
+    change = np.linalg.solve(white, value[0, interval])[RATE]
+    return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
+
+
+def _with_steps(stated: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:
+    """Return the model with steps, each of which costs evidence."""
+    t_s = stated.obs.t_s
+    times = sorted((t_s[interval] + t_s[interval + 1]) / 2 for interval, _ in steps)
+    at = ", ".join(f"{time:.0f}" for time in times)
+    return replace(
+        stated,
+        noise=replace(stated.noise, steps=steps),
+        what=f"{'steps' if len(steps) > 1 else 'a step'} of the rate at {at} s",
+        log_prior=stated.log_prior - len(steps) * price,
+    )

@@ -1,0 +1,74 @@
+"""Neighbouring passes tell aliases apart: from one to the next a rate changes only so much. Probabilities change, no rate does.
+
+A hidden Markov chain over the passes, whose states are their solutions. The probability of a transition is a Student density of the
+change of the mean rate: its width comes from the solutions' own sigmas and from a random walk between the passes. Sums over all
+sequences of solutions (forward-backward algorithm) give the probability of each solution. How fast the walk is the data say: of
+some the one with the largest evidence. If rates change wildly none is better than passes that are independent, which then stay so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import gammaln, logsumexp
+
+from sunspin.estimate.solutions import Solutions
+
+WALKS = np.geomspace(1e-6, 1e-3, 13)
+"""rad/s^1.5; the mean rate changes by this times the root of the time between two passes. 1e-3 is 4 deg/s in an orbit."""
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's law: somebody may have fired a thruster."""
+
+
+def link_passes(
+    passes: Sequence[Solutions], middle_s: Sequence[float], rate_sigma: float
+) -> tuple[list[Solutions], float]:
+    """Return the passes with probabilities that count their neighbours in, and the walk (rad/s^1.5), NaN if they are not linked.
+
+    `middle_s`: the middle of each pass; `rate_sigma` (rad/s): of a rate before the data.
+    """
+    independent = [np.log(np.maximum(one.probability, 1e-300)) for one in passes]
+    # log evidence relative to that of independent passes, which is 0
+    best, best_evidence = None, 0.0
+    for walk in WALKS:
+        transitions = [
+            _log_transition(one, after, walk**2 * abs(middle_s[k + 1] - middle_s[k]), rate_sigma)
+            for k, (one, after) in enumerate(zip(passes[:-1], passes[1:], strict=True))
+        ]
+        forward = [independent[0]]
+        for transition, own in zip(transitions, independent[1:], strict=True):
+            forward.append(own + logsumexp(forward[-1][:, None] + transition, axis=0))
+        evidence = float(logsumexp(forward[-1]))
+        if evidence > best_evidence:
+            best, best_evidence = (forward, transitions, float(walk)), evidence
+    if best is None:
+        return list(passes), np.nan
+    forward, transitions, chosen = best
+    backward = [np.zeros(len(independent[-1]))]
+    for transition, own in zip(reversed(transitions), reversed(independent[1:]), strict=True):
+        backward.insert(0, np.asarray(logsumexp(transition + own + backward[0], axis=1)))
+    linked = []
+    for one, up_to, after in zip(passes, forward, backward, strict=True):
+        log = up_to + after
+        linked.append(replace(one, probability=np.exp(log - logsumexp(log))))
+    return linked, chosen
+
+
+def _log_transition(
+    before: Solutions, after: Solutions, walk: float, rate_sigma: float
+) -> np.ndarray:
+    """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, over that of the prior.
+
+    `walk`: variance (rad2/s2) that the walk between the passes adds. The density is Student's law of three numbers; the prior of a
+    rate, in `Solutions.probability` already, is divided out.
+    """
+    variance = before.mean_sigma[:, None] ** 2 + after.mean_sigma[None] ** 2 + walk
+    square = ((after.mean[None] - before.mean[:, None]) ** 2 / variance).sum(axis=-1)
+    norm = gammaln((FREEDOM + 3) / 2) - gammaln(FREEDOM / 2) - 1.5 * np.log(np.pi * FREEDOM)
+    density = norm - np.log(variance).sum(axis=-1) / 2
+    density = density - (FREEDOM + 3) / 2 * np.log1p(square / FREEDOM)
+    prior = -(after.mean**2).sum(axis=-1) / (2 * rate_sigma**2)
+    return density - (prior - 1.5 * np.log(2 * np.pi * rate_sigma**2))[None]

@@ -1,0 +1,507 @@
+"""Sensors of a vehicle calibrated by one telemetry file: what the file determines, in the keys of the vehicle file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.linalg import polar
+from scipy.spatial.transform import Rotation
+
+from sunspin.base.errors import InputError, MotionError
+from sunspin.base.provenance import provenance
+from sunspin.environment.orbit import Orbit
+from sunspin.estimate.orbit.calibration import (
+    FEWEST,
+    MOST_SAMPLES,
+    SUN_KEYS,
+    Calibration,
+    fit_along,
+    priors,
+)
+from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
+from sunspin.estimate.orbit.invariants import STUDENT
+from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.estimate.rates import rates
+from sunspin.estimate.verdict import COLUMNS_DOUBTED, NARROWER
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.gains import prior_sigmas, scale_gains
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.rewrite import NewValue
+from sunspin.vehicle.sensors import Gyro
+from sunspin.vehicle.timeline import utc_after
+
+BLOCKS = 8
+"""Parts of the file that are left out in turn."""
+
+SMALL = 1e-5
+"""Step of the differences by which covariances are carried to the keys of the file, in prior sigmas."""
+
+GYRO_SCALE = 0.2
+"""One sigma of a gyro's scale over the stated one, if the vehicle file states none."""
+
+GYRO_ROUNDS, NOISE_STEP = 8, (0.5, 3.0)
+"""Alternations of a gyro's zero and scale with the size of the errors, and the factors by which that changes at a time."""
+
+FEWEST_PASSES = 3
+"""With fewer passes nothing shows the errors of their rates: a torque fitted to one pass of five samples, where there was none,
+made its gyro's scale 2.6 times as large as it was, with a sigma of 0.6."""
+
+NUMBERS = ("stated", "value", "sigma", "prior_sigma")
+"""Variables of the result that are numbers of the vehicle file."""
+
+
+class Key(NamedTuple):
+    """A key of the vehicle file with m components: `where` it is (table, name of the part), and its numbers, in arrays (m).
+
+    `stated`: in the file; `value`, `sigma`: estimated; `prior`: sigma before the data. `samples`: how many show it. `together`:
+    whether it and all keys that only make sense with it are determined; None if it needs no others.
+    """
+
+    where: tuple[str, ...]
+    key: str
+    stated: np.ndarray
+    value: np.ndarray
+    sigma: np.ndarray
+    prior: np.ndarray
+    unit: str
+    samples: int
+    together: bool | None = None
+
+    @property
+    def determined(self) -> np.ndarray:
+        """True (m) for components that the data constrain."""
+        return self.sigma < NARROWER * self.prior
+
+
+def calibrate_sensors(
+    vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | None = None, *, progress: bool = False
+) -> xr.Dataset:
+    """Calibrate panels, Sun sensors, magnetometer and gyro by the telemetry itself; no attitude is needed.
+
+    Gains of panels come from the brightness of samples in full Sun. In an orbit the strength of the field and its angle to the Sun
+    are known: they determine zero, matrix and scale of the magnetometer, and bias and scale of each Sun sensor, for the whole file
+    at once, with the along-track offset. The gyro is compared with the rates of passes that are decided without it.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`
+        Read with this `vehicle`.
+    orbit : Orbit, optional
+        :func:`sunspin.environment.orbit.in_orbit`; without it magnetometer and Sun sensors are left as they are.
+    progress : bool
+        Show how many passes have been searched.
+
+    Returns
+    -------
+    xarray.Dataset
+        On `quantity`, a number of the vehicle file each: `key` (as ``magnetometer.zero``), `component`, `stated`, `value`, `sigma`,
+        `prior_sigma`, `unit`, `determined` (sigma below half of the prior's), `written` (all of its key are), `moved` (by more than
+        its sigma). attrs: `source` for the vehicle file, `notes`, the along-track offset, residuals before and after.
+
+    Raises
+    ------
+    InputError
+        The elements do not fit the telemetry, the field is read with other signs or axes, or there is nothing to calibrate.
+    """
+    notes: list[str] = []
+    keys: list[Key] = []
+    attrs: dict[str, Any] = {}
+    calibrated = vehicle
+    if "panel" in telemetry.coords:
+        keys, calibrated = _panels(assess(vehicle, telemetry), notes)
+    if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
+        assessment = assess(calibrated, telemetry)
+        readings = read(assessment, MOST_SAMPLES)
+        fitted = _in_orbit(assessment, orbit, readings, notes)
+        if fitted is not None and orbit is not None:
+            keys += _magnetometer(vehicle, fitted)
+            keys += _sun_sensors(vehicle, readings, fitted)
+            attrs = _described(fitted, orbit)
+    if "gyro_B" in telemetry and vehicle.sensors.gyro is not None:
+        keys += _gyro(vehicle.sensors.gyro, vehicle, telemetry, notes, progress)
+    if not keys and not notes:
+        raise InputError(
+            "the telemetry has nothing that can be calibrated",
+            do="it needs columns of panels, Sun sensors, magnetometer or gyro that the vehicle names",
+        )
+    return _dataset(vehicle, telemetry, keys, notes, attrs)
+
+
+def new_values(result: xr.Dataset) -> list[NewValue]:
+    """Return the keys of which a calibration has determined all components, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
+    values = []
+    for name in dict.fromkeys(result["key"].values.tolist()):
+        part = result.isel(quantity=np.flatnonzero(result["key"].values == name))
+        if not part["written"].values.all():
+            continue
+        table, _, rest = name.partition(".")  # table.key, or table.part.key
+        part_name, _, key = rest.rpartition(".")  # the name of a part may have dots
+        where = (table, part_name) if part_name else (table,)
+        value, sigma = (_in_toml(part[column].values) for column in ("value", "sigma"))
+        source = str(result.attrs["source"]).format(samples=int(part["samples"].values[0]))
+        values.append(NewValue(where, key, value, sigma, source))
+    return values
+
+
+def _in_toml(numbers: np.ndarray) -> Any:
+    """Return numbers (m) as a vehicle file has them, with six digits: one number, a vector, or the rows of a matrix (m = 9)."""
+    rounded = [float(f"{x:.6g}") for x in numbers]
+    if len(rounded) == 1:
+        return rounded[0]
+    return rounded if len(rounded) != 9 else [rounded[:3], rounded[3:6], rounded[6:]]
+
+
+def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicle]:
+    """Return the keys of the gains, by the brightness of samples, and the vehicle with them."""
+    vehicle, telemetry, quality = assessment.vehicle, assessment.telemetry, assessment.quality
+    if vehicle.channels:
+        notes.append("gains of panels: an input that panels share does not tell the gain of each")
+        return [], vehicle
+    if not np.isfinite(quality.attrs["spread"]):
+        notes.append(f"gains of panels: {quality.attrs['gains_from']}")
+        return [], vehicle
+    stated, gain = vehicle.panel_gains, quality["gain"].values
+    # Jackknife: leave out each part of the file in turn, as what brightens or dims a panel lasts for a pass.
+    samples, gains_without = np.arange(telemetry.sizes["time"]), []
+    for block in np.array_split(samples, BLOCKS):
+        rest = telemetry.isel(time=np.setdiff1d(samples, block))
+        gains_without.append(assess(vehicle, rest).quality["gain"].values)
+    off = np.array(gains_without) - np.mean(gains_without, axis=0)
+    jackknife = np.sqrt((1 - 1 / BLOCKS) * (off**2).sum(axis=0))
+    sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), jackknife)
+    prior = prior_sigmas(vehicle) * stated
+    name = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
+    count = int((quality["use"].values == 0).sum())
+    keys = []
+    for k, panel in enumerate(vehicle.panels):
+        old, new, error, before = (part[k : k + 1] for part in (stated, gain, sigma, prior))
+        where, unit = ("panel", panel.name), vehicle.gain_unit or "1"
+        keys.append(Key(where, name, old, new, error, before, unit, count))
+    return keys, scale_gains(vehicle, gain / stated)
+
+
+# ---------------------------------------------------------------------------------------------------------------------- in an orbit
+
+
+def _in_orbit(
+    assessment: Assessment, orbit: Orbit | None, readings: Readings, notes: list[str]
+) -> Calibration | None:
+    """Return the sensors fitted along the orbit; None, with a note, if the data do not determine them."""
+    vehicle = assessment.vehicle
+    what = "magnetometer and Sun sensors" if vehicle.sensors.sun_sensors else "magnetometer"
+    if orbit is None:
+        notes.append(
+            f"{what}: not determined without an orbit, in which strength and direction of the field are known"
+        )
+        return None
+    check = check_orbit(orbit, vehicle, assessment)
+    _require_consistent(check)
+    notes.append(f"orbit: {check.verdict.value}")
+    start = check.start(orbit)
+    if start is not None and readings.has_field.any():
+        fitted = check.made or fit_along(
+            orbit, vehicle, readings, start, priors(vehicle, readings, orbit)
+        )
+        if fitted.samples["field"] + fitted.samples["field and Sun"] >= FEWEST:
+            return fitted
+    notes.append(f"{what}: not determined, too few samples show the field")
+    return None
+
+
+def _require_consistent(check: OrbitCheck) -> None:
+    """Raise InputError if no calibration may follow: wrong elements, or a magnetometer with another sign or other axes."""
+    if check.verdict is Verdict.REFUSED:
+        ranked = f"{check.better} of {check.copies} orbits at random predict better"
+        raise InputError(
+            "the elements do not fit the telemetry, which cannot be calibrated with them",
+            got=str(check.sun_in_shadow) or ranked,
+            do="give the right elements, or calibrate without any",
+        )
+    if check.sign_turned:
+        raise InputError(
+            "the magnetometer has the opposite sign, as its angle to the Sun shows, and is not calibrated so",
+            do="change the sign of `matrix` in the vehicle file: -1 in place of 1 on the diagonal if it has none",
+        )
+    if check.turned_axes:
+        what, _, do = check.turned_axes.partition("; ")
+        raise InputError(f"{what}, and is not calibrated so", do=do)
+
+
+def _described(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
+    """Return the attributes of the result that say how the fit went."""
+    return {
+        "shift_s": orbit.shift_s + fitted.shift_s,
+        "shift_sigma_s": fitted.shift_sigma_s,
+        "drift_s_day": orbit.drift_s_day + fitted.drift_s_day,
+        "drift_sigma_s_day": fitted.drift_sigma_s_day,
+        "field_residual_before_T": fitted.strength[0],
+        "field_residual_after_T": fitted.strength[1],
+        "sun_field_residual_before_rad": fitted.angle[0],
+        "sun_field_residual_after_rad": fitted.angle[1],
+        "field_noise_T": fitted.noise_T,
+        "sun_noise": fitted.sun_noise,
+    }
+
+
+def with_sigmas(
+    fitted: Calibration, quantity: Callable[[Calibration], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a function (m) of the calibration, its sigma, and its sigma before the data.
+
+    By linear propagation, S C S^T with the slope S (m, D) by differences. Of two sigmas, by the curvature and by leaving out
+    passes, the larger one counts.
+    """
+    value, columns = quantity(fitted), []
+    for k, step in enumerate(SMALL * np.sqrt(np.diag(fitted.prior))):
+        moved = fitted.values.copy()
+        moved[k] += step
+        columns.append((quantity(replace(fitted, values=moved)) - value) / step)
+    slope = np.stack(columns, axis=1)
+    by_curvature, by_passes, prior = (
+        np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope))
+        for covariance in (fitted.model, fitted.robust, fitted.prior)
+    )
+    return value, np.maximum(by_curvature, by_passes), prior
+
+
+def _magnetometer(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
+    """Return the keys of the magnetometer: field = scale_T matrix (column - zero).
+
+    `fitted.matrix_T` (3, 3) is scale and matrix together, relative to the matrix of the vehicle file. Their product is split into a
+    rotation and a stretch (polar decomposition), and the stretch into its scale, the cube root of the determinant, and the rest.
+    """
+    part, n = vehicle.sensors.magnetometer, fitted.samples["field"]
+    if part is None or not n:
+        return []
+
+    def zero(calibration: Calibration) -> np.ndarray:
+        """Return the zero (3) in the readings of the columns: the telemetry holds matrix times (column - zero)."""
+        return part.zero + part.sign * np.linalg.solve(part.matrix, calibration.zero)
+
+    def rotation_and_stretch(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rotation vector (3) of the axes, and the symmetric matrix (3, 3) before it, in T for a unit of a reading."""
+        rotation, stretch = polar(calibration.matrix_T @ part.matrix, side="right")
+        return Rotation.from_matrix(rotation).as_rotvec(), stretch
+
+    def scale(calibration: Calibration) -> np.ndarray:
+        """Return the scale (1) in T for a unit of a reading."""
+        return np.array([np.cbrt(np.linalg.det(rotation_and_stretch(calibration)[1]))])
+
+    # Without the Sun the strength leaves the rotation of the axes open: then the matrix is the symmetric one.
+    _, sigma, prior = with_sigmas(fitted, lambda one: rotation_and_stretch(one)[0])
+    axes_known = bool((sigma < NARROWER * prior).all())
+
+    def matrix(calibration: Calibration) -> np.ndarray:
+        """Return the matrix (9), by rows, without its scale."""
+        stretch = rotation_and_stretch(calibration)[1]
+        whole = calibration.matrix_T @ part.matrix if axes_known else stretch
+        return (whole / scale(calibration)).ravel()
+
+    where = ("magnetometer",)
+    stated_scale = np.array([np.nan if part.scale_T is None else part.scale_T])
+    keys = [
+        Key(where, "zero", part.zero, *with_sigmas(fitted, zero), "reading", n),
+        Key(where, "matrix", part.matrix.ravel(), *with_sigmas(fitted, matrix), "1", n),
+        Key(where, "scale_T", stated_scale, *with_sigmas(fitted, scale), "T", n),
+    ]
+    together = all(key.determined.all() for key in keys)
+    if part.noise is None:
+        noise = np.array([fitted.noise_T]) / scale(fitted)
+        numbers = (np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise)
+        keys.append(Key(where, "noise", *numbers, "reading", n))
+    return [key._replace(together=together) for key in keys]
+
+
+def _sun_sensors(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> Iterator[Key]:
+    """Yield the keys of Sun sensors that have readings: true angle = scale reading - bias.
+
+    The fit is relative to the file, whose angle is (scale reading - bias) of the keys stated there: true angle = (angle - fitted
+    bias) / fitted scale. So the new scale is the stated one over that of the fit, and the new bias (stated + fitted) over it.
+    """
+    of_bias, of_scale = slice(0, 2), slice(2, 5)  # of SUN_KEYS
+    for k, sensor in enumerate(vehicle.sensors.sun_sensors):
+        x_read, y_read = np.isfinite(readings.angle[:, k]).T
+        turned = readings.y_turned[:, k]
+        counts = [np.sum(x_read), np.sum(y_read), np.sum(x_read)]
+        counts += [np.sum(y_read & ~turned), np.sum(y_read & turned)]
+        keys = [getattr(sensor, key) for key in SUN_KEYS]
+        stated = np.array([0.0 if one is None else one for one in keys])
+
+        def new_keys(
+            calibration: Calibration, k: int = k, stated: np.ndarray = stated
+        ) -> np.ndarray:
+            """Return the keys (5) of sensor k by a calibration."""
+            bias = (stated[of_bias] + calibration.bias[k]) / calibration.scale[k, :2]
+            return np.concatenate([bias, stated[of_scale] / calibration.scale[k]])
+
+        numbers = np.stack([stated, *with_sigmas(fitted, new_keys)], axis=1)  # (5, 4)
+        for i, key in enumerate(SUN_KEYS):
+            was_read = counts[i] and not (sensor.y_column is None and key.startswith("y"))
+            if keys[i] is None or not was_read:
+                continue
+            unit = "rad" if key.endswith("bias_rad") else "rad/reading"
+            where = ("sun_sensor", sensor.name)
+            old, new, error, before = numbers[i][:, None]
+            yield Key(where, key, old, new, error, before, unit, int(counts[i]))
+
+
+# ----------------------------------------------------------------------------------------------------------------------------- gyro
+
+
+class GyroFit(NamedTuple):
+    """A gyro's reading (rad/s, by the vehicle file) = `values[3]` rate + `values[:3]`.
+
+    Covariances (4, 4) by the curvature, `model`, and by the scatter between passes, `robust`; `prior` sigmas (4); how many samples
+    and passes there are.
+    """
+
+    values: np.ndarray
+    model: np.ndarray
+    robust: np.ndarray
+    prior: np.ndarray
+    samples: int
+    passes: int
+
+
+def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit | None:
+    """Return zero and scale of a gyro by the passes whose rates are known without it; None if they are too few.
+
+    `result`: of `rates` without the gyro. Weighted least squares of reading = scale rate + zero, whose errors are in groups: the
+    samples of a pass along one axis. In a group the error of the rate is common to all samples, as smoothing leaves it, and the
+    noise of each reading is added. Groups have Student tails, and one factor on all errors is estimated in turn.
+    """
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    index = np.clip(np.searchsorted(times, result["time"].values), 0, len(times) - 1)
+    read_then = telemetry["gyro_B"].values[first[index]]
+    # a body that hardly rotates, whose speed has only an upper limit, shows the zero of a gyro as well as any
+    use = rate_known(result)[result["pass_of"].values]
+    use &= np.isfinite(read_then).all(axis=1) & (times[index] == result["time"].values)
+    reading, pass_of = read_then[use], result["pass_of"].values[use]
+    rate, covariance_B = result["omega_B"].values[use], result["omega_cov_B"].values[use]
+    passes = np.unique(pass_of)
+    if len(passes) < FEWEST_PASSES:
+        return None
+
+    # unknowns: the zero of each axis (0 to 2), and the scale over the stated one (3)
+    stated = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
+    usual = float(np.sqrt((reading**2).mean()))
+    scale_sigma = gyro.scale_sigma / abs(gyro.scale_rad_s) or GYRO_SCALE
+    prior = np.append(np.where(stated > 0, stated, usual), scale_sigma)
+    mean = np.array([0.0, 0.0, 0.0, 1.0])
+    values, covariance, factor = mean, np.diag(prior**2), 1.0
+    for _ in range(GYRO_ROUNDS):
+        normal, right = np.diag(prior**-2.0), prior**-2.0 * mean
+        scores, squares, count = np.zeros((len(passes), 4)), 0.0, 0
+        for k, number in enumerate(passes):
+            rows = pass_of == number
+            for axis in range(3):
+                sigma = np.sqrt(covariance_B[rows, axis, axis])
+                noise = gyro.noise_rad_s**2 * np.eye(len(sigma)) + np.outer(sigma, sigma)
+                white = np.linalg.inv(np.linalg.cholesky(factor**2 * noise))
+                design = np.zeros((len(sigma), 4))
+                design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
+                design, target = white @ design, white @ reading[rows, axis]
+                residual = design @ values - target
+                weight = (STUDENT + len(residual)) / (STUDENT + residual @ residual)
+                normal += weight * design.T @ design
+                right = right + weight * design.T @ target
+                scores[k] += weight * design.T @ residual
+                squares, count = squares + weight * residual @ residual, count + len(residual)
+        covariance = np.linalg.inv(normal)
+        values = covariance @ right
+        factor *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), *NOISE_STEP))
+    # the sandwich estimate of the covariance: how much the gradients of the passes differ
+    between = scores.T @ scores * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
+    robust = covariance @ between @ covariance
+    return GyroFit(values, covariance, robust, prior, int(use.sum()), len(passes))
+
+
+def rate_known(result: xr.Dataset) -> np.ndarray:
+    """Return whether the rate vector of each pass (n_pass) is known well enough to calibrate a gyro with it.
+
+    It is if the pass is decided, or if only the check of the speed fails: a body that hardly rotates has known components near
+    zero, but a speed smaller than its error. Such a pass must not have doubtful columns.
+    """
+    decided = np.asarray(result["decided"].values)
+    if "constrained_speed" not in result:
+        return decided
+    checks = ("unique", "fits", "search_complete", *(f"constrained_{axis}" for axis in "xyz"))
+    all_but_speed = np.all([result[name].values for name in checks], axis=0)
+    return decided | (all_but_speed & (result["columns_checked"].values != COLUMNS_DOUBTED))
+
+
+def _gyro(
+    gyro: Gyro, vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: bool
+) -> list[Key]:
+    """Return the keys of the gyro; none, with a note, if the rates without it do not determine them."""
+    try:
+        result = rates(vehicle, telemetry.drop_vars("gyro_B"), progress=progress)
+    except (InputError, MotionError) as error:
+        notes.append(f"gyro: not determined, as without it there are no rates: {error}")
+        return []
+    fit = fit_gyro(gyro, telemetry, result)
+    if fit is None:
+        notes.append(
+            f"gyro: not determined, as without it fewer than {FEWEST_PASSES} passes are decided"
+        )
+        return []
+    notes.append(f"gyro: compared with {fit.passes} passes that are decided without it")
+    return gyro_keys(gyro, fit)
+
+
+def gyro_keys(gyro: Gyro, fit: GyroFit) -> list[Key]:
+    """Return the keys of a gyro by its fit: rate = scale_rad_s (column - zero).
+
+    As the reading is `scale` rate + zero, the new scale is the stated one over that of the fit.
+    """
+    scale, size = fit.values[3], abs(gyro.scale_rad_s)
+    sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
+    zero = gyro.zero + gyro.sign * fit.values[:3] / gyro.scale_rad_s
+    of_zero = (gyro.zero, zero, sigma[:3] / size, fit.prior[:3] / size)
+    stated, by_scale = np.array([gyro.scale_rad_s]), size / scale**2
+    of_scale = (stated, stated / scale, sigma[3:] * by_scale, fit.prior[3:] * by_scale)
+    return [
+        Key(("gyro",), "zero", *of_zero, "reading", fit.samples),
+        Key(("gyro",), "scale_rad_s", *of_scale, "rad/s", fit.samples),
+    ]
+
+
+# --------------------------------------------------------------------------------------------------------------------------- result
+
+
+def _dataset(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    keys: list[Key],
+    notes: list[str],
+    attrs: dict[str, Any],
+) -> xr.Dataset:
+    """Return the result: all components of all keys, one after another."""
+    parts: dict[str, list[Any]] = {name: [] for name in NUMBERS}
+    for name in ("unit", "key", "component", "determined", "written", "samples"):
+        parts[name] = []
+    for key in keys:
+        count, determined = len(key.value), key.determined
+        written = bool(determined.all()) if key.together is None else key.together
+        for name, numbers in zip(NUMBERS, key[2:6], strict=True):
+            parts[name] += [float(x) for x in numbers]
+        parts["key"] += [".".join((*key.where, key.key))] * count
+        parts["component"] += range(count)
+        parts["unit"] += [key.unit] * count
+        parts["determined"] += determined.tolist()
+        parts["written"] += [written] * count
+        parts["samples"] += [key.samples] * count
+    variables = {name: ("quantity", np.array(part)) for name, part in parts.items()}
+    stated, value, sigma = (np.array(parts[name]) for name in ("stated", "value", "sigma"))
+    # a number that was not stated is new and has not moved
+    variables["moved"] = ("quantity", np.abs(value - stated) > sigma)
+    epoch, time = str(telemetry.attrs["epoch_utc"]), telemetry["time"].values
+    days = dict.fromkeys(utc_after(float(t), epoch)[:10] for t in (time.min(), time.max()))
+    file = telemetry.attrs.get("file", "telemetry")
+    source = f"calibrate-sensors, {{samples}} samples of {file}, {' to '.join(days)}"
+    described = provenance("calibration", telemetry, vehicle=vehicle.name) | attrs
+    return xr.Dataset(variables, attrs=described | {"source": source, "notes": "\n".join(notes)})

@@ -1,0 +1,578 @@
+"""Motions fitted to what was observed: attitude and rate at every sample are unknown (multiple shooting).
+
+Readings at a sample and the equations of motion between neighbours are residuals, equation (smoother) of docs/model.md. The normal
+equations are a chain of 6 x 6 blocks with a border for the other unknowns; a step of Gauss and Newton costs a time linear in the
+number of samples. As each interval has a start of its own, a start may be poor without the end of a pass being wild. Only the Sun
+is known in N, as its z axis: the turn about it is held by a weak prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.carry import RATE, TURN, Step, step
+from sunspin.estimate.copies import distinct
+from sunspin.estimate.model import Model, Noise, Observations, States, Track
+from sunspin.estimate.settings import SearchSettings
+from sunspin.estimate.terms.clock import Latency
+from sunspin.estimate.terms.term import Residual, Term
+from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
+from sunspin.solve.linear import (
+    BorderedSystem,
+    DenseSystem,
+    invert_bordered,
+    solve_bordered,
+    solve_dense,
+)
+from sunspin.solve.rotations import rotate_attitude, rotation_between
+
+TURN_PRIOR = 10.0
+"""rad; holds the turn about the Sun, which nothing measures, without telling anything."""
+
+DIFFERENCE_RAD = 1e-5
+"""Turn by which an attitude is changed for the derivative of a torque."""
+
+LEAST_TURN = 1e-6
+"""rad; motions may leave the equations of motion by this in an interval: of two samples a millisecond apart the torques would tell
+the turn to 1e-10 rad, and the matrix of a fit lost all digits. A file with such times was given a motion 6 sigma off."""
+
+RATE_LIMIT = 4.0
+"""No trial rate exceeds this many sigmas of the prior: a step far out of the basin must not overflow."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """K motions fitted under a model.
+
+    `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m) of
+    the unknowns in sigmas; `states_by_u` (K, n, 6, m): change of turn and rate at the samples by one sigma of each unknown.
+    `lowest`: the motions where their cost is least, if `motions` are means over several sigmas of unknowns.
+    """
+
+    model: Model
+    motions: Track
+    log_evidence: np.ndarray
+    u_covariance: np.ndarray
+    states_by_u: np.ndarray
+    lowest: Track | None = None
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return len(self.log_evidence)
+
+    def take(self, which: np.ndarray | slice) -> Fit:
+        """Return some of the motions."""
+        return Fit(
+            self.model,
+            self.motions.take(which),
+            self.log_evidence[which],
+            self.u_covariance[which],
+            self.states_by_u[which],
+            None if self.lowest is None else self.lowest.take(which),
+        )
+
+    @property
+    def to_begin_from(self) -> Track:
+        """Return the motions from which another fit begins: means over sigmas of a torque leave the equations of motion."""
+        return self.motions if self.lowest is None else self.lowest
+
+
+class Whitening(NamedTuple):
+    """Inverse Cholesky factors of the covariance that white angular acceleration makes in intervals (n), alike for each axis.
+
+    The covariance of turn and rate is q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt), and a swing adds r^2 dt to that of the turn. `matrix`
+    (n, 6, 6); `log_determinant`: half the log of the determinants of all covariances.
+    """
+
+    matrix: np.ndarray
+    log_determinant: float
+
+    @classmethod
+    def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
+        """Return those of unknown torques."""
+        square = noise.in_intervals(dt) ** 2
+        hidden = noise.rate**2 * dt + LEAST_TURN**2
+        # the Cholesky factor (turn, 0; mixed, rate) of the covariance of one axis
+        turn = np.sqrt(square * dt**3 / 3 + hidden)
+        mixed = square * dt**2 / 2 / turn
+        rate = np.sqrt(square * dt * (square * dt**3 / 12 + hidden)) / turn
+        matrix = np.zeros((len(dt), 6, 6))
+        for axis in range(3):
+            matrix[:, axis, axis] = 1 / turn
+            matrix[:, axis + 3, axis] = -mixed / (turn * rate)
+            matrix[:, axis + 3, axis + 3] = 1 / rate
+        return cls(matrix, float(3 * (np.log(turn) + np.log(rate)).sum()))
+
+
+def equations(model: Model, motions: Track) -> BorderedSystem:
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
+
+    A residual r with the slope A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has blocks of
+    turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). To the m unknowns
+    belong a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    """
+    k, n = motions.omega.shape[:2]
+    m = motions.u.shape[1]
+    diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
+    border, corner = np.zeros((k, n, 6, m)), np.repeat(np.eye(m)[None], k, axis=0)
+    border_slope, cost = motions.u.copy(), (motions.u**2).sum(axis=1) / 2
+    coupled = np.zeros((k, n - 1, 6, 6))  # of terms that compare neighbours
+
+    for residual, place in readings(model, motions):
+        part, weight = residual.law(residual.value)
+        cost += part.sum(axis=1)
+        # by turn and by rate: where they stand, A, and w A^T
+        columns = [
+            (rows, derivative, np.swapaxes(weight[..., None, None] * derivative, -1, -2))
+            for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
+            if derivative is not None
+        ]
+        for rows, _, weighted in columns:
+            slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
+            for others, other, _ in columns:
+                diagonal[..., rows, others] += weighted @ other
+            if residual.by_u is not None:
+                border[..., rows, place] += weighted @ residual.by_u
+        if residual.by_previous is not None:
+            previous = residual.by_previous[:, 1:]
+            weighted = np.swapaxes(weight[:, 1:, None, None] * previous, -1, -2)
+            slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
+            diagonal[:, :-1, TURN, TURN] += weighted @ previous
+            for others, other, _ in columns:
+                coupled[..., TURN, others] += weighted @ other[:, 1:]
+            if residual.by_u is not None:
+                border[:, :-1, TURN, place] += weighted @ residual.by_u[:, 1:]
+        if residual.by_u is not None:
+            weighted = np.swapaxes(weight[..., None, None] * residual.by_u, -1, -2)
+            corner[:, place[:, None], place] += (weighted @ residual.by_u).sum(axis=1)
+            border_slope[:, place] += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+
+    # damping in the measure of what was read: in that of the equations of motion, which are stiff where samples are close together,
+    # it would hold a whole motion in its place
+    damping = damping_scale(diagonal, model.obs.t_s)
+
+    value, by_first, by_second, by_u = defects(model, motions)
+    first_T, second_T = (np.swapaxes(part, -1, -2) for part in (by_first, by_second))
+    cost += np.einsum("kni,kni->k", value, value) / 2
+    diagonal[:, :-1] += first_T @ by_first
+    diagonal[:, 1:] += second_T @ by_second
+    upper = coupled + first_T @ by_second
+    slope[:, :-1] += (first_T @ value[..., None])[..., 0]
+    slope[:, 1:] += (second_T @ value[..., None])[..., 0]
+    if m:
+        border[:, :-1] += first_T @ by_u
+        border[:, 1:] += second_T @ by_u
+        by_u_T = np.swapaxes(by_u, -1, -2)
+        corner += (by_u_T @ by_u).sum(axis=1)
+        border_slope += (by_u_T @ value[..., None]).sum(axis=1)[..., 0]
+
+    # in the matrix alone: it holds the turn about the Sun where it is, and prefers none
+    diagonal[:, 0, TURN, TURN] += _free_turn(model.obs, motions.sun_B[:, 0])
+    diagonal[:, 0, RATE, RATE] += np.eye(3) / model.rate_sigma**2
+    slope[:, 0, RATE] += motions.omega[:, 0] / model.rate_sigma**2
+    cost += (motions.omega[:, 0] ** 2).sum(axis=1) / (2 * model.rate_sigma**2)
+    shared = (border, corner, border_slope) if m else (None, None, None)
+    return BorderedSystem(cost, diagonal, upper, slope, damping, *shared)
+
+
+def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarray]]:
+    """Yield the differences of all readings, and the indices (m) of the unknowns to which their `by_u` belongs.
+
+    Sensors other than the Sun's may be late: what they read is what the motion was so much earlier.
+    """
+    every, late = np.arange(len(model.unknowns)), latency(model, motions.u)
+    earlier = None if late is None else earlier_states(model, motions, late.late_s)
+    for term, place in model.placed_terms:
+        if earlier is None or term.of_sun:
+            for residual in term.residuals(motions, motions.u[:, place]):
+                yield residual, every[place]
+            continue
+        assert late is not None
+        for residual in term.residuals(earlier.states, motions.u[:, place]):
+            changed, by_late = earlier.derivatives_at_sample(residual, late.late_s)
+            if late.place is None:
+                yield changed, every[place]
+                continue
+            by_late = late.sigma_s * by_late[..., None]
+            by_u = by_late if changed.by_u is None else np.concatenate([changed.by_u, by_late], -1)
+            yield changed._replace(by_u=by_u), np.append(every[place], late.place)
+
+
+class Late(NamedTuple):
+    """How late (K) in s the sensors are of motions, the sigma of that (s), and its place among the unknowns, None if it is
+    known."""
+
+    late_s: np.ndarray
+    sigma_s: float
+    place: int | None
+
+
+def latency(model: Model, u: np.ndarray) -> Late | None:
+    """Return how late the sensors other than the Sun's are for unknowns u (K, m); None if they are read with it."""
+    for term, place in model.placed_terms:
+        if isinstance(term, Latency) and (term.late_s or term.sigma_s):
+            where = place.start if term.sigma_s else None
+            off = 0.0 if where is None else term.sigma_s * u[:, where]
+            return Late(term.late_s + off + np.zeros(len(u)), term.sigma_s, where)
+    return None
+
+
+class Earlier(NamedTuple):
+    """Motions as they were some time before their samples: `turned` (K, n, 3, 3) since then, and the `acceleration` (K, n, 3)."""
+
+    states: States
+    turned: np.ndarray
+    acceleration: np.ndarray
+
+    def derivatives_at_sample(
+        self, residual: Residual, late_s: np.ndarray
+    ) -> tuple[Residual, np.ndarray]:
+        """Return differences of the earlier state with derivatives by that of the sample, and by the time (K, n, r) between, s."""
+        by_late = np.zeros(residual.value.shape)
+        by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
+        if by_rate is not None:
+            by_late -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
+        if by_turn is not None:
+            by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
+            if previous is None:  # of two neighbours both are turned by a rate, nearly alike
+                moved = -late_s[:, None, None, None] * by_turn
+                by_rate = moved if by_rate is None else by_rate + moved
+            by_turn = by_turn @ self.turned
+        if previous is not None:
+            by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.states.omega[:, :-1])
+            turned = np.concatenate([self.turned[:, :1], self.turned[:, :-1]], axis=1)
+            previous = previous @ turned
+        return residual._replace(by_turn=by_turn, by_rate=by_rate, by_previous=previous), by_late
+
+
+def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
+    """Return motions as they were `late_s` (K) before their samples, by the equations of motion with the wheels held."""
+    momentum = model.obs.momentum
+    inertia = model.body.inertia_at(motions.u[:, model.of_body])
+    back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
+    made = step(inertia, motions.omega, back, (momentum, momentum))
+    turning = np.cross(made.omega @ inertia + momentum, made.omega)
+    acceleration = turning @ np.linalg.inv(inertia)
+    return Earlier(States(made.turned @ motions.attitude, made.omega), made.turned, acceleration)
+
+
+def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
+    """Return how far motions leave the equations of motion between neighbours (K, n - 1, 6), in sigmas of unknown torques.
+
+    And the derivatives by turn and rate at the first and at the second sample (K, n - 1, 6, 6), and by the unknowns (..., m).
+    """
+    body, dt = model.body, np.diff(model.obs.t_s)
+    momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
+    inertia = body.inertia_at(motions.u[:, model.of_body])
+    made = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
+    relative = motions.attitude[:, 1:] @ np.swapaxes(motions.attitude[:, :-1], -1, -2)
+    value = np.concatenate(
+        [rotation_between(made.turned, relative), motions.omega[:, 1:] - made.omega], axis=-1
+    )
+    assert made.by_start is not None and made.by_inertia is not None
+    by_start, by_u = made.by_start, np.zeros((*value.shape, motions.u.shape[1]))
+    by_u[..., model.of_body] = made.by_inertia
+    for term, place in zip(model.obs.terms, model.of_terms, strict=True):
+        push = term.added_by_unknowns(motions, dt)
+        if push is not None:
+            by_u[..., place] = push
+            value = value - np.einsum("knim,km->kni", push, motions.u[:, place])
+        known = term.added_by_torque(motions, dt)
+        if known is not None:
+            value = value - known
+            if term.about_sun:
+                by_start[..., TURN] += pushed_by_turn(term, motions, dt, known)
+    white = Whitening.of(model.noise, dt).matrix
+    # the derivative by the second sample is taken as one: exact without a defect, and defects are small where a fit ends
+    by_second = np.broadcast_to(white, (len(value), *white.shape))
+    return (white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u
+
+
+def pushed_by_turn(term: Term, motions: Track, dt: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the derivative (K, n - 1, 6, 3) of what a known torque adds, `known` (K, n - 1, 6), by a turn at the first sample."""
+    columns = [
+        term.added_by_torque(replace(motions, attitude=rotate_attitude(motions.attitude, turn)), dt)
+        - known
+        for turn in DIFFERENCE_RAD * np.eye(3)
+    ]
+    return np.stack(columns, axis=-1) / DIFFERENCE_RAD
+
+
+def damping_scale(read: np.ndarray, t_s: np.ndarray) -> np.ndarray:
+    """Return the damping (K, 6) of turn and rate in the measure of the readings' normal matrices (K, n, 6, 6)."""
+    size = np.einsum("knii->kni", read).mean(axis=1)
+    turn = size[:, TURN].mean(axis=1, keepdims=True)
+    usual_s = np.diff(t_s).mean() if len(t_s) > 1 else 1.0
+    rate = size[:, RATE].mean(axis=1, keepdims=True) + turn * usual_s**2
+    return np.repeat(np.concatenate([turn, rate], axis=1), 3, axis=1)
+
+
+def _free_turn(obs: Observations, sun_B: np.ndarray) -> np.ndarray:
+    """Return the weak prior (K, 3, 3) of the turn about the Sun (K, 3), which no reading determines; without a Sun, of any turn."""
+    if not any(term.of_sun for term in obs.terms):
+        return np.tile(np.eye(3) / TURN_PRIOR**2, (len(sun_B), 1, 1))
+    return sun_B[:, :, None] * sun_B[:, None, :] / TURN_PRIOR**2
+
+
+def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) -> Fit:
+    """Fit states at all samples and the unknowns by Levenberg and Marquardt's method; return the motions with their evidence.
+
+    Unknowns that `motions` lack, as those of a term that was added last, begin at their centres.
+    """
+    limits = np.array([unknown.limit for unknown in model.unknowns])
+    longest = RATE_LIMIT * model.rate_sigma
+
+    def moved(state: tuple[np.ndarray, ...], change: tuple[np.ndarray, np.ndarray | None]):
+        attitude, omega, u = state
+        nodes, shared = change
+        u = u if shared is None else np.clip(u + shared, -limits, limits)
+        u[:, model.of_body] = model.body.possible(u[:, model.of_body])
+        return (
+            rotate_attitude(attitude, nodes[..., TURN]),
+            limit_length(omega + nodes[..., RATE], longest),
+            u,
+        )
+
+    u = np.zeros((len(motions), len(model.unknowns)))
+    u[:, : motions.u.shape[1]] = motions.u[:, : u.shape[1]]
+    solution = least_squares(
+        lambda state: equations(model, Track(*state)),
+        moved,
+        solve_bordered,
+        (motions.attitude, motions.omega, u),
+        steps=steps,
+        tolerance=tolerance,
+    )
+    system, inverse = solution.system, invert_bordered(solution.system)
+    fitted = Track(*solution.state, system.cost, inverse.nodes)
+    determinants = inverse.log_determinant / 2
+    log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    # Laplace's method; what it leaves out all models of a pass share: see `log_left_out`
+    log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
+    # a fit that ended on a slope has a matrix of no minimum, and no evidence
+    log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
+    return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
+
+
+def log_left_out(model: Model) -> float:
+    """Return by what the log evidence of a fit exceeds the log of the mean likelihood over all motions that its model allows.
+
+    It is the same for all models of a pass that sees the Sun. Prior densities of the first rate, of the defects and of the unknowns
+    are normal, with 6 n + m - 3 factors 1 / sqrt(2 pi). That of the first attitude is 1 / (8 pi^2). Laplace's method gives
+    sqrt(2 pi) for each of the 6 n + m numbers. Nothing measures the turn about the Sun: its integral is 2 pi, but counts as
+    sqrt(2 pi) `TURN_PRIOR`. With the width of the prior of the rate, 1 / (2 `TURN_PRIOR` `rate_sigma`^3) is left of all that.
+    """
+    return float(np.log(2 * TURN_PRIOR) + 3 * np.log(model.rate_sigma))
+
+
+def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
+    """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
+
+    That of the states with the unknowns held, and what the unknowns' own covariance adds. With the matrix H of
+    the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
+    """
+    system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
+    variances = []
+    for row in range(weights.shape[2]):
+        # a solver returns the step -H^-1 slope
+        w = weights[..., row, :]
+        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
+        variances.append(np.einsum("kni,kni->k", w, nodes))
+    by_u = np.einsum("knri,knim->krm", weights, one.states_by_u)
+    of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
+    return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
+
+
+def carried(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
+    """Return the motions, without unknowns, that have attitudes (K, 3, 3) and rates (K, 3) at a sample."""
+    n = len(model.obs)
+    attitudes, rates = np.empty((len(omega), n, 3, 3)), np.empty((len(omega), n, 3))
+    attitudes[:, sample], rates[:, sample] = attitude, omega
+    _carry_on(model, attitudes, rates, sample, sample)
+    return Track.free(attitudes, rates)
+
+
+def _carry_on(
+    model: Model, attitudes: np.ndarray, rates: np.ndarray, first: int, last: int
+) -> None:
+    """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
+    for start, end in _ways(first, last, attitudes.shape[1]):
+        made = _step_between(model, rates, start, end)
+        attitudes[:, end] = made.turned @ attitudes[:, start]
+        rates[:, end] = made.omega
+
+
+def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
+    """Yield steps from samples to their neighbours, away from `first` and `last` to both ends of n samples.
+
+    Both ways at once while both go on: a step takes nearly as long for one interval as for two.
+    """
+    for k in range(max(first, n - 1 - last)):
+        steps = (last + k, last + k + 1), (first - k, first - k - 1)
+        inside = [(i, j) for i, j in steps if 0 <= j < n]
+        yield [i for i, _ in inside], [j for _, j in inside]
+
+
+def _step_between(
+    model: Model, rates: np.ndarray, start: list[int], end: list[int], derivatives: bool = False
+) -> Step:
+    """Carry rates (K, n, 3) from some samples to others, with the inertia of the vehicle file."""
+    t_s, momentum = model.obs.t_s, model.obs.momentum
+    momenta = momentum[start], momentum[end]
+    return step(model.body.inertia, rates[:, start], t_s[end] - t_s[start], momenta, derivatives)
+
+
+def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
+    """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
+
+    Where samples are close together a chain is too stiff to move: its steps are straight in the turns of all samples, and the
+    equations of motion bend. Six numbers of one sample bend nothing. The model has no unknowns. `motions` (K): their state at
+    `sample` is where the fit begins; returned at all samples.
+    """
+    n = len(model.obs)
+    longest = RATE_LIMIT * model.rate_sigma
+
+    def linearise(state: tuple[np.ndarray, np.ndarray]) -> DenseSystem:
+        """Return cost and normal equations (K, 6, 6) of attitudes (K, 3, 3) and rates (K, 3) at the sample.
+
+        Rows are turn, then rate. There are no defects: the other samples follow exactly.
+        """
+        omega = state[1]
+        k = len(omega)
+        # motions at all samples, and their derivatives (K, n, 6, 6) by turn and rate at the sample: products of those of the steps
+        track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        by_state = np.empty((k, n, 6, 6))
+        track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
+        for start, end in _ways(sample, sample, n):
+            made = _step_between(model, track.omega, start, end, derivatives=True)
+            track.attitude[:, end] = made.turned @ track.attitude[:, start]
+            track.omega[:, end] = made.omega
+            assert made.by_start is not None
+            by_state[:, end] = made.by_start @ by_state[:, start]
+        previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
+        matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
+        for term in model.obs.terms:
+            for residual in term.residuals(track, track.u):
+                part, weight = residual.law(residual.value)
+                cost += part.sum(axis=1)
+                derivative = sum(  # chain rule
+                    by @ of_sample[..., rows, :]
+                    for of_sample, rows, by in (
+                        (by_state, TURN, residual.by_turn),
+                        (by_state, RATE, residual.by_rate),
+                        (previous_by_state, TURN, residual.by_previous),
+                    )
+                    if by is not None
+                )
+                weighted = np.swapaxes(weight[..., None, None] * derivative, -1, -2)
+                matrix += (weighted @ derivative).sum(axis=1)
+                slope += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+        matrix[:, TURN, TURN] += _free_turn(model.obs, track.sun_B[:, sample])
+        matrix[:, RATE, RATE] += np.eye(3) / model.rate_sigma**2
+        slope[:, RATE] += omega / model.rate_sigma**2
+        cost += (omega**2).sum(axis=1) / (2 * model.rate_sigma**2)
+        return DenseSystem(cost, matrix, slope, extras=(track.attitude, track.omega))
+
+    solution = least_squares(
+        linearise,
+        lambda state, change: (
+            rotate_attitude(state[0], change[:, TURN]),
+            limit_length(state[1] + change[:, RATE], longest),
+        ),
+        solve_dense,
+        (motions.attitude[:, sample], motions.omega[:, sample]),
+        steps=steps,
+    )
+    return replace(Track.free(*solution.system.extras), cost=solution.system.cost)
+
+
+def costs(obs: Observations, motions: Track) -> np.ndarray:
+    """Return the cost of the readings (K, n) of motions without unknowns."""
+    total = np.zeros(motions.omega.shape[:2])
+    for term in obs.terms:
+        for residual in term.residuals(motions, motions.u):
+            total += residual.law(residual.value)[0]
+    return total
+
+
+class Chain:
+    """How a search fits, compares and carries motions under a model without unknowns: see :class:`search.Carrier`."""
+
+    def __init__(self, model: Model, settings: SearchSettings) -> None:
+        self.model, self.s, self.t_s = model, settings, model.obs.t_s
+
+    def cost_limit(self, window: slice) -> float:
+        """Return the cost that a true motion does not exceed in a window."""
+        return self.model.obs.take(window).cost_limit
+
+    def joined(self, motions: list[Track]) -> Track:
+        """Return the motions of several searches."""
+        return Track.joined(motions)
+
+    def fit(self, motions: Track, window: slice) -> Track:
+        """Return motions fitted to a window; in a short one those that still fit badly are shot first, as the chain creeps."""
+        model = self.model.seeing(window)
+        fitted = fit(model, motions, steps=4).motions
+        half_s = np.abs(model.obs.t_s - model.obs.t_s[len(model.obs) // 2]).max()
+        short = model.noise.acceleration * np.sqrt(half_s**3 / 3) <= self.s.stiff_rad
+        poor = np.flatnonzero(fitted.cost > self.s.poor * model.obs.cost_limit)
+        if not (short and len(poor)):
+            return fitted
+        moved = fit(model, shot(model, len(model.obs) // 2, fitted.take(poor), 8), 4).motions
+        good = fitted.take(np.setdiff1d(np.arange(len(fitted)), poor))
+        return Track.joined([good, moved]) if len(good) else moved
+
+    def kept(self, motions: Track, window: slice) -> Track:
+        """Return motions without copies and without improbable ones, best first."""
+        return motions.take(distinct(motions, self.t_s[window], self.s))
+
+    def widened(self, motions: Track, window: slice, wider: slice) -> Track:
+        """Return motions carried to the samples of a wider window, and others along what the window leaves open of the rate."""
+        model = self.model.seeing(wider)
+        first, last = window.start - wider.start, window.stop - wider.start
+        n, k = wider.stop - wider.start, len(motions)
+        attitude, omega = np.empty((k, n, 3, 3)), np.empty((k, n, 3))
+        attitude[:, first:last], omega[:, first:last] = motions.attitude, motions.omega
+        _carry_on(model, attitude, omega, first, last - 1)
+        middle = (window.stop - window.start) // 2
+        others = along_the_valley(self.model.seeing(window), motions, middle, self.s)
+        carried_on = carried(model, first + middle, *others)
+        return Track.joined([Track.free(attitude, omega), carried_on])
+
+
+def along_the_valley(
+    model: Model, motions: Track, middle: int, s: SearchSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return further attitudes (K, 3, 3) and rates (K, 3) at the sample `middle`, on either side of motions.
+
+    They are along the least certain direction of each motion's rate. A few samples of the Sun hardly tell the spin about the Sun's
+    direction, so that the cost has a long flat valley in which a fit rests anywhere. As the window grows, the valley bends and
+    breaks into several minima: a slow body was lost so, as a motion that begins at one place ends in the nearest of them. Here the
+    valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
+    far from the best.
+    """
+    limit = s.poor * model.obs.cost_limit
+    limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
+    motions = motions.take(np.flatnonzero(motions.cost < limit))
+    covariance = np.nan_to_num(motions.covariance[:, middle])
+    variance, axes = np.linalg.eigh(covariance[:, RATE, RATE])
+    sigma, axis = np.sqrt(np.maximum(variance[:, -1], 0.0)), axes[:, :, -1]
+    # an error of the rate turns the body by that times the time to the farther end of the window
+    spacing = 2 * s.basin_rad / np.abs(model.obs.t_s - model.obs.t_s[middle]).max()
+    sides = np.clip(np.ceil(s.valley_sigmas * sigma / spacing - 0.5), 0, s.valley_each).astype(int)
+    # the attitude that goes with a rate, by the covariance: the Sun stays where it was seen
+    turn_per_rate = np.einsum("kij,kj->ki", covariance[:, TURN, RATE], axis)
+    turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
+    # motions come best first: what is cut off belongs to the worse ones
+    which = np.repeat(np.arange(len(sigma)), 2 * sides)[: s.valley_most]
+    # 1, ..., n and -1, ..., -n steps of the spacing from each motion
+    steps = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in sides]
+    change = spacing * np.concatenate([np.zeros(0), *steps])[: s.valley_most, None]
+    omega = motions.omega[which, middle] + change * axis[which]
+    attitude = rotate_attitude(motions.attitude[which, middle], change * turn_per_rate[which])
+    slow = np.linalg.norm(omega, axis=1) < model.rate_max
+    return attitude[slow], omega[slow]

@@ -1,0 +1,566 @@
+"""Other columns, axes and signs for a pass that may not be as the vehicle file has them.
+
+One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
+reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
+evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
+(:mod:`sunspin.estimate.columns`): it fits only under strong torques, or its samples, each by itself, fit other columns far
+better, or as well. Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named
+together, each with its motion, and none is recommended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomlkit
+import xarray as xr
+
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.equivalence import (
+    AS_WRITTEN,
+    CLEARLY,
+    Change,
+    Observed,
+    alike,
+    column_changes,
+    equivalence,
+    rate_under,
+    wheel_changes,
+)
+from sunspin.estimate.settings import FIELD_TURN
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.sun import signals
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.planes import sphere
+from sunspin.vehicle.sensors import VARIABLES, Attitude
+
+MOST_SQUARE = 30.0
+"""Squared distance up to which a reading of a second sensor, or a sample of panels, counts against a change: some are spikes."""
+
+SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
+"""Variable of the telemetry -> what a person calls it."""
+
+TABLES = {variable: table for table, variable in VARIABLES.items()}
+"""Variable of the telemetry -> the sensor's table in the vehicle file."""
+
+DIRECTIONS, READING_ERROR = 3000, 0.06
+"""Directions of the Sun in which samples are compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
+share of full Sun: half of that distance, and gains."""
+
+BRIGHTEST = 1.15
+"""Brightness of a sample, in full Suns, that panels may show at most. There is no lower limit, since a full battery dims samples:
+with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, and of simulated exchanges no more were seen."""
+
+WORTH_A_SEARCH = 30.0
+"""Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 60
+files with two columns exchanged the right change was at most 0.8 from the best."""
+
+AS_GOOD = 3.0
+"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one. And
+the log evidence by which a change may be better than the file in a decided pass: right files have such a change in 5 % at most."""
+
+MOST_COMPARED = 60
+"""Samples that are compared so, evenly chosen."""
+
+MOST_RUNS = 3
+"""Changes that are estimated in full, at most."""
+
+MOST_NAMED = 6
+"""Changes that are named, at most; of others the number is given."""
+
+
+class Named(NamedTuple):
+    """A change that fits, with the rate (3) in rad/s that it gives, if that is known."""
+
+    change: Change
+    omega: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Better:
+    """The changes that fit better than the file as it is written, all those that the telemetry cannot distinguish.
+
+    `gain`: by how much their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better.
+    """
+
+    named: tuple[Named, ...]
+    gain: float
+    at_s: float = np.nan
+    fits: bool = True
+
+    def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
+        """Return a sentence for the verdict; `clock`: function from a time of the telemetry (s) to its words."""
+        better = f"the data fit {'' if self.fits else 'better '}with"
+        gain = f"(log evidence better by {self.gain:.0f})"
+        if len(self.named) == 1:
+            change = self.named[0].change
+            do = f"; if it is so, {change.do}" if change.do else ""
+            signs = change.reversed_wheels and not change.columns
+            check = "CHECK THE SIGNS" if signs else "CHECK THE COLUMNS"
+            return f"{better} {change.what} {gain}: {check}{do}"
+        shown = [f"({chr(97 + k)}) {_line(one)}" for k, one in enumerate(self.named[:MOST_NAMED])]
+        more = len(self.named) - len(shown)
+        others = f"; and {more} other changes" if more else ""
+        at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
+        return (
+            f"{better} each of {len(self.named)} changes, and this telemetry cannot tell which is right {gain}: {'; '.join(shown)}"
+            f"{others} (rates{at}): CHECK THE COLUMNS, find out which one is right before you change the file"
+        )
+
+
+def _line(one: Named) -> str:
+    """Return a change of several in words, with its rate."""
+    do = f" ({one.change.do})" if one.change.axes or one.change.reversed_wheels else ""
+    if one.omega is None:
+        return f"{one.change.what}{do}"
+    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(one.omega))
+    return f"{one.change.what}{do}: omega ({rate}) deg/s"
+
+
+@dataclass(frozen=True)
+class Culprit:
+    """The sensor without which the others agree, and that no other columns or axes of it explain."""
+
+    sensor: str
+
+    def words(self, clock: Callable[[float], str] | None = None) -> str:
+        """Return a sentence for the verdict; no time is in it."""
+        del clock
+        option = "attitude" if self.sensor == "quaternion" else self.sensor
+        return (
+            f"without the {self.sensor} the other readings fit: look at its zero, scale, columns and clock (`--without {option}` "
+            "gives the rates of the others)"
+        )
+
+
+@dataclass(frozen=True)
+class Trials:
+    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`.
+
+    `least`: log evidence by which a change must be better.
+    """
+
+    evidence: Callable[[Vehicle, xr.Dataset], float]
+    run: Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
+    budget: Budget
+    least: float = CLEARLY
+
+    def fitting(self, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset | None:
+        """Return the estimate, if it fits."""
+        result = self.run(vehicle, telemetry)
+        return result if result is not None and bool(result["fits"].values.all()) else None
+
+
+def what_fits_better(
+    observed: Observed, telemetry: xr.Dataset, trials: Trials
+) -> Better | Culprit | None:
+    """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
+
+    If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
+    such sensor are tried, then exchanged columns. If it fits without none, columns of panels and wheels are tried.
+    """
+    first_cause: Better | Culprit | None = None
+    for name in SENSORS:
+        if name not in telemetry or not np.isfinite(telemetry[name].values).any():
+            continue
+        if trials.budget.exhausted():
+            break
+        estimate = trials.fitting(observed.vehicle, telemetry.drop_vars(name))
+        if estimate is None:
+            continue
+        better = _other_axes(observed, telemetry, name, estimate, trials)
+        if better is not None:
+            return better
+        if first_cause is None:
+            exchanged = _exchanged_by_sensor(observed, telemetry, name, estimate, trials)
+            first_cause = exchanged or Culprit(SENSORS[name])
+    if first_cause is not None or not observed.panels:
+        return first_cause
+    return _other_panels(observed, telemetry, trials)
+
+
+# ------------------------------------------------------------------------------------------------------ columns of panels, wheels
+
+
+def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> Better | None:
+    """Return changes of columns, panels and wheels that fit.
+
+    The samples, each by itself, sort out most changes at once. First those of one mistake are tried, then a mistake of the columns
+    together with reversed wheels.
+    """
+    vehicle = observed.vehicle
+    evidence_as_written = trials.evidence(vehicle, telemetry)
+    if not np.isfinite(evidence_as_written):
+        return None
+    wheels = wheel_changes(vehicle) if len(observed.momenta) else []
+    changes = [AS_WRITTEN, *column_changes(vehicle, telemetry), *wheels]
+    cost = sample_costs(vehicle, telemetry, changes)
+    order = np.argsort(cost, kind="stable")
+    near = [int(k) for k in order if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
+    of_one_mistake = [(changes[k], float(cost[k])) for k in near]
+    names = [wheel.name for wheel in vehicle.wheels]
+    of_two_mistakes = [
+        (change.with_wheels(wheel.reversed_wheels, names), cost_of_samples)
+        for change, cost_of_samples in of_one_mistake
+        if change.columns
+        for wheel in wheels
+    ]
+    as_written = float(cost[0]), evidence_as_written
+    for candidates in (of_one_mistake, of_two_mistakes):
+        better = _best_of(observed, telemetry, candidates, as_written, trials)
+        if better is not None:
+            return better
+    return None
+
+
+def _best_of(
+    observed: Observed,
+    telemetry: xr.Dataset,
+    candidates: Sequence[tuple[Change, float]],
+    as_written: tuple[float, float],
+    trials: Trials,
+) -> Better | None:
+    """Return the best of some changes, and all that look the same, if they fit.
+
+    `candidates`: changes, each with its cost by :func:`sample_costs`; `as_written`: cost and log evidence of the file as it is
+    written. Of changes that look the same one is tried: by a quick search, and the best few by the whole estimate.
+    """
+    cost_as_written, evidence_as_written = as_written
+    distinct = [(AS_WRITTEN, cost_as_written)]
+    for change, cost in candidates:
+        # what looks the same has the same dark panels, and so the same cost: others need not be compared
+        near = (other for other, of_other in distinct if abs(cost - of_other) < CLEARLY)
+        if not any(len(equivalence(observed, other, change)) for other in near):
+            distinct.append((change, cost))
+    classes = [change for change, _ in distinct[1:]]
+    others = [change for change, _ in candidates]
+    return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
+
+
+def better_rivals(
+    observed: Observed, telemetry: xr.Dataset, noise: np.ndarray | float, trials: Trials
+) -> Better | None:
+    """Return changes of columns that the samples allow, with which a pass that fits has a clearly larger log evidence.
+
+    The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
+    their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
+    columns made up; with the right ones the log evidence was better by 24. `observed`: with the Sun's directions of the estimated
+    motion; `noise`: of the readings.
+    """
+    vehicle = observed.vehicle
+    changes = column_changes(vehicle, telemetry)
+    cost = sample_costs(vehicle, telemetry, [AS_WRITTEN, *changes])
+    allowed = cost[1:] <= cost[0] + AS_GOOD
+    # a change that looks the same as reversed wheels was tested with the signs of the wheels
+    known = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
+    light = vehicle.response_in().power(observed.sun_B) / noise
+
+    # to the samples all exchanges of dark columns look the same: those count that the estimated motion would light differently
+    dark, rivals = [], []
+    for change, is_allowed in zip(changes, allowed, strict=True):
+        moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
+        if len(moved) == 2 and not observed.lit[moved].any():
+            if (np.diff(light[:, moved], axis=1) ** 2).sum() / 2 > CLEARLY:
+                dark.append(change)
+        elif is_allowed and not any(len(equivalence(observed, one, change)) for one in known):
+            rivals.append(change)
+    # a column without a signal is left out: evidences are compared only if the same columns are
+    silent = silent_columns(vehicle, telemetry, AS_WRITTEN) if dark or rivals else set()
+    dark, rivals = (
+        [one for one in some if silent_columns(vehicle, telemetry, one) == silent]
+        for some in (dark, rivals)
+    )
+    if not (dark or rivals):
+        return None
+    evidence_as_written = trials.evidence(vehicle, telemetry)
+    if not np.isfinite(evidence_as_written):
+        return None
+    # none that look the same are named with dark columns: by the lit ones alone all of these do
+    found = [
+        _best_of_classes(observed, telemetry, some, others, trials, evidence_as_written)
+        for some, others in ((dark, []), (rivals, changes))
+    ]
+    return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
+
+
+def silent_columns(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> set[int]:
+    """Return the columns that are left out under a change, as their panels never show a signal."""
+    silent = np.flatnonzero(silent_inputs(assess(*change.applied(vehicle, telemetry))))
+    return {change.columns[k] if change.columns else int(k) for k in silent}
+
+
+def silent_inputs(assessment: Assessment) -> np.ndarray:
+    """Return which inputs (n_input) count in no sample, as they never show a signal."""
+    quality = assessment.quality
+    return ~(quality["reading"].values & ~quality["dead"].values).any(axis=0)
+
+
+def _best_of_classes(
+    observed: Observed,
+    telemetry: xr.Dataset,
+    classes: Sequence[Change],
+    others: Sequence[Change],
+    trials: Trials,
+    evidence_as_written: float,
+) -> Better | None:
+    """Return the best of some changes, none of which look the same, with all `others` that look the same, if they fit.
+
+    `evidence_as_written`: log evidence of the file as it is written.
+    """
+    gains = np.full(len(classes), -np.inf)
+    for k, change in enumerate(classes):
+        if trials.budget.exhausted():
+            break
+        changed = change.applied(observed.vehicle, telemetry)
+        gains[k] = trials.evidence(*changed) - evidence_as_written
+    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > trials.least]
+
+    named: list[Named] = []
+    best, at_s = -np.inf, np.nan
+    for k in ranked[:MOST_RUNS]:
+        if gains[k] < best - CLEARLY:
+            break
+        result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
+        if result is not None:
+            best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
+            named += with_equivalents(observed, classes[k], result, others)
+    return Better(tuple(named), best, at_s) if named else None
+
+
+def with_equivalents(
+    observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]
+) -> list[Named]:
+    """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
+    omega, _ = rate_in_the_middle(result)
+    along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
+    same = alike(along, change, [one for one in others if one.what != change.what])
+    return [Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same)]
+
+
+def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
+    """Return the rate (3) in rad/s at the sample nearest to the middle of a result, and its time in s."""
+    t = result["time"].values
+    at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    return result["omega_B"].values[at], float(t[at])
+
+
+def samples_fit_other_columns(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
+    """Return whether the samples, each by itself, fit some change of columns far better than the file as it is written."""
+    cost = sample_costs(vehicle, telemetry, [AS_WRITTEN, *column_changes(vehicle, telemetry)])
+    return bool(cost[0] > cost.min() + WORTH_A_SEARCH)
+
+
+def sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
+    """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
+
+    The square of a sample is the least |read - brightness light|^2 over directions, in which panels get `light`, and over a
+    brightness up to :data:`BRIGHTEST`. All are shares of full Sun, in units of :data:`READING_ERROR`.
+    """
+    sun, gains = sphere(DIRECTIONS), vehicle.input_gains
+    stride = -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)
+    telemetry = telemetry.isel(time=slice(None, None, stride))
+    noise = 0.0 if vehicle.input_noise is None else (vehicle.input_noise / gains).max()
+    error = float(np.hypot(READING_ERROR, noise))
+    lit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
+    squares = []
+    for change in changes:
+        changed, data = change.applied(vehicle, telemetry.isel(time=lit))
+        read = np.nan_to_num(signals(data)) / gains  # (n, p)
+        light = changed.response_in().power(sun) / gains  # (d, p), of d directions
+        # the square is a^2 - 2 b c + b^2 e, with a = |read|, brightness b, c = read . light (n, d) and e = |light|^2 (d)
+        along, light_square = read @ light.T, np.maximum((light**2).sum(axis=1), 1e-12)
+        read_square = (read**2).sum(axis=1)[:, None]
+        best_brightness = np.maximum(along, 0.0) / light_square
+        full = 1.0
+        if vehicle.gain_unit is None and len(read):
+            # gains without a unit: full Sun is a quantile of the brightness of samples in their best directions
+            at_best = read_square - best_brightness * np.maximum(along, 0.0)
+            direction = np.argmin(at_best, axis=1)
+            full = float(np.quantile(best_brightness[np.arange(len(read)), direction], 0.9))
+        brightness = np.minimum(best_brightness, BRIGHTEST * full)
+        square = read_square + brightness * (brightness * light_square - 2 * along)
+        squares.append(square.min(axis=1) / error**2)
+    each = np.array(squares)  # (m, n)
+    if not each.size:
+        return np.zeros(len(changes))
+    # the Earth's light may be more than that error: then even the best change costs more in most samples, and all count less
+    each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))
+    return np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
+
+
+# ------------------------------------------------------------------------------------------------------------------ other sensors
+
+
+def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
+    """Yield the 48 ways to read three columns as axes: in words, with column and sign of each axis; the stated one first."""
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            axes = ", ".join(
+                f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True)
+            )
+            yield f"read as ({axes}) of its columns", list(order), sign
+
+
+def axes_matrix(order: Sequence[int], sign: Sequence[float]) -> np.ndarray:
+    """Return the matrix (3, 3) that reads columns in this order and with these signs."""
+    return np.eye(3)[list(order)] * np.array(sign)[:, None]
+
+
+def to_write(table: str, keys: Mapping[str, Any]) -> str:
+    """Return what to do, in words: the keys of a table of the vehicle file that say how a sensor is read."""
+    lines = " and ".join(tomlkit.dumps(keys).splitlines())
+    return f"set {lines} under [{table}] of the vehicle file"
+
+
+def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
+    """Return the 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
+    table = TABLES[name]
+    part = vehicle.sensors.with_columns[table]
+    # ways to read the columns: in words, the matrix by which values are multiplied, and keys of the vehicle file
+    if isinstance(part, Attitude):
+        ways = list(_quaternion_conventions(part))
+    else:
+        ways = [
+            (what, axes_matrix(order, sign), part.keys_for_axes(order, sign))
+            for what, order, sign in signed_axes()
+        ]
+    return [
+        Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
+        for what, matrix, keys in ways
+    ]
+
+
+def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
+    """Yield ways to read quaternions: in words, the matrix (4, 4) by which they are multiplied, and keys of the vehicle file.
+
+    The quaternions are those of the vehicle file: scalar last, B_from_N.
+    """
+    scalar_first = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
+    inverse = np.diag([-1.0, -1.0, -1.0, 1.0])
+    yield "read as the file states", np.eye(4), sensor.keys_for_convention(False, False)
+    other_direction = "read the other way round (B_to_N for N_to_B)"
+    yield other_direction, inverse, sensor.keys_for_convention(False, True)
+    other_end = "with its scalar at the other end"
+    yield other_end, scalar_first, sensor.keys_for_convention(True, False)
+    both = f"{other_end} and read the other way round"
+    yield both, inverse @ scalar_first, sensor.keys_for_convention(True, True)
+
+
+def _other_axes(
+    observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
+) -> Better | None:
+    """Return other axes of the sensor `name` that fit, with exchanged columns that look the same.
+
+    `estimate`: without that sensor. Its readings under each way to read its axes are compared with that motion.
+    """
+    vehicle = observed.vehicle
+    changes = changes_of_sensor(vehicle, name)  # the first is what the file states
+    read = telemetry[name].sel(time=estimate["time"].values).values
+    costs = np.array([_cost(estimate, read @ one.axes[name].T, name, vehicle) for one in changes])
+    best = int(np.argmin(costs))
+    gain = float(costs[0] - costs[best])
+    if not gain > CLEARLY:
+        return None
+    result = trials.fitting(*changes[best].applied(vehicle, telemetry))
+    if result is None:
+        return None
+    # axes that fit as well, those nearest to the stated ones first: a component that stays small may have any sign
+    ties = [
+        int(k)
+        for k in np.flatnonzero(costs < costs[best] + CLEARLY)
+        if k != best and costs[0] - costs[k] > CLEARLY
+    ]
+    ties.sort(key=lambda k: -np.trace(changes[k].axes[name]))
+    omega, at_s = rate_in_the_middle(result)
+    others = [*column_changes(vehicle, telemetry), *wheel_changes(vehicle)]
+    named = with_equivalents(observed, changes[best], result, others)
+    return Better((*named, *(Named(changes[k], omega) for k in ties)), gain, at_s)
+
+
+def _exchanged_by_sensor(
+    observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
+) -> Better | None:
+    """Return changes of columns that only the sensor `name` can see, if it fits the motion as they show it.
+
+    `estimate`: without that sensor, whose readings contradict it. Without the sensor such a change looks the same as the
+    file as it is written, but for a rotation or mirror M of the body. So its motion is that of the file under M, and no further
+    search is needed to compare the sensor with it.
+    """
+    # imported late: `check`, which names the ways of a sensor, does not wait for it
+    from scipy.spatial.transform import Rotation
+
+    vehicle = observed.vehicle
+    sun = np.nan_to_num(estimate["sun_B"].values)
+    without = replace(observed, sensors=observed.sensors - {name}, sun_B=sun)
+    # the file as it is written first
+    changes = [
+        (AS_WRITTEN, np.eye(3)),
+        *alike(without, AS_WRITTEN, column_changes(vehicle, telemetry)),
+    ]
+    read = telemetry[name].sel(time=estimate["time"].values).values
+    attitude = Rotation.from_quat(estimate["B_from_N"].values).as_matrix()
+    costs = np.zeros(len(changes))
+    for k, (_, m) in enumerate(changes):
+        mapped = estimate.assign(
+            omega_B=(estimate["omega_B"].dims, rate_under(m, estimate["omega_B"].values)),
+            B_from_N=(
+                estimate["B_from_N"].dims,
+                Rotation.from_matrix(m @ attitude @ m.T).as_quat(),
+            ),
+        )
+        costs[k] = _cost(mapped, read, name, vehicle)
+    best = int(np.argmin(costs))
+    gain = float(costs[0] - costs[best])
+    if not gain > CLEARLY:
+        return None
+    change, to_best = changes[best]
+    result = trials.fitting(*change.applied(vehicle, telemetry))
+    if result is None:
+        return None
+    omega, at_s = rate_in_the_middle(result)
+    near = [int(k) for k in np.argsort(costs) if k and costs[k] < costs[best] + CLEARLY]
+    # the rate of the best change, mapped back to the file as it is written and on to each of the others
+    named = [Named(changes[k][0], rate_under(changes[k][1] @ to_best.T, omega)) for k in near]
+    return Better(tuple(named), gain, at_s)
+
+
+def _cost(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:
+    """Return what readings (n, 3 or 4) of a sensor cost along a motion: half of their squares, each of them bounded."""
+    return float(np.minimum(_squares(estimate, value, name, vehicle), MOST_SQUARE).sum() / 2)
+
+
+def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> np.ndarray:
+    """Return squared distances, in sigmas, of a sensor's readings from a motion, where both are known.
+
+    `estimate`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
+    compared from sample to sample of a pass, as their frame in space is not known.
+    """
+    from scipy.spatial.transform import Rotation
+
+    sensors = vehicle.sensors
+    known = np.asarray(np.isfinite(value).all(axis=1))
+    inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
+    pairs = inside & known[1:] & known[:-1]
+    if name == "gyro_B" and sensors.gyro is not None:
+        gyro = sensors.gyro
+        spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)
+        zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
+        own = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
+        return ((value - estimate["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
+    turned = Rotation.from_quat(estimate["B_from_N"].values)
+    magnetometer = sensors.magnetometer
+    if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
+        in_space = turned.inv().apply(np.where(known[:, None], value, 0.0))
+        strength = np.linalg.norm(in_space[:-1], axis=1)
+        turning = FIELD_TURN * np.diff(estimate["time"].values) * strength
+        spread = 2 * magnetometer.noise**2 + turning**2
+        return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / spread)[pairs]
+    if name == "attitude_B_from_N" and sensors.attitude is not None:
+        read = Rotation.from_quat(np.where(known[:, None], value, [0.0, 0.0, 0.0, 1.0]))
+        off = ((read[1:] * read[:-1].inv()).inv() * (turned[1:] * turned[:-1].inv())).magnitude()
+        return (off / (np.sqrt(2) * sensors.attitude.sigma_rad))[pairs] ** 2
+    return np.zeros(0)

@@ -1,0 +1,412 @@
+"""Which column is which: whether the motion confirms columns, axes and signs, and what is said if it does not.
+
+A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
+the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
+panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
+better; or they fit other columns as well, and only the motion can tell which are right.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.budget import USUAL, Budget
+from sunspin.estimate.column_tests import (
+    AS_GOOD,
+    MOST_NAMED,
+    MOST_SQUARE,
+    Better,
+    Named,
+    Trials,
+    better_rivals,
+    samples_fit_other_columns,
+    silent_inputs,
+    what_fits_better,
+)
+from sunspin.estimate.equivalence import (
+    AS_WRITTEN,
+    CLEARLY,
+    Observed,
+    alike,
+    column_changes,
+    equivalence,
+    rate_under,
+    unseen_changes,
+    wheel_change,
+    wheel_changes,
+)
+from sunspin.estimate.images import SAME_SIGMAS
+from sunspin.estimate.model import Body, Model, Noise
+from sunspin.estimate.observe import cut, observe, split, wheel_models
+from sunspin.estimate.quick import quick_evidence
+from sunspin.estimate.settings import RatesSettings
+from sunspin.estimate.terms.panels import DARK
+from sunspin.estimate.verdict import (
+    COLUMNS_DOUBTED,
+    COLUMNS_STATED,
+    COLUMNS_UNCHECKED,
+    alike_motions,
+)
+from sunspin.estimate.wheels import Reversed, momentum_of_each, name_of_wheels
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.sun import signals
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.timeline import utc_after
+
+STRAINED, CALMER = 1e-4, 4.0
+"""Strength of unknown torques (rad/s^1.5), chosen by the data, from which a file that fits may have other columns than it states:
+of nine files with two columns exchanged that fit six wanted as much, of their right ones none more than 5e-6. And by what factor a
+change must lower it."""
+
+COLUMN_SHARE = 8.0
+"""Budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and up to 21
+changes of a cube are tried."""
+
+Again = Callable[[Vehicle, xr.Dataset], xr.Dataset]
+"""Function that estimates a vehicle and its telemetry again, without column tests."""
+
+
+def check_columns(
+    result: xr.Dataset,
+    assessment: Assessment,
+    doubt: Reversed | None,
+    again: Again | None,
+    in_orbit: bool,
+    settings: RatesSettings,
+    budget: Budget,
+) -> xr.Dataset:
+    """Return the result of `rates` with what the data say of columns, axes and signs.
+
+    `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. `in_orbit`:
+    elements make the Sun and the field known in space. Passes may lose `decided` and `unique`; `columns_checked` says what is known
+    of the columns. Attributes: `alike`, `columns_unseen`, `columns_doubt`, `columns_changes`, `column_tests_cut`,
+    `symmetric_unlisted`.
+    """
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    observed = what_was_observed(vehicle, telemetry, result.attrs, in_orbit)
+    result = _with_unseen_changes(result, observed, telemetry)
+    result = _with_symmetric_motions(result, observed, telemetry)
+    tests = replace(budget, most=COLUMN_SHARE * budget.most)
+    fits = bool(result["fits"].values.all())
+    others_tried = again is not None and (
+        not fits or _may_hide_exchange(result, observed, telemetry)
+    )
+    if again is not None and others_tried:
+        result = _with_other_columns(result, observed, telemetry, again, settings, tests)
+    if again is not None and fits and "columns_doubt" not in result.attrs:
+        trials = _trials_of(result, np.inf, again, settings, tests)
+        least = 0.0 if doubt is None else doubt.gain
+        result = _with_rivals(result, observed, telemetry, trials, least)
+    # both kinds of tests share a budget
+    if others_tried or tests.cut:
+        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
+
+
+def what_was_observed(
+    vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict, in_orbit: bool
+) -> Observed:
+    """Return what the telemetry has read, as far as it distinguishes changes; `attrs`: of a result, with what the wheels do."""
+    momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
+    observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
+    return replace(observed, panels=observed.panels and attrs["source"] == "panels")
+
+
+def _with_unseen_changes(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
+) -> xr.Dataset:
+    """Return the result with changes of columns that look the same as the file as it is written, and with symmetric motions.
+
+    attrs["columns_unseen"] is JSON, a row for each change: `what`, and the `matrix` by which directions change. Without such
+    changes the data confirm the columns.
+    """
+    if not observed.panels:
+        return result
+    if words := alike_motions(observed.vehicle):
+        result = result.assign_attrs(alike=words)
+    unseen = unseen_changes(replace(observed, sun_B=result["sun_B"].values), telemetry)
+    if not unseen:
+        checked = result["columns_checked"].values
+        confirmed = np.where(checked == COLUMNS_UNCHECKED, COLUMNS_STATED, checked)
+        return result.assign(columns_checked=("pass_id", confirmed))
+    rows = [
+        {"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen
+    ]
+    return result.assign_attrs(columns_unseen=json.dumps(rows))
+
+
+def _with_symmetric_motions(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
+) -> xr.Dataset:
+    """Return the result with no pass unique whose panels read the same in a motion that is not listed.
+
+    The file is then equivalent to itself by a rotation or mirror of the body, as if the lit panels lie in a plane.
+    """
+    if not observed.panels or "noise" not in result.attrs:
+        return result
+    decided, unique = (result[name].values.copy() for name in ("decided", "unique"))
+    why = result["why_not_decided"].values.astype(object)
+    noise = noise_of(result, observed.vehicle)
+    doubted = 0
+    for k in np.flatnonzero(unique & result["fits"].values):
+        lit = Observed.of(observed.vehicle, samples_of(result, telemetry, k)).lit
+        sun = result["sun_B"].values[result["pass_of"].values == k]
+        omega, sigma = (
+            np.stack([result[f"{name}_{axis}"].values[k] for axis in "xyz"], axis=1)
+            for name in ("omega", "sigma")
+        )
+        if has_unlisted_motion(replace(observed, lit=lit, sun_B=sun), omega, sigma, noise):
+            decided[k] = unique[k] = False
+            doubted += 1
+            why[k] = joined(why[k], "several motions: a symmetric one is not listed")
+    return result.assign(
+        decided=("pass_id", decided),
+        unique=("pass_id", unique),
+        why_not_decided=("pass_id", why.astype(np.str_)),
+    ).assign_attrs(symmetric_unlisted=doubted)
+
+
+def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:
+    """Return the noise of the panels' readings: that of the vehicle file, else the estimated one."""
+    stated = vehicle.input_noise
+    return result.attrs["noise"] if stated is None else stated
+
+
+def has_unlisted_motion(
+    observed: Observed, omega: np.ndarray, sigma: np.ndarray, noise: np.ndarray | float
+) -> bool:
+    """Return whether the first of some motions has a symmetric one with the same readings that is none of them.
+
+    `omega`, `sigma` (K, 3) in rad/s: their rates at one time, NaN if there are fewer; `observed.sun_B`: the Sun along the first;
+    `noise`: of the readings, in W or A, or in gains.
+    """
+    power = observed.vehicle.response_in().power
+    read = power(observed.sun_B)
+    # rotations and mirrors of the body by which the file is equivalent to itself
+    for m in equivalence(observed, AS_WRITTEN, AS_WRITTEN):
+        off = np.abs(rate_under(m, omega[0]) - omega)
+        is_listed = (off < SAME_SIGMAS * sigma).all(axis=1).any()
+        # within the errors of the file they need not be exact: whether the readings of this pass stay the same is computed
+        change = (power(observed.sun_B @ m.T) - read) / noise
+        if not is_listed and (change**2).sum() / 2 <= CLEARLY:
+            return True
+    return False
+
+
+def _may_hide_exchange(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
+    """Return whether a file of panels alone that fits may do so only because strong torques, or other gains, were allowed."""
+    if not observed.panels or observed.sensors:
+        return False
+    attrs = result.attrs
+    noise_estimated = attrs["acceleration_noise_from"] != "given"
+    known_body = not attrs["body"].startswith("nearly a sphere")
+    if noise_estimated and known_body and attrs["acceleration_noise"] >= STRAINED:
+        return True
+    return samples_fit_other_columns(
+        observed.vehicle, samples_of(result, telemetry, _longest(result))
+    )
+
+
+def _with_other_columns(
+    result: xr.Dataset,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    again: Again,
+    settings: RatesSettings,
+    budget: Budget,
+) -> xr.Dataset:
+    """Return the result with the changes that fit the longest pass that does not fit, or with the sensor that is in its way.
+
+    If all passes fit, the longest is tried: a change must then explain the samples far better, each by itself, or with far weaker
+    torques.
+    """
+    vehicle, attrs = observed.vehicle, result.attrs
+    unfitted = np.flatnonzero(~result["fits"].values)
+    part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
+    # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
+    needs_calm = not len(unfitted) and not samples_fit_other_columns(vehicle, part)
+    most_noise = attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
+    trials = _trials_of(result, most_noise, again, settings, budget)
+    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
+    better = what_fits_better(here, part, trials)
+    if better is None:
+        return result
+    if isinstance(better, Better):
+        return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+    return result.assign_attrs(columns_doubt=better.words())
+
+
+def _with_rivals(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials, least: float
+) -> xr.Dataset:
+    """Return the result with changes that the samples allow as well and that fit the longest decided pass better, if any.
+
+    `least`: log evidence by which they must be better, that of reversed wheels if their sign is in doubt.
+    """
+    if not observed.panels or observed.sensors or "noise" not in result.attrs:
+        return result
+    decided = np.flatnonzero(result["decided"].values)
+    if not len(decided):
+        return result
+    place = _longest(result, decided)
+    part = samples_of(result, telemetry, place)
+    here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
+    here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
+    trials = replace(trials, least=AS_GOOD)
+    better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
+    if better is None or better.gain < least:
+        return result
+    if better.gain <= CLEARLY:  # too little to accuse the file, but the pass is not decided with it
+        omega, sigma = (
+            np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
+            for name in ("omega", "sigma")
+        )
+        rates_of_changes = [one.omega for one in better.named if one.omega is not None]
+        if all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates_of_changes):
+            return result  # the rate is right with either
+        what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
+        words = f"the data fit as well with {what}: find out which columns are right"
+        reason = f"other columns fit as well (with {what})"
+        return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
+    return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+
+
+def _trials_of(
+    result: xr.Dataset, most_noise: float, again: Again, settings: RatesSettings, budget: Budget
+) -> Trials:
+    """Return how changes are judged; `most_noise` (rad/s^1.5): a change must do with torques of this strength."""
+    attrs = result.attrs
+    source = None if attrs["source"] == "directions" else attrs["source"]
+
+    def evidence(changed: Vehicle, data: xr.Dataset) -> float:
+        """Return the log evidence of the pass by a quick search."""
+        try:
+            assessment = assess(changed, data)
+            seen = observe(assessment, source)
+            (one, *_) = split(seen, np.inf, settings.passes)
+        except InputError:
+            return -np.inf
+        noise = Noise(settings.search.noise)
+        stated = Model(seen.obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
+        stated = stated.with_momentum(momentum)
+        silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
+        return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
+
+    def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        """Return the whole estimate of the pass, if it needs no stronger torques than a change may."""
+        try:
+            made = again(changed, data)
+        except InputError:
+            return None
+        budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
+        return made if made.attrs["acceleration_noise"] <= most_noise else None
+
+    return Trials(evidence, run, budget)
+
+
+def cost_of_silent_panels(assessment: Assessment, samples: np.ndarray) -> float:
+    """Return minus the log likelihood of the readings at `samples` of panels that are left out, as they never show a signal.
+
+    Such a panel is taken to have failed, and its readings for noise about zero. Which panels are so depends on the order of the
+    columns: if these readings counted nothing, two exchanged columns without a signal were better by 125 in a right file.
+    """
+    quality = assessment.quality
+    silent = silent_inputs(assessment)
+    zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
+    read = signals(assessment.telemetry)
+    sigma = np.broadcast_to(np.hypot(quality["noise"].values, zeros), read.shape)
+    read, sigma = read[samples][:, silent], sigma[samples][:, silent]
+    square = np.minimum(np.nan_to_num(read / sigma) ** 2, MOST_SQUARE)
+    return float((np.log(sigma) + square / 2).sum())
+
+
+def _with_doubted_wheels(
+    result: xr.Dataset,
+    doubt: Reversed | None,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    others_tried: bool,
+) -> xr.Dataset:
+    """Return the result with nothing decided if the sign of a wheel is in doubt.
+
+    Unless another change fits, the wheel is named with all changes that look the same. If it does not fit either, and all others
+    were tried (`others_tried`), no change is named.
+    """
+    if doubt is None:
+        return result
+    result = _undecided(result, "the sign of a wheel")
+    if "columns_doubt" in result.attrs:
+        return result
+    change = wheel_change(observed.vehicle, doubt.wheels)
+    if not doubt.fits and others_tried:
+        return result.assign_attrs(
+            columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
+            "single change of columns or signs explains them"
+        )
+    others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
+    others = [one for one in others if one.what != change.what]
+    at = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
+    omega = doubt.omega[at]
+    same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
+    named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
+    return _with_named_changes(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
+
+
+def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
+    """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
+    rows = [
+        {
+            "what": one.change.what,
+            "do": one.change.do,
+            "at_s": better.at_s,
+            "omega_deg_s": None if one.omega is None else np.degrees(one.omega).round(6).tolist(),
+        }
+        for one in better.named
+    ]
+    clock = partial(clock_time, result.attrs.get("epoch_utc"))
+    return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
+
+
+def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
+    """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
+    why = [joined(reason, what) for reason in result["why_not_decided"].values]
+    count = result.sizes["pass_id"]
+    return result.assign(
+        decided=("pass_id", np.zeros(count, dtype=bool)),
+        columns_checked=("pass_id", np.full(count, checked)),
+        why_not_decided=("pass_id", why),
+    )
+
+
+def joined(*reasons: str) -> str:
+    """Return reasons as one text, without empty ones."""
+    return "; ".join(str(reason) for reason in reasons if str(reason))
+
+
+def clock_time(epoch_utc: str | None, t_s: float) -> str:
+    """Return a time (s) in words: the clock on the day of the epoch, date and clock on any other day."""
+    if epoch_utc is None:
+        return f"{t_s:.0f} s"
+    text = utc_after(t_s, epoch_utc)
+    return text[11:19] if text[:10] == utc_after(0.0, epoch_utc)[:10] else text
+
+
+def _longest(result: xr.Dataset, which: np.ndarray | None = None) -> int:
+    """Return the number of the pass with the most samples, of all or of those in `which`."""
+    which = np.arange(result.sizes["pass_id"]) if which is None else which
+    return int(which[np.argmax(result["samples"].values[which])])
+
+
+def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
+    """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
+    times, first = np.unique(telemetry["time"].values, return_index=True)
+    used = result["time"].values[result["pass_of"].values == k]
+    return cut(telemetry, first[np.isin(times, used)])

@@ -1,0 +1,209 @@
+"""From the samples that a fit has kept to all of them, and to instants between; and how far each sensor is from a motion.
+
+Between two kept samples the motion is carried forward from the first and backward from the second by the equations of motion, and
+the two are blended. Unknown torques in between are white angular acceleration whose ends are held: a bridge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sunspin.estimate.carry import RATE, TURN, Step, angle_turned, step
+from sunspin.estimate.chain import earlier_states, latency
+from sunspin.estimate.model import Model, Observations, States, Track
+from sunspin.estimate.terms.term import Term
+from sunspin.estimate.verdict import in_sigma
+from sunspin.solve.rotations import rotate_attitude, rotation_between
+
+CURVE_RAD, LEAST_INSTANTS, MOST_INSTANTS = 0.1, 50, 6000
+"""Turn of body or rate between two instants of a curve, unless that takes more instants than the last number."""
+
+COARSE_RAD, MOST_COARSE = 0.5, 60_000
+"""Then they turn by this much, below 30 degrees, so that whoever interpolates goes the right way round. The last number, 8 hours at
+60 deg/s, takes 90 MB while it is computed."""
+
+TOGETHER = 1e-4
+"""An instant nearer to a sample than this part of the time between two instants is that sample."""
+
+
+@dataclass(frozen=True)
+class Filled:
+    """K motions carried from kept samples (n) to all (N).
+
+    `track`: at all samples, at the kept ones as given. `mean_map` (K, n, 3, 6): derivative of the mean rate over all samples by
+    turn and rate at each kept one.
+    """
+
+    track: Track
+    mean_map: np.ndarray
+
+
+def filled(
+    model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: np.ndarray
+) -> Filled:
+    """Carry motions to all samples.
+
+    Parameters
+    ----------
+    model : Model
+        Of the kept samples.
+    motions : Track
+        Motions there, with covariance.
+    t_s : (N), s
+        All times, those of the kept samples among them, the first and the last being kept.
+    momentum : (N, 3)
+        Momentum of the wheels, in mean moments times rad/s.
+    noise : (n - 1), rad/s^1.5
+        Strength of the unknown torques in the intervals between kept samples.
+    """
+    kept = model.obs
+    # indices into all samples: of the kept ones, and of the others; and which kept one is before each of the others
+    of_kept = np.searchsorted(t_s, kept.t_s)
+    others = np.setdiff1d(np.arange(len(t_s)), of_kept)
+    before = np.searchsorted(of_kept, others) - 1
+    span = kept.t_s[before + 1] - kept.t_s[before]
+    share = (t_s[others] - kept.t_s[before]) / span
+    # a cubic that is level at both ends, so that there the rate of change of the attitude is the rate
+    blend = share**2 * (3 - 2 * share)
+
+    k, n, n_all = len(motions), len(kept), len(t_s)
+    attitude, omega = np.empty((k, n_all, 3, 3)), np.empty((k, n_all, 3))
+    covariance = np.empty((k, n_all, 6, 6))
+    attitude[:, of_kept], omega[:, of_kept] = motions.attitude, motions.omega
+    covariance[:, of_kept] = motions.covariance
+    mean_map = np.zeros((k, n, 3, 6))
+    mean_map[..., RATE] = np.eye(3)
+
+    inertia = model.body.inertia_at(motions.u[:, model.of_body])
+    carried: list[Step] = []
+    spread = _bridge(share, span, noise[before])
+    # forward from the sample before, backward from the one after; covariances are blended as if both were the same motion
+    for start, weight in ((before, 1 - blend), (before + 1, blend)):
+        dt = t_s[others] - kept.t_s[start]
+        momenta = kept.momentum[start], momentum[others]
+        made = step(inertia, motions.omega[:, start], dt, momenta, derivatives=True)
+        by_start = made.by_start
+        assert by_start is not None
+        carried.append(made._replace(turned=made.turned @ motions.attitude[:, start]))
+        propagated = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
+        spread = spread + weight[:, None, None] * propagated
+        for i in range(n):
+            from_i = start == i
+            of_rate = by_start[:, from_i, RATE]
+            mean_map[:, i] += np.einsum("m,kmij->kij", weight[from_i], of_rate)
+    forward, backward = carried
+    weight = blend[:, None]
+    turn = rotation_between(forward.turned, backward.turned)
+    attitude[:, others] = rotate_attitude(forward.turned, weight * turn)
+    omega[:, others] = forward.omega + weight * (backward.omega - forward.omega)
+    covariance[:, others] = spread
+    track = replace(motions, attitude=attitude, omega=omega, covariance=covariance)
+    return Filled(track, mean_map / n_all)
+
+
+def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the covariance (m, 6, 6) of turn and rate at a share (m) of intervals (m) in s, under noise (m) in rad/s^1.5.
+
+    The noise is white angular acceleration q; turn and rate are held at both ends of the interval T. Their variances are q^2 T^3
+    s^3 / 3 and q^2 T s (1 - 3 s), with s = share (1 - share).
+    """
+    s = (share * (1 - share))[:, None, None]
+    square = (noise**2 * span)[:, None, None] * np.eye(3)
+    covariance = np.zeros((len(share), 6, 6))
+    covariance[:, TURN, TURN] = square * span[:, None, None] ** 2 * s**3 / 3
+    covariance[:, RATE, RATE] = square * s * (1 - 3 * s)
+    return covariance
+
+
+def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]:
+    """Return even instants (m) in s, and one motion there: so close that straight lines between them will do.
+
+    `model`: of all samples of the pass, at which the motion (K = 1) is known; `noise`: strength of unknown torques, rad/s^1.5.
+    """
+    t_s, momentum = model.obs.t_s, model.obs.momentum
+    spans = np.diff(t_s)
+    angle = angle_turned(
+        model.body.inertia[None], motion.omega[:, :-1], spans, (momentum[:-1], momentum[1:])
+    )
+    # if it turned as fast as it ever does
+    turned = float((t_s[-1] - t_s[0]) * np.max(angle / spans))
+    most = max(MOST_INSTANTS, min(np.ceil(turned / COARSE_RAD), MOST_COARSE))
+    count = int(np.clip(np.ceil(turned / CURVE_RAD), LEAST_INSTANTS, most)) + 1
+    instants = np.linspace(t_s[0], t_s[-1], count)
+    near = (instants[1] - instants[0]) * TOGETHER
+    # samples and instants in one order; an instant next to a sample is left out, and read off there
+    next_instant = np.minimum(np.searchsorted(instants, t_s - near), count - 1)
+    met = np.abs(instants[next_instant] - t_s) <= near
+    times = np.union1d(np.delete(instants, next_instant[met]), t_s)
+    wheels = np.stack([np.interp(times, t_s, part) for part in momentum.T], axis=1)
+    track = filled(model, motion, times, wheels, np.full(len(spans), noise)).track
+    at = np.searchsorted(times, instants - near)
+    return instants, Track(
+        track.attitude[:, at], track.omega[:, at], track.u, covariance=track.covariance[:, at]
+    )
+
+
+def residuals_by_sensor(
+    obs: Observations, model: Model, track: Track, kept: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return for each sensor how far its readings are from motions at all samples (K, N), in sigmas; NaN where it read nothing.
+
+    Parameters
+    ----------
+    obs : Observations
+        Of all N samples.
+    model : Model
+        Of the kept samples, to which the motions were fitted.
+    track : Track
+        The motions at all samples.
+    kept : (n), int
+        Which samples were kept. At all others the covariance of the motion itself is added to the noise of a reading: there the
+        motion was not fitted to it.
+
+    Errors that the vehicle file does not state (`Unknown.doubted`) are put to zero: a sensor fits if its readings agree with what
+    the file states.
+    """
+    was_fitted = np.isin(np.arange(len(obs)), kept)
+    spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)
+    u = track.u * np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
+    residuals: dict[str, np.ndarray] = {}
+    late, earlier = latency(model, u), None
+    if late is not None:
+        earlier = earlier_states(replace(model, obs=obs), track, late.late_s).states
+    for term, of_term in zip(obs.terms, model.of_terms, strict=False):
+        freedom = term.freedom()
+        if not len(freedom) or not freedom.any():
+            continue
+        states = track if term.of_sun or earlier is None else earlier
+        square = _squares(term, states, u[:, of_term], spread, np.diff(obs.t_s))
+        sigmas = np.where(freedom > 0, in_sigma(square, freedom), np.nan)
+        # two terms of one sensor share a label: the second counts where it read
+        known = residuals.get(term.label, np.nan)
+        residuals[term.label] = np.where(np.isnan(sigmas), known, sigmas)
+    return residuals
+
+
+def _squares(
+    term: Term, states: States, u: np.ndarray, spread: np.ndarray, dt: np.ndarray
+) -> np.ndarray:
+    """Return squared differences (K, N) of a term, under the noise of its readings and the covariance of the states together.
+
+    They are d^T (1 + S C S^T)^-1 d. S is the slope of the differences d by turn and rate, C the covariance `spread` (K, N, 6, 6).
+    If neighbours are compared, dt (N - 1) apart, the errors of both attitudes differ by that of the rate times dt.
+    """
+    square = np.zeros(states.omega.shape[:2])
+    for residual in term.residuals(states, u):
+        if residual.by_previous is not None:
+            of_turn = np.zeros_like(spread)
+            of_turn[:, 1:, TURN, TURN] = spread[:, 1:, RATE, RATE] * dt[:, None, None] ** 2
+            spread = of_turn
+        slope = np.zeros((*residual.value.shape, 6))
+        for part, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate)):
+            if derivative is not None:
+                slope[..., part] = derivative
+        covariance = np.eye(slope.shape[-2]) + slope @ spread @ np.swapaxes(slope, -1, -2)
+        whitened = np.linalg.solve(covariance, residual.value[..., None])[..., 0]
+        square += np.einsum("knr,knr->kn", residual.value, whitened)
+    return square

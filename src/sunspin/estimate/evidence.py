@@ -1,0 +1,265 @@
+"""How probable motions are: under every strength of unknown torques, every size of an error, and every model.
+
+The probability of a model, and of a motion under it, is the integral of the posterior density around its minimum (Laplace's
+method). A strength that is not known is a list of equally likely values. All of them stay in the sum: evidence chooses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.special import log_softmax, logsumexp
+
+from sunspin.estimate.carry import RATE, TURN
+from sunspin.estimate.chain import Fit, fit
+from sunspin.estimate.copies import distinct
+from sunspin.estimate.model import AS_STATED, Model, Track
+from sunspin.estimate.settings import LadderSettings, SearchSettings
+from sunspin.solve.rotations import rotate_attitude
+
+TORQUES = ("steady_torque", "magnetic_torque")
+"""Kinds of unknowns that turn the body far, so that the states follow them linearly only near the fit."""
+
+
+@dataclass(frozen=True)
+class PassFits:
+    """All fits of one pass.
+
+    `fits`: one for each model and rung of the ladder; `rungs` (r) in rad/s^1.5 with the logs of their prior probabilities
+    `log_rung` (r). `used`, `cut`: how much was computed, and whether something was left out.
+    """
+
+    stated: Model
+    fits: tuple[Fit, ...]
+    rungs: tuple[float, ...]
+    log_rung: np.ndarray
+    used: float = 0.0
+    cut: bool = False
+
+    def rung(self, one: Fit) -> int:
+        """Return on which rung a fit stands."""
+        return self.rungs.index(one.model.noise.acceleration)
+
+    def log_evidence_of_rungs(self) -> np.ndarray:
+        """Return the log evidence (r) of each rung, motions and models summed, before its prior; minus infinity without a fit."""
+        total = np.full(len(self.rungs), -np.inf)
+        for one in self.fits:
+            rung = self.rung(one)
+            total[rung] = np.logaddexp(total[rung], logsumexp(one.log_evidence))
+        return total
+
+
+def ladder(
+    model: Model,
+    motions: Track,
+    s: LadderSettings,
+    of_search: SearchSettings,
+    first_rung: float,
+    rival: float = -np.inf,
+) -> list[Fit]:
+    """Return fits of a model under every strength of unknown torques, one for each rung that is reached.
+
+    From `first_rung` up, then from the fit there down, each from where the one before ended: under weak torques a motion hardly
+    moves. A path ends with a rung that is hopeless compared with the best one, or with another model of the log evidence `rival`.
+    `of_search`: what a copy of a motion is, and how many motions are kept.
+
+    If a rung above leaves the first one hopeless, the fit there may have ended on its way to a minimum. The path down begins where
+    that up ended then, and fits all rungs again. A body with products of inertia that its file stated as zero cost 196 on the
+    first rung, 24 on the next, and 229 below the first; its alias, which came down from strong torques, was decided.
+    """
+    if not len(motions):
+        return []
+    start, of_first = _fitted(model.under(first_rung), motions, s.first_steps, s, of_search)
+    fits = {first_rung: of_first} if first_rung in s.rungs and len(start) else {}
+
+    def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
+        """Add the fits on a path, from the last one before it, to `fits`; return the last one and its rung."""
+        for rung in path:
+            # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is
+            steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
+            for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
+                under = model.under(level)
+                begin = restated(last.motions, last.model, under)
+                if level in fits:  # what was found there on the way up stays
+                    begin = Track.joined([begin, fits[level].to_begin_from])
+                last, shared = _fitted(under, begin, s.steps, s, of_search)
+            last_rung = rung
+            if not len(last):
+                break
+            fits[rung] = shared
+            best = max(rival, *(float(one.log_evidence.max()) for one in fits.values()))
+            if shared.log_evidence.max() < best - s.hopeless:
+                break
+        return last, last_rung
+
+    rungs = sorted(s.rungs)
+    top, rung = follow([rung for rung in rungs if rung > first_rung], start, first_rung)
+    best = max((float(one.log_evidence.max()) for one in fits.values()), default=-np.inf)
+    if not len(top) or of_first.log_evidence.max(initial=-np.inf) >= best - s.hopeless:
+        top, rung = start, first_rung
+    follow([below for below in reversed(rungs) if below < rung], top, rung)
+    return list(fits.values())
+
+
+def _fitted(
+    model: Model, motions: Track, steps: int, s: LadderSettings, of_search: SearchSettings
+) -> tuple[Fit, Fit]:
+    """Return the fit of motions without copies and hopeless ones, and the same with the shares of its unknowns' sigmas summed.
+
+    What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
+    """
+    one = fit(model, motions, steps, s.tolerance)
+    shared = over_shares(one, s.beyond_fit)
+    which = _distinct(shared, s, of_search)
+    return one.take(which), shared.take(which)
+
+
+def restated(motions: Track, before: Model, after: Model) -> Track:
+    """Return motions with their unknowns, in sigmas of the model `before`, in the sigmas of another one with the same unknowns.
+
+    The other one may have more unknowns at the end, which are left out.
+    """
+    pairs = zip(before.unknowns, after.unknowns, strict=False)
+    ratio = np.ones(motions.u.shape[1])
+    for k, (was, now) in enumerate(pairs):
+        ratio[k] = was.sigma / now.sigma if now.sigma > 0 else was.sigma
+    return replace(motions, u=motions.u * ratio)
+
+
+def _distinct(one: Fit, s: LadderSettings, of_search: SearchSettings) -> np.ndarray:
+    """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
+    return distinct(
+        one.motions, one.model.obs.t_s, of_search, drop=s.hopeless, order_by=-one.log_evidence
+    )
+
+
+def over_shares(one: Fit, beyond_fit: float) -> Fit:
+    """Return a fit with evidence and moments summed over the shares of its unknowns' sigmas.
+
+    The fit is under the widest sigmas. Its unknowns u have the mean m and the precision P. If the readings depend on them linearly,
+    a prior with the share c of a sigma adds d = 1/c^2 - 1 to the precision of each: P' = P + d, and P' m' = P m. The log evidence
+    changes by (m' P' m' - m P m + log det P - log det P') / 2, less log c for each unknown: the norm of its prior.
+
+    Constant torques turn the body far, and the readings are linear only near the fit: shares that allow `beyond_fit` times more
+    than the fitted size get nothing.
+    """
+    groups: dict[str, list[int]] = {}
+    for i, unknown in enumerate(one.model.unknowns):
+        if len(unknown.shares) > 1:
+            groups.setdefault(unknown.kind, []).append(i)
+    if not groups or not len(one):
+        return one
+    # only these unknowns (g) change by themselves; `of_kind`: their indices among the g
+    shared = np.concatenate([*groups.values()])
+    of_kind = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
+    u = one.motions.u[:, shared]
+    of_shared = np.nan_to_num(one.u_covariance[:, shared[:, None], shared])
+    # a fit that did not end in a minimum has a covariance that is none: it stays under the widest sigmas
+    sound = np.linalg.eigvalsh(of_shared)[:, 0] > 0
+    of_shared = np.where(sound[:, None, None], of_shared, np.eye(len(shared)))
+    precision = np.linalg.pinv(of_shared, hermitian=True)
+    slope = (precision @ u[..., None])[..., 0]
+    before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
+
+    gains, means, covariances = [], [], []  # of each combination of shares (c)
+    for shares in product(*(one.model.unknowns[group[0]].shares for group in groups.values())):
+        added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(one), dtype=bool)
+        for share, (kind, group) in zip(shares, groups.items(), strict=True):
+            added[of_kind[kind]] = 1 / share**2 - 1
+            log_size += len(group) * np.log(share)
+            if kind in TORQUES:
+                size = np.abs(u[:, of_kind[kind]]).max(axis=1)
+                least = min(one.model.unknowns[group[0]].shares)
+                allowed &= share <= beyond_fit * np.maximum(size, least)
+        matrix = precision + np.diag(added)
+        covariance = np.linalg.inv(matrix)
+        mean = (covariance @ slope[..., None])[..., 0]
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)
+        gain = np.where(allowed, (before - after) / 2 - log_size, -np.inf)
+        gains.append(np.where(sound, gain, 0.0 if set(shares) == {1.0} else -np.inf))
+        means.append(mean)
+        covariances.append(covariance)
+    gain, mean, covariance = np.array(gains), np.array(means), np.array(covariances)
+
+    # mean and covariance of the mixture of all shares
+    weight = np.exp(gain - logsumexp(gain, axis=0))
+    centre = np.einsum("ck,ckg->kg", weight, mean)
+    off = mean - centre
+    spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
+    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `one.states_by_u`
+    by_shared = one.u_covariance[:, :, shared] @ precision
+    u_change = sound[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
+    widening = sound[:, None, None] * by_shared @ (spread - of_shared)
+    widening = widening @ np.swapaxes(by_shared, -1, -2)
+    state_change = np.einsum("knim,km->kni", one.states_by_u, u_change)
+    state_widening = one.states_by_u @ widening[:, None] @ np.swapaxes(one.states_by_u, -1, -2)
+    motions = Track(
+        rotate_attitude(one.motions.attitude, state_change[..., TURN]),
+        one.motions.omega + state_change[..., RATE],
+        one.motions.u + u_change,
+        one.motions.cost,
+        one.motions.covariance + state_widening,
+    )
+    log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
+    u_covariance = one.u_covariance + widening
+    return Fit(one.model, motions, log_evidence, u_covariance, one.states_by_u, one.motions)
+
+
+def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
+    """Return the passes with a prior of each rung that comes in part from the other passes of the file.
+
+    The same torques act in all passes of a file, mostly. The share `common` of the prior of a rung comes from the others, the rest
+    is even. What the others say of a rung is the product of their evidences of it, each of them mixed in the same way with its mean
+    evidence: one odd pass must not decide.
+    """
+    log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
+    even = np.full(log.shape[1], -np.log(log.shape[1]))
+    # a pass has the file's rung with the probability `common`, else any; logs of different passes add
+    alone = logsumexp(log + even, axis=1, keepdims=True)
+    combined = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
+    others = combined.sum(axis=0) - combined
+    prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
+    return [replace(one, log_rung=row) for one, row in zip(passes, prior, strict=True)]
+
+
+def leading(fits: Sequence[Fit], count: int, of_search: SearchSettings) -> Track:
+    """Return the most probable motions of the nominal model, of any rung, without copies."""
+    stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
+    if not stated:
+        return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
+    motions = Track.joined([one.to_begin_from for one in stated])
+    log = np.concatenate([one.log_evidence for one in stated])
+    t_s = stated[0].model.obs.t_s
+    return motions.take(distinct(motions, t_s, of_search, count, np.inf, order_by=-log))
+
+
+def likeliest(fits: Sequence[Fit]) -> Fit:
+    """Return the fit with the most probable motion, before the prior of the rungs."""
+    return max((one for one in fits if len(one)), key=lambda one: float(one.log_evidence.max()))
+
+
+def likeliest_cost(fits: Sequence[Fit]) -> float:
+    """Return the cost of the most probable motion: under the strongest torques nearly everything costs little."""
+    pairs = [(one.log_evidence[k], one.motions.cost[k]) for one in fits for k in range(len(one))]
+    return float(max(pairs)[1]) if pairs else np.inf
+
+
+def united(fits: Sequence[Fit], s: LadderSettings, of_search: SearchSettings) -> list[Fit]:
+    """Return one fit for each model and rung: a motion that was met twice there counts once."""
+    groups: dict[tuple[str, float], list[Fit]] = {}
+    for one in fits:
+        groups.setdefault((one.model.what, one.model.noise.acceleration), []).append(one)
+    joined = [_joined(group) for group in groups.values()]
+    return [one.take(_distinct(one, s, of_search)) for one in joined]
+
+
+def _joined(fits: list[Fit]) -> Fit:
+    """Return the motions of several fits of one model."""
+    parts = ((one.log_evidence, one.u_covariance, one.states_by_u) for one in fits)
+    motions = Track.joined([one.motions for one in fits])
+    lowest = Track.joined([one.to_begin_from for one in fits])
+    joined = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Fit(fits[0].model, motions, *joined, lowest)

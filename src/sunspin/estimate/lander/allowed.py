@@ -1,0 +1,98 @@
+"""Which directions to the Sun the readings of a sample allow, and by how much they contradict others."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from sunspin.estimate.settings import GridSettings
+from sunspin.estimate.terms.powers import PanelPowers
+from sunspin.vehicle.response.planes import sphere
+
+
+def possible_directions(panels: PanelPowers, sample: int, s: GridSettings) -> np.ndarray:
+    """Return directions to the Sun (c, 3), spaced evenly, that the readings of a sample allow; best first."""
+    here = panels.take(slice(sample, sample + 1))
+    around = sphere(s.directions)
+    light = panels.brightness * panels.response.power(around)[:, None]
+    if panels.throttled:
+        light = here.best_factor(light)[0] * light
+    full = panels.brightness * panels.response.power(panels.response.facing_B).diagonal()
+    tolerance = np.hypot(s.sigmas * panels.sigma, s.brightness * full)
+    square = np.minimum(((light[:, 0] - here.power[0]) / tolerance) ** 2, s.cap)
+    misfit = square @ here.used[0]
+    order = np.argsort(misfit, kind="stable")
+    allowed = around[order][misfit[order] < misfit.min() + 1.0]
+    # the farthest from all that are kept is kept next, until each is near one of them
+    kept, nearest = allowed[:1], allowed @ allowed[0]
+    while nearest.min() < np.cos(s.directions_rad):
+        kept = np.concatenate([kept, allowed[[np.argmin(nearest)]]])
+        nearest = np.maximum(nearest, allowed @ kept[-1])
+    return kept
+
+
+def shortfall(
+    panels: PanelPowers, sun_B: np.ndarray, angle_rad: float, s: GridSettings
+) -> np.ndarray:
+    """Return by how much (K, n) readings contradict all directions within an angle of `sun_B` (K, n, 3).
+
+    Of throttled samples all factors are tried on which a reading may decide: if any agrees with all, one at the end of the interval
+    that a reading allows does.
+    """
+    low, high = panels.response.bounds(sun_B, angle_rad)
+    low = panels.brightness * low * (1 - s.brightness)
+    high = panels.brightness * high * (1 + s.brightness)
+    slack = s.sigmas * panels.sigma
+    factors: list[np.ndarray | float] = [1.0]
+    if panels.throttled:
+        factors = []
+        for bound, value in ((high, panels.power - slack), (low, panels.power + slack)):
+            usable = panels.used & (bound > 0)
+            ends = np.divide(
+                np.maximum(value, 0.0) + np.zeros_like(bound),
+                bound,
+                out=np.zeros_like(bound),
+                where=usable,
+            )
+            factors += list(np.moveaxis(ends, -1, 0)[..., None])
+    least = np.full(low.shape[:2], np.inf)
+    for factor in factors:
+        short = np.maximum(factor * low - panels.power, panels.power - factor * high)
+        beyond = np.maximum(short / panels.sigma - s.sigmas, 0.0)
+        square = np.where(panels.used, np.minimum(beyond**2, s.cap), 0.0).sum(axis=2)
+        least = np.minimum(least, square)
+    return least
+
+
+class Nodes:
+    """Directions on the faces of a cube, by which readings are compared with any direction once and for all."""
+
+    def __init__(self, size: int) -> None:
+        """Place (size + 1)^2 nodes on each of the faces +x, -x, +y, -y, +z, -z, along the next two axes."""
+        self.size = size
+        side = np.linspace(-1, 1, size + 1)
+        row, column = np.meshgrid(side, side, indexing="ij")
+        faces = []
+        for axis, sign in product(range(3), (1.0, -1.0)):
+            face = np.empty((size + 1, size + 1, 3))
+            face[..., axis], face[..., (axis + 1) % 3] = sign, row
+            face[..., (axis + 2) % 3] = column
+            faces.append(face.reshape(-1, 3))
+        every = np.concatenate(faces)
+        self.directions = every / np.linalg.norm(every, axis=1, keepdims=True)
+
+    def nearest(self, direction: np.ndarray) -> np.ndarray:
+        """Return the index (...) of the node nearest to each direction (..., 3)."""
+        shape, flat = direction.shape[:-1], direction.reshape(-1, 3)
+        axis = np.argmax(np.abs(flat), axis=1)
+        top, row, column = (
+            np.take_along_axis(flat, (axis[:, None] + k) % 3, axis=1)[:, 0] for k in range(3)
+        )
+        length = np.maximum(np.abs(top), 1e-300)
+        i, j = (
+            np.rint((part / length + 1) * (self.size / 2)).astype(np.int64)
+            for part in (row, column)
+        )
+        face = 2 * axis + (top < 0)
+        return (face * (self.size + 1) ** 2 + i * (self.size + 1) + j).reshape(shape)

@@ -1,0 +1,321 @@
+"""How the motions of a lander are carried through a search: fitted to a window, compared, and widened to the next one."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from sunspin.compute.pool import worker_count
+from sunspin.estimate.lander.allowed import shortfall
+from sunspin.estimate.lander.families import (
+    distinct_fits,
+    one_each_box,
+    one_each_sheet,
+    with_neighbours,
+)
+from sunspin.estimate.lander.fit import (
+    FINAL_ERROR,
+    Problem,
+    fit_finally,
+    fit_first,
+    in_pieces,
+)
+from sunspin.estimate.lander.grid import Place
+from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
+from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
+from sunspin.estimate.search import grown
+from sunspin.estimate.settings import PosteriorSettings
+from sunspin.estimate.terms.powers import TILT
+
+MORE = "more trial solutions than the search can follow"
+
+TRIAL_ERROR = 1e-3
+"""Error of directions (rad) in runs that only look whether a sample allows a motion."""
+
+FIT_S = 0.005
+"""s of one core for a motion that is fitted to five samples, with what follows."""
+
+LONG_S = 60.0
+"""A stage that takes longer than this is announced before it begins."""
+
+
+class Shooting:
+    """Motions given by one state at the reference, in a search (:class:`sunspin.estimate.search.Carrier`).
+
+    `notes`: what the verdict has to say of the search; `complete`: every motion that may fit was followed.
+    """
+
+    def __init__(
+        self,
+        model: LanderModel,
+        place: Place,
+        s: PosteriorSettings,
+        workers: int | None = None,
+        torque_size: int | None = None,
+    ) -> None:
+        """Begin a search under a model whose reference is at `place`.
+
+        The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, which hide the true motion on
+        their sheets. `torque_size`: index of the sigma of a constant torque, if one acts.
+        """
+        self.model, self.place = model, place
+        self.sizes: Sizes = {"inertia": 0}
+        if torque_size is not None:
+            self.sizes = {"inertia": 0, "steady_torque": torque_size}
+        self.s, self.growth, self.workers = s.shooting, s.search.growth, worker_count(workers)
+        self.settings = s
+        self.t_s = model.obs.t_s
+        self.notes: list[str] = list(place.notes)
+        self.complete = not place.notes
+        self.fitted = 0  # motions times samples
+        self.trace: list[
+            tuple[int, int, int]
+        ] = []  # samples of a window, motions fitted to it, and kept
+        self._asked = 0
+
+    def of(self, model: LanderModel) -> Shooting:
+        """Return the same for a model of the same readings under a constant torque."""
+        return Shooting(model, self.place, self.settings, self.workers, self.s.searched_under)
+
+    def _note(self, text: str, complete: bool) -> None:
+        """Note once what the verdict has to say."""
+        self.complete &= complete
+        if text not in self.notes:
+            self.notes.append(text)
+
+    # ---- the search --------------------------------------------------------------------------------------------------------
+
+    def fit(self, motions: Trials, window: slice) -> Trials:
+        """Return motions fitted to the samples of a window, those that fit by far too badly only to half.
+
+        If body and wheel are free, copies are joined first, as a fit to the end takes as long as all before. Derivatives are
+        computed again: a motion answers to a further sample by a long way along its sheet, and noise would take up the misfit.
+        """
+        s = self.s
+        problem, held = self._problem(window)
+        first = not len(motions.normal) and not len(motions.neighbours_s)
+        levels = s.first_levels if first else s.levels
+        limit = self.cost_limit(window)
+        hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
+        fitted = self._fitted(
+            problem, motions, partial(fit_first, hopeless=hopeless, held=held), levels
+        )
+        if not held and window.stop - window.start > s.held:
+            fitted = self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
+        self._asked = len(motions)
+        return fitted
+
+    def note_window(self, window: slice, kept: Trials) -> None:
+        """Add a window to the trace: how many motions were fitted to it, and are kept."""
+        self.trace.append((window.stop - window.start, self._asked, len(kept)))
+
+    def _fitted(
+        self,
+        problem: Problem,
+        motions: Trials,
+        fit: Callable[..., tuple[Shots, np.ndarray]],
+        levels: Sequence[tuple[float, int]],
+    ) -> Trials:
+        """Return motions fitted by a function of a problem, motions and levels."""
+        self.fitted += len(motions) * len(problem.model.obs)
+        one = partial(fit, problem, levels=levels)
+        shots, normal = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
+        neighbours_s = motions.neighbours_s if len(motions.neighbours_s) else np.zeros(len(shots))
+        return Trials(shots, motions.starts, normal, neighbours_s)
+
+    def _problem(self, window: slice) -> tuple[Problem, bool]:
+        """Return the fit to a window, and whether body and wheel are held at their centres.
+
+        Each panel's own tilts are left alone and counted as noise: they would be as many as readings. The rotation of all panels
+        stays free: a few samples fit a motion in rotated axes too, and as noise it would let through many more.
+        """
+        held = window.stop - window.start < self.s.held
+        model = self.model.seeing(window)
+        terms = (model.panels.with_tilts_as_noise(), *model.given)
+        model = replace(model, obs=replace(model.obs, terms=terms))
+        free = np.ones(len(model.unknowns), dtype=bool)
+        free[model.places(TILT)] = False
+        free[: len(model.of_motion)] = not held
+        return Problem(model, free, sizes=self.sizes), held
+
+    def kept(self, motions: Trials, window: slice) -> Trials:
+        """Return motions without copies and without those that the readings rule out, best first."""
+        s = self.s
+        limit, best = self.cost_limit(window), float(np.min(motions.cost, initial=np.inf))
+        possible = motions.cost <= min(limit, best + s.drop + s.slack)
+        size = f"({window.stop - window.start} samples)"
+        if not possible.any():
+            order = np.argsort(motions.cost, kind="stable")[: s.kept_anyway]
+            possible = np.zeros(len(motions), dtype=bool)
+            possible[order[np.isfinite(motions.cost[order])]] = True
+            self._note(f"no motion is within the noise {size}", complete=True)
+        wider = grown(self.t_s, window, self.growth)
+        reach_s = float(np.abs(self.t_s[wider]).max())
+        motions = self._at_most(
+            one_each_box(motions.take(possible), reach_s, s), s.most_boxes, size
+        )
+        if window.stop - window.start < s.held:
+            return motions
+        return self._at_most(one_each_sheet(motions, s), s.most, size)
+
+    def _at_most(self, motions: Trials, most: int, where: str) -> Trials:
+        """Return at most so many motions (best first), evenly by how well they fit: all of a line fits well, and its ends count."""
+        if len(motions) <= most:
+            return motions
+        self._note(f"{MORE} {where}", complete=False)
+        even = np.linspace(0, len(motions) - 1, most).round().astype(int)
+        return motions.take(np.unique(even))
+
+    def widened(self, motions: Trials, window: slice, wider: slice) -> Trials:
+        """Return motions for a wider window: with neighbours of families, without those that the next samples rule out.
+
+        A look at the next sample takes one run, where a fit takes forty.
+        """
+        s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
+        if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
+            motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
+        else:
+            motions = replace(motions, normal=motions.normal[:0])
+        allowed = np.ones(len(motions), dtype=bool)
+        for sample in (window.start - 1, window.stop):
+            if wider.start <= sample < wider.stop:
+                allowed[allowed] = self._allowed(motions.shots.take(allowed), sample)
+        going = motions.take(allowed) if allowed.any() else motions
+        count = wider.stop - wider.start
+        left = max(s.most_search - self.fitted, s.least_work) // 3
+        most = min(s.most_work, left) // count
+        self._announce(len(going), most, count)
+        return self._at_most(going, most, f"({count} samples)")
+
+    def _allowed(self, shots: Shots, sample: int) -> np.ndarray:
+        """Return which motions (K) a sample allows.
+
+        Some direction within `look_rad` of the predicted Sun explains its panels, and the rate at the first sample is not above the
+        largest.
+        """
+        g = self.settings.grid
+        model = self.model.seeing(slice(sample, sample + 1))
+        bare = replace(model, obs=replace(model.obs, terms=(model.panels,)))
+        allowed = np.zeros(len(shots), dtype=bool)
+        for start in range(0, len(shots), 8192):
+            rows = slice(start, start + 8192)
+            carried = bare.carried(shots.take(rows), TRIAL_ERROR)
+            sun = np.nan_to_num(carried.seen.sun_B)
+            short = shortfall(bare.panels, sun, self.s.look_rad, g).sum(axis=1)
+            allowed[rows] = (short <= g.limit) & carried.fine
+        slow = self.model.first_speed(shots.take(allowed), TRIAL_ERROR) <= self.place.fastest
+        allowed[allowed] = slow
+        return allowed
+
+    def _announce(self, going: int, most: int, samples: int) -> None:
+        """Tell whoever waits before a fit that takes long or leaves motions out, with what would help."""
+        took = FIT_S * min(going, most) * samples / self.s.held
+        log = logging.getLogger("sunspin")
+        if going > most:
+            smaller = self.place.given * (most / going) ** (1 / 3)
+            log.warning(
+                "sunspin: %d motions may fit %d samples; %d of them are followed, which takes about %.1f min, and the search will "
+                "not be complete; with --prior max_rate_rad_s=%.2g about all of them would be followed",
+                going,
+                samples,
+                most,
+                took / 60,
+                smaller,
+            )
+        elif samples == self.s.held and took > LONG_S:
+            log.warning(
+                "sunspin: %d motions may fit %d samples; following them takes about %.1f min, and in proportion to the cube of "
+                "--prior max_rate_rad_s less",
+                going,
+                samples,
+                took / 60,
+            )
+
+    def joined(self, motions: list[Trials]) -> Trials:
+        """Return the motions of several searches."""
+        return Trials.joined(motions)
+
+    def cost_limit(self, window: slice) -> float:
+        """Return the cost that a true motion does not exceed in a window.
+
+        Half a unit for each number, and what noise larger than stated, three sigmas of chance and outliers may add: these
+        have nothing to do with each other, so their squares add.
+        """
+        s, model = self.s, self.model.seeing(window)
+        count = _explained(model)
+        sigma = sum(model.unknowns[i].sigma for i in model.places("noise"))
+        noisy = min(s.noise_sigmas * sigma, s.noise_most)
+        chance = float(np.sqrt((noisy * count) ** 2 + 4.5 * count + s.slack**2))
+        held = window.stop - window.start < s.held
+        return 0.5 * count + chance + (s.slack_held if held else 0.0)
+
+    # ---- all samples -------------------------------------------------------------------------------------------------------
+
+    def curved(self, motions: Trials) -> ShotFit:
+        """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
+
+        Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
+        as the prior of a small one holds it.
+        """
+        fit = self._curved(motions.shots, motions.starts)
+        images = self.model.panels.response.symmetries
+        if len(images) == 1:
+            return fit
+        # the search may miss some of the images under what changes no reading; rates are axial vectors, which a mirror reverses
+        shots = fit.motions
+        imaged = [
+            Shots(np.linalg.det(x) * (shots.omega @ x.T), shots.sun @ x.T, shots.u) for x in images
+        ]
+        return self._curved(Shots.joined(imaged), np.tile(fit.starts, len(images)))
+
+    def _curved(self, shots: Shots, starts: np.ndarray) -> ShotFit:
+        """Return motions fitted to all samples."""
+        free = np.ones(len(self.model.unknowns), dtype=bool)
+        begins: list[Sizes] = [{"inertia": 0}, {"inertia": 1}]
+        if torque := self.model.places("steady_torque"):
+            count = len(self.model.unknowns[torque[0]].shares)
+            begins = [{"inertia": 0, "steady_torque": i} for i in self.s.torque_levels if i < count]
+        elif not self.model.places("inertia"):
+            begins = [ALL_SIZES]
+        parts, normals = [], []
+        for sizes in begins:
+            problem = Problem(self.model, free, FINAL_ERROR, sizes)
+            fit = partial(fit_finally, problem, levels=self.s.last_levels)
+            fitted, normal = in_pieces(fit, shots, problem.rows_at_once, self.workers)
+            if sizes:
+                # and on from there with all sizes by how likely they are
+                weighed = replace(problem, sizes=ALL_SIZES)
+                fit = partial(fit_finally, weighed, levels=((1.0, 4),))
+                fitted, normal = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
+            parts.append(fitted)
+            normals.append(normal)
+        every, curvature = Shots.joined(parts), np.concatenate(normals)
+        evidence = log_evidence(self.model, every.cost, curvature)
+        whole = ShotFit(self.model, every, curvature, evidence, np.tile(starts, len(begins)))
+        kept = distinct_fits(whole, self.s)
+        if len(kept) > self.s.most_fitted:
+            self._note(f"more than {self.s.most_fitted} modes", complete=True)
+            kept = kept.take(slice(self.s.most_fitted))
+        once = -(-kept.starts // len(begins))
+        return replace(kept, starts=once, complete=self.complete, notes=tuple(self.notes))
+
+
+def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    """Return the log evidence (K) of motions with costs (K) and curvatures (K, D, D) by Laplace's method.
+
+    It is relative to readings just as predicted under the stated noise, so that models of the same readings compare.
+    """
+    least = 1e-9 * np.eye(curvature.shape[-1])
+    prior = np.log(4 / 3 * np.pi * model.max_rate**3) + np.log(4 * np.pi) + model.log_possible
+    # of (2 pi)^(D / 2) the unknowns' priors take (2 pi)^(m / 2)
+    volume = 2.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature + least)[1]
+    return -cost + volume - prior + model.log_prior
+
+
+def _explained(model: LanderModel) -> float:
+    """Return how many numbers a motion must explain: lit readings and other observations."""
+    return model.panels.explained + sum(term.explained for term in model.given)

@@ -1,0 +1,497 @@
+"""The compiled part of the search for starts: cells of a grid of rates, looked through, and settled by least squares.
+
+Quaternions, of any length, are interpolated between the attitudes at the eight corners of a cell. A start is a place x (3) in a
+cell, in parts of its edge. To it belongs a step (2) of the direction at the reference, in the plane of its tangents.
+`tests/estimate/plain_cells.py` does the same in NumPy.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunspin.dynamics.processor import cached, compiled, digest
+from sunspin.estimate.terms.powers import HALF_WEIGHT, ROUNDS, PanelPowers
+from sunspin.vehicle.response.joined import JoinedResponse
+
+DARK_SLOPE = 0.1
+"""A dark panel has a slope up to this cosine beyond its edge, so that a start finds into the light."""
+
+SOFT_SIGMAS = 5.0
+"""Differences far beyond this many sigmas hardly pull while a start settles: the reading may be an outlier."""
+
+DAMPING, LEAST_DAMPING = 1e-2, 1e-3
+"""Part of the curvature that damps a step by which a start settles, and the least damping."""
+
+LONGEST_PLACE, LONGEST_TURN = 0.25, 0.3
+"""A step is no longer than this part of the edge, and than this turn (rad) of the direction."""
+
+FARTHEST_PLACE, KEPT_PLACE = 0.2, 0.5
+"""A place goes no farther than this out of its cell. A start is kept no farther than this from the middle of its eighth: beyond,
+that of a neighbour ends at the same motion. Both in parts of the edge."""
+
+START = 8
+"""Numbers of a start: cell, direction, place (3), step (2), misfit."""
+
+CELL, SUN, PLACE, STEP, MISFIT = 0, 1, slice(2, 5), slice(5, 7), 7
+"""Where they stand."""
+
+
+class Light(NamedTuple):
+    """Panels as compiled code takes them, in the order of their inputs.
+
+    `first` (p + 1): those of input j are `first[j]` to `first[j + 1]`; `rows` (n_panel, 3): normal times power in full Sun;
+    `largest` (p): the input reads the largest of its panels, not their sum; `facing` (p, 3), `full` (p): direction and power of
+    its largest reading. `power`, `used` (1 + m, p): readings, the reference first; `sigma` (p); `throttled`.
+    """
+
+    first: np.ndarray
+    rows: np.ndarray
+    largest: np.ndarray
+    facing: np.ndarray
+    full: np.ndarray
+    power: np.ndarray
+    used: np.ndarray
+    sigma: np.ndarray
+    throttled: bool
+
+    @classmethod
+    def of(cls, panels: PanelPowers) -> Light:
+        """Return the panels and readings of some samples."""
+        response = panels.response
+        count = len(response.gains)
+        members, largest = [np.array([k]) for k in range(count)], [False] * count
+        if isinstance(response, JoinedResponse):
+            members = [np.array(each.panels) for each in response.inputs]
+            largest = [each.largest for each in response.inputs]
+        order = np.concatenate(members)
+        rows = panels.brightness * response.gains[order, None] * response.normals_B[order]
+        full = panels.brightness * response.power(response.facing_B).diagonal()
+        return cls(
+            np.cumsum([0, *(len(each) for each in members)]),
+            np.ascontiguousarray(rows),
+            np.array(largest),
+            np.ascontiguousarray(response.facing_B),
+            np.ascontiguousarray(full),
+            np.ascontiguousarray(panels.power),
+            np.ascontiguousarray(panels.used),
+            np.ascontiguousarray(panels.sigma),
+            panels.throttled,
+        )
+
+
+class Tables(NamedTuple):
+    """What the samples next to the reference say to each node of a sphere (float32, (m, n)), and how nodes are found.
+
+    `near`, `far`: by how much the readings contradict all directions near it; `misfit`: how badly the node itself fits them.
+    """
+
+    near: np.ndarray
+    far: np.ndarray
+    misfit: np.ndarray
+
+
+class Limits(NamedTuple):
+    """Numbers of :class:`~sunspin.estimate.settings.GridSettings` that compiled code takes."""
+
+    nodes: int
+    limit: float
+    blur: float
+    cap: float
+    settled: float
+    steps: int
+    faster: float
+
+
+class Looked(NamedTuple):
+    """Cells that are looked through.
+
+    `cells` (c): lowest corners in a cube of points; `away` (8): from there to all corners; `row_of`: rows of points in `turn`
+    (rows, m, 4); `suns` (s, 3, 3): directions at the reference, each with two tangents; `middles`, `points`: places in a cell,
+    (8, 3) and (8, 8, 3).
+    """
+
+    cells: np.ndarray
+    away: np.ndarray
+    row_of: np.ndarray
+    turn: np.ndarray
+    suns: np.ndarray
+    middles: np.ndarray
+    points: np.ndarray
+
+
+class Room(NamedTuple):
+    """Room for the numbers of one start.
+
+    `q` (4, 4): attitude and its changes. `here` (3, 3): direction at the reference and its changes; `sun` (3), `slope` (5, 3): the
+    same at a sample. `light` (p), `change` (p, 5): power and its changes. `follows` (5): changes of a factor. `normal`, `gradient`:
+    the normal equations, solved by `move` (5).
+    """
+
+    q: np.ndarray
+    here: np.ndarray
+    sun: np.ndarray
+    slope: np.ndarray
+    light: np.ndarray
+    change: np.ndarray
+    follows: np.ndarray
+    normal: np.ndarray
+    gradient: np.ndarray
+    move: np.ndarray
+
+
+# ---- attitudes -------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def load_corners(looked, cell, corners):
+    """Write the attitudes at the corners of a cell (8, m, 4), with signs alike so that they can be interpolated."""
+    for c in range(8):
+        row = looked.row_of[cell + looked.away[c]]
+        for m in range(corners.shape[1]):
+            alike = 0.0
+            for k in range(4):
+                corners[c, m, k] = looked.turn[row, m, k]
+                alike += corners[c, m, k] * corners[0, m, k]
+            if alike < 0:
+                for k in range(4):
+                    corners[c, m, k] = -corners[c, m, k]
+
+
+@compiled
+def interpolate(corners, m, x, q):
+    """Write into q[0] the quaternion of sample m at place x, and into q[1:] its derivatives by x.
+
+    One axis after the other: z, then y, then x.
+    """
+    for k in range(4):
+        for a in range(2):  # the sides of the cell at x = 0 and x = 1
+            low, high = corners[4 * a, m, k], corners[4 * a + 2, m, k]
+            rise_low, rise_high = corners[4 * a + 1, m, k] - low, corners[4 * a + 3, m, k] - high
+            low, high = low + x[2] * rise_low, high + x[2] * rise_high
+            value, by_y = low + x[1] * (high - low), high - low
+            by_z = rise_low + x[1] * (rise_high - rise_low)
+            if a == 0:
+                q[0, k], q[1, k], q[2, k], q[3, k] = value, -value, by_y, by_z
+            else:
+                q[1, k] += value
+                q[0, k] += x[0] * (value - q[0, k])
+                q[2, k] += x[0] * (by_y - q[2, k])
+                q[3, k] += x[0] * (by_z - q[3, k])
+
+
+@compiled
+def rotate(q, vector, out):
+    """Write a vector rotated by the quaternion q (4), scalar last, of any length."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    twice = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
+    a = twice * (y * vector[2] - z * vector[1])
+    b = twice * (z * vector[0] - x * vector[2])
+    c = twice * (x * vector[1] - y * vector[0])
+    out[0] = vector[0] + w * a + y * c - z * b
+    out[1] = vector[1] + w * b + z * a - x * c
+    out[2] = vector[2] + w * c + x * b - y * a
+
+
+@compiled
+def turned_by(q, change, vector, out):
+    """Write the change of a rotated vector with its quaternion q (4): a turn by twice the vector part of change q* / q q*."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    half = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
+    a = half * (w * change[0] - change[3] * x - change[1] * z + change[2] * y)
+    b = half * (w * change[1] - change[3] * y - change[2] * x + change[0] * z)
+    c = half * (w * change[2] - change[3] * z - change[0] * y + change[1] * x)
+    out[0], out[1], out[2] = (
+        b * vector[2] - c * vector[1],
+        c * vector[0] - a * vector[2],
+        a * vector[1] - b * vector[0],
+    )
+
+
+@compiled
+def nearest_node(size, x, y, z):
+    """Return the index of the node nearest to a direction, in the order of :class:`sunspin.estimate.lander.allowed.Nodes`."""
+    along = (abs(x), abs(y), abs(z))
+    if along[0] >= along[1] and along[0] >= along[2]:
+        axis, top, row, column = 0, x, y, z
+    elif along[1] >= along[2]:
+        axis, top, row, column = 1, y, z, x
+    else:
+        axis, top, row, column = 2, z, x, y
+    length = max(abs(top), 1e-300)
+    i = int(np.rint((row / length + 1) * (size / 2)))
+    j = int(np.rint((column / length + 1) * (size / 2)))
+    face = 2 * axis + (1 if top < 0 else 0)
+    return face * (size + 1) * (size + 1) + i * (size + 1) + j
+
+
+# ---- looking through -------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def contradiction(turns, sun, short, misfit, limits, out):
+    """Return by how much the worst sample contradicts all directions near a point, and the misfit of the point itself.
+
+    `turns` (m, 4); samples after one beyond the limit are not asked.
+    """
+    worst, total = 0.0, 0.0
+    for m in range(len(turns)):
+        rotate(turns[m], sun, out)
+        node = nearest_node(limits.nodes, out[0], out[1], out[2])
+        worst = max(worst, short[m, node])
+        if worst > limits.limit:
+            break
+        total += misfit[m, node]
+    return worst, total
+
+
+@compiled
+def best_point(corners, places, sun, tables, limits, room):
+    """Return which of the points at `places` (8, 3) fits best, and its misfit: infinite if the readings contradict all."""
+    least, best = np.inf, 0
+    for point in range(8):
+        worst, total = 0.0, 0.0
+        for m in range(corners.shape[1]):
+            interpolate(corners, m, places[point], room.q)
+            rotate(room.q[0], sun, room.sun)
+            node = nearest_node(limits.nodes, room.sun[0], room.sun[1], room.sun[2])
+            worst = max(worst, tables.near[m, node])
+            if worst > limits.limit:
+                break
+            total += tables.misfit[m, node]
+        if worst <= limits.limit and total < least:
+            least, best = total, point
+    return best, least
+
+
+# ---- least squares ---------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def see(light, m, sun, slope, room):
+    """Write the power of each input in sample m for a direction `sun` (3), and its change by what moves that by `slope` (5, 3).
+
+    Changes of what counts for nothing are not written: of inputs that are dark, and should be.
+    """
+    for j in range(len(light.full)):
+        power, a, b, c = 0.0, 0.0, 0.0, 0.0
+        for k in range(light.first[j], light.first[j + 1]):
+            row = light.rows[k]
+            here = row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2]
+            if here > 0 and light.largest[j]:
+                if here > power:
+                    power, a, b, c = here, row[0], row[1], row[2]
+            elif here > 0:
+                power, a, b, c = power + here, a + row[0], b + row[1], c + row[2]
+        room.light[j] = power
+        if power <= 0 and not (light.used[m, j] and light.power[m, j] > 0):
+            continue
+        if power <= 0:
+            row = light.facing[j]
+            if row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2] > -DARK_SLOPE:
+                a, b, c = light.full[j] * row[0], light.full[j] * row[1], light.full[j] * row[2]
+        for i in range(5):
+            room.change[j, i] = a * slope[i, 0] + b * slope[i, 1] + c * slope[i, 2]
+
+
+@compiled
+def best_factor(light, m, room):
+    """Return the factor that fits the readings of a throttled sample best, and write how it follows the five coordinates.
+
+    As `PanelPowers.best_factor`, with the weights that it ends with held in the derivative.
+    """
+    least, factor, size = light.sigma.min(), 1.0, 0.0
+    for again in range(ROUNDS + 1):
+        along, size = 0.0, 0.0
+        room.follows[:] = 0.0
+        for j in range(len(light.full)):
+            if not light.used[m, j]:
+                continue
+            weight = (least / light.sigma[j]) ** 2
+            if again:
+                off = (light.power[m, j] - factor * room.light[j]) / (HALF_WEIGHT * light.sigma[j])
+                weight /= 1.0 + off * off
+            size += weight * room.light[j] ** 2
+            along += weight * max(light.power[m, j], 0.0) * room.light[j]
+            if room.light[j] > 0:
+                for i in range(5):
+                    room.follows[i] += weight * room.light[j] * room.change[j, i]
+        factor = along / size if size > 0 else 1.0
+    for i in range(5):
+        room.follows[i] = room.follows[i] / size if size > 0 else 0.0
+    return factor
+
+
+@compiled
+def add_sample(light, m, limits, room):
+    """Add the readings of sample m, as seen, to the normal equations; return their misfit."""
+    misfit, factor = 0.0, 1.0
+    if light.throttled:
+        factor = best_factor(light, m, room)
+    for j in range(len(light.full)):
+        power, read = factor * room.light[j], light.power[m, j]
+        if not light.used[m, j] or not (power > 0 or read > 0):
+            continue
+        # errors of interpolated attitudes blur a reading in proportion to the power in full Sun
+        precision = 1.0 / (light.sigma[j] ** 2 + (limits.blur * factor * light.full[j]) ** 2)
+        square = precision * (power - read) ** 2
+        misfit += min(square, limits.cap)
+        weight = precision / (1.0 + square / SOFT_SIGMAS**2)
+        if light.throttled:
+            for i in range(5):
+                room.change[j, i] = factor * (room.change[j, i] - room.light[j] * room.follows[i])
+        for i in range(5):
+            pull = weight * room.change[j, i]
+            room.gradient[i] += pull * (power - read)
+            for k in range(i + 1):
+                room.normal[i, k] += pull * room.change[j, k]
+    return misfit
+
+
+@compiled
+def solve(normal, gradient, move):
+    """Write the damped step that solves normal equations (5, 5), whose lower half becomes its Cholesky factor."""
+    for i in range(5):
+        normal[i, i] += DAMPING * normal[i, i] + LEAST_DAMPING
+    for i in range(5):
+        for j in range(i + 1):
+            value = normal[i, j]
+            for k in range(j):
+                value -= normal[i, k] * normal[j, k]
+            normal[i, j] = np.sqrt(value) if i == j else value / normal[j, j]
+    for i in range(5):
+        value = -gradient[i]
+        for k in range(i):
+            value -= normal[i, k] * move[k]
+        move[i] = value / normal[i, i]
+    for i in range(4, -1, -1):
+        for k in range(i + 1, 5):
+            move[i] -= normal[k, i] * move[k]
+        move[i] /= normal[i, i]
+
+
+@compiled
+def equations(corners, x, step, frame, light, limits, room):
+    """Write the normal equations of a start for place and direction, and return its misfit."""
+    for i in range(5):
+        room.gradient[i] = 0.0
+        for k in range(i + 1):
+            room.normal[i, k] = 0.0
+    here = room.here  # the direction at the reference, and its two changes
+    for k in range(3):
+        here[0, k] = frame[0, k] + step[0] * frame[1, k] + step[1] * frame[2, k]
+    length = np.sqrt(here[0, 0] ** 2 + here[0, 1] ** 2 + here[0, 2] ** 2)
+    for k in range(3):
+        here[0, k] /= length
+    for i in range(1, 3):
+        along = here[0, 0] * frame[i, 0] + here[0, 1] * frame[i, 1] + here[0, 2] * frame[i, 2]
+        for k in range(3):
+            here[i, k] = (frame[i, k] - along * here[0, k]) / length
+    misfit = 0.0
+    for m in range(1 + corners.shape[1]):
+        if m == 0:  # the reference, whose direction does not depend on the rate
+            for k in range(3):
+                room.slope[0, k], room.slope[1, k], room.slope[2, k] = 0.0, 0.0, 0.0
+                room.slope[3, k], room.slope[4, k] = here[1, k], here[2, k]
+            see(light, m, here[0], room.slope, room)
+        else:
+            interpolate(corners, m - 1, x, room.q)
+            rotate(room.q[0], here[0], room.sun)
+            for i in range(3):
+                turned_by(room.q[0], room.q[1 + i], room.sun, room.slope[i])
+            for i in range(2):
+                rotate(room.q[0], here[1 + i], room.slope[3 + i])
+            see(light, m, room.sun, room.slope, room)
+        misfit += add_sample(light, m, limits, room)
+    return misfit
+
+
+@compiled
+def settle(corners, x, step, frame, light, limits, room):
+    """Move place x and `step` of a start to the nearest solution, and return its misfit.
+
+    It ends early if the misfit does not fall fast enough to become small.
+    """
+    misfit = np.inf
+    for left in range(limits.steps, -1, -1):
+        before, misfit = misfit, equations(corners, x, step, frame, light, limits, room)
+        gained = max(before - misfit, 0.0)
+        if left == 0 or (
+            left < limits.steps - 1 and misfit - left * limits.faster * gained > limits.settled
+        ):
+            break
+        move = room.move
+        solve(room.normal, room.gradient, move)
+        place = max(abs(move[0]), abs(move[1]), abs(move[2])) / LONGEST_PLACE
+        turn = max(abs(move[3]), abs(move[4])) / LONGEST_TURN
+        size = max(place, turn, 1.0)
+        for i in range(3):
+            x[i] = min(max(x[i] + move[i] / size, -FARTHEST_PLACE), 1.0 + FARTHEST_PLACE)
+        step[0] += move[3] / size
+        step[1] += move[4] / size
+    return misfit
+
+
+def _entry(sources: int) -> Any:
+    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+
+    @cached("compiling the search for starts of a posterior, once (some 10 s)")
+    def look_through(looked, tables, light, limits):
+        """Return the starts (n, START) that settle in cells.
+
+        An eighth of a cell is left out if no direction near its middle agrees with the readings. Of its eight points the best is
+        settled, unless the readings contradict all.
+        """
+        _ = sources
+        count, found = 0, np.empty((256, START))
+        p, others = len(light.full), looked.turn.shape[1]
+        corners = np.empty((8, others, 4))
+        room = Room(
+            np.empty((4, 4)),
+            np.empty((3, 3)),
+            np.empty(3),
+            np.empty((5, 3)),
+            np.empty(p),
+            np.empty((p, 5)),
+            np.empty(5),
+            np.empty((5, 5)),
+            np.empty(5),
+            np.empty(5),
+        )
+        turns, step = np.empty((others, 4)), np.empty(2)
+        for cell in looked.cells:
+            load_corners(looked, cell, corners)
+            for eighth in range(8):
+                middle = looked.middles[eighth]
+                for m in range(others):
+                    interpolate(corners, m, middle, room.q)
+                    turns[m] = room.q[0]
+                for s in range(len(looked.suns)):
+                    frame = looked.suns[s]
+                    worst, _total = contradiction(
+                        turns, frame[0], tables.far, tables.misfit, limits, room.sun
+                    )
+                    if worst > limits.limit:
+                        continue
+                    points = looked.points[eighth]
+                    best, least = best_point(corners, points, frame[0], tables, limits, room)
+                    if least == np.inf:
+                        continue
+                    x = points[best].copy()
+                    step[:] = 0.0
+                    misfit = settle(corners, x, step, frame, light, limits, room)
+                    if misfit > limits.settled or np.abs(x - middle).max() >= KEPT_PLACE:
+                        continue
+                    if count == len(found):
+                        found = np.concatenate((found, np.empty_like(found)))
+                    found[count, CELL], found[count, SUN] = cell, s
+                    found[count, PLACE], found[count, STEP] = x, step
+                    found[count, MISFIT] = misfit
+                    count += 1
+        return found[:count]
+
+    return look_through
+
+
+look_through = _entry(digest(__file__))

@@ -1,0 +1,483 @@
+"""Fits of a lander's motions: one state at the reference, from which the equations of motion reach every sample.
+
+Derivatives of the motion are found once, by differences of runs, and then corrected by what each step shows, which takes one run
+(Broyden 1965, Math. Comp. 19, 577). The noise is no unknown of a step: it is put at its best for the differences that are left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.lander.model import LanderModel, Sizes
+from sunspin.estimate.lander.motions import RATE, SUN, Shots
+from sunspin.estimate.terms.powers import SunStates
+from sunspin.solve.least_squares import least_squares, limit_length, take_problems
+from sunspin.solve.linear import DenseSystem, solve_dense
+from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
+
+RATE_STEP = 3e-4
+"""Step of the differences in rates, as a turn (rad) over the window; the second order that it leaves is a part in a thousand."""
+
+UNKNOWN_STEP, UNKNOWN_STEP_S, LARGEST_UNKNOWN_STEP = 1e-4, 2700.0, 3e-3
+"""The same of the unknowns, in sigmas, over a window of that many seconds; shorter windows take larger steps, up to the last."""
+
+SEARCH_ERROR, FINAL_ERROR = 1e-5, 1e-6
+"""Error of directions (rad) in runs of a search, and of the fit to all samples."""
+
+DERIVATIVE_ERROR = 1e-7
+"""The same in runs that are subtracted from each other in the fit to all samples."""
+
+FLOOR = 1e-9
+"""Part of the largest curvature that is added to all: directions that no reading determines stay as they are."""
+
+INSIDE = 0.95
+"""Part of the distance to bodies that cannot exist up to which fits go: draws about them stay among those that can."""
+
+LARGEST_TURN = 0.5
+"""rad by which one step may turn the Sun within the window; an unknown moves by one sigma at most."""
+
+NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
+"""Derivatives, and motions, that one thread holds in memory at once."""
+
+
+class Point(NamedTuple):
+    """Motions on their way: state, derivatives `moves` (K, c, n, w) of what is seen, and how they came there.
+
+    `before` (K, n, w): what was seen where the last step began; `step` (K, c): that step, zero if nothing is learnt of it.
+    """
+
+    omega: np.ndarray
+    sun: np.ndarray
+    u: np.ndarray
+    moves: np.ndarray
+    before: np.ndarray
+    step: np.ndarray
+
+    @property
+    def shots(self) -> Shots:
+        """Return the motions."""
+        return Shots(self.omega, self.sun, self.u)
+
+
+class Linear(NamedTuple):
+    """Differences `value` (K, R) in stated sigmas and derivatives `jacobian` (K, R, F) by the free coordinates.
+
+    `fine` (K): the motion could be computed; `moves` and `seen` as in :class:`Point`.
+    """
+
+    value: np.ndarray
+    jacobian: np.ndarray
+    fine: np.ndarray
+    moves: np.ndarray
+    seen: np.ndarray
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A fit of motions to the samples of a model with some coordinates free.
+
+    `free_unknowns` (m): which unknowns are free; the noise never is. `sizes`: sigmas that are taken of unknowns with several.
+    """
+
+    model: LanderModel
+    free_unknowns: np.ndarray
+    error_rad: float = SEARCH_ERROR
+    sizes: Sizes = field(default_factory=dict)
+
+    @cached_property
+    def fitted(self) -> np.ndarray:
+        """Return the unknowns (f) that steps change: the free ones but for the noise."""
+        noise = self.model.places("noise")
+        return np.setdiff1d(np.flatnonzero(self.free_unknowns), noise)
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Return those of them on which the motion depends, so that a derivative needs a run."""
+        return self.fitted[self.fitted < len(self.model.of_motion)]
+
+    @cached_property
+    def coordinates(self) -> np.ndarray:
+        """Return the free coordinates (F) among all (D): rate, direction, and the fitted unknowns."""
+        return np.concatenate([np.arange(5), 5 + self.fitted])
+
+    @property
+    def of_motion(self) -> np.ndarray:
+        """Return the coordinates (c) on which the motion depends."""
+        return np.concatenate([np.arange(5), 5 + self.moving])
+
+    @cached_property
+    def reach_s(self) -> float:
+        """Return the longest time from the reference to a sample."""
+        return max(float(np.abs(self.model.obs.t_s).max()), 1e-6)
+
+    @property
+    def rows_at_once(self) -> int:
+        """Return how many motions one thread fits at once."""
+        size = self.model.panels.power.size * (len(self.coordinates) + 1)
+        return int(np.clip(NUMBERS_AT_ONCE // size, 8, ROWS_AT_ONCE))
+
+    # ---- derivatives -------------------------------------------------------------------------------------------------------
+
+    def seen(self, shots: Shots, error_rad: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return what sensors see of motions (K, n, w), and which could be computed (K).
+
+        There are w = 3 numbers of the direction to the Sun. Three of the rate follow if times of samples may be off, or other
+        sensors than panels are read.
+        """
+        seen, fine = self.model.carried(shots, error_rad)
+        every = np.concatenate([seen.sun_B, seen.omega], axis=2)
+        return (every if self.model.given or self.model.panels.time_s else seen.sun_B), fine
+
+    @property
+    def difference_error(self) -> float:
+        """Return the error of directions (rad) in runs that are subtracted from each other."""
+        return SEARCH_ERROR if self.error_rad >= SEARCH_ERROR else DERIVATIVE_ERROR
+
+    def derivatives(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
+        """Return what is seen (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
+
+        The jump at a wheel's stop is in them. The direction needs one run: r(0) -> r(t) is a rotation that does not depend on r(0),
+        so that a tangent is carried like the Sun, and the other one is across both.
+        """
+        count = len(shots)
+        rate = RATE_STEP / self.reach_s
+        tangent, _ = tangent_basis(shots.sun)
+        # runs: the motion, three other rates, a tangent in place of the Sun, and each unknown of the motion changed
+        runs = [shots]
+        runs += [replace(shots, omega=shots.omega + rate * axis) for axis in np.eye(3)]
+        runs.append(replace(shots, sun=tangent))
+        steps = self._unknown_steps()
+        for i, step in zip(self.moving, steps, strict=True):
+            u = shots.u.copy()
+            u[:, i] += step
+            runs.append(replace(shots, u=u))
+        bare = [Shots(run.omega, run.sun, run.u) for run in runs]
+        seen, fine = self.seen(Shots.joined(bare), self.difference_error)
+        seen = seen.reshape(len(runs), count, *seen.shape[1:])
+        base = seen[0]
+        moves = np.zeros((5 + len(self.moving), *base.shape))
+        moves[RATE] = (seen[1:4] - base) / rate
+        sun, carried = base[..., :3], seen[4, ..., :3]
+        moves[3, ..., :3], moves[4, ..., :3] = carried, cross(sun, carried)
+        moves[5:] = (seen[5:] - base) / steps[:, None, None, None]
+        return base, np.nan_to_num(np.moveaxis(moves, 0, 1))
+
+    def _unknown_steps(self) -> np.ndarray:
+        """Return the steps (f) of the differences in the unknowns of the motion, in sigmas."""
+        usual = min(UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.reach_s, 1.0), LARGEST_UNKNOWN_STEP)
+        steps = np.full(len(self.moving), usual)
+        for k, i in enumerate(self.moving):
+            if self.model.unknowns[i].kind == "steady_torque":
+                # turn of the body within the window by one sigma
+                turn = max(self.model.unknowns[i].sigma * self.reach_s**2 / 2, RATE_STEP)
+                steps[k] = RATE_STEP / turn
+        return steps
+
+    def differences(self, shots: Shots, seen: np.ndarray, moves: np.ndarray) -> Linear:
+        """Return differences and derivatives of motions of which is `seen` (K, n, w), with derivatives `moves` (K, c, n, w).
+
+        Without any (c = 0) the derivatives are those by unknowns on which the motion does not depend.
+        """
+        model, count = self.model, len(shots)
+        fine = np.all(np.isfinite(seen), axis=(1, 2))
+        seen = np.where(fine[:, None, None], seen, 0.0)
+        sun, omega = seen[..., :3], seen[..., 3:]
+        # a change d of the Sun is the turn d x sun of the body, but for the turn about the Sun
+        turn = np.moveaxis(cross(moves[..., :3], sun[:, None]), 1, -1)
+        of_rate = np.moveaxis(moves[..., 3:], 1, -1)
+        own = self.fitted[len(self.moving) :] - len(model.of_motion)
+        moving = moves.shape[1]
+        values, columns = [], []
+        for term in (model.panels, *model.given):
+            for residual in term.residuals(SunStates.of(sun, omega), shots.u[:, model.of_panels]):
+                jacobian = np.zeros((*residual.value.shape, moving + len(own)))
+                if moving and residual.by_turn is not None:
+                    jacobian[..., :moving] += residual.by_turn @ turn
+                if moving and residual.by_rate is not None:
+                    jacobian[..., :moving] += residual.by_rate @ of_rate
+                if residual.by_u is not None:
+                    jacobian[..., moving:] = residual.by_u[..., own]
+                values.append(residual.value.reshape(count, -1))
+                columns.append(jacobian.reshape(count, -1, jacobian.shape[-1]))
+        value, jacobian = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
+        fine = fine & np.all(np.isfinite(value), axis=1)
+        value = np.where(fine[:, None], value, 0.0)
+        jacobian = np.where(np.isfinite(jacobian) & fine[:, None, None], jacobian, 0.0)
+        return Linear(value, jacobian, fine, moves, seen)
+
+    def of_panels(self, value: np.ndarray) -> np.ndarray:
+        """Return the differences (K, n, p) of the panels among all (K, R)."""
+        shape = self.model.panels.power.shape
+        return value[:, : shape[0] * shape[1]].reshape(-1, *shape)
+
+    def weigh(
+        self, value: np.ndarray, u: np.ndarray, factor: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return cost (K) and weights (K, R) of differences under `factor` times the noise."""
+        law = self.model.panels.law(u[:, self.model.of_panels], factor)
+        by_sample, weight = law(self.of_panels(value))
+        others = value[:, weight[0].size :]
+        cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
+        return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
+
+    def system(self, u: np.ndarray, linear: Linear, factor: float) -> DenseSystem:
+        """Return the normal equations of a step, priors included."""
+        cost, weight = self.weigh(linear.value, u, factor)
+        prior, precision = self.model.prior_cost(u, self.sizes)
+        normal, gradient = _normal(linear.value, linear.jacobian, weight)
+        places = np.arange(5, len(self.coordinates))
+        normal[:, places, places] += precision[:, self.fitted]
+        gradient[:, 5:] += precision[:, self.fitted] * u[:, self.fitted]
+        scale = np.einsum("kff->kf", normal).copy()
+        floor = FLOOR * scale.max(axis=1) + 1e-12
+        normal[:, np.arange(scale.shape[1]), np.arange(scale.shape[1])] += floor[:, None]
+        cost = np.where(linear.fine, cost + prior, np.inf)
+        return DenseSystem(cost, normal, gradient, scale, linear)
+
+
+def _normal(
+    value: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return J'WJ (K, F, F) and J'Wr (K, F) of residuals (K, R) with weights (K, R)."""
+    weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
+    return weighted @ jacobian, (weighted @ value[..., None])[..., 0]
+
+
+def corrected(moves: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return derivatives (K, c, n, w) that give the change (K, n, w) of what is seen along a step (K, c) as it was.
+
+    Of all such corrections it is the smallest, parts of the step being counted by how far they move what is seen.
+    """
+    flat = moves.reshape(*moves.shape[:2], -1)
+    size = step * np.sum(flat**2, axis=2)
+    length = np.sum(size * step, axis=1, keepdims=True)
+    share = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
+    left = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
+    return moves + (share[:, :, None] * left).reshape(moves.shape)
+
+
+def in_tangents_at(
+    there: np.ndarray, sun: np.ndarray, moves: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return derivatives and a step, given in the tangents at directions `sun` (K, 3), in those at directions `there` (K, 3)."""
+    across = np.stack(tangent_basis(there), axis=1)
+    turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)
+    moves, step = moves.copy(), step.copy()
+    moves[:, SUN] = np.einsum("kab,kbnw->kanw", turn, moves[:, SUN])
+    step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
+    return moves, step
+
+
+class Fitting:
+    """A batch of motions being fitted; the result of each depends on itself alone."""
+
+    def __init__(self, problem: Problem, shots: Shots) -> None:
+        """Begin at motions whose bodies can exist, with the stated noise.
+
+        A noise that was small for fewer readings would let the wide levels draw in less than they should.
+        """
+        u = problem.model.limited(shots.u, INSIDE)
+        u[:, problem.model.places("noise")] = 0.0
+        self.problem, self.factor = problem, 1.0
+        self.shots = Shots(shots.omega, shots.sun, u)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Compute the derivatives where the motions are now."""
+        seen, moves = self.problem.derivatives(self.shots)
+        linear = self.problem.differences(self.shots, seen, moves)
+        self.system = self.problem.system(self.shots.u, linear, self.factor)
+
+    @property
+    def linear(self) -> Linear:
+        """Return differences and derivatives where the motions are now."""
+        return Linear(*self.system.extras)
+
+    @property
+    def cost(self) -> np.ndarray:
+        """Return the cost (K) under the present noise."""
+        return self.system.cost
+
+    def go(self, factor: float, steps: int) -> None:
+        """Take steps under `factor` times the noise."""
+        self.factor = factor
+        self._weigh_again()
+        self.steps(steps)
+
+    def _weigh_again(self) -> None:
+        """Weigh the same differences under another noise."""
+        self.system = self.problem.system(self.shots.u, self.linear, self.factor)
+
+    def take(self, rows: np.ndarray) -> None:
+        """Go on with some of the motions."""
+        self.shots, self.system = self.shots.take(rows), take_problems(self.system, rows)
+
+    def steps(self, count: int) -> None:
+        """Take steps of damped least squares."""
+        begin = Point(self.shots.omega, self.shots.sun, self.shots.u, *self._learnt(self.system))
+        end = least_squares(
+            self._linearised,
+            self._moved,
+            solve_dense,
+            begin,
+            steps=count,
+            system=self.system,
+            length_ratio=self._length_ratio,
+            limit=self._limited,
+            carry=lambda point, system: Point(*point[:3], *self._learnt(system)),
+        )
+        self.shots, self.system = end.state.shots, end.system
+
+    def _learnt(self, system: DenseSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return derivatives and what is seen where a system was set up, no step having been taken from there."""
+        linear = Linear(*system.extras)
+        step = np.zeros((len(linear.seen), len(self.problem.of_motion)))
+        return linear.moves, linear.seen, step
+
+    def _linearised(self, point: Point) -> DenseSystem:
+        """Return the system after a step, with derivatives corrected by it."""
+        seen, fine = self.problem.seen(point.shots, self.problem.difference_error)
+        change = np.where(fine[:, None, None], seen - point.before, 0.0)
+        step = np.where(fine[:, None], point.step, 0.0)
+        moves = corrected(point.moves, step, change)
+        linear = self.problem.differences(point.shots, seen, moves)
+        return self.problem.system(point.u, linear, self.factor)
+
+    def _moved(self, point: Point, step: np.ndarray) -> Point:
+        """Return the motions after steps (K, F), with derivatives in the tangents of the new directions."""
+        whole = np.zeros((len(step), self.problem.model.dimension))
+        whole[:, self.problem.coordinates] = step
+        sun = move_on_sphere(point.sun, whole[:, SUN])
+        own = whole[:, self.problem.of_motion]
+        moves, own = in_tangents_at(sun, point.sun, point.moves, own)
+        omega, u = point.omega + whole[:, RATE], point.u + whole[:, 5:]
+        return Point(omega, sun, u, moves, point.before, own)
+
+    def _length_ratio(self, point: Point, step: np.ndarray) -> np.ndarray:
+        """Return the lengths (K) of steps (K, F) over the longest one allowed."""
+        problem, fitted = self.problem, self.problem.fitted
+        turn = np.maximum(
+            np.linalg.norm(step[:, RATE], axis=1) * problem.reach_s,
+            np.linalg.norm(step[:, SUN], axis=1),
+        )
+        torque = np.isin(fitted, problem.model.places("steady_torque"))
+        sigma = np.array([problem.model.unknowns[i].sigma for i in fitted[torque]])
+        pushed = np.linalg.norm(step[:, 5:][:, torque] * sigma, axis=1) * problem.reach_s**2 / 2
+        unknowns = np.abs(step[:, 5:]).max(axis=1, initial=0.0)
+        return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, unknowns)
+
+    def _limited(self, point: Point) -> Point:
+        """Return motions that the prior allows; of a step that was cut off nothing is learnt."""
+        model = self.problem.model
+        omega, u = limit_length(point.omega, model.max_rate), model.limited(point.u, INSIDE)
+        whole = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
+        return point._replace(omega=omega, u=u, step=np.where(whole[:, None], point.step, 0.0))
+
+    def fit_noise(self, few: bool = False, held: bool = False) -> None:
+        """Put the noise at its best for the present differences.
+
+        `few`: as many readings as there are numbers fitted tell nothing of it; `held`: nor that it is less than stated. Else a
+        family of motions that fit the first samples seems to be one motion, known to a tenth of its width.
+        """
+        panels, own = self.problem.model.panels, self.problem.model.of_panels
+        answered = self._answered() if few else np.zeros(len(self.shots))
+        least = 0.0 if few and held else -5.0
+        u = self.shots.u.copy()
+        value = self.problem.of_panels(self.linear.value)
+        if panels.time_s:
+            # times at their best leave less than the noise
+            seen = self.linear.seen
+            states = SunStates.of(seen[..., :3], seen[..., 3:])
+            answered = answered + panels.taken_by_times(states, u[:, own])
+        u[:, own] = panels.best_noise(value, u[:, own], answered, least)
+        self.shots = replace(self.shots, u=u)
+        self._weigh_again()
+
+    def _answered(self) -> np.ndarray:
+        """Return how many readings (K) the fitted numbers answer for: the trace of their share in the curvature."""
+        linear, u = self.linear, self.shots.u
+        weight = self.problem.weigh(linear.value, u, self.factor)[1]
+        read, _ = _normal(linear.value, linear.jacobian, weight)
+        prior = np.zeros(read.shape[:2])
+        prior[:, 5:] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
+            :, self.problem.fitted
+        ]
+        size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)  # in these units none is large
+        read /= size[:, :, None] * size[:, None, :]
+        whole = read + np.eye(read.shape[1]) * (prior / size**2 + 1e-9)[:, :, None]
+        return np.trace(np.linalg.solve(whole, read), axis1=1, axis2=2)
+
+    def curvature(self) -> np.ndarray:
+        """Return second derivatives (K, D, D) of the cost, by Gauss and Newton; of what is not free those of the prior."""
+        problem, linear, u = self.problem, self.linear, self.shots.u
+        weight = problem.weigh(linear.value, u, self.factor)[1]
+        read, _ = _normal(linear.value, linear.jacobian, weight)
+        whole = np.zeros((len(u), problem.model.dimension, problem.model.dimension))
+        whole[:, problem.coordinates[:, None], problem.coordinates] = read
+        every = np.arange(5, problem.model.dimension)
+        whole[:, every, every] += problem.model.prior_cost(u, problem.sizes)[1]
+        for i in problem.model.places("noise"):
+            own, value = u[:, problem.model.of_panels], problem.of_panels(linear.value)
+            whole[:, 5 + i, 5 + i] += problem.model.panels.noise_curvature(value, own)
+        return whole
+
+
+Levels = Sequence[tuple[float, int]]
+"""Factors on the noise, each with a number of steps."""
+
+
+def fit_first(
+    problem: Problem, shots: Shots, levels: Levels, hopeless: float = np.inf, held: bool = False
+) -> tuple[Shots, np.ndarray]:
+    """Return motions fitted to a few samples, with costs, and their curvature (K, D, D).
+
+    D: two of the direction, three of the rate, then the unknowns. Those that cost more than `hopeless` after the first level stay
+    as they are then, with no curvature and the cost under the noise factor of that level. `held`: body and wheel are not free.
+    """
+    fitting = Fitting(problem, shots)
+    (factor, steps), *others = levels
+    fitting.go(factor, steps)
+    result = replace(fitting.shots, cost=fitting.cost.copy())
+    normal = np.zeros((len(shots), problem.model.dimension, problem.model.dimension))
+    going = np.flatnonzero(fitting.cost <= hopeless)
+    if not len(going):
+        return result, normal
+    fitting.take(going)
+    for factor, steps in others:
+        fitting.go(factor, steps)
+    fitting.fit_noise(few=True, held=held)
+    for name in ("omega", "sun", "u"):
+        getattr(result, name)[going] = getattr(fitting.shots, name)
+    result.cost[going], normal[going] = fitting.cost, fitting.curvature()
+    return result, normal
+
+
+def fit_finally(problem: Problem, shots: Shots, levels: Levels) -> tuple[Shots, np.ndarray]:
+    """Return motions fitted to all samples, with costs, and their curvature (K, D, D); new derivatives at each level."""
+    fitting = Fitting(problem, shots)
+    for k, (factor, steps) in enumerate(levels):
+        if k:
+            fitting.refresh()
+        fitting.go(factor, steps)
+    fitting.fit_noise()
+    for _ in range(2):
+        fitting.refresh()
+        fitting.fit_noise()
+        fitting.steps(2)
+    return replace(fitting.shots, cost=fitting.cost), fitting.curvature()
+
+
+def in_pieces(
+    fit: Callable[[Shots], tuple[Shots, np.ndarray]], shots: Shots, rows: int, workers: int
+) -> tuple[Shots, np.ndarray]:
+    """Return the result of a fit of many motions, so many at a time, by threads; it does not depend on their number."""
+    pieces: list[Any] = [shots.take(slice(k, k + rows)) for k in range(0, len(shots), rows)]
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(fit, pieces))
+    return Shots.joined([part for part, _ in parts]), np.concatenate([n for _, n in parts])

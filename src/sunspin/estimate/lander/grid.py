@@ -1,0 +1,299 @@
+"""Where the search for a lander's motions begins: the reference, and a grid of rates there.
+
+The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough to be
+interpolated. Every cell of the grid is looked through on points a quarter of its edge apart. The best of each eighth is taken,
+unless no direction near it agrees with the readings. From there least squares on interpolated attitudes find the nearest
+solution: a motion has a start within an eighth of a cell. The initial direction does not enter the runs: they give rotations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.dynamics import batch
+from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
+from sunspin.estimate.lander.cells import (
+    CELL,
+    MISFIT,
+    PLACE,
+    STEP,
+    SUN,
+    Light,
+    Limits,
+    Looked,
+    Tables,
+    look_through,
+)
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import Shots, Trials
+from sunspin.estimate.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
+from sunspin.estimate.settings import GridSettings
+from sunspin.estimate.terms.powers import PanelPowers
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
+
+CELLS_AT_ONCE = 20_000
+"""Cells that one thread looks through together."""
+
+MIDDLES = 0.25 + 0.5 * CORNERS
+"""Middles (8, 3) of the eighths of a cell, in parts of its edge."""
+
+POINTS = 0.5 * CORNERS[:, None] + 0.25 * (0.5 + CORNERS)
+"""Points (8 eighths, 8, 3) by which a cell is looked through."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the search begins.
+
+    `sample`: the reference, `after_s` after the first sample; `window`: it and its neighbours `tried`, which are in `others` (m);
+    `edge`: step of the grid (rad/s); `suns` (c, 3): directions to the Sun at the reference; `limit` (rad/s): rates searched there;
+    `max_rate`: ball of rates at the reference that holds what comes of the prior's, `given`, at the first sample, at which no
+    motion is faster than `fastest`.
+    """
+
+    sample: int
+    after_s: float
+    window: slice
+    others: np.ndarray
+    edge: float
+    suns: np.ndarray
+    limit: float
+    max_rate: float
+    fastest: float
+    given: float
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what the verdict has to say if not all rates can be searched."""
+        if self.limit >= self.max_rate * (1 - 1e-9):
+            return []
+        return [f"only rates up to {np.degrees(self.limit):.3g} deg/s could be searched"]
+
+    def about(self, model: LanderModel) -> LanderModel:
+        """Return a model with its reference here."""
+        return model.after(self.after_s, self.max_rate)
+
+
+# ---- the reference ---------------------------------------------------------------------------------------------------------
+
+
+def reference(model: LanderModel, s: GridSettings, given_rate: bool = False) -> Place:
+    """Return the reference from which the search is the shortest, of those samples at which no wheel can have stopped.
+
+    `given_rate`: the largest rate is the caller's, and refused if it asks for more starts than can be tried.
+    """
+    place, asked = _shortest(model, s)
+    if given_rate and asked > s.most_starts:
+        smaller, enough = model, place
+        starts = asked
+        while starts > s.most_starts:
+            # with a smaller ball another reference may be the best one
+            limit = 0.99 * largest_ball(s.most_starts / len(enough.suns), enough.edge)
+            smaller = replace(smaller, max_rate=float(f"{limit:.3g}"))
+            enough, starts = _shortest(smaller, s)
+        what = f"max_rate_rad_s asks for {asked:.2g} starts, and {s.most_starts:.0e} at most can be tried in an hour"
+        raise InputError(
+            what,
+            got=f"{model.max_rate:g}",
+            do=f"with these samples give {smaller.max_rate:.3g} at most",
+        )
+    ends = place.about(model).obs.t_s
+    _require_computable(place.about(model), ends, min(place.limit, place.max_rate))
+    return place
+
+
+def _shortest(model: LanderModel, s: GridSettings) -> tuple[Place, float]:
+    """Return the place with the shortest search, and how many starts it has.
+
+    Starts take time, and so do motions that fit the first few samples. These are about as many as the directions that they allow,
+    times the volume of rates in units of the inverse of the time that they reach. It is half as long from the middle of a file.
+    """
+    t_s, panels = model.obs.t_s, model.panels
+    read = np.flatnonzero(panels.present())
+    lit = np.flatnonzero(panels.lit.any(axis=1))
+    choices = [k for k in lit if _wheels_run(model, t_s[k], s)] or [lit[0]]
+    slow = [k for k in choices if model.spun_up(t_s[k]) <= s.most_spun * model.max_rate]
+    choices = slow or choices[:1]
+    even = np.linspace(0, len(choices) - 1, s.choices).round().astype(int)
+    suns: dict[int, np.ndarray] = {}
+    best: tuple[float, Place, float] | None = None
+    for sample in (choices[i] for i in np.unique(even)):
+        near = read[np.argsort(np.abs(t_s[read] - t_s[sample]), kind="stable")[: s.few]]
+        for k in (*near, sample):
+            if k not in suns:
+                suns[k] = possible_directions(panels, k, s)
+        at = int(np.searchsorted(read, sample))
+        first = min(max(at - 1, 0), max(len(read) - 3, 0))
+        tried = read[first : first + 3]
+        others = tried[tried != sample]
+        after = float(t_s[sample])
+        edge = s.turn_rad / (s.amplified * float(np.abs(t_s[others] - after).max()))
+        if model.vehicle.channels:
+            edge = min(edge, s.shared_edge * model.max_rate)
+        ball, fastest = _balls(model, after, s)
+        reach = float(np.abs(t_s[near] - after).max())
+        took = s.start_cost * len(suns[sample]) * cell_count(ball, edge)
+        allowed = np.prod([len(suns[k]) for k in near], dtype=float)
+        took += s.window_cost * (fastest * reach) ** 3 * allowed
+        if best is not None and took >= best[0]:
+            continue
+        limit = min(model.max_rate, largest_ball(s.most_cells / len(suns[sample]), edge))
+        place = Place(
+            int(sample),
+            after,
+            slice(int(tried[0]), int(tried[-1]) + 1),
+            others,
+            edge,
+            suns[sample],
+            # the whole ball that comes of the prior's, unless even the prior's cannot be searched
+            limit if limit < model.max_rate else ball,
+            ball,
+            fastest,
+            model.max_rate,
+        )
+        best = took, place, cell_count(model.max_rate, edge) * len(suns[sample])
+    assert best is not None
+    return best[1], best[2]
+
+
+def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
+    """Return whether every wheel still has a good part of its speed then, so that motions can be followed back through it."""
+    none = np.zeros((1, len(model.unknowns)))
+    first, then = model.wheel_speeds(none), replace(model, after_s=after_s).wheel_speeds(none)
+    commands = batch.one_command(model.vehicle, model.wheel_mode)
+    held = np.array([command == "hold" for command in commands], dtype=bool)
+    return after_s == 0.0 or bool(np.all((np.abs(then) > s.speed_left * np.abs(first)) | held))
+
+
+def _balls(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, float]:
+    """Return a largest rate at a reference that holds what comes of the prior's ball, and one at the first sample (rad/s).
+
+    Wheels that run down hand over their momentum, and unequal moments let the speed vary: the ball's edge moves, and a truth beyond
+    it would be lost. But most motions of the wider ball began beyond the largest rate. Those that did by more than what friction is
+    not known by are left out.
+    """
+    if after_s == 0.0:
+        return model.max_rate, s.faster_at_first * model.max_rate
+    moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
+    spun = model.spun_up(after_s)
+    stretch = float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5))
+    return (
+        model.max_rate * stretch + 1.3 * spun,
+        s.faster_at_first * model.max_rate + s.spun_unsure * spun,
+    )
+
+
+def cell_count(limit: float, edge: float) -> float:
+    """Return about how many cells a ball of rates has."""
+    return 4 / 3 * np.pi * (limit / edge + 1.0) ** 3
+
+
+def largest_ball(cells: float, edge: float) -> float:
+    """Return the limit (rad/s) of a ball of rates that has about so many cells."""
+    return edge * ((cells / (4 / 3 * np.pi)) ** (1 / 3) - 1)
+
+
+def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) -> None:
+    """Refuse samples (s from the reference) over which the nominal body, at this rate, needs too many steps.
+
+    A wheel at a speed in the wrong unit does that. The sentence names a window that is short enough.
+    """
+    omega = np.full((1, 3), rate_rad_s / np.sqrt(3))
+    nominal = Shots(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
+    rows = model.rows(nominal)
+    commands = batch.one_command(model.vehicle, model.wheel_mode)
+    problem = batch.Problem(model.vehicle, rows, commands, model.acting)
+    part = 1.0
+    while any(
+        batch.steps_needed(problem, part * end)[0] > batch.MAX_STEPS
+        for end in (t_s.min(), t_s.max())
+    ):
+        part /= 2
+    if part < 1.0:
+        span, speeds = float(np.ptp(t_s)), np.abs(rows.wheel_speed_rad_s).max(initial=0.0)
+        raise InputError(
+            f"the motion over the {span:.6g} s of the samples needs too many steps",
+            got=f"rates up to {rate_rad_s:.3g} rad/s, wheels at {speeds:.3g} rad/s",
+            do=f"use {part * span:.3g} s of them at most with --from and --to (begin_s, end_s), or check wheel speeds and inertias",
+        )
+
+
+# ---- starts ----------------------------------------------------------------------------------------------------------------
+
+
+def grid_starts(
+    model: LanderModel, place: Place, s: GridSettings, workers: int = 1
+) -> Iterator[tuple[slice, Trials]]:
+    """Yield the window about the reference, with motions near each one that its readings allow, best first.
+
+    `model`: with its reference at `place`. Torques hardly move a body in three samples, and inertia, friction and wheel are those
+    of the nominal body. If no start settles, rest and rotations about the axes are tried, so that the verdict can say by how much
+    no motion fits.
+    """
+    bare = replace(model, frame="", max_rate=place.limit)
+    reached = Reached.of(bare, place.limit, place.fastest)
+    grid = RateGrid.of(bare, bare.obs.t_s[place.others], reached, place.edge, s, workers)
+    omega, sun, misfit = settled_starts(grid, bare.panels, place, s, workers)
+    size = np.linalg.norm(omega, axis=1, keepdims=True)
+    omega = omega * np.minimum(1.0, place.limit / np.maximum(size, 1e-12))
+    # of starts in one box of rate and direction the best
+    order = np.argsort(misfit, kind="stable")
+    reach_s = float(np.abs(grid.times_s).max())
+    box = np.concatenate([omega[order] * reach_s, sun[order]], axis=1) / s.apart_rad
+    _, first, count = np.unique(
+        np.floor(box).astype(np.int64), axis=0, return_index=True, return_counts=True
+    )
+    rank = np.argsort(first)
+    best = order[first[rank]]
+    shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
+    slow = bare.first_speed(shots, TRIAL_ERROR) <= place.fastest
+    starts = Trials(shots.take(slow), count[rank][slow])
+    yield place.window, starts if len(starts) else _anything(model, place)
+
+
+def settled_starts(
+    grid: RateGrid, panels: PanelPowers, place: Place, s: GridSettings, workers: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the starts that settle in the cells of a grid: rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
+    nodes, others = Nodes(s.nodes), panels.take(place.others)
+    seen = np.repeat(nodes.directions[:, None], len(place.others), axis=1)
+    near, far = (
+        shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
+    )
+    light = panels.brightness * others.response.power(seen)
+    light = others.best_factor(light)[0] * light if others.throttled else light
+    square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
+    misfit = np.where(others.used, square, 0.0).sum(axis=2).T
+    tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
+    light = Light.of(panels.take(np.array([place.sample, *place.others])))
+    limits = Limits(s.nodes, s.limit, s.blur_rad, s.cap, s.settled, s.steps, s.faster)
+    suns = np.stack([place.suns, *tangent_basis(place.suns)], axis=1)
+
+    def look(cells: np.ndarray) -> np.ndarray:
+        """Return the starts of some cells."""
+        looked = Looked(cells, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
+        return look_through(looked, tables, light, limits)
+
+    pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))
+    with ThreadPoolExecutor(workers) as pool:
+        found = np.concatenate(list(pool.map(look, pieces)))
+    omega = grid.rates(found[:, CELL].astype(np.int64)) + found[:, PLACE] * grid.edge
+    # the direction lies in the plane of its tangents, before it is a unit vector
+    length = np.linalg.norm(found[:, STEP], axis=1, keepdims=True)
+    angle = np.divide(np.arctan(length), length, out=np.ones_like(length), where=length > 0)
+    sun = move_on_sphere(place.suns[found[:, SUN].astype(np.int64)], found[:, STEP] * angle)
+    return omega, sun, found[:, MISFIT]
+
+
+def _anything(model: LanderModel, place: Place) -> Trials:
+    """Return starts if there is no hope: rest, and rotations about the axes."""
+    axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
+    sun = np.tile(place.suns[0], (len(omega), 1))
+    shots = Shots(omega, sun, np.zeros((len(omega), len(model.unknowns))))
+    return Trials(shots, np.ones(len(omega), dtype=np.int64))

@@ -1,0 +1,165 @@
+"""Draws of a lander's posterior under all models together, and what they are at the first sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.special import logsumexp
+
+from sunspin.dynamics import batch
+from sunspin.estimate.lander.fit import SEARCH_ERROR
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
+from sunspin.estimate.lander.sample import Checked, mixed, predictive_check
+from sunspin.estimate.lander.target import LanderTarget
+from sunspin.estimate.settings import SamplingSettings
+from sunspin.solve.weights import effective_draws
+
+
+class First(NamedTuple):
+    """Motions (n) at the first sample, in body axes then.
+
+    `omega` (n, 3) in rad/s, `sun` (n, 3), speeds of the `wheels` (n, n_wheel) in rad/s, and `steady` (n, 2, 3): constant torques in
+    body axes and in space, over the mean moment of inertia, in rad/s2.
+    """
+
+    omega: np.ndarray
+    sun: np.ndarray
+    wheels: np.ndarray
+    steady: np.ndarray
+
+
+def at_first_sample(model: LanderModel, shots: Shots) -> First:
+    """Return motions at the first sample, carried there from the reference."""
+    rows, steady = model.rows(shots), model.steady_torques(shots.u)
+    if not model.after_s:
+        return First(shots.omega, shots.sun, rows.wheel_speed_rad_s, steady)
+    back = batch.run(
+        model.vehicle,
+        rows,
+        [-model.after_s],
+        command=model.wheel_mode,
+        error=SEARCH_ERROR,
+        acting=model.acting,
+        attitude=True,
+        leave_long=True,
+    )
+    # the torque that is constant in space, as the body sees it then
+    steady[:, 1] = np.einsum("nij,nj->ni", back.attitude[:, 0], steady[:, 1])
+    return First(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Draws (n) of all models together, weighed by evidence.
+
+    `fits` (h): the models with the motions about which they were drawn, the nominal one first; `probability` (h) of each model;
+    `starts`: how many starts of the search led to each region.
+    """
+
+    fits: tuple[ShotFit, ...]
+    draws: Draws
+    probability: np.ndarray
+    starts: np.ndarray
+
+    @classmethod
+    def of(
+        cls, fits: list[ShotFit], drawn: list[Draws], reach_s: float, s: SamplingSettings
+    ) -> Mixture:
+        """Return the draws of models together."""
+        log_priors = [fit.model.log_prior for fit in fits]
+        draws = mixed(drawn, log_priors, reach_s, s)
+        log_mass = np.array([one.evidence for one in drawn]) + np.array(log_priors)
+        probability = np.exp(log_mass - logsumexp(log_mass))
+        return cls(tuple(fits), draws, probability, _starts(fits, draws, reach_s))
+
+    @property
+    def nominal(self) -> LanderModel:
+        """Return the nominal model."""
+        return self.fits[0].model
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """Return the probability (r) of each region."""
+        weight = np.exp(self.draws.log_weight - logsumexp(self.draws.log_weight))
+        return np.bincount(self.draws.region, weights=weight)
+
+    def inside(self, region: int) -> np.ndarray:
+        """Return the indices of the draws of a region."""
+        return np.flatnonzero(self.draws.region == region)
+
+    def effective(self, region: int) -> float:
+        """Return how many draws of equal weight those of a region are worth."""
+        own = self.draws.log_weight[self.inside(region)]
+        return effective_draws(np.exp(own - logsumexp(own)))
+
+    def by_model(self, index: np.ndarray) -> Iterator[tuple[LanderModel, np.ndarray, Shots]]:
+        """Yield the models of draws, each with the places of its draws in `index` and their motions."""
+        for h in np.unique(self.draws.of_model[index]):
+            model = self.fits[h].model
+            places = np.flatnonzero(self.draws.of_model[index] == h)
+            shots = self.draws.shots.take(index[places])
+            yield model, places, replace(shots, u=shots.u[:, : len(model.unknowns)])
+
+    def first(self, index: np.ndarray) -> First:
+        """Return draws at the first sample."""
+        wheels = len(self.nominal.vehicle.wheels)
+        shapes = (3,), (3,), (wheels,), (2, 3)
+        whole = First(*(np.zeros((len(index), *shape)) for shape in shapes))
+        for model, places, shots in self.by_model(index):
+            for out, part in zip(whole, at_first_sample(model, shots), strict=True):
+                out[places] = part
+        return whole
+
+    def values(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the unknowns of the nominal model, each (n) in its own unit, by name."""
+        values = {unknown.name: np.zeros(len(index)) for unknown in self.nominal.unknowns}
+        for model, places, shots in self.by_model(index):
+            for unknown, value in zip(model.unknowns, model.values(shots.u).T, strict=True):
+                if unknown.name in values:
+                    values[unknown.name][places] = value
+        return values
+
+    def log_likelihood(self, index: np.ndarray) -> np.ndarray:
+        """Return the log likelihood (n) of draws."""
+        total = np.zeros(len(index))
+        for model, places, shots in self.by_model(index):
+            target = LanderTarget(model)
+            total[places] = target.log_likelihood(target.run(shots), shots.u)
+        return total
+
+    def checked(
+        self, picked: np.ndarray, rng: np.random.Generator, s: SamplingSettings
+    ) -> tuple[Checked, np.ndarray]:
+        """Return the predictive check of draws of equal weight, and the probability (n, p) of readings to be outliers."""
+        p, noise_sigmas, outliers = 0.0, 0.0, np.zeros(self.nominal.panels.used.shape)
+        for model, places, shots in self.by_model(picked):
+            part, target = len(places) / len(picked), LanderTarget(model)
+            one = predictive_check(target, shots, rng, s)
+            p += part * one.p
+            noise_sigmas += part * one.noise_sigmas
+            outliers += part * target.outlier_probability(shots.take(slice(0, s.checked)))
+        return Checked(p, noise_sigmas), outliers
+
+
+def _starts(fits: list[ShotFit], draws: Draws, reach_s: float) -> np.ndarray:
+    """Return how many starts of the search led to each region, under the model under which most did.
+
+    A fitted motion belongs to the region of the draw of its model that is nearest to it, as a turn within the window.
+    """
+    most = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
+    for h in np.unique(draws.of_model):
+        own, motions = np.flatnonzero(draws.of_model == h), fits[h].motions
+        known, fitted = (
+            np.concatenate([reach_s * shots.omega, shots.sun], axis=1)
+            for shots in (draws.shots.take(own), motions)
+        )
+        nearest = own[KDTree(known).query(fitted)[1]]
+        led = np.bincount(draws.region[nearest], weights=fits[h].starts, minlength=len(most))
+        most = np.maximum(most, led.astype(np.int64))
+    return most

@@ -1,0 +1,319 @@
+"""What the body did at other times: draws of a posterior carried there, each with its own inertia, friction and wheel speed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.base.provenance import provenance
+from sunspin.compute.rows import ensemble
+from sunspin.dynamics import batch, gyrostat
+from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.propagate import propagate
+from sunspin.dynamics.torques import NOTHING, Acting, Steady
+from sunspin.estimate.lander.model import WHEEL_FACTORS
+from sunspin.estimate.lander.priors import wheel_unknown
+from sunspin.estimate.lander.tree import EACH, group
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import panel_power
+
+DIRECTION_ERROR = 1e-4
+"""Error of directions (rad): far below what any posterior leaves open."""
+
+LONGEST_S = 7 * 86400.0
+"""Times further than this from the first sample are refused: phases are lost long before."""
+
+MOST_MOTIONS = 4
+"""Solutions of the largest probability whose best motion is computed."""
+
+TURN_RAD, FEWEST_INSTANTS, MOST_INSTANTS = 0.3, 200, 6000
+"""Rotation between two instants of a best motion, and between which numbers of instants that is met."""
+
+BEST_RTOL = 1e-9
+"""Relative error of a best motion."""
+
+
+class Carried(NamedTuple):
+    """Motions (n) at times (n_t), NaN if they could not be computed; each field is a variable of the predictions.
+
+    `omega_B` (n, n_t, 3) in rad/s, `sun_B` (n, n_t, 3), `wheel_speed_rad_s` (n, n_t, n_wheel).
+    """
+
+    omega_B: np.ndarray
+    sun_B: np.ndarray
+    wheel_speed_rad_s: np.ndarray
+
+
+@dataclass(frozen=True)
+class DrawnMotions:
+    """Draws (n) of a posterior as motions: `rows` are their states at `start_s` (s from the epoch), each with its own body."""
+
+    vehicle: Vehicle
+    rows: batch.Rows
+    start_s: float
+    wheel_mode: str | tuple[str, ...] = "coast"
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, tree: xr.DataTree) -> DrawnMotions:
+        """Return the draws of a posterior at its first sample; `vehicle`: the one that it was made with."""
+        draws, mode = group(tree, "posterior"), json.loads(tree.attrs["wheel_mode"])
+        bodies = _bodies_of(vehicle, draws)
+        count = draws.sizes["chain"] * draws.sizes["draw"]
+        state = (draws[name].values.reshape(count, -1) for name in ("omega_B", "sun_B"))
+        speeds = draws["wheel_speed_rad_s"].values.reshape(count, len(vehicle.wheels))
+        rows = batch.Rows(*state, speeds, bodies=bodies)
+        mode = mode if isinstance(mode, str) else tuple(mode)
+        return cls(vehicle, rows, float(tree.attrs["t_first_s"]), mode)
+
+    def at(self, times_s: npt.ArrayLike, workers: int | None = None) -> Carried:
+        """Return the motions at times (n_t) in s from the epoch, those before the start backward.
+
+        Wheels run down, stop and stay at rest on the way, and constant torques act all the time. `workers`: threads, by default one
+        per core; the result does not depend on it.
+        """
+        after_s = np.asarray(times_s, dtype=np.float64) - self.start_s
+        known = (getattr(self.rows, name) for name in Carried._fields)
+        carried = Carried(*(np.repeat(one[:, None], len(after_s), axis=1) for one in known))
+        for side in (after_s < 0, after_s > 0):
+            if side.any():
+                # each time once, in the order in which a run comes to them
+                distance_s, place = np.unique(np.abs(after_s[side]), return_inverse=True)
+                ends_s = np.copysign(distance_s, after_s[side][0])
+                run = ensemble(_Carrying(self, ends_s), workers=workers)
+                for name, values in carried._asdict().items():
+                    values[:, side] = run[name][:, place]
+        return carried
+
+
+@dataclass(frozen=True)
+class _Carrying:
+    """Row number -> a motion at times `ends_s` (n_t) after its start, all later or all earlier."""
+
+    motions: DrawnMotions = field(repr=False)
+    ends_s: np.ndarray
+
+    @property
+    def outputs(self) -> Mapping[str, Any]:
+        """Return dtype and shape of each result of a row."""
+        wheels = len(self.motions.vehicle.wheels)
+        sizes = zip(Carried._fields, (3, 3, wheels), strict=True)
+        return {name: ("float64", (len(self.ends_s), size)) for name, size in sizes}
+
+    @property
+    def n_rows(self) -> int:
+        """Return the number of motions."""
+        return len(self.motions.rows)
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Return some of the motions at the times, NaN for those that could not be computed."""
+        motions = self.motions
+        pushed = motions.rows.bodies_of(motions.vehicle).steady_N_m.any()
+        run = batch.run(
+            motions.vehicle,
+            motions.rows.take(index),
+            self.ends_s,
+            command=motions.wheel_mode,
+            error=DIRECTION_ERROR,
+            acting=Acting((Steady(),)) if pushed else NOTHING,
+        )
+        fine = (run.outcome == batch.Outcome.FINE)[:, None, None]
+        return {name: np.where(fine, getattr(run, name), np.nan) for name in self.outputs}
+
+
+def _bodies_of(vehicle: Vehicle, draws: xr.Dataset) -> Bodies:
+    """Return inertia, wheels, friction and constant torque of each draw; what a posterior took as known is as in the vehicle."""
+    mean_moment = np.trace(vehicle.require_inertia()) / 3
+    bodies = Bodies.of(vehicle, draws.sizes["chain"] * draws.sizes["draw"])
+    tensor = np.array(bodies.inertia_kg_m2)
+    alike = [wheel.name for wheel in vehicle.wheels] == draws["wheel"].values.tolist()
+    for a, b in combinations_with_replacement(range(3), 2):
+        if (name := f"inertia_{'xyz'[a]}{'xyz'[b]}") in draws:
+            centre = draws[name].attrs["prior_centre"]
+            alike &= bool(np.isclose(centre, tensor[0, a, b], rtol=1e-9, atol=1e-12))
+            tensor[:, a, b] = tensor[:, b, a] = draws[name].values.ravel()
+    if not alike:
+        raise InputError(
+            "the posterior is not of this vehicle",
+            got=vehicle.name,
+            do="give the vehicle file that it was made with",
+        )
+    factors = {}
+    for kind, of_body in WHEEL_FACTORS.items():
+        factors[of_body] = np.array(getattr(bodies, of_body))
+        for i, wheel in enumerate(vehicle.wheels):
+            if (name := wheel_unknown(f"log_{kind}", vehicle, wheel)) in draws:
+                factors[of_body][:, i] *= np.exp(draws[name].values.ravel())
+    steady = mean_moment * draws["steady_torque"].values.reshape(-1, 2, 3)
+    return replace(bodies, inertia_kg_m2=tensor, steady_N_m=steady, **factors)
+
+
+def predict(
+    vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, workers: int | None = None
+) -> xr.Dataset:
+    """Return the motion at other times, before the first sample or after the last, by the draws of a posterior.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The one that the posterior was made with.
+    tree : DataTree
+        Result of :func:`sunspin.posterior`.
+    times_s : (n_t,)
+        s from the epoch of the telemetry. The motion between them and the samples must be free; wheels run down and stop.
+    workers : int, optional
+        Threads; default one per core. The result does not depend on it.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over (chain, draw, predicted_s), draw by draw that of the posterior: `omega_B` and its size `rate` (rad/s), `sun_B`,
+        `z_to_sun` and `z_to_momentum` (rad), `wheel_speed_rad_s`. NaN if a motion could not be computed.
+
+    Raises
+    ------
+    InputError
+        Times that are no numbers or more than a week away, a posterior of another vehicle.
+    """
+    times = checked_times(times_s, float(tree.attrs["t_first_s"]))
+    motions = DrawnMotions.of(vehicle, tree)
+    return predictions(motions, motions.at(times, workers), times).assign_attrs(attributes_of(tree))
+
+
+def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) -> xr.Dataset:
+    """Return the Dataset of motions carried to times (n_t) in s from the epoch, with what :func:`predict` derives of them."""
+    omega, speeds = carried.omega_B, carried.wheel_speed_rad_s
+    bodies = motions.rows.bodies_of(motions.vehicle)
+    momentum = np.stack(
+        [gyrostat.total_momentum(bodies, omega[:, k], speeds[:, k]) for k in range(omega.shape[1])],
+        axis=1,
+    )
+    to_momentum = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
+    rate = np.linalg.norm(omega, axis=-1)
+    each = (*EACH, "predicted_s")
+
+    def variable(values: np.ndarray, units: str, about: str, *dims: str) -> Any:
+        """Return a variable of the one chain."""
+        return (*each, *dims), values[None], {"units": units, "long_name": about}
+
+    z_to_sun, z_to_momentum = (
+        np.arccos(np.clip(cosine, -1.0, 1.0)) for cosine in (carried.sun_B[..., 2], to_momentum)
+    )
+    variables = {
+        "omega_B": variable(omega, "rad s-1", "body rate", "axis"),
+        "rate": variable(rate, "rad s-1", "angular speed"),
+        "sun_B": variable(carried.sun_B, "1", "direction to the Sun", "axis"),
+        "z_to_sun": variable(z_to_sun, "rad", "angle between z and the Sun"),
+        "z_to_momentum": variable(z_to_momentum, "rad", "angle between z and H"),
+        "wheel_speed_rad_s": variable(speeds, "rad s-1", "speed of each wheel", "wheel"),
+    }
+    coords = {
+        "chain": [0],
+        "draw": np.arange(len(omega)),
+        "axis": ["x", "y", "z"],
+        "wheel": [wheel.name for wheel in motions.vehicle.wheels],
+        "predicted_s": (
+            "predicted_s",
+            np.asarray(times_s),
+            {"units": "s", "long_name": "time from the epoch"},
+        ),
+    }
+    return xr.Dataset(variables, coords)
+
+
+def attributes_of(tree: xr.DataTree) -> dict[str, Any]:
+    """Return the attributes of predictions: provenance, and of which posterior they are."""
+    names = ("vehicle", "changes", "verdict_word")
+    of_posterior = {name: tree.attrs[name] for name in names if name in tree.attrs}
+    return provenance("predictions", tree, **of_posterior)
+
+
+def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:
+    """Return times (n_t) in order, each once; refuse none, those that are no numbers, and those more than a week from the first."""
+    times = np.unique(np.asarray(times_s, dtype=np.float64))
+    fine = times.size and np.isfinite(times).all() and np.abs(times - first_s).max() <= LONGEST_S
+    if not fine:
+        raise InputError(
+            "times to predict must be numbers, at most a week from the first sample",
+            got=times.tolist(),
+            do=f"give s from the epoch; the first sample is at {first_s:g}",
+        )
+    return times
+
+
+def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
+    """Return the likeliest draw of each of the most probable solutions as a trajectory, from the first sample to the last.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The one that the posterior was made with.
+    tree : DataTree
+        Result of :func:`sunspin.posterior`.
+
+    Returns
+    -------
+    list of xarray.Dataset
+        As of :func:`sunspin.propagate` with the draw's own inertia, friction, wheel speeds and constant torque; `time` in s from
+        the epoch, and `panel_signal (time, panel)` for a brightness of one. attrs: `title` and `about` in words, `solution`,
+        `probability`.
+
+    Raises
+    ------
+    InputError
+        A posterior of another vehicle.
+    """
+    motions, draws = DrawnMotions.of(vehicle, tree), group(tree, "posterior")
+    probability = group(tree, "solutions")["probability"].values
+    solution = draws["solution_id"].values.ravel()
+    likelihood = draws["log_likelihood_sum"].values.ravel()
+    of_tree = {name: tree.attrs[name] for name in ("epoch_utc", "synthetic") if name in tree.attrs}
+    runs = []
+    for number in np.argsort(-probability, kind="stable")[:MOST_MOTIONS]:
+        if not (solution == number).any():
+            continue
+        draw = int(np.argmax(np.where(solution == number, likelihood, -np.inf)))
+        run = _trajectory(motions, draw, float(tree.attrs["t_last_s"]))
+        signal = panel_power(vehicle, run["sun_B"].values)
+        share = f"holds {probability[number]:.0%} of the probability"
+        attrs = {
+            "title": f"Solution {number + 1}",
+            "about": f"The likeliest draw of solution {number + 1}, which {share}",
+            "solution": int(number) + 1,
+            "probability": float(probability[number]),
+        }
+        run = run.assign(panel_signal=(("time", "panel"), signal, {"units": "1"}))
+        runs.append(run.assign_attrs(attrs | of_tree))
+    return runs
+
+
+def _trajectory(motions: DrawnMotions, draw: int, end_s: float) -> xr.Dataset:
+    """Return one draw from its start to `end_s` (s from the epoch) at instants close enough to be looked at."""
+    rows, duration_s = motions.rows, end_s - motions.start_s
+    bodies = rows.bodies_of(motions.vehicle)
+    own, steady = bodies.vehicle(motions.vehicle, draw), bodies.steady_N_m[draw]
+
+    def at_instants(count: int) -> xr.Dataset:
+        """Return the motion at so many even instants."""
+        return propagate(
+            own,
+            rows.omega_B[draw],
+            rows.sun_B[draw],
+            rows.wheel_speed_rad_s[draw],
+            np.linspace(0.0, duration_s, count),
+            motions.wheel_mode,
+            rtol=BEST_RTOL,
+            torques=[Steady(steady)] if steady.any() else [],
+        )
+
+    fastest = np.linalg.norm(at_instants(FEWEST_INSTANTS)["omega_B"].values, axis=1).max()
+    run = at_instants(int(np.clip(duration_s * fastest / TURN_RAD, FEWEST_INSTANTS, MOST_INSTANTS)))
+    in_time = {"time": run["time"] + motions.start_s}
+    return run.assign_coords(in_time).assign(event_time_s=run["event_time_s"] + motions.start_s)

@@ -1,0 +1,299 @@
+"""What is believed of a lander before the data: its unknowns, how well each is known, and who says so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.dynamics import batch
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.window import Window, with_unknowns
+from sunspin.estimate.model import Unknown
+from sunspin.estimate.settings import (
+    BRIGHTNESS_FREE,
+    BRIGHTNESS_KNOWN,
+    FRICTION,
+    INERTIA,
+    LANDER_LARGEST_RATE,
+    LOOSER_INERTIA,
+    NOISE_STATED,
+    NOISE_UNSTATED,
+    TORQUE_TURNS_DEG,
+    WHEEL_SPEED,
+)
+from sunspin.estimate.terms.powers import PanelPowers, panel_turns, tilt_unknowns
+from sunspin.estimate.terms.torques import WORDS, ConstantTorque, Frame
+from sunspin.telemetry.assess import Assessment
+from sunspin.vehicle import Vehicle, Wheel
+from sunspin.vehicle.response.panels import misalignment_sigma
+
+KEYS = {
+    "max_rate_rad_s",
+    "steady_torque",
+    "inertia",
+    "wheel_speed",
+    "wheel_inertia",
+    "friction",
+    "gain",
+    "noise",
+    "scale",
+    "time_s",
+    "tilt",
+    "tilt_common",
+}
+"""What a caller may state."""
+
+ASSUMED, STATED, GIVEN = "assumed", "vehicle file", "given"
+"""Who says how well a number is known."""
+
+
+@dataclass
+class Sources:
+    """Sigmas of a caller's priors, else of the vehicle file, else assumed; `said`: each in words, as it is asked for."""
+
+    priors: Mapping[str, Any]
+    said: dict[str, str] = field(default_factory=dict)
+
+    def sigma(self, key: str, stated: float | None, assumed: float) -> float:
+        """Return the relative sigma of a number; zero if it is known."""
+        value, source = (assumed, ASSUMED) if stated is None else (stated, STATED)
+        if key in self.priors:
+            value, source = self.priors[key], GIVEN
+        require_not_negative(value, f"the prior sigma of {key} must be zero (known) or positive")
+        self.said[key] = f"{value:g} ({source})"
+        return float(value)
+
+
+def with_priors(
+    assessment: Assessment,
+    window: Window,
+    priors: Mapping[str, Any] | None,
+    wheel_mode: Any = "coast",
+) -> tuple[LanderModel, dict[str, str]]:
+    """Return the model of a lander with all that is unknown of it, and for each prior its size and source in words.
+
+    `priors` as in :func:`sunspin.posterior`. The reference of the model is the first sample; wheels turn as measured then.
+    """
+    vehicle = _as_measured(assessment, window.start_s)
+    vehicle.require_inertia()
+    unknown = sorted(set(priors or {}) - KEYS)
+    if unknown:
+        raise InputError(
+            f"priors know {', '.join(sorted(KEYS))}",
+            got=", ".join(map(str, unknown)),
+            do="leave it out",
+        )
+    sources = Sources(priors or {})
+    mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
+    of_panels = _of_panels(vehicle, window, sources)
+    of_motion = (*_of_wheels(vehicle, mode, sources), *_of_inertia(vehicle, sources))
+    limit = (
+        sources.priors.get("max_rate_rad_s")
+        or vehicle.sensors.disturbance.max_rate_rad_s
+        or LANDER_LARGEST_RATE
+    )
+    if not (np.isfinite(limit) and limit > 0):
+        raise InputError("max_rate_rad_s must be positive", got=limit)
+    sources.said["rate"] = f"uniform in a ball of {limit:g} rad/s"
+    most = largest_torque_deg(sources.priors)
+    source = GIVEN if "steady_torque" in sources.priors else ASSUMED
+    sources.said["steady_torque"] = (
+        f"turns by up to {most:g} deg ({source})" if most else f"none ({source})"
+    )
+    model = LanderModel(
+        vehicle,
+        with_unknowns(window.obs, of_panels),
+        tuple(x for x in of_motion if x.sigma > 0),
+        float(limit),
+        mode,
+    )
+    if model.log_possible:
+        share = np.exp(model.log_possible)
+        sources.said["inertia"] += f", truncated to bodies that can exist ({share:.2g} of it)"
+    return model, sources.said
+
+
+def constant_torques(model: LanderModel, priors: Mapping[str, Any] | None) -> list[LanderModel]:
+    """Return the model with a constant torque in body axes, and in space, of a size unknown to a power of ten.
+
+    It turns the body over the samples by the caller's largest angle at most; there is none if that is zero.
+    """
+    most_deg = largest_torque_deg(priors or {})
+    if not most_deg:
+        return []
+    low, high, count = TORQUE_TURNS_DEG
+    sizes = np.geomspace(low, high, count)
+    allowed = sizes[sizes <= most_deg * (1 + 1e-9)]
+    turns = np.radians(allowed if len(allowed) else [most_deg])
+    duration = float(np.ptp(model.obs.t_s))
+    inertia = np.array(model.vehicle.require_inertia())
+
+    def under(frame: Frame) -> LanderModel:
+        still = np.zeros((len(model.obs), 3))
+        torque = ConstantTorque.turning(frame, turns.tolist(), duration, inertia, still)
+        return replace(
+            model,
+            of_motion=(*model.of_motion, *torque.unknowns()),
+            frame=frame,
+            what=f"a steady torque in {WORDS[frame]}",
+        )
+
+    return [under(frame) for frame in WORDS]
+
+
+def largest_torque_deg(priors: Mapping[str, Any]) -> float:
+    """Return by how much (deg) a constant torque may turn the body over the samples."""
+    most = priors.get("steady_torque", TORQUE_TURNS_DEG[1])
+    require_not_negative(
+        most,
+        "steady_torque, the most that one may turn the body over the samples, must be zero or positive, in degrees",
+    )
+    return float(most)
+
+
+def require_not_negative(value: Any, said: str) -> None:
+    """Refuse, as it is `said`, what is no finite number or a negative one."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (number and np.isfinite(value) and value >= 0):
+        raise InputError(said, got=value)
+
+
+def _as_measured(assessment: Assessment, at_s: float) -> Vehicle:
+    """Return the vehicle whose wheels turn as the telemetry says at a time (s from the epoch), if it has their speeds.
+
+    Gaps are bridged linearly; a wheel that was never read keeps its nominal speed.
+    """
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    if "wheel_speed_rad_s" not in telemetry or not vehicle.wheels:
+        return vehicle
+    t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    read, wheels = telemetry["wheel_speed_rad_s"].values, []
+    for k, wheel in enumerate(vehicle.wheels):
+        known = np.flatnonzero(np.isfinite(read[:, k]))
+        known = known[np.argsort(t_s[known], kind="stable")]
+        speed = np.interp(at_s, t_s[known], read[known, k]) if len(known) else wheel.speed_rad_s
+        wheels.append(replace(wheel, speed_rad_s=float(speed)))
+    return replace(vehicle, wheels=tuple(wheels))
+
+
+def _stated(vehicle: Vehicle, key: str, value: float) -> float | None:
+    """Return the sigma that the vehicle file states of a number, relative to its value; None if it states none."""
+    fact = vehicle.facts.get(key)
+    if fact is None or fact.sigma is None or not value:
+        return None
+    return float(np.asarray(fact.sigma)) / value
+
+
+def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPowers:
+    """Return the panels with brightness, noise, gains and tilts as unknowns, those that are known left out."""
+    read = next(term for term in window.obs.terms if isinstance(term, PanelPowers))
+    if vehicle.throttled:
+        sources.said["scale"] = "free in each sample (throttled)"
+        scale = 0.0
+    else:
+        free = BRIGHTNESS_FREE if vehicle.gain_unit is None else BRIGHTNESS_KNOWN
+        scale = sources.sigma("scale", None, free)
+    assumed = NOISE_UNSTATED if vehicle.input_noise is None else NOISE_STATED
+    noise = sources.sigma("noise", None, assumed)
+    gain = sources.sigma("gain", None, 0.0)
+    unknowns = (
+        Unknown("log_scale", "scale", "1", float(np.log(read.brightness)), scale),
+        Unknown("log_noise", "noise", "1", 0.0, noise),
+        *(
+            Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j)
+            for j, name in enumerate(vehicle.input_names)
+        ),
+    )
+    own = (*(x for x in unknowns if x.sigma > 0), *_tilts(vehicle, sources))
+    time_s = sources.priors.get("time_s", 0.0)
+    require_not_negative(time_s, "the prior sigma of time_s must be zero (exact) or positive, in s")
+    if time_s and vehicle.throttled:
+        what = "the posterior does not know errors of times if panels are throttled"
+        raise InputError(what, got=f"time_s {time_s:g}", do="leave the prior time_s out")
+    sources.said["time_s"] = f"{time_s:g} s ({GIVEN if 'time_s' in sources.priors else ASSUMED})"
+    return replace(read, own=own, turns=panel_turns(vehicle, own), time_s=float(time_s))
+
+
+def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
+    """Return the tilts of panels that the vehicle file or the caller allows for."""
+    for key in ("tilt", "tilt_common"):
+        given = sources.priors.get(key, 0.0)
+        require_not_negative(
+            given, f"the prior sigma of {key} must be zero (known) or positive, in rad"
+        )
+    own, common = misalignment_sigma(vehicle)
+    if "tilt" in sources.priors:
+        own = np.full(len(own), float(sources.priors["tilt"]))
+    common = float(sources.priors.get("tilt_common", common))
+    for key, size in (("tilt", float(own.max(initial=0.0))), ("tilt_common", common)):
+        source = GIVEN if key in sources.priors else STATED if size else ASSUMED
+        sources.said[key] = f"{np.degrees(size):.3g} deg ({source})"
+    if (vehicle.channels or vehicle.throttled) and (own.any() or common):
+        what = "the posterior does not know turns of panels that share an input or are throttled"
+        got = f"channel {vehicle.channels[0].name!r}" if vehicle.channels else "throttled = true"
+        do = "take panels as drawn with --prior tilt=0 --prior tilt_common=0; sigmas of the rates then leave the turns out"
+        raise InputError(what, got=got, do=do)
+    return tilt_unknowns(vehicle, own, common)
+
+
+def wheel_unknown(name: str, vehicle: Vehicle, wheel: Wheel) -> str:
+    """Return the name of an unknown of a wheel: that of the wheel is added if there are several."""
+    return name if len(vehicle.wheels) == 1 else f"{name}_{wheel.name}"
+
+
+def _of_wheels(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
+    """Return speed, inertia and friction of each wheel; a motor keeps its speed."""
+    unknowns = []
+    commands = batch.one_command(vehicle, mode)
+    for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
+        at = f"wheel.{wheel.name}"
+        speed = abs(wheel.speed_rad_s)
+        stated = _stated(vehicle, f"{at}.speed_rad_s", speed)
+        assumed = WHEEL_SPEED if command != "hold" else 0.0
+        sigma = speed * sources.sigma("wheel_speed", stated, assumed)
+        name = wheel_unknown("wheel_speed", vehicle, wheel)
+        unknowns.append(Unknown(name, "wheel_speed", "rad/s", wheel.speed_rad_s, sigma, i))
+        stated = _stated(vehicle, f"{at}.inertia_kg_m2", wheel.inertia_kg_m2)
+        sigma = sources.sigma("wheel_inertia", stated, 0.0)
+        name = wheel_unknown("log_wheel_inertia", vehicle, wheel)
+        unknowns.append(Unknown(name, "wheel_inertia", "1", 0.0, sigma, i))
+        for kind, key in (("coulomb", "coulomb_N_m"), ("viscous", "viscous_N_m_s")):
+            value = getattr(wheel.friction, key)
+            stated = _stated(vehicle, f"{at}.friction.{key}", value)
+            sigma = sources.sigma("friction", stated, FRICTION)
+            sigma = sigma if value and command == "coast" else 0.0
+            name = wheel_unknown(f"log_{kind}", vehicle, wheel)
+            unknowns.append(Unknown(name, kind, "1", 0.0, sigma, i))
+    return unknowns
+
+
+def _of_inertia(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
+    """Return the six elements of the inertia: moments with one relative sigma, or elements with those that the vehicle file states.
+
+    An element without a sigma has zero. With the probability `LOOSER_CHANCE` all sigmas are `LOOSER_INERTIA` times larger: then the
+    file's inertia is wrong.
+    """
+    tensor = np.array(vehicle.require_inertia())
+    fact = vehicle.facts.get("body.inertia_kg_m2")
+    if fact is not None and fact.sigma is not None and "inertia" not in sources.priors:
+        sources.said["inertia"] = STATED
+        sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
+    else:
+        sigma = np.diag(sources.sigma("inertia", None, INERTIA) * np.diag(tensor))
+    return [
+        Unknown(
+            f"inertia_{'xyz'[a]}{'xyz'[b]}",
+            "inertia",
+            "kg m2",
+            tensor[a, b],
+            float(sigma[a, b]),
+            3 * a + b,
+            shares=(1.0, LOOSER_INERTIA),
+        )
+        for a in range(3)
+        for b in range(a, 3)
+    ]

@@ -1,0 +1,373 @@
+"""Draws from the posterior of a lander: importance sampling along the exact ridges of :mod:`sunspin.estimate.lander.ridges`.
+
+All rounds count: the outer laws of a ridge are pooled as one mixture, of which the rounds are the strata (Cornuet et al. 2012). A
+motion that several ridges may propose is divided between them, so that copies of a motion do not count twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.special import logsumexp
+
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
+from sunspin.estimate.lander.ridges import (
+    Bend,
+    Law,
+    Ridge,
+    Slopes,
+    Target,
+    follow,
+    nearest_points,
+    propose,
+    ridges_of,
+    settled,
+    student_log_density,
+    trace_ridge,
+    weighed,
+)
+from sunspin.estimate.settings import SAMPLING, SamplingSettings
+from sunspin.solve.weights import effective_draws, pareto_tail
+
+INSIDE_TAIL = 10.0
+"""Times the largest weight of all draws that a walker's weight may have before it counts as outside of the proposals."""
+
+
+def sample(
+    target: Target,
+    fit: ShotFit,
+    rng: np.random.Generator,
+    s: SamplingSettings = SAMPLING,
+    budget: Budget | None = None,
+    under: np.ndarray | None = None,
+) -> Draws:
+    """Return weighted draws from the posterior about the fitted motions, their regions numbered by falling probability.
+
+    `under` as in :func:`ridges_of`. No round begins once the budget is spent. `Draws.outside`: share of walkers that start from
+    draws and leave what was proposed; Pareto's k does not see a part of the posterior that is never proposed.
+    """
+    ridges = ridges_of(target, fit, under, s)
+    promise = np.array([ridge.log_promise for ridge in ridges])
+    points = np.where(promise < promise.max() + np.log(s.small), s.trace_small, s.trace)
+    for ridge, count in zip(ridges, points, strict=True):
+        trace_ridge(target, ridge, int(count), rng, s)
+    if budget is not None:
+        budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
+    draws, weights, rounds = None, [], []
+    for turn in range(s.rounds):
+        counts = _counts(ridges, weights, s)
+        for ridge, count in zip(ridges, counts, strict=True):
+            if count:
+                propose(target, ridge, count, rng, s)
+        if budget is not None:
+            budget.spend(float(counts.sum()) * s.warm_runs)
+        draws, weights = pooled(ridges, s)
+        rounds.append((draws.evidence, draws.effective / len(draws), draws.tail))
+        good = draws.effective >= s.wanted and draws.tail < s.good_tail
+        spent = budget is not None and budget.exhausted()
+        if (turn and good) or spent or turn + 1 == s.rounds:
+            break
+        for ridge, own in zip(ridges, weights, strict=True):
+            learn(ridge, own, rng, s)
+    assert draws is not None
+    draws = replace(draws, rounds=np.array(rounds))
+    if not np.isfinite(draws.evidence):
+        return draws
+    return replace(draws, outside=walked_out(target, ridges, weights, rng, s))
+
+
+def _counts(ridges: list[Ridge], weights: list[np.ndarray], s: SamplingSettings) -> np.ndarray:
+    """Return how many draws each ridge gets: by the root of its probability, first by Laplace's method."""
+    if not weights:
+        promise = np.array([ridge.log_promise for ridge in ridges])
+        share = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
+        return np.ceil(s.draws * share / share.sum()).astype(int)
+    share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in weights])
+    share = np.where(share < s.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
+    if not share.any():
+        share = np.ones(len(ridges))
+    return np.ceil(s.draws * share / share.sum()).astype(int)
+
+
+def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.ndarray]]:
+    """Return the draws of all ridges and rounds, and the log of the share of the posterior of each ridge's draws.
+
+    A motion that several ridges may propose is divided between them as in multiple importance sampling (Veach 1995).
+    """
+    drawn = [ridge for ridge in ridges if ridge.pool is not None]
+    shots = Shots.joined([ridge.pool.shots for ridge in drawn if ridge.pool is not None])
+    own = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])
+    log_part = np.zeros((len(own), 1))
+    if len(drawn) > 1:
+        every = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
+        log_part = every - logsumexp(every, axis=1, keepdims=True)
+    log_weight = np.concatenate(
+        [
+            ridge.pool.log_mass
+            - ridge.pool.log_inner
+            - ridge.log_outer(ridge.pool.y, s.freedom, draws=True)
+            - np.log(ridge.drawn)
+            for ridge in drawn
+            if ridge.pool is not None
+        ]
+    )
+    log_weight = log_weight + (log_part[np.arange(len(own)), own] if len(drawn) > 1 else 0.0)
+    log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(own))
+    total = float(logsumexp(log_weight))
+    if not np.isfinite(total):
+        none = np.zeros(len(own), dtype=np.int64)
+        return Draws(shots, log_weight, none, none, 0.0, np.inf, -np.inf), [
+            np.full(ridge.drawn, -np.inf) for ridge in ridges
+        ]
+    share = log_weight - total
+    draws = Draws(
+        shots,
+        log_weight,
+        np.zeros(len(own), dtype=np.int64),
+        regions(np.exp(share), np.exp(log_part), s),
+        effective_draws(np.exp(share)),
+        pareto_tail(log_weight),
+        total - float(np.log(len(own))),
+    )
+    ends = np.cumsum([0, *(ridge.drawn for ridge in ridges)])
+    return draws, [share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+
+def regions(weight: np.ndarray, part: np.ndarray, s: SamplingSettings) -> np.ndarray:
+    """Return the region of each draw (n), by falling probability: ridges that share motions are one region.
+
+    `weight` (n): probabilities; `part` (n, r): how much of each draw belongs to each ridge.
+    """
+    mass = weight @ part
+    overlap = (part * weight[:, None]).T @ part
+    alike = overlap > s.connected * np.minimum(mass[:, None], mass)
+    label = connected_components(alike, directed=False)[1][np.argmax(part, axis=1)]
+    _, inverse = np.unique(label, return_inverse=True)
+    rank = np.argsort(np.argsort(-np.bincount(inverse, weights=weight), kind="stable"))
+    return rank[inverse]
+
+
+def learn(
+    ridge: Ridge, log_share: np.ndarray, rng: np.random.Generator, s: SamplingSettings
+) -> None:
+    """Fit the ridge by regression to all points, and the outer law to the moments of the weighted draws.
+
+    Population Monte Carlo (Cappe et al. 2008): each draw is shared out among the components that may have proposed it. Where the
+    draws are still poor, further components stand on some of them. A part of the draws stays with the first law. Means and
+    covariances are those about the bend of the draws, if some of their directions are thin.
+    """
+    pool = ridge.pool
+    if pool is None or not np.isfinite(logsumexp(log_share)):
+        return
+    follow(ridge, s)
+    # no draw counts for more than a root of their number
+    log_weight = log_share - logsumexp(log_share)
+    weight = np.exp(np.minimum(log_weight, -np.log(len(log_weight)) / 2))
+    weight /= weight.sum()
+    off = pool.z - ridge.best(pool.y)
+    scatter = (weight[:, None] * off).T @ off
+    ridge.scatter = scatter + 1e-6 * np.trace(scatter) * np.eye(len(scatter))
+    before, bend = ridge.learnt, Bend.of(pool.y, weight, s)
+    parts = before.log_densities(pool.y, s.freedom)
+    part = np.exp(parts - logsumexp(parts, axis=1, keepdims=True)) * weight[:, None]
+    used = np.flatnonzero(part.sum(axis=0) > 1e-4)
+    mean, covariance, y = before.mean[used], before.covariance[used], pool.y
+    if before.bend is not None:
+        mean = before.bend.bent(mean)
+    if bend is not None:
+        mean, y = bend.straight(mean), bend.straight(y)
+    for i, one in enumerate(used):
+        own = part[:, one] / part[:, one].sum()
+        # few draws move little
+        keep = min(1.0, effective_draws(own) / (4.0 * mean.shape[1]))
+        mean[i] = keep * (own @ y) + (1 - keep) * mean[i]
+        spread = (own[:, None] * (y - mean[i])).T @ (y - mean[i])
+        covariance[i] = keep * spread + (1 - keep) * covariance[i]
+    least = np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
+    covariance = covariance + 1e-9 * least
+    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1), bend)
+    wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
+    law = ridge.learnt
+    if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
+        pick = rng.choice(len(weight), s.local, p=weight)
+        owner = np.argmax(part[np.ix_(pick, used)], axis=1)
+        shrunk = s.local_size**2 * covariance[owner]
+        local = Law(np.full(s.local, 1 / s.local), y[pick], shrunk, pick, bend)
+        law = Law.joined([(1 - s.local_share, ridge.learnt), (s.local_share, local)])
+    ridge.proposing = [(s.defence, wide), (1 - s.defence, law)]
+
+
+def walked_out(
+    target: Target,
+    ridges: list[Ridge],
+    log_shares: list[np.ndarray],
+    rng: np.random.Generator,
+    s: SamplingSettings,
+) -> float:
+    """Return the share of walkers that start from draws and end where hardly anything was proposed.
+
+    Walkers are Metropolis chains in y and the distance from the ridge. The density over the standing unknowns is estimated from
+    one draw of these, which leaves chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn,
+    exceeds the largest weight of all draws by :data:`INSIDE_TAIL`.
+    """
+    share = np.concatenate(log_shares)
+    picked = _systematic(share, s.walkers, rng)
+    ends = np.cumsum([0, *(len(own) for own in log_shares)])
+    left = 0
+    for r, ridge in enumerate(ridges):
+        rows = picked[(picked >= ends[r]) & (picked < ends[r + 1])] - ends[r]
+        pool, chart = ridge.pool, ridge.chart
+        if not len(rows) or pool is None:
+            continue
+        weight = np.exp(log_shares[r] - logsumexp(log_shares[r]))
+        off = pool.y - weight @ pool.y
+        d = pool.y.shape[1]
+        root = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(d))
+        inner = np.linalg.cholesky(ridge.scatter)
+        y, z, mass = pool.y[rows], pool.z[rows], pool.log_mass[rows]
+        shots = pool.shots.take(rows)
+        size = s.walk_size / np.sqrt(d + chart.stiff)
+        for _ in range(s.walk_steps):
+            to = y + size * rng.standard_normal(y.shape) @ root.T
+            aside = z + ridge.best(to) - ridge.best(y)
+            aside = aside + size * rng.standard_normal(z.shape) @ inner.T
+            trial, of_trial = weighed(target, chart, to, aside, shots.u, rng, s)
+            taken = np.log(rng.random(len(y))) < of_trial - mass
+            y, z = np.where(taken[:, None], to, y), np.where(taken[:, None], aside, z)
+            mass = np.where(taken, of_trial, mass)
+            shots = Shots(*(
+                np.where(taken[:, None], getattr(trial, name), getattr(shots, name))
+                for name in ("omega", "sun", "u")
+            ))  # fmt: skip
+        assert ridge.known is not None
+        nearest = nearest_points(ridge.known.y, y, ridge.learnt)
+        near = Slopes(*(part[nearest] for part in ridge.known.slopes))
+        best, own, _, _ = settled(target, chart, y, ridge.best(y), near.u, near)
+        own = s.inner_width * own
+        white = np.linalg.solve(own, (z - best)[:, :, None])[:, :, 0]
+        inner_log = student_log_density(white, s.freedom)
+        inner_log = inner_log - np.log(np.einsum("kii->ki", own)).sum(axis=1)
+        log_weight = mass - inner_log - ridge.log_outer(y, s.freedom)
+        largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom, draws=True)
+        left += int(np.sum(log_weight > largest.max() + np.log(INSIDE_TAIL)))
+    return left / s.walkers
+
+
+class Checked(NamedTuple):
+    """`p`: share of simulated readings that fit their motion worse than the real ones; `noise_sigmas`: how far the noise is from
+    the stated one, in sigmas of its prior."""
+
+    p: float
+    noise_sigmas: float
+
+
+class Replicating(Target, Protocol):
+    """A posterior whose readings can be simulated."""
+
+    def log_replicated(self, seen: Any, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return the log likelihood (K) of readings that were simulated from the motions, each set under its own motion."""
+        ...
+
+
+def predictive_check(
+    target: Replicating, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+) -> Checked:
+    """Return whether readings that fit as badly as the real ones would come from these motions, which are draws of equal weight."""
+    some = shots.take(slice(0, s.checked))
+    seen = target.run(some)
+    real = target.log_likelihood(seen, some.u)
+    worse = [target.log_replicated(seen, some.u, rng) <= real for _ in range(s.copies)]
+    noise = [i for i, one in enumerate(target.unknowns) if one.kind == "noise"]
+    return Checked(float(np.mean(worse)), float(some.u[:, noise].mean()) if noise else 0.0)
+
+
+def mixed(
+    drawn: Sequence[Draws],
+    log_priors: Sequence[float],
+    reach_s: float,
+    s: SamplingSettings = SAMPLING,
+) -> Draws:
+    """Return the draws of several models together, each weighed by evidence and prior, with regions that are one joined.
+
+    `log_priors`: relative to the nominal model, which is the first. Models without weight are left out, but the first. A region of
+    a less probable model belongs to one of an earlier model if the two differ by less than models bend one motion.
+    """
+    evidence = np.array([one.evidence for one in drawn]) + np.array(log_priors)
+    weight = np.exp(evidence - logsumexp(evidence))
+    kept = [m for m in range(len(drawn)) if m == 0 or weight[m] > s.no_weight]
+    count = max(drawn[m].shots.u.shape[1] for m in kept)
+    parts = {m: drawn[m].log_weight - np.log(len(drawn[m])) + log_priors[m] for m in kept}
+    labels = _regions_of_models(drawn, weight, kept, reach_s, s)
+    log_weight = np.concatenate([parts[m] for m in kept])
+    share = np.exp(log_weight - logsumexp(log_weight))
+    label = np.concatenate([labels[m] for m in kept])
+    rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
+    wide = [drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in kept]
+    return Draws(
+        Shots.joined(wide),
+        log_weight + np.log(len(log_weight)),
+        np.repeat(kept, [len(drawn[m]) for m in kept]),
+        rank[label],
+        effective_draws(share),
+        pareto_tail(log_weight),
+        float(logsumexp(log_weight)),
+        float(sum(weight[m] * drawn[m].outside for m in kept)),
+        np.concatenate([one.rounds for one in drawn]),
+    )
+
+
+def _regions_of_models(
+    drawn: Sequence[Draws], weight: np.ndarray, kept: list[int], reach_s: float, s: SamplingSettings
+) -> dict[int, np.ndarray]:
+    """Return for each model the region of each draw among those of all models."""
+    known: list[tuple[np.ndarray, np.ndarray]] = []
+    labels: dict[int, np.ndarray] = {}
+    for m in sorted(kept, key=lambda m: -weight[m]):
+        draws, before = drawn[m], len(known)
+        share = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+        place = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
+        for region in range(len(place)):
+            inside = draws.region == region
+            of = share[inside]
+            x = np.concatenate(
+                [reach_s * draws.shots.omega[inside], draws.shots.sun[inside]], axis=1
+            )
+            part = of / max(of.sum(), 1e-300)
+            mean = part @ x
+            spread = np.einsum("n,ni,nj->ij", part, x - mean, x - mean) + 1e-6 * np.eye(6)
+            counts = weight[m] * of.sum() > 10 * s.no_weight
+            far = [_apart(mean, spread, *one, s) for one in known[:before]] if counts else []
+            if far and min(far) < s.one_region:
+                place[region] = int(np.argmin(far))
+            else:
+                place[region] = len(known)
+                known.append((mean, spread))
+        labels[m] = place[draws.region]
+    return labels
+
+
+def _apart(
+    mean: np.ndarray, spread: np.ndarray, other: np.ndarray, wide: np.ndarray, s: SamplingSettings
+) -> float:
+    """Return the squared distance of two regions, in sigmas of the wider or in the bend between models if that is less."""
+    off, wider = mean - other, max((spread, wide), key=np.trace)
+    turn, sun = np.linalg.norm(off[RATE]) / s.bent_rad, np.linalg.norm(off[3:]) / s.sun_rad
+    bent = float(max(turn, sun)) ** 2 * s.one_region
+    return min(float(off @ np.linalg.solve(wider, off)), bent)
+
+
+def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the indices (n) of draws of equal weight, systematically chosen and in random order."""
+    return rng.permutation(_systematic(log_weight, n, rng))
+
+
+def _systematic(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return n indices in proportion to the weights, in increasing order."""
+    edges = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
+    places = (np.arange(n) + rng.random()) / n * edges[-1]
+    return np.minimum(np.searchsorted(edges, places), len(edges) - 1)

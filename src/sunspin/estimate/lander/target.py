@@ -1,0 +1,143 @@
+"""The posterior of a lander under one model, as :mod:`sunspin.estimate.lander.sample` asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sunspin.estimate.lander.fit import SEARCH_ERROR, Problem, corrected, in_tangents_at
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import RATE, SUN, Shots
+from sunspin.estimate.lander.ridges import FIVE, Equations, Slopes
+from sunspin.estimate.model import Unknown
+from sunspin.estimate.terms.powers import SunStates
+
+LEAST_TURN_RAD = 1e-3
+"""Steps that turn the body by less within the window correct no derivatives: runs are good to 1e-5 rad, and would be the change."""
+
+
+@dataclass(frozen=True)
+class LanderTarget:
+    """Posterior of the motions of a lander.
+
+    What is `seen` (K, n, w) of a motion are its directions to the Sun, and its rates if other sensors than panels are read.
+    """
+
+    model: LanderModel
+
+    @property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the unknowns (m)."""
+        return self.model.unknowns
+
+    @cached_property
+    def standing(self) -> np.ndarray:
+        """Return the places of brightness, gains and misalignments."""
+        own = np.arange(len(self.model.of_motion), len(self.unknowns))
+        return np.setdiff1d(own, self.model.places("noise"))
+
+    @cached_property
+    def bending(self) -> np.ndarray:
+        """Return the places of unknowns on which the motion depends."""
+        return np.arange(len(self.model.of_motion))
+
+    @property
+    def reach_s(self) -> float:
+        """Return the longest time from the reference to a sample."""
+        return self._problem.reach_s
+
+    @property
+    def rate_max(self) -> float:
+        """Return the largest rate (rad/s)."""
+        return self.model.max_rate
+
+    @cached_property
+    def _problem(self) -> Problem:
+        """Return the fit of rate, direction and standing unknowns."""
+        free = np.zeros(len(self.unknowns), dtype=bool)
+        free[self.standing] = True
+        return Problem(self.model, free)
+
+    def linearised(
+        self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0
+    ) -> Equations:
+        """Return the equations in rate, direction and standing unknowns, under `wider` times the noise."""
+        problem = self._problem
+        if slopes is None:
+            seen, moves = problem.derivatives(shots)
+        else:
+            seen, fine = problem.seen(shots, SEARCH_ERROR)
+            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :FIVE]
+            turn = np.maximum(
+                np.linalg.norm(step[:, RATE], axis=1) * self.reach_s,
+                np.linalg.norm(step[:, SUN], axis=1),
+            )
+            # if unknowns of the motion have changed as well, what is seen has not changed by the step alone
+            alike = np.all(shots.u[:, self.bending] == slopes.u[:, self.bending], axis=1)
+            learnt = (alike & fine & (turn > LEAST_TURN_RAD))[:, None]
+            moves, step = in_tangents_at(
+                shots.sun, slopes.sun, slopes.moves, np.where(learnt, step, 0.0)
+            )
+            change = np.where(fine[:, None, None], np.nan_to_num(seen - slopes.seen), 0.0)
+            moves = corrected(moves, step, change)
+        linear = problem.differences(shots, seen, moves)
+        system = problem.system(shots.u, linear, wider)
+        at = Slopes(shots.omega, shots.sun, shots.u, moves, linear.seen)
+        return Equations(system.cost, system.slope, system.matrix, at)
+
+    def run(self, shots: Shots) -> np.ndarray:
+        """Return what sensors see (K, n, w), not a number for motions that could not be computed."""
+        seen, fine = self._problem.seen(shots, SEARCH_ERROR)
+        return np.where(fine[:, None, None], seen, np.nan)
+
+    def standing_slopes(
+        self, seen: np.ndarray, u: np.ndarray, wider: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the standing unknowns."""
+        problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
+        # the differences depend on u and on what is seen alone
+        none = np.zeros((len(u), 3))
+        linear = problem.differences(Shots(none, none, u), seen, still)
+        _, weight = problem.weigh(linear.value, u, wider)
+        jacobian = linear.jacobian
+        weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
+        return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian
+
+    def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the log likelihood (K); minus infinity for motions that could not be computed."""
+        model, omega = self.model, seen[..., 3:]
+        fine = np.isfinite(seen).all(axis=(1, 2))
+        states = SunStates.of(seen[..., :3], omega)
+        with np.errstate(invalid="ignore"):
+            total = model.panels.log_density(states, u[:, model.of_panels])
+            for term in model.given:
+                for residual in term.residuals(states, u[:, :0]):
+                    total = total - residual.law(residual.value)[0].sum(axis=1)
+        return np.where(fine & np.isfinite(total), total, -np.inf)
+
+    def log_replicated(
+        self, seen: np.ndarray, u: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Return the log likelihood (K) of readings simulated from the motions, each set under its own motion."""
+        model, states = self.model, SunStates.of(seen[..., :3], seen[..., 3:])
+        of_panels = u[:, model.of_panels]
+        simulated = model.panels.replicated(states, of_panels, rng)
+        total = simulated.log_density(states, of_panels)
+        for term in model.given:
+            off = rng.standard_normal((len(u), int(term.explained)))
+            total = total - 0.5 * np.sum(off**2, axis=1)
+        return total
+
+    def outlier_probability(self, shots: Shots) -> np.ndarray:
+        """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
+        seen = self.run(shots)
+        fine = np.isfinite(seen).all(axis=(1, 2))
+        states = SunStates.of(seen[fine, :, :3], seen[fine, :, 3:])
+        own = shots.u[fine][:, self.model.of_panels]
+        return self.model.panels.outlier_probability(states, own)
+
+    def log_prior(self, shots: Shots) -> np.ndarray:
+        """Return the log prior density (K)."""
+        return self.model.log_prior_density(shots)

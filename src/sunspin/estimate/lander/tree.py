@@ -1,0 +1,190 @@
+"""The result of `posterior`: draws, solutions, and how they came about, as a DataTree."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.lander.mixture import Mixture
+from sunspin.estimate.lander.sample import resampled
+
+COUNTS = 0.01
+"""A solution with less probability does not count: neither for uniqueness nor as an alias."""
+
+LEAST_PROBABILITY = 1e-4
+"""Solutions with less probability are not listed."""
+
+TOO_FEW = 10.0
+"""Effective draws below which the sigma of a solution is that of the draws proposed there, as that of one draw would be zero; and
+below which it is not listed unless it counts."""
+
+OF_SOLUTION = 4000
+"""Draws of equal weight from which mean and covariance of a solution come."""
+
+BEST_OF = 100
+"""Further draws of a solution among which the one of the largest likelihood is looked for."""
+
+EACH = ("chain", "draw")
+"""Dimensions of the draws."""
+
+
+def group(tree: xr.DataTree, name: str) -> xr.Dataset:
+    """Return the variables of one group of a posterior."""
+    return tree.children[name].to_dataset()
+
+
+def tree_of(
+    mix: Mixture, picked: np.ndarray, windows: list[tuple[int, int, int]], prior_sigma: float
+) -> xr.DataTree:
+    """Return the groups `posterior`, `solutions`, `search` and `sampling`.
+
+    `picked`: indices of draws of equal weight, those of the result; `windows`: samples, motions fitted and motions kept for each
+    window of the search; `prior_sigma` (rad/s): of a component of the rate before the data.
+    """
+    likelihood = mix.log_likelihood(picked)
+    trace, rounds = np.array(windows, dtype=np.int64).reshape(-1, 3), mix.draws.rounds
+    search, sampling = (
+        ("samples", "hypotheses", "kept"),
+        ("log_evidence", "effective_share", "pareto_k"),
+    )
+    return xr.DataTree.from_dict(
+        {
+            "posterior": _draws(mix, picked, likelihood),
+            "solutions": _solutions(mix, picked, likelihood, prior_sigma),
+            "search": xr.Dataset({name: ("stage", trace[:, i]) for i, name in enumerate(search)}),
+            "sampling": xr.Dataset(
+                {name: ("round", rounds[:, i]) for i, name in enumerate(sampling)}
+            ),
+        }
+    )
+
+
+def _draws(mix: Mixture, picked: np.ndarray, log_likelihood: np.ndarray) -> xr.Dataset:
+    """Return the draws of the result over (chain, draw), at the first sample."""
+    first, values, count = mix.first(picked), mix.values(picked), len(picked)
+    rate = {"units": "rad s-1", "long_name": "body rate at the first sample"}
+    sun = {"units": "1", "long_name": "direction to the Sun at the first sample"}
+    steady = {
+        "units": "rad s-2",
+        "long_name": "steady torques over the mean moment of inertia, in body axes at the first sample",
+    }
+    variables: dict[str, Any] = {
+        "omega_B": ((*EACH, "axis"), first.omega[None], rate),
+        "sun_B": ((*EACH, "axis"), first.sun[None], sun),
+        "wheel_speed_rad_s": ((*EACH, "wheel"), first.wheels[None], {"units": "rad s-1"}),
+        "solution_id": (EACH, mix.draws.region[picked][None]),
+        "log_weight": (EACH, np.full((1, count), -np.log(count)), {"units": "1"}),
+        "log_likelihood_sum": (EACH, log_likelihood[None], {"units": "1"}),
+        "steady_torque": ((*EACH, "stays_in", "axis"), first.steady[None], steady),
+    }
+    for unknown in mix.nominal.unknowns:
+        if unknown.kind != "wheel_speed":  # one variable holds those of all wheels
+            about = {
+                "units": unknown.unit,
+                "prior_centre": unknown.centre,
+                "prior_sigma": unknown.sigma,
+            }
+            variables[unknown.name] = (EACH, values[unknown.name][None], about)
+    coords = {
+        "axis": ["x", "y", "z"],
+        "stays_in": ["body", "space"],
+        "wheel": [wheel.name for wheel in mix.nominal.vehicle.wheels],
+        "chain": [0],
+        "draw": np.arange(count),
+    }
+    return xr.Dataset(variables, coords)
+
+
+class Solution(NamedTuple):
+    """One solution at the first sample; each field is a variable of the group `solutions`."""
+
+    omega_B: np.ndarray
+    omega_cov_B: np.ndarray
+    sun_B: np.ndarray
+    probability: float
+    log_evidence: float
+    best_omega_B: np.ndarray
+    chi_square: float
+    lit_readings: int
+    starts: int
+    effective_draws: float
+
+
+def _solutions(
+    mix: Mixture, picked: np.ndarray, log_likelihood: np.ndarray, prior_sigma: float
+) -> xr.Dataset:
+    """Return the solutions by falling probability, from their draws; `log_likelihood` (n) of the draws `picked` (n)."""
+    rng = np.random.default_rng(0)
+    count = _listed(mix)
+    rows = []
+    for region in range(count):
+        every = mix.inside(region)
+        even = every[resampled(mix.draws.log_weight[every], OF_SOLUTION, rng)]
+        inside, times = np.unique(even, return_counts=True)
+        share, first = times / OF_SOLUTION, mix.first(inside)
+        mean, sun = share @ first.omega, share @ first.sun
+        off = first.omega - mean
+        covariance = np.einsum("n,ni,nj->ij", share, off, off)
+        effective = mix.effective(region)
+        if effective < TOO_FEW:
+            covariance = _of_proposed(mix, every, mean, prior_sigma)
+
+        # the draw of the largest likelihood, of those in the result and some more if these are few
+        own = mix.draws.region[picked] == region
+        tried = np.concatenate([picked[own], even[:BEST_OF]])
+        known = np.concatenate([log_likelihood[own], mix.log_likelihood(even[:BEST_OF])])
+        best = tried[[int(np.argmax(known))]]
+        rows.append(
+            Solution(
+                mean,
+                covariance,
+                sun / np.linalg.norm(sun),
+                mix.share[region],
+                mix.draws.evidence + np.log(mix.share[region]),
+                mix.first(best).omega[0],
+                *_chi_square(mix, best),
+                int(mix.starts[region]),
+                effective,
+            )
+        )
+    units = dict.fromkeys(Solution._fields, "1")
+    units |= {"omega_B": "rad s-1", "best_omega_B": "rad s-1", "omega_cov_B": "rad2 s-2"}
+    axes = ("axis", "axis2")
+    variables = {}
+    for name, values in zip(Solution._fields, zip(*rows, strict=True), strict=True):
+        value = np.array(values)
+        variables[name] = (("solution", *axes[: value.ndim - 1]), value, {"units": units[name]})
+    return xr.Dataset(variables, {"solution": np.arange(count), "axis": ["x", "y", "z"]})
+
+
+def _listed(mix: Mixture) -> int:
+    """Return how many regions are listed: up to the first that has too little probability, or too few draws and does not count."""
+    for region, share in enumerate(mix.share):
+        too_few = share < COUNTS and mix.effective(region) < TOO_FEW
+        if share <= LEAST_PROBABILITY or too_few:
+            return max(1, region)
+    return len(mix.share)
+
+
+def _of_proposed(
+    mix: Mixture, every: np.ndarray, mean: np.ndarray, prior_sigma: float
+) -> np.ndarray:
+    """Return the covariance (3, 3) about their mean of all rates proposed in a region, which spread more than those with weight.
+
+    If these are too few, that of the prior.
+    """
+    if len(every) < TOO_FEW:
+        return prior_sigma**2 * np.eye(3)
+    off = mix.first(every[:: -(-len(every) // OF_SOLUTION)]).omega - mean
+    return off.T @ off / len(off)
+
+
+def _chi_square(mix: Mixture, best: np.ndarray) -> tuple[float, int]:
+    """Return the sum of squared differences of lit readings in stated sigmas under one draw, and their number."""
+    model, _, shots = next(mix.by_model(best))
+    panels = model.panels
+    residual, *_ = panels.residuals(model.carried(shots, 1e-5).seen, shots.u[:, model.of_panels])
+    lit = panels.lit
+    return float(np.sum(residual.value[0][lit] ** 2)), int(np.count_nonzero(lit))

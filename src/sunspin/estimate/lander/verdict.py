@@ -1,0 +1,242 @@
+"""What a posterior says in words, above all if it does not decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.lander.tree import COUNTS, TOO_FEW, group
+from sunspin.estimate.verdict import (
+    NARROWER,
+    SPEEDS,
+    UPPER,
+    Answers,
+    PassRow,
+    Speed,
+    drawn_speeds,
+)
+
+NOT_EXPLAINED = 0.002
+"""Chance of readings this bad below which no motion explains them."""
+
+NOISE_LIMIT = 3.5
+"""Sigmas of its prior by which the noise may be off; beyond, no motion explains the readings."""
+
+TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
+"""Pareto index k above which, and number of effective draws below which, draws are approximate."""
+
+OUTSIDE_LIMIT = 0.02
+"""Share of walkers that may leave what was proposed."""
+
+UNIQUE = 0.99
+"""Probability of the only solution that counts."""
+
+LINE_RAD_S, LINE_SOLUTIONS = 0.15, 25
+"""A solution with a larger sigma, or as many solutions as this, are a line rather than points."""
+
+ACCUSED_SHARE, ACCUSED_LEAST = 0.4, 3
+"""A panel is named if it has so many outliers, and they are this part of its lit readings."""
+
+DARK_RUN = 3
+"""So many samples in a row without a lit panel may be a shadow, which no motion explains."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the verdict is made of.
+
+    Of each solution (r), by falling probability: `probability`, `rate` (r, 3), the longest sigma `length` and the root mean square
+    `speed`, rad/s. `interval_s`: between samples; `p`, `noise_sigmas`: of the predictive check; `accused`: sentences on panels;
+    `tail`, `effective`, `outside`: how good the draws are; `doubts`: what the search left out, in words; `dark`: when no panel was
+    lit, in words; `complete`: every motion that may fit was followed.
+    """
+
+    probability: np.ndarray
+    rate: np.ndarray
+    length: np.ndarray
+    speed: np.ndarray
+    interval_s: float
+    p: float
+    noise_sigmas: float
+    accused: list[str]
+    tail: float
+    effective: float
+    outside: float
+    doubts: list[str]
+    dark: str
+    complete: bool
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Return the indices of the solutions that count."""
+        return np.flatnonzero(self.probability >= COUNTS)
+
+    @property
+    def approximate(self) -> list[str]:
+        """Return why the draws are approximate, in words; nothing if they are good."""
+        why = []
+        if self.tail > TAIL_LIMIT or self.effective < EFFECTIVE_LIMIT:
+            size = f"effective sample size only {self.effective:.0f} (Pareto k {self.tail:.2f})"
+            why.append(f"{size}: errors and probabilities are approximate")
+        if self.outside > OUTSIDE_LIMIT:
+            why.append(f"{self.outside:.1%} of the posterior's volume was not sampled")
+        return why
+
+    @property
+    def is_line(self) -> bool:
+        """Return whether the solutions are a line rather than points."""
+        longest = self.length[self.counted].max(initial=0.0)
+        return bool(len(self.counted) >= LINE_SOLUTIONS or longest > LINE_RAD_S)
+
+    @property
+    def unique(self) -> bool:
+        """Return whether one solution is left, and is no line."""
+        alone = len(self.counted) == 1 and self.probability[0] >= UNIQUE
+        return bool(alone and not self.is_line)
+
+    @property
+    def refused(self) -> bool:
+        """Return whether readings this bad, or noise this far from what was stated, mean that no motion explains them."""
+        return self.p < NOT_EXPLAINED or abs(self.noise_sigmas) > NOISE_LIMIT
+
+
+def posterior_words(findings: Findings) -> tuple[str, str]:
+    """Return a word (unique, aliases, line, not explained, not sure) and the sentence."""
+    if findings.refused and not findings.complete:
+        doubts = "; ".join(findings.doubts)
+        text = f"not sure: {doubts}; none of the solutions searched fits"
+        return "not sure", text + _eclipse_text(findings)
+    if findings.refused:
+        return "not explained", _not_explained(findings)
+    text = "; ".join([_solutions_text(findings), *findings.accused])
+    if doubts := [*findings.doubts, *findings.approximate]:
+        text = f"not sure: {'; '.join(doubts)}; result so far: {text}"
+        return "not sure", text + _eclipse_text(findings)
+    word = "line" if findings.is_line else "unique" if findings.unique else "aliases"
+    return word, text
+
+
+def _solutions_text(findings: Findings) -> str:
+    """Return what the solutions say by themselves."""
+    counted, rate = findings.counted, findings.rate
+    best = f"{np.degrees(findings.speed[0]):.3g} deg/s"
+    likeliest = findings.probability[0]
+    if findings.is_line:
+        between = float(np.ptp(rate[counted], axis=0).max())
+        reach = np.degrees(max(2 * float(findings.length[counted].max()), between))
+        return f"a line of solutions over {reach:.2g} deg/s fits equally well; the data do not select one"
+    if findings.unique:
+        return f"unique: a single solution, with an angular speed of {best}, fits the readings"
+    if len(counted) == 1:
+        others = int((findings.probability > 0).sum()) - 1
+        share = f"{likeliest:.1%} of the probability, {others} others have the rest"
+        return f"several solutions: the likeliest, at {best}, has {share}"
+    apart = np.linalg.norm(rate[counted][:, None] - rate[counted][None], axis=-1)
+    nearest = np.min(apart + np.diag(np.full(len(counted), np.inf)), axis=1)
+    gap = np.degrees(float(np.median(nearest)))
+    turn = 360 / findings.interval_s
+    return (
+        f"{len(counted)} aliases, {gap:.3g} deg/s apart, fit equally well; the likeliest, at {best}, has {likeliest:.0%} of the "
+        f"probability (one extra revolution between samples would be {turn:.3g} deg/s)"
+    )
+
+
+def _not_explained(findings: Findings) -> str:
+    """Return that no solution fits, by how much, and what may be the cause."""
+    text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p:.2g}"
+    if abs(findings.noise_sigmas) > NOISE_LIMIT:
+        side = "more" if findings.noise_sigmas > 0 else "less"
+        text = f"not explained: no solution fits unless the noise is far {side} than assumed ({findings.noise_sigmas:+.1f} sigma)"
+    text = "; ".join([text, *findings.accused, *findings.doubts])
+    if findings.dark:
+        return text + _eclipse_text(findings)
+    return f"{text}. Check the vehicle file, the time window, the wheels, and for shaded or failed panels"
+
+
+def _eclipse_text(findings: Findings) -> str:
+    """Return what to do if the samples without a lit panel, if any, are in the shadow of a planet, which no motion explains.
+
+    Of 15 samples with six in the shadow, readings called outliers left a chance of 1 % of residuals as large: that is not refused.
+    """
+    if not findings.dark:
+        return ""
+    cure = "exclude it with --from and --to (begin_s, end_s)"
+    return f"; {findings.dark}. If this is an eclipse, {cure}"
+
+
+def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
+    """Return when no panel was lit for :data:`DARK_RUN` samples or more, the longest such time; empty if that was never.
+
+    `t_s` (n) from the epoch; `lit` (n): whether any panel was lit.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], lit, [True]]).astype(int)))
+    begin, end = edges[::2], edges[1::2]
+    if not len(begin) or (count := int((end - begin).max())) < DARK_RUN:
+        return ""
+    k = int(np.argmax(end - begin))
+    return f"no panel lit from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s ({count} samples)"
+
+
+def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
+    """Return sentences on panels with many outliers; `outliers` (n, p): probabilities, `lit` (n, p)."""
+    sentences = []
+    base = np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
+    for name, count, of in zip(names, outliers.sum(axis=0), base, strict=True):
+        if count >= ACCUSED_LEAST and count > ACCUSED_SHARE * of:
+            sentences.append(
+                f"panel {name}: about {count:.0f} outliers (shadow, failed panel or wrong column)"
+            )
+    return sentences
+
+
+def sigmas(solutions: xr.Dataset) -> np.ndarray:
+    """Return sigmas (r, 3) of the rates of solutions, rad/s."""
+    return np.sqrt(np.einsum("kii->ki", solutions["omega_cov_B"].values))
+
+
+def pass_row(
+    findings: Findings, tree: xr.DataTree, prior_sigma: float, columns_checked: str
+) -> PassRow:
+    """Return the solutions at the first sample and the four answers, as the table of passes has them.
+
+    `prior_sigma` (rad/s): of a component of the rate in the ball that was searched.
+    """
+    solutions, posterior, about = group(tree, "solutions"), group(tree, "posterior"), tree.attrs
+    draws = posterior["omega_B"].values.reshape(-1, 3)
+    of_solution = posterior["solution_id"].values.ravel()
+    rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
+    quantiles = np.quantile(drawn_speeds(rate, covariance), SPEEDS, axis=1).T
+    speed = np.linalg.norm(draws, axis=1)
+    enough = np.flatnonzero(solutions["effective_draws"].values >= TOO_FEW)
+    for k in np.intersect1d(of_solution, enough):  # the draws themselves if there are enough
+        quantiles[k] = np.quantile(speed[of_solution == k], SPEEDS)
+    best = of_solution == of_solution.min(initial=0)
+    if not best.any():  # no draw of the result belongs to the likeliest solution
+        best[:] = True
+    value = float(np.linalg.norm(rate[0]))
+    off = float(np.sqrt(np.mean((speed[best] - value) ** 2)))
+    x, y, z = (bool(one < NARROWER * prior_sigma) for one in draws.std(axis=0))
+    answers = Answers(
+        unique=findings.unique,
+        constrained=(x, y, z),
+        fits=not findings.refused,
+        search_complete=not (findings.doubts or findings.approximate),
+        wrong=(),
+        cure="",
+        speed=Speed(value, off, float(np.quantile(speed, UPPER))),
+    )
+    first = about["t_first_s"]
+    return PassRow(
+        about["samples"],
+        first,
+        about["t_last_s"],
+        first,
+        solutions["probability"].values,
+        rate,
+        sigmas(solutions),
+        quantiles,
+        answers,
+        columns_checked,
+    )

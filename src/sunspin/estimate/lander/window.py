@@ -1,0 +1,220 @@
+"""From telemetry to what a fit of a lander sees: every reading of one stretch without blows, dark ones too."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.special import logsumexp
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.model import Observations
+from sunspin.estimate.settings import GridSettings
+from sunspin.estimate.terms.given import KINDS, require_known
+from sunspin.estimate.terms.powers import PanelPowers
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, sun_directions
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response import panels
+from sunspin.vehicle.response.planes import sphere
+
+FREE_PHASE = "first_rebound"
+"""Phase that is taken if a file has several and none is named: of Philae's, the one without a blow and with its wheel."""
+
+MOST_SAMPLES = 600
+"""Samples beyond this are thinned evenly: the motion is overdetermined long before."""
+
+MOST_NAMED = 12
+"""Phases that are named if an unknown one was asked for."""
+
+LIKELY_UNIT = 0.5, 1.2
+"""Brightness for which gains with a unit may be right, where few panels say how bright the Sun is."""
+
+BRIGHTEST = 40
+"""Samples with the most light by which the brightness is bounded."""
+
+BETWEEN_RAD = 0.03
+"""How far any direction is from the nearest of those that are tried for the brightness."""
+
+BRIGHTNESS_STEP, DIMMEST, WIDEST = 0.02, 0.03, 3.0
+"""Steps of the log brightness, and between which parts of the brightest reading it lies."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """What one stretch shows; times of the observations count from its first sample, `start_s` after the epoch.
+
+    `noise_from`: where the noise of the panels comes from; `remarks`: what was left out, in words.
+    """
+
+    obs: Observations
+    start_s: float
+    noise_from: str
+    remarks: tuple[str, ...]
+
+
+def observe_window(
+    assessment: Assessment,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+) -> Window:
+    """Return all readings of a stretch of telemetry that count, and other observations, each at a sample of its own time.
+
+    `begin_s`, `end_s` (s from the epoch) or `phase` bound the stretch. Raises `InputError` for fewer than three samples with a lit
+    panel, an unknown phase or observation.
+    """
+    vehicle, telemetry, quality = assessment.vehicle, assessment.telemetry, assessment.quality
+    vehicle.require_panels()
+    power, times = signals(telemetry), np.asarray(telemetry["time"], dtype=np.float64)
+    if power.ndim != 2 or power.shape[1] != len(vehicle.inputs):
+        what = "the telemetry's panels are not the vehicle's"
+        raise InputError(what, got=f"{power.shape[-1]} columns")
+    inside, remarks = _stretch(telemetry, times, begin_s, end_s, phase)
+    measured = quality["measured"].values
+    index = np.flatnonzero(inside & np.isfinite(times) & measured.any(axis=1))
+    remarks += _left_out(quality, np.isfinite(power), inside)
+    remarks += [assessment.repeats.doubt] if assessment.repeats.unsure[index].any() else []
+    if len(index) > MOST_SAMPLES:
+        remarks.append(f"{len(index)} samples were thinned to {MOST_SAMPLES}")
+        even = np.linspace(0, len(index) - 1, MOST_SAMPLES).round().astype(int)
+        index = index[np.unique(even)]
+    used = measured[index]
+    power = np.where(used, power[index], 0.0)
+    threshold = float(vehicle.telemetry.lit_threshold or 0.0)
+    lit = (used & (power > threshold)).any(axis=1)
+    if np.count_nonzero(lit) < 3:
+        raise InputError(
+            "a motion needs three samples with a lit panel",
+            got=f"{np.count_nonzero(lit)} in the window",
+            do="widen the window; `sunspin check` says what is wrong with samples",
+        )
+    sigma, noise_from = assessment.noise
+    guess = _brightness(vehicle, power, used, sigma, threshold)
+    require_known(observations, float(times[index[0]]), float(times[index[-1]]))
+
+    # an observation has a sample of its own, at which no panel was read, unless panels were read at that very time
+    own = np.array([float(one["t_s"]) for one in observations])
+    t_s, place = np.unique(np.concatenate([times[index], own]), return_inverse=True)
+    at_samples, at_given = np.split(place.ravel(), [len(index)])
+    whole_power, whole_used = (np.zeros((len(t_s), power.shape[1]), kind) for kind in (float, bool))
+    whole_power[at_samples], whole_used[at_samples] = power, used
+    read = PanelPowers(
+        whole_power,
+        whole_used,
+        np.asarray(sigma, dtype=np.float64),
+        threshold,
+        float(power[used].max()),
+        vehicle.response_in(),
+        guess,
+        vehicle.throttled,
+    )
+    given = tuple(
+        KINDS[str(one["kind"])].of(one, int(at), len(t_s))
+        for one, at in zip(observations, at_given, strict=True)
+    )
+    obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (read, *given))
+    return Window(obs, float(t_s[0]), noise_from, tuple(remarks))
+
+
+def _stretch(
+    telemetry: xr.Dataset,
+    times: np.ndarray,
+    begin_s: float | None,
+    end_s: float | None,
+    phase: str | None,
+) -> tuple[np.ndarray, list[str]]:
+    """Return which samples (n) lie in the stretch that is asked for, and remarks."""
+    inside, remarks = np.ones(len(times), dtype=bool), []
+    phases = np.array([], dtype=str)
+    if "phase" in telemetry.coords:
+        phases = np.asarray(telemetry["phase"]).astype(str)
+    names = list(dict.fromkeys(phases.tolist()))
+    if phase is None and begin_s is None and end_s is None and len(names) > 1:
+        if FREE_PHASE not in names:
+            raise InputError(
+                "the telemetry has several phases, which are not one motion",
+                got=", ".join(names),
+                do="name one, or give begin and end",
+            )
+        phase = FREE_PHASE
+        remarks.append(f"of the phases in the file only {phase} was used")
+    if phase is not None:
+        if phase not in names:
+            exist = f"it has {', '.join(names[:MOST_NAMED])}" if names else "it names none"
+            raise InputError("the telemetry has no such phase", got=phase, do=exist)
+        inside &= phases == phase
+    inside &= times >= (-np.inf if begin_s is None else begin_s)
+    inside &= times <= (np.inf if end_s is None else end_s)
+    return inside, remarks
+
+
+def _left_out(quality: xr.Dataset, number: np.ndarray, inside: np.ndarray) -> list[str]:
+    """Return remarks on samples (n) and readings (n, p), all of which were a `number`, that do not count, with the reasons."""
+    measured, why = quality["measured"].values, quality["why"].values
+    whole = inside & ~measured.any(axis=1)
+    part = inside & ~whole & (number & ~measured & ~quality["missed"].values).any(axis=1)
+    reasons = Counter(str(text) for text in why[whole | part] if not text.startswith("used"))
+    return [
+        f"left out in {count} sample{'s' * (count > 1)}: {text.partition(': ')[2]}"
+        for text, count in reasons.most_common()
+    ]
+
+
+def _brightness(
+    vehicle: Vehicle, power: np.ndarray, used: np.ndarray, sigma: np.ndarray, threshold: float
+) -> float:
+    """Return a first guess of the brightness, the signal of a panel of gain one at normal incidence, from readings (n, p).
+
+    It is the median over samples that give a direction, else the likeliest one; gains in a unit are believed instead if they can
+    be. A sample gives a direction by panels that are lit beyond noise: half of the dark panels' noise is above a small threshold,
+    and with 2 to 4 % of it one guess in three was off by more than 10 %; then no start settled.
+    """
+    sure = np.maximum(threshold, LIT_SIGMAS * sigma)
+    value = np.where(used, power, 0.0)
+    status = sun_directions(vehicle, value, noise=sigma, lit_threshold=sure)["status"].values
+    direct = is_reconstructed(status) & used.all(axis=1)
+    if direct.any():
+        return float(np.median(panels.brightness(vehicle, value[direct])))
+    likeliest = _likeliest_brightness(vehicle, np.maximum(value, 0.0), used, sigma)
+    in_unit = vehicle.gain_unit is not None and LIKELY_UNIT[0] < likeliest < LIKELY_UNIT[1]
+    return 1.0 if in_unit else likeliest
+
+
+def _likeliest_brightness(
+    vehicle: Vehicle, power: np.ndarray, used: np.ndarray, sigma: np.ndarray
+) -> float:
+    """Return the brightness under which readings (n, p) are the likeliest, each sample's direction being anywhere on the sphere.
+
+    That every sample has a direction is not enough: too bright a Sun is not contradicted where no panel looks along it. But
+    directions near the edge of what panels see would have to be the rule then, and readings just below the largest rare.
+    """
+    s = GridSettings()
+    light = power / vehicle.input_gains
+    samples = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:BRIGHTEST]
+    samples = samples[
+        light[samples].max(axis=1) > 0
+    ]  # the dark samples of an eclipse bound nothing
+    largest = light[samples].max(axis=1)
+    low = max(float(np.median(largest)), DIMMEST * float(largest.max()))
+    tried = np.exp(np.arange(np.log(low), np.log(WIDEST * largest.max()), BRIGHTNESS_STEP))
+    shape = panels.panel_power(vehicle, sphere(s.directions))
+    density = np.zeros(len(tried))
+    for i, scale in enumerate(tried):
+        spread = np.hypot(sigma, BETWEEN_RAD * scale * vehicle.input_gains)
+        for k in samples:
+            square = np.minimum(((scale * shape - power[k]) / spread) ** 2, s.cap) @ used[k]
+            density[i] += float(logsumexp(-0.5 * square)) - float(np.log(spread) @ used[k])
+    return float(tried[np.argmax(density)])
+
+
+def with_unknowns(obs: Observations, read: PanelPowers) -> Observations:
+    """Return observations whose panels are replaced by `read`, the same with their unknowns."""
+    terms = tuple(read if isinstance(term, PanelPowers) else term for term in obs.terms)
+    return replace(obs, terms=terms)

@@ -1,0 +1,405 @@
+"""From telemetry to what a fit sees: terms at all samples, passes, the samples that the search keeps, and wheels."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.dynamics.friction import spin_down_speed
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.environment import Environment, Surroundings
+from sunspin.estimate.model import Observations
+from sunspin.estimate.settings import PassSettings
+from sunspin.estimate.terms.clock import Latency
+from sunspin.estimate.terms.directions import UNREAD, SunDirections
+from sunspin.estimate.terms.field import (
+    FieldCalibration,
+    FieldChange,
+    FieldDirection,
+    KnownField,
+    reads_directions,
+)
+from sunspin.estimate.terms.inertial import AttitudeChange, Gyro
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.terms.term import Term
+from sunspin.estimate.terms.torques import GravityGradient, MagneticTorque, StatedDipole
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
+from sunspin.vehicle import Vehicle
+
+ALONE = "dropped: fewer than three samples between gaps (in no pass)"
+NOT_ASKED = "dropped: in another pass than the one asked for"
+
+FIELD = "field"
+"""Where directions come from without a Sun: a magnetometer."""
+
+FIELD_ALONE = "used: the field alone; "
+"""Begin of what is said of a sample without a Sun whose field an orbit makes a direction."""
+
+NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
+"""What is said of samples whose only fault is that they show no Sun."""
+
+MEASURED = "measured"
+HELD = "held at the nominal speed"
+COASTING = "coasting from the nominal speed at the first sample"
+
+COAST_FROM = "coast_from_s"
+"""Attribute of samples that were cut out of a file: time of the file's first sample, from which its wheels may coast."""
+
+
+@dataclass(frozen=True)
+class FileReadings:
+    """What all samples of a file show; `why` (n): what became of each, in words; `source`: where the Sun comes from."""
+
+    obs: Observations
+    why: np.ndarray
+    source: str
+
+    @property
+    def dipole_modelled(self) -> bool:
+        """Return whether the dipole that the vehicle file states acts, in a measured field."""
+        return any(isinstance(term, StatedDipole) for term in self.obs.terms)
+
+    @property
+    def usable(self) -> np.ndarray:
+        """Indices of the samples that show the Sun, or a field whose direction is known, and are not dropped."""
+        dropped = np.array([text.startswith("dropped") for text in self.why])
+        field_alone = np.array([text.startswith(FIELD_ALONE) for text in self.why])
+        return np.flatnonzero((self.obs.sees_sun | field_alone) & ~dropped)
+
+
+@dataclass(frozen=True)
+class Pass:
+    """A stretch of samples without a long gap: indices of all its samples (n), and of those that the search keeps."""
+
+    samples: np.ndarray
+    kept: np.ndarray
+
+    @property
+    def kept_in_pass(self) -> np.ndarray:
+        """Indices of the kept samples among those of the pass."""
+        return np.searchsorted(self.samples, self.kept)
+
+
+def observe(
+    assessment: Assessment,
+    source: str | None = None,
+    local: Environment | None = None,
+    calibration: FieldCalibration | None = None,
+    torques: Acting = NOTHING,
+) -> FileReadings:
+    """Return terms and times of all samples, a sentence for each, and where the Sun comes from.
+
+    `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
+    `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
+    """
+    vehicle, telemetry, sensors = assessment.vehicle, assessment.telemetry, assessment.sensors
+    has_field = calibration is not None or reads_directions(vehicle, telemetry)
+    source = _source(telemetry, source, has_field)
+    t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    here = None if local is None else local.at(t_s)
+    sun: Term | None = None
+    if source == "panels":
+        sun, why = Panels.read(assessment)
+        sun = sun if here is None else sun.placed(here)
+    elif source != FIELD:
+        sun, why = SunDirections.read(sensors, source)
+    elif calibration is None and vehicle.sensors.magnetometer is not None:
+        sun, why = FieldDirection.alone(vehicle.sensors.magnetometer, sensors)
+    else:
+        why = np.full(len(t_s), UNREAD, dtype=object)
+
+    fields = FieldChange.read(vehicle, sensors)
+    known = None
+    in_field = here is not None and here.field_N is not None
+    if fields is not None and calibration is not None and in_field:
+        known = KnownField.of(fields, here, calibration)
+        # a sample whose only fault is that it shows no Sun has a direction of its own
+        for k in np.flatnonzero(known.present() & np.isin(why, NOT_SEEN)):
+            why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
+    elif fields is not None:
+        fields = fields.with_own_zero()
+    if source != "panels":
+        why[assessment.repeats.frozen] = STALE
+    why[find_late_frames(telemetry)] = LATE
+
+    compared = None if isinstance(sun, FieldDirection) else known or fields
+    rates = Gyro.read(vehicle, sensors), RateSize.read(vehicle, sensors)
+    read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
+    others = _torques(vehicle, t_s, fields, here, torques)
+    clock = vehicle.sensors.clock
+    terms = [term for term in (*read, *others) if term is not None]
+    terms += [Latency.of(clock)] if clock is not None else []
+    return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
+
+
+def _torques(
+    vehicle: Vehicle,
+    t_s: np.ndarray,
+    fields: FieldChange | None,
+    here: Surroundings | None,
+    torques: Acting,
+) -> list[Term]:
+    """Return the torques of a stated or an unknown dipole if the field is measured or known, and those that are named."""
+    terms: list[Term] = []
+    dipole = vehicle.sensors.disturbance.dipole
+    # one dipole: the stated one in the field as read, else an unknown one in the orbit's field, else in an unknown field
+    if dipole is not None and fields is not None and np.isfinite(fields.field_B).any():
+        terms.append(StatedDipole(np.asarray(dipole), np.nan_to_num(fields.field_B)))
+    elif here is not None and here.field_N is not None:
+        terms.append(MagneticTorque.in_field(here.field_N))
+    elif fields is not None:
+        terms.append(MagneticTorque.in_field(None))
+    if torques.needs_attitude:
+        assert here is not None and here.nadir_N is not None
+        inertia = vehicle.require_inertia()
+        strength = np.full(len(t_s), torques.gradient_strength())
+        inertia = inertia / (np.trace(inertia) / 3)
+        terms.append(GravityGradient(here.nadir_N, strength, inertia))
+    return terms
+
+
+def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
+    """Return where the Sun comes from; :data:`FIELD` without a Sun, if the directions of a magnetometer are of use."""
+    has = {
+        "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
+        "sun_sensor": "sun_sensor_B" in telemetry,
+        "panels": "power_W" in telemetry or "current_A" in telemetry,
+    }
+    wanted = wanted or next((name for name, exists in has.items() if exists), None)
+    if wanted in (None, FIELD) and has_field:
+        return FIELD
+    if wanted is None or not has.get(wanted, False):
+        exist = ", ".join(name for name, exists in has.items() if exists)
+        if wanted is None and "field_B" in telemetry:
+            raise InputError(
+                "the telemetry has no Sun",
+                got="a magnetometer",
+                do="a magnetometer alone needs its `noise` in the vehicle file, or an orbit (--tle)",
+            )
+        raise InputError(
+            f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}",
+            got=exist or "nothing of the Sun",
+            do=f"use {', '.join(has)}",
+        )
+    return wanted
+
+
+def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
+    """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
+    use = seen.usable
+    if len(use) < 3:
+        raise InputError(
+            "fewer than three samples say where the Sun is",
+            got=f"{len(use)} of {len(seen.why)}",
+            do=_why_unused(seen),
+        )
+    t_s = seen.obs.t_s
+    usual = float(np.median(np.diff(t_s[use])))
+    gap = s.gap_intervals * usual if gap_s is None else gap_s
+    ends = np.flatnonzero(np.diff(t_s[use]) > gap)
+    compared = [term for term in seen.obs.terms if isinstance(term, FieldChange)]
+    fields = [term for term in compared if term.present().any()]
+    if fields and gap_s is None:
+        read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
+        ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
+    # a field of unknown direction turns unevenly over a long pass; in a known one the search must not be left with too few samples
+    known = any(isinstance(term, KnownField) for term in seen.obs.terms)
+    many = known and s.longest_s > s.many * usual
+    longest = s.longest_field_s if fields or many else s.longest_s
+    passes = []
+    for part in np.split(use, np.asarray(ends, dtype=int) + 1):
+        duration = t_s[part[-1]] - t_s[part[0]]
+        pieces = max(1, int(np.ceil(duration / longest)))
+        edges = t_s[part[0]] + np.arange(1, pieces) * duration / pieces
+        for piece in np.split(part, np.searchsorted(t_s[part], edges)):
+            if len(piece) >= 3:
+                dense_from = _dense_from(seen.obs.sees_sun[piece], s)
+                passes.append(Pass(piece, piece[thinned(len(piece), s, dense_from)]))
+    if not passes:
+        raise InputError(
+            "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
+        )
+    return passes
+
+
+def asked(passes: Sequence[Pass], pass_id: int | None) -> list[int]:
+    """Return which passes are estimated."""
+    if pass_id is None:
+        return list(range(len(passes)))
+    whole = isinstance(pass_id, int | np.integer) and not isinstance(pass_id, bool)
+    if not whole or not 0 <= pass_id < len(passes):
+        raise InputError(
+            "there is no such pass", got=pass_id, do=f"the file has passes 0 to {len(passes) - 1}"
+        )
+    return [int(pass_id)]
+
+
+def why_not_used(seen: FileReadings, passes: Sequence[Pass], chosen: Sequence[int]) -> np.ndarray:
+    """Return what became of each sample (n), in words, if only some passes are estimated."""
+    why = seen.why.copy()
+    why[np.setdiff1d(seen.usable, np.concatenate([one.samples for one in passes]))] = ALONE
+    for k in set(range(len(passes))) - set(chosen):
+        why[passes[k].samples] = NOT_ASKED
+    return why
+
+
+def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings):
+    """Return whether a field is read on between two samples that show the Sun: a body with few panels turns them away."""
+    between = read_s[(read_s >= start_s) & (read_s <= end_s)]
+    short = end_s - start_s < s.longest_dark_s
+    return short and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
+
+
+def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
+    """Return from which of the samples of a pass a search may begin, by which of them (n) show the Sun.
+
+    The first if half of the next `s.dense` do, else the one whose next ones do most often: a pass may begin in the shadow.
+    """
+    if len(sees_sun) <= s.kept:
+        return 0
+    count_of_next = np.convolve(sees_sun, np.ones(s.dense))[s.dense - 1 :]
+    return 0 if count_of_next[0] >= s.dense / 2 else int(np.argmax(count_of_next))
+
+
+def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
+    """Return the indices of at most `s.kept` of `count` samples, the first and the last among them.
+
+    Close together where the rate is determined first, at `dense_from`, then ever farther apart to both sides: each step is at most
+    `s.growth` times the one before, so that what is known of the rate always predicts the next sample. Of all ways to share the
+    samples between the two sides the one whose widest step is smallest.
+    """
+    if count <= s.kept:
+        return np.arange(count)
+    after, before = np.arange(dense_from, count), np.arange(dense_from, -1, -1)
+    least, best = np.inf, _growing(np.arange(count), s.kept, s.growth)
+    for n in range(2, s.kept) if dense_from else ():
+        sides = _growing(after, s.kept + 1 - n, s.growth), _growing(before, n, s.growth)
+        # steps that grow to both sides do not reach the ends of a very long pass
+        if sides[0][-1] == count - 1 and sides[1][-1] == 0:
+            widest = max(np.abs(np.diff(side)).max(initial=0) for side in sides)
+            if widest < least:
+                least, best = widest, np.unique(np.concatenate(sides))
+    return best
+
+
+def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
+    """Return at most so many of some indices, in steps of 1, growth, growth^2, ... up to even ones; the first among them."""
+    if len(indices) <= most:
+        return indices
+    growing = growth ** np.arange(most - 1)
+    low, high = 1.0, float(len(indices))
+    # bisection for the smallest bound of the steps with which they reach the end
+    for _ in range(60):
+        widest = (low + high) / 2
+        reached = np.minimum(growing, widest).sum() >= len(indices) - 1
+        low, high = (low, widest) if reached else (widest, high)
+    taken = np.concatenate([[0.0], np.cumsum(np.minimum(growing, high))])
+    return indices[np.unique(np.minimum(np.round(taken), len(indices) - 1).astype(int))]
+
+
+def _why_unused(seen: FileReadings) -> str:
+    """Return why most samples are not used, and what to do."""
+    dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
+    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
+    down = panels[0].sun_up == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    shadow = sum(
+        dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
+    )
+    if shadow > len(dropped):
+        return (
+            f"by the orbit {shadow} are in the Earth's shadow: compare clock and elements with `sunspin check`, or leave out "
+            "the orbit"
+        )
+    if not dropped:
+        return "add samples with a Sun direction"
+    reason, count = Counter(dropped).most_common(1)[0]
+    return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
+
+
+def cut(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
+    """Return some samples of a file (indices), whose wheels still coast from the first sample of the whole file."""
+    return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})
+
+
+def _coast_from_s(telemetry: xr.Dataset) -> float:
+    """Return the time (s) of the first sample of the file that these samples are, or were cut out of."""
+    return float(telemetry.attrs.get(COAST_FROM, telemetry["time"].values[0]))
+
+
+def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return what the wheels may do, in words, with their momentum at each sample (n, 3) in mean moments times rad/s."""
+    t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
+        return {"none": np.zeros((len(t_s), 3))}
+    axes = np.array([w.inertia_kg_m2 * np.asarray(w.axis_B) for w in vehicle.wheels])
+    unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
+    speeds = wheel_speeds(vehicle, telemetry, t_s)
+    return {what: speed @ axes / unit for what, speed in speeds.items()}
+
+
+def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> dict[str, np.ndarray]:
+    """Return what the wheels may do, in words, with their speeds (n, n_wheel) in rad/s at times (n).
+
+    Measured speeds leave one possibility. Without them the wheels are held, or coast from the first sample with the friction of the
+    vehicle file or one of its alternatives: which, is for the data to say.
+    """
+    nominal = np.array([wheel.speed_rad_s for wheel in vehicle.wheels])
+    if "wheel_speed_rad_s" in telemetry:
+        return {MEASURED: _bridged(t_s, telemetry, nominal)}
+    held = {HELD: np.broadcast_to(nominal, (len(t_s), len(nominal)))}
+    after_s = t_s - _coast_from_s(telemetry)
+    return held | (_coasting(vehicle, after_s) if nominal.any() else {})
+
+
+def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the speeds (n, n_wheel) of wheels that coast, so many seconds after they began, by the frictions of the file."""
+    speeds = {}
+    names = dict.fromkeys(name for w in vehicle.wheels for name in w.alternative_frictions)
+    for name in (None, *names):
+        frictions = [
+            w.friction if name is None else w.alternative_frictions.get(name, w.friction)
+            for w in vehicle.wheels
+        ]
+        if not any(one.coulomb_N_m or one.viscous_N_m_s for one in frictions):
+            continue
+        speed = [
+            spin_down_speed(
+                one.coulomb_N_m, one.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, after_s
+            )
+            for one, w in zip(frictions, vehicle.wheels, strict=True)
+        ]
+        speeds[COASTING + (f", friction {name!r}" if name else "")] = np.stack(speed, axis=1)
+    return speeds
+
+
+def _bridged(t_s: np.ndarray, telemetry: xr.Dataset, nominal: np.ndarray) -> np.ndarray:
+    """Return measured speeds (n, n_wheel) at times (n) with gaps bridged linearly; a wheel never read keeps its nominal speed."""
+    read, read_s = telemetry["wheel_speed_rad_s"].values, np.asarray(telemetry["time"], np.float64)
+    speed = np.empty((len(t_s), len(nominal)))
+    for k, usual in enumerate(nominal):
+        known = np.flatnonzero(np.isfinite(read[:, k]))
+        known = known[np.argsort(read_s[known], kind="stable")]
+        at, value = read_s[known], read[known, k]
+        speed[:, k] = np.interp(t_s, at, value) if len(known) else usual
+    return speed
+
+
+def wheels_untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
+    """Return the names of wheels of whose speed neither the vehicle file nor the telemetry says anything: taken for standing."""
+    if vehicle.inertia_kg_m2 is None:
+        return []
+    read = np.full((1, len(vehicle.wheels)), np.nan)
+    if "wheel_speed_rad_s" in telemetry:
+        read = telemetry["wheel_speed_rad_s"].values
+    return [
+        wheel.name
+        for k, wheel in enumerate(vehicle.wheels)
+        if wheel.speed_rad_s == 0 and not np.isfinite(read[:, k]).any()
+    ]

@@ -1,0 +1,127 @@
+"""The orbit of a telemetry file, from a file of elements or from the vehicle file, as the telemetry leaves it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.ephemeris import OrbitFile, read_orbit
+from sunspin.environment.orbit import Orbit, Source, in_orbit
+from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
+from sunspin.estimate.settings import ORBIT, OrbitSettings
+from sunspin.telemetry.assess import Assessment
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.parts import Orbit as Stated
+
+
+def elements_of(
+    vehicle: Vehicle,
+    file: OrbitFile | Path | str | None = None,
+    shift_sigma_s: float | None = None,
+) -> tuple[Source, ...] | None:
+    """Return the element sets of a file (TLE, OMM), its table of positions (OEM, CSV, SPK), or else those of the vehicle file.
+
+    None without any. Raises InputError for elements that cannot be used, or for a sigma of the offset without elements.
+    """
+    if file is not None:
+        return read_orbit(file)
+    if vehicle.orbit is not None and vehicle.orbit.tle:
+        return parse_elements("\n".join(vehicle.orbit.tle), f"[orbit] of {vehicle.name}")
+    if shift_sigma_s is not None:
+        do = "give --tle FILE or --omm FILE, or tle under [orbit] in the vehicle file"
+        raise InputError("an along-track offset needs elements", do=do)
+    return None
+
+
+def orbit_of(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    elements: OrbitFile | Path | str | None = None,
+    shift_sigma_s: float | None = None,
+) -> Orbit | None:
+    """Return the environment of a telemetry file by :func:`elements_of`; None without elements.
+
+    `shift_sigma_s`: sigma of the along-track offset in s, in place of that of the vehicle file; without either it follows from the
+    age of the elements.
+    """
+    sources = elements_of(vehicle, elements, shift_sigma_s)
+    if sources is None:
+        return None
+    stated = vehicle.orbit or Stated()
+    return in_orbit(
+        sources,
+        str(telemetry.attrs["epoch_utc"]),
+        telemetry["time"].values,
+        shift_s=stated.shift_s,
+        shift_sigma_s=stated.shift_sigma_s if shift_sigma_s is None else shift_sigma_s,
+        clock_s=stated.clock_s,
+        clock_sigma_s=stated.clock_sigma_s,
+    )
+
+
+def drifting(check: OrbitCheck) -> str:
+    """Return in words how the offset drifts, if Sun sensors have determined it."""
+    if check.made is None:
+        return ""
+    return f" at mid-file, {check.drift_s_day:+z.1f} ± {check.drift_sigma_s_day:.1f} s a day"
+
+
+def clock_off(check: OrbitCheck) -> str:
+    """Return in words with which clock elements would fit that do not; empty if with none."""
+    hours = round(check.clock_behind_s / 3600)
+    if not hours:
+        return ""
+    side = "behind" if hours > 0 else "ahead of"
+    return f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC"
+
+
+def judged_orbit(
+    orbit: Orbit,
+    vehicle: Vehicle,
+    telemetry: xr.Dataset | Assessment,
+    *,
+    settings: OrbitSettings = ORBIT,
+) -> tuple[Orbit | None, OrbitCheck, str]:
+    """Return an orbit as the telemetry leaves it, the check of it, and what follows, in words.
+
+    Elements that fit get the estimated offset with its sigma. If the telemetry cannot judge them they stay as they were. Refused
+    ones are None: no result may depend on them.
+    """
+    check = check_orbit(orbit, vehicle, telemetry, settings=settings)
+    if check.verdict is Verdict.REFUSED:
+        why, _, _ = check.verdict.value.partition(";")
+        reasons = [why, str(check.sun_in_shadow), clock_off(check)]
+        text = "; ".join(reason for reason in reasons if reason)
+        text = (
+            f"the orbit is NOT USED: {text}; the result is without it (`sunspin check` says more)"
+        )
+        return None, check, text
+    remarks = ""
+    if check.sign_turned:
+        remarks = "; THE MAGNETOMETER HAS THE OPPOSITE SIGN: change the sign of `matrix` in the vehicle file"
+    if check.turned_axes:
+        remarks += f"; {check.turned_axes}"
+    if check.verdict is Verdict.UNDECIDED:
+        sigma_s = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+        offset = f"{orbit.shift_s:+z.0f} ± {sigma_s:.0f} s along the track"
+        text = (
+            f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
+        )
+        return orbit, check, text
+    # The offset is that of place and clock together, of which the data determine the sum.
+    of_place = float(np.sqrt(max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
+    known = replace(
+        orbit,
+        shift_s=check.shift_s,
+        shift_sigma_s=of_place,
+        clock_sigma_s=min(orbit.clock_sigma_s, check.shift_sigma_s),
+        drift_s_day=check.drift_s_day,
+        drift_sigma_s_day=check.drift_sigma_s_day,
+    )
+    offset = f"{check.shift_s:+z.0f} ± {check.shift_sigma_s:.0f} s along the track{drifting(check)}"
+    return known, check, f"the orbit is used: its elements fit, {offset}{remarks}"

@@ -1,0 +1,194 @@
+"""Clear Sun where elements predict the Earth's shadow: then the elements or the times of the telemetry are wrong.
+
+In the full shadow there is neither sunlight nor light from the Earth. A bright panel there contradicts the orbit at any attitude
+and without a magnetometer. The along-track offset is free within its prior, and the edge of the shadow is left out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.environment.earth import EQUATOR_M, sun_J2000_m
+from sunspin.environment.light import sunlit_fraction
+from sunspin.environment.orbit import Orbit
+from sunspin.estimate.orbit.invariants import SEEN_IN_SHADOW
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.quality import DROPPED, SPIKE_FACTOR, find_late_frames
+from sunspin.telemetry.repeats import PANELS
+from sunspin.telemetry.sun import signals
+from sunspin.telemetry.units import UNITS
+from sunspin.vehicle.response.panels import brightness
+
+CLEAR_SHARE, CLEAR_SIGMAS = 0.4, 8.0
+"""A panel has clear Sun above this share of full Sun and this many sigma of noise. The Earth gives a panel 0.25 at reflectivity
+0.3; the brightest panel of a cube has 0.58 or more."""
+
+MISFIT, ALIKE, SCATTER = 0.35, 0.6, 0.3
+"""A sample is of sunlight if its misfit Delta to the best direction is smaller than the first. Light of the Earth up to 30 % of
+full Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the
+second share of the bright samples must be so, and their brightness must scatter by less than the third. On simulated cubes with
+three to six panels it scatters by 0.25 in sunlight and by 0.34 to 0.43 in noise alone."""
+
+DEPTH_M, LEEWAY_S = 20e3, 10.0
+"""The full shadow is that of an Earth smaller by the first, and the prior of the offset is wider by the second on both sides. Bent
+sunlight reaches a low orbit 20 km deep from rays 5 km high, spread over five times the area and mostly absorbed: less than
+`CLEAR_SHARE`. A clock may be off by seconds: a satellite at 500 km crosses the 20 km in 7 s or more."""
+
+FEW, CHANCE_SIGMAS = 3, 2.0
+"""More samples than the first contradict the orbit if they are also more than `SEEN_IN_SHADOW` makes by chance: its mean and so
+many sigma."""
+
+MOST_SAMPLES = 600
+"""Samples of the file that are compared, spread evenly."""
+
+STEP_S, COARSE_S, SIDE_S = 10.0, 30.0, 600.0
+"""Steps of the along-track offset: within the prior, beyond it, and of the drift at one sample; a shadow lasts longer."""
+
+
+class SunInShadow(NamedTuple):
+    """Samples with clear Sun in the full shadow, and all samples there, at the offset within the prior that leaves fewest.
+
+    `behind_s`, `ahead_s`: least errors (s) of a clock behind or ahead of UTC, or of elements that are as far off, that remove the
+    contradiction; NaN if none does. All are 0 without a contradiction.
+    """
+
+    samples: int = 0
+    of: int = 0
+    behind_s: float = 0.0
+    ahead_s: float = 0.0
+
+    @property
+    def beyond_s(self) -> float:
+        """Return the smaller of the two errors, s; NaN if no error of the clock removes the contradiction."""
+        return min((s for s in (self.behind_s, self.ahead_s) if np.isfinite(s)), default=np.nan)
+
+    def __str__(self) -> str:
+        """Return the contradiction in words; empty if there is none."""
+        if not self.samples:
+            return ""
+        clocks = [
+            f"{_rounded_down(size_s)} or more if it is {side} UTC"
+            for side, size_s in (("behind", self.behind_s), ("ahead of", self.ahead_s))
+            if np.isfinite(size_s)
+        ]
+        why = "no clock error explains it, so the orbit is another one"
+        if clocks:
+            why = f"the elements or the telemetry's clock are off: the clock by {', or '.join(clocks)}"
+        return (
+            f"the elements do not fit: {self.samples} of {self.of} samples deep in the Earth's shadow "
+            f"have clear Sun; {why}"
+        )
+
+
+def _rounded_down(size_s: float) -> str:
+    """Return a time in whole minutes, or in seconds if it is short."""
+    return f"{size_s // 60:.0f} min" if size_s >= 120 else f"{size_s:.0f} s"
+
+
+def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInShadow:
+    """Return how the light contradicts an orbit at every offset within so many `sigmas` of its prior.
+
+    Nothing is contradicted if the samples are consistent with one of these offsets.
+    """
+    t_s, clear = clear_sun(assessment)
+    if clear.sum() <= FEW:
+        return SunInShadow()
+
+    def counts(offsets_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return at offsets (K): samples with clear Sun in the full shadow, all samples there, and whether this is no chance."""
+        dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
+        sunny, every = (dark & clear).sum(axis=1), dark.sum(axis=1)
+        chance = SEEN_IN_SHADOW * every
+        return sunny, every, sunny > np.maximum(FEW, chance + CHANCE_SIGMAS * np.sqrt(chance))
+
+    # most orbits are consistent with the offset of their elements, which saves the search of the others
+    if not counts(np.zeros(1))[2].all():
+        return SunInShadow()
+    half_period = orbit.elements[0].period_s / 2
+    prior_sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+    reach = min(sigmas * prior_sigma + LEEWAY_S, half_period)
+    within_prior = np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1)
+    sunny, every, contradicted = counts(within_prior)
+    if not contradicted.all():
+        return SunInShadow()
+    # refused: which offsets beyond the prior, over the whole orbit, would be consistent
+    steps = int(half_period / COARSE_S)
+    offsets_s = COARSE_S * np.arange(-steps, steps + 1)
+    consistent = offsets_s[~counts(offsets_s)[2]]
+    # a satellite ahead of its place has a clock that is behind; the contradiction may end one step earlier
+    behind_s, ahead_s = (
+        float(sizes[sizes > 0].min(initial=np.inf)) - COARSE_S
+        for sizes in (consistent, -consistent)
+    )
+    behind_s, ahead_s = (size if np.isfinite(size) else np.nan for size in (behind_s, ahead_s))
+    fewest = int(sunny.argmin())
+    return SunInShadow(int(sunny[fewest]), int(every[fewest]), behind_s, ahead_s)
+
+
+def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times (n) in s of samples that show whether the Sun is up, and in which of them (n) only sunlight is possible.
+
+    Panels show it, or Sun sensors with a column for their light: a direction alone may be computed, or left from before. A bright
+    sample that repeats the one before it may be a frozen reading and shows nothing.
+    """
+    telemetry, sensors = assessment.telemetry, assessment.vehicle.sensors
+    shows = clear = np.zeros(telemetry.sizes["time"], dtype=bool)
+    if assessment.has_panels:
+        bright, clear = _sunlit_by_panels(assessment)
+        value = signals(telemetry)
+        frozen = np.append(False, (value[1:] == value[:-1]).all(axis=1))
+        frozen |= assessment.repeats.repeated(PANELS)
+        shows = np.isfinite(value).any(axis=1) & ~(frozen & bright)
+    elif (
+        "sun_sensor_B" in telemetry
+        and sensors.sun_vector is None
+        and all(sensor.light_column for sensor in sensors.sun_sensors)
+    ):
+        clear = np.asarray(np.isfinite(assessment.sensors["sun_sensor_B"].values).all(axis=1))
+        shows = ~assessment.repeats.repeated("sun_sensor_B")
+    use = np.flatnonzero(shows & ~find_late_frames(telemetry))
+    if len(use) > MOST_SAMPLES:
+        use = use[np.linspace(0, len(use) - 1, MOST_SAMPLES).astype(int)]
+    return telemetry["time"].values[use], clear[use]
+
+
+def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
+    """Return which samples (n) have a bright panel, and in which of them (n) only sunlight is possible."""
+    vehicle, quality = assessment.vehicle, assessment.quality
+    value = signals(assessment.telemetry)
+    full = quality.attrs["full_sun"] * vehicle.input_gains
+    noise = np.maximum(np.nan_to_num(assessment.noise[0]), quality["noise"].values)
+    bright = (value > CLEAR_SHARE * full) & (value > CLEAR_SIGMAS * noise)
+    sound = (bright & (value <= SPIKE_FACTOR * full)).any(axis=1)
+    sound &= quality["use"].values != DROPPED
+    clear = np.asarray(sound & (assessment.sun["delta"].values < MISFIT))
+    if clear.any() and vehicle.gain_unit != UNITS[vehicle.telemetry.quantity]:
+        # full Sun is what the brighter samples of the file give, which may be noise
+        of_sound = brightness(vehicle, np.nan_to_num(value[sound]))
+        low, median, high = np.quantile(of_sound, [0.16, 0.5, 0.84])
+        if clear.sum() < ALIKE * sound.sum() or high - low > 2 * SCATTER * median:
+            clear = np.zeros_like(clear)
+    return np.asarray(bright.any(axis=1)), clear
+
+
+def _in_full_shadow(
+    orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
+) -> np.ndarray:
+    """Return whether samples (K, n) at times t_s (n) are in the full shadow at along-track offsets (K) in s.
+
+    They are if they are so for every drift of the offset within so many `sigmas` of its prior.
+    """
+    when = orbit.instants(t_s)
+    sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
+    drift_s = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))
+    drift_s = np.minimum(drift_s, orbit.elements[0].period_s / 2)
+    steps = int(np.ceil(drift_s.max() / SIDE_S)) if drift_s.max() > 1.0 else 0
+    dark = np.ones(ahead_s.shape, dtype=bool)
+    for side in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
+        position, _ = orbit.states(when, ahead_s + side * drift_s)
+        # the shadow of an Earth smaller by DEPTH_M, seen from farther out in proportion
+        outward = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
+        dark &= sunlit_fraction(outward, np.broadcast_to(sun, position.shape)) == 0
+    return dark

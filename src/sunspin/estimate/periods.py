@@ -1,0 +1,322 @@
+"""A period seen from outside as evidence among the solutions of a pass: radio fading, a light curve, a magnetometer's swing.
+
+Who sees a period does not know what rotated: the body's axis about the momentum (precession), the body about its axis (spin), or
+both together (the sum). Each of the three is as likely before; solutions are weighted by the mean of the three densities.
+
+How the periods of a solution are computed: its rate, at the sample nearest to the time at which a period was seen, is a Gaussian.
+Rates are drawn from it, and inertias from the errors of the vehicle file. Each draw moves freely over four of the periods seen. Its
+rates of precession and spin are those of Euler's angles about the total momentum, wheels included, averaged over that time. Only
+probabilities change: the rates of a solution stay those of the samples.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.carry import RATE, step
+from sunspin.estimate.model import Body
+from sunspin.estimate.solutions import Solutions
+from sunspin.estimate.verdict import padded
+from sunspin.solve.weights import effective_draws
+from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
+
+READINGS = ("precession", "spin", "sum")
+"""What a period may be of."""
+
+HALF_SPAN, INSTANTS = 2.0, 9
+"""Periods before and after the instant over which rates are averaged, and at how many instants."""
+
+PARALLEL = 1e-6
+"""Squared sine between momentum and axis below which precession and spin fit equally well; their sum can."""
+
+FAR_SIGMAS = 4.0
+"""A period contradicts all solutions if none has one as near as this."""
+
+LEAST_DRAWS = 200.0
+"""Effective draws from which a median is known to a tenth of its sigma."""
+
+INERTIAS, DRAWS = 8, 500
+"""Inertias drawn, and rates of each solution with each of them."""
+
+MOST_TRIES = 50
+"""Rounds of draws at most until enough inertias are those of bodies; with sigmas as large as the moments about one in 20 is."""
+
+LEAST_SHARE = 0.05
+"""Probability of the solutions that have the periods, below which the samples contradict the periods. Without this bound, half of
+the true period, as of a light curve that repeats twice in a revolution, decided one of 24 simulated passes wrongly."""
+
+
+SQRT_2PI = np.sqrt(2 * np.pi)
+"""By which the sigma of a normal law is multiplied for one over its height."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """A period (s) with one sigma (s), seen at `t_s` (s from the epoch of the telemetry)."""
+
+    t_s: float
+    period_s: float
+    sigma_s: float
+
+    def __post_init__(self) -> None:
+        """Refuse values that are no numbers, and periods and sigmas that are not positive."""
+        for name in ("t_s", "period_s", "sigma_s"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or (name != "t_s" and not value > 0):
+                wanted = "a number of seconds" if name == "t_s" else "a positive number of seconds"
+                raise InputError(f"{name} of a period must be {wanted}", got=value)
+
+
+PeriodSeen = Period | FoundPeriod
+"""A period that a person states, or one that was found in a column."""
+
+
+def every_of(seen: PeriodSeen) -> Sequence[LikelyPeriod]:
+    """Return the periods that one which was seen may be, with their probabilities: a column may leave several."""
+    if isinstance(seen, FoundPeriod):
+        return seen.every
+    return (LikelyPeriod(seen.period_s, seen.sigma_s, 1.0),)
+
+
+class Weighed(NamedTuple):
+    """What periods say of draws (n).
+
+    `density` (n) of all that was seen; `weight` (n) after it, as before if no draw has the periods. `shares` (seen, 3) by
+    :data:`READINGS`; `nearest_sigmas`: how far the nearest draw is off; `effective`: how many draws hold the weight.
+    """
+
+    density: np.ndarray
+    weight: np.ndarray
+    shares: np.ndarray
+    nearest_sigmas: float
+    effective: float
+
+
+def weigh_by_periods(
+    passes: Sequence[Solutions], body: Body, seen: Sequence[PeriodSeen], pass_ids: Sequence[int]
+) -> tuple[list[Solutions], dict[str, str]]:
+    """Return the passes with probabilities that count the periods in, and the attribute `periods`: JSON, what each decided.
+
+    If no solution of a pass has its periods, the samples contradict them, or too few draws have them, its probabilities stay. JSON
+    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws; `carried`,
+    the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
+    of the solution that is the likeliest now, and of the one that was then.
+    """
+    # a column may have a period where there is no pass
+    seen = [one for one in seen if not isinstance(one, FoundPeriod) or _in_a_pass(passes, one)]
+    if not seen:
+        return list(passes), {}
+    of_pass = [pass_of_period(passes, one) for one in seen]
+    weighed, rows = [replace(one, without_periods=one.probability) for one in passes], []
+    for k in sorted(set(of_pass)):
+        own = [one for one, at in zip(seen, of_pass, strict=True) if at == k]
+        weighed[k], decided = _weigh(weighed[k], body, own)
+        rows += [{"pass": int(pass_ids[k])} | row for row in decided]
+    return weighed, {"periods": json.dumps(rows)}
+
+
+def without_periods(passes: Sequence[Solutions]) -> dict[str, Any]:
+    """Return the variable `probability_without_periods (pass_id, solution)`, if periods were counted in."""
+    before = [one.without_periods for one in passes]
+    if any(part is None for part in before):
+        return {}
+    about = {"units": "1", "long_name": "probability of each solution without the periods seen"}
+    values = padded([part for part in before if part is not None])
+    return {"probability_without_periods": (("pass_id", "solution"), values, about)}
+
+
+def _weigh(
+    one: Solutions, body: Body, seen: Sequence[PeriodSeen]
+) -> tuple[Solutions, list[dict[str, Any]]]:
+    """Return a pass with the probabilities that its periods give it, and what each of them decided."""
+    before, draws_each = one.probability / one.probability.sum(), INERTIAS * DRAWS
+    periods = [periods_of(one, body, period) for period in seen]
+    weighed = weigh_draws(seen, periods, np.repeat(before / draws_each, draws_each))
+
+    # A solution has the periods if one of its draws is within FAR_SIGMAS of them: its density is then above that part of the
+    # density of a draw that has each period exactly, as one of the three READINGS, and as the least probable one it may be.
+    density = weighed.density.reshape(len(before), draws_each)
+    peak = [
+        min(part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI) for part in every_of(one))
+        for one in seen
+    ]
+    has_periods = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
+    share_with_periods = float(before[has_periods].sum())
+    counts = (
+        weighed.effective >= LEAST_DRAWS
+        and weighed.nearest_sigmas <= FAR_SIGMAS
+        and share_with_periods >= LEAST_SHARE
+    )
+    after = before
+    if counts:
+        after = weighed.weight.reshape(len(before), draws_each).sum(axis=1)
+    about = {
+        "nearest_sigmas": weighed.nearest_sigmas,
+        "effective": weighed.effective,
+        "carried": share_with_periods,
+        "told": counts,
+        "without": [float(before[np.argmax(after)]), float(before.max())],
+    }
+    rows = [
+        {
+            "t_s": period.t_s,
+            "period_s": period.period_s,
+            "sigma_s": period.sigma_s,
+            "shares": shares,
+        }
+        | about
+        for period, shares in zip(seen, weighed.shares.tolist(), strict=True)
+    ]
+    return replace(one, probability=after), rows
+
+
+def weigh_draws(
+    seen: Sequence[PeriodSeen], periods: Sequence[np.ndarray], weight: np.ndarray
+) -> Weighed:
+    """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen.
+
+    The density of a period seen is the mean, over the three readings of a draw, of normal laws about each period that it may be.
+    Bayes' rule gives the weights.
+    """
+    by_reading = []  # of each period seen: densities (n, 3)
+    relative = []  # and how far below its peak the nearest draw is
+    for one, of_draws in zip(seen, periods, strict=True):
+        known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(one)
+        # exp(-d^2 / 2) of the distances d, in sigmas, from each period that it may be (k, n, 3)
+        law = np.array(
+            [np.exp(-0.5 * ((known - part.period_s) / part.sigma_s) ** 2) for part in likely]
+        )
+        sizes = np.array([part.probability / (part.sigma_s * SQRT_2PI) for part in likely])
+        relative.append(float(law.max()))
+        by_reading.append(np.einsum("k,knr->nr", sizes, law))
+    density = np.prod([part.mean(axis=1) for part in by_reading], axis=0)
+    nearest = float(np.sqrt(-2 * np.log(np.clip(min(relative), 1e-300, 1.0))))
+    total = float(weight @ density)
+    if not total > 0:
+        return Weighed(density, weight, np.zeros((len(seen), 3)), nearest, 0.0)
+    after = weight * density / total
+    shares = []
+    for part in by_reading:
+        of_draw = part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
+        shares.append((after[:, None] * of_draw).sum(axis=0))
+    return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
+
+
+def _in_a_pass(passes: Sequence[Solutions], seen: PeriodSeen) -> bool:
+    """Return whether a period was seen in a pass, or no further from its ends than samples are from each other."""
+    times = [one.obs.t_s for one in passes]
+    near = [(t[0] - np.diff(t).max(), t[-1] + np.diff(t).max()) for t in times]
+    return any(first <= seen.t_s <= last for first, last in near)
+
+
+def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
+    """Return the pass in which a period was seen, or from whose ends it is no further away than samples are from each other."""
+    times = [one.obs.t_s for one in passes]
+    away = [max(t[0] - seen.t_s, seen.t_s - t[-1], 0.0) for t in times]
+    k = int(np.argmin(away))
+    if away[k] > np.diff(times[k]).max():
+        each = ", ".join(f"{t[0]:.0f} to {t[-1]:.0f}" for t in times[:6])
+        more = ", ..." if len(times) > 6 else ""
+        raise InputError(
+            "a period was seen at a time of no pass",
+            got=f"{seen.t_s:g} s",
+            do=f"passes are at {each}{more} s",
+        )
+    return k
+
+
+def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
+    """Return periods (K x `INERTIAS` x `DRAWS`, 3) in s by :data:`READINGS` of draws of the K solutions of a pass.
+
+    Without an inertia precession and spin are not known, NaN; the sum is then the period of the angular speed.
+    """
+    t_s, rng = one.obs.t_s, np.random.default_rng(0)
+    instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
+    at = int(np.argmin(np.abs(t_s - seen.t_s)))
+    # widened by what the rate wanders between that sample and the time of the period
+    wander = one.noise**2 * abs(seen.t_s - t_s[at])
+    covariance = one.track.covariance[:, at, RATE, RATE] + wander[:, None, None] * np.eye(3)
+    variance, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]  # root root^T is the covariance
+    momentum = np.stack(
+        [np.interp(instants, t_s, one.obs.momentum[:, i]) for i in range(3)], axis=1
+    )
+    parts = []
+    for inertia in drawn_inertias(body, rng):
+        normal = rng.standard_normal((DRAWS, 3))
+        omega = one.track.omega[:, at, None] + np.einsum("kij,nj->kni", root, normal)
+        rates = _euler_rates_of(inertia, omega.reshape(-1, 3), instants - t_s[at], momentum, body)
+        with np.errstate(divide="ignore"):
+            periods = 2 * np.pi / np.abs(rates)
+        parts.append(periods.reshape(len(omega), DRAWS, 3))
+    return np.stack(parts, axis=1).reshape(-1, 3)
+
+
+def _euler_rates_of(
+    inertia: np.ndarray, omega: np.ndarray, after_s: np.ndarray, momentum: np.ndarray, body: Body
+) -> np.ndarray:
+    """Return Euler's rates (n, 3) in rad/s, in the mean over times (m) in s, of motions with rates omega (n, 3) at time zero.
+
+    `inertia` (3, 3) in mean moments, that of the draws; `momentum` (m, 3): of the wheels at those times.
+    """
+    axis, rates = own_axis(body.inertia), []
+    now, wheels_now = 0.0, momentum[0]
+    # the motions are carried from each time to the next
+    for t, wheels in zip(after_s, momentum, strict=True):
+        if t != now:
+            ends = wheels_now[None], wheels[None]
+            omega = step(inertia, omega[:, None], np.array([t - now]), ends).omega[:, 0]
+        if body.sphere:
+            speed = np.linalg.norm(omega, axis=1)
+            rates.append(np.stack([*np.full((2, len(omega)), np.nan), speed], axis=1))
+        else:
+            rates.append(euler_rates(omega, omega @ inertia + wheels, axis))
+        now, wheels_now = t, wheels
+    return np.mean(rates, axis=0)
+
+
+def own_axis(inertia: np.ndarray) -> np.ndarray:
+    """Return the principal axis (3) whose moment of inertia (3, 3) differs most from the other two, about which a body spins."""
+    moments, axes = np.linalg.eigh(inertia)
+    apart = [np.abs(np.delete(moments, i) - moments[i]).min() for i in range(3)]
+    return axes[:, int(np.argmax(apart))]
+
+
+def euler_rates(omega_B: np.ndarray, momentum_B: np.ndarray, axis_B: np.ndarray) -> np.ndarray:
+    """Return precession, spin and their sum (..., 3), rad/s.
+
+    Of rates omega_B (..., 3) with momentum (..., 3), about an axis (3) of the body: omega = precession h + spin e + (nutation
+    across both), h along the momentum, e the axis. With c = h . e this gives omega . h = precession + c spin and omega . e = c
+    precession + spin, two equations for both. They are NaN if h and e are parallel; the sum is known then too.
+    """
+    along = momentum_B / np.linalg.norm(momentum_B, axis=-1, keepdims=True)
+    c, about_h, about_e = along @ axis_B, np.sum(omega_B * along, axis=-1), omega_B @ axis_B
+    determinant = np.where(1 - c**2 > PARALLEL, 1 - c**2, np.nan)
+    precession = (about_h - c * about_e) / determinant
+    spin = (about_e - c * about_h) / determinant
+    # the sum of rotations about opposite directions is their difference
+    total = np.where(c < 0, about_h - about_e, about_h + about_e) / (1 + np.abs(c))
+    return np.stack([precession, spin, total], axis=-1)
+
+
+def drawn_inertias(body: Body, rng: np.random.Generator) -> np.ndarray:
+    """Return `INERTIAS` tensors (`INERTIAS`, 3, 3), drawn from the errors of the file; only tensors that a body can have.
+
+    A body of unknown inertia stays a sphere.
+    """
+    kept = np.zeros((0, 3, 3))
+    for _ in range(MOST_TRIES):
+        u = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.sphere)
+        drawn = np.broadcast_to(body.inertia_at(u), (INERTIAS, 3, 3))
+        # errors that are possible come back as they are
+        is_possible = (body.possible(u) == u).all(axis=1)
+        kept = np.concatenate([kept, drawn[is_possible]])
+        if len(kept) >= INERTIAS:
+            break
+    return np.concatenate([kept, np.tile(body.inertia, (INERTIAS, 1, 1))])[:INERTIAS]

@@ -1,0 +1,538 @@
+"""Every motion of a lander that panel readings allow, with its probability, or the word that none fits (docs/posterior.md)."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.special import logsumexp
+from tqdm import tqdm
+
+from sunspin.base.errors import InputError
+from sunspin.base.provenance import provenance, with_units
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.equivalence import columns_seen
+from sunspin.estimate.lander.carrier import Shooting
+from sunspin.estimate.lander.grid import Place, grid_starts, reference
+from sunspin.estimate.lander.mixture import Mixture
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import Draws, ShotFit, Shots, Trials
+from sunspin.estimate.lander.periods import draws_by_periods
+from sunspin.estimate.lander.priors import constant_torques, with_priors
+from sunspin.estimate.lander.sample import Checked, resampled, sample
+from sunspin.estimate.lander.target import LanderTarget
+from sunspin.estimate.lander.tree import COUNTS, group, tree_of
+from sunspin.estimate.lander.verdict import (
+    Findings,
+    accused_panels,
+    dark_stretch,
+    pass_row,
+    posterior_words,
+)
+from sunspin.estimate.lander.window import Window, observe_window
+from sunspin.estimate.model import AS_STATED
+from sunspin.estimate.observe import wheels_untold
+from sunspin.estimate.periods import PeriodSeen
+from sunspin.estimate.search import search
+from sunspin.estimate.settings import POSTERIOR, PosteriorSettings
+from sunspin.estimate.verdict import (
+    COLUMNS_STATED,
+    COLUMNS_UNCHECKED,
+    alike_motions,
+    passes_table,
+)
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.vehicle import Vehicle
+
+EDGE, AT_EDGE = 0.97, 0.01
+"""Draws beyond this part of the largest rate searched, more than this share of all, say that the truth may be outside."""
+
+SURELY_LIT = 5.0
+"""Sigmas of noise above which a reading is sunlight."""
+
+FEW_BODIES, MOST_BODIES = 0.2, 0.5
+"""Part of the prior of the inertia that describes bodies: below the first it leaves no draws, above the second it is no cause."""
+
+ADVISED_SIGMAS = (0.1, 0.03, 0.01, 3e-3, 1e-3)
+"""Relative sigmas of the inertia that may be advised, the largest first."""
+
+NO_TORQUES = "solutions with a constant torque were not searched, as this would take longer than the search without"
+
+
+class Drawn(NamedTuple):
+    """Models with the motions about which they were drawn, and their draws; the nominal model first. `doubts` in words."""
+
+    fits: list[ShotFit]
+    draws: list[Draws]
+    doubts: list[str]
+
+    def mixture(self, reach_s: float, settings: PosteriorSettings) -> Mixture:
+        """Return the draws of all models together."""
+        return Mixture.of(self.fits, self.draws, reach_s, settings.sampling)
+
+
+def posterior(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    *,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+    wheel_mode: str | Sequence[str] = "coast",
+    draws: int = 4000,
+    workers: int | None = None,
+    progress: bool | Callable[[str], None] = False,
+    periods: Sequence[PeriodSeen] = (),
+    settings: PosteriorSettings = POSTERIOR,
+) -> xr.DataTree:
+    """Return the posterior of the motion in free flight from the readings of all samples, dark panels included.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    telemetry : Dataset of `read_telemetry`
+        One stretch of motion without impacts; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
+    priors : mapping, optional
+        Upper limits: `max_rate_rad_s`, the ball in which rates are uniform; `steady_torque`, the largest rotation over the samples
+        by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each
+        moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In rad:
+        `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of each
+        sample. Default: what the vehicle file
+        states, else the values in :mod:`sunspin.estimate.settings`; the attributes of the result say which.
+    seed : int
+        The same seed gives the same result to 1e-9 for any number of workers.
+    observations : list of mappings
+        ``{"kind": "rate" | "gyro" | "direction" | "field", "t_s": ..., "value": ..., "sigma": ...}``: angular speed, body rate,
+        direction to the Sun, or another direction in the body with its angle from the Sun (`angle_rad`; `sigma` in rad); `t_s`
+        from the epoch.
+    wheel_mode : "coast", "hold", "brake", or one per wheel
+    draws : int
+        Draws in the result.
+    workers : int, optional
+        Threads, by default one per core.
+    progress : bool, or a function of a line
+        Say on the standard error what is being done; a function is called with each line instead.
+    periods : list, optional
+        Periods seen from outside: the group `period` says what they decide; the draws stay as they are.
+    settings : PosteriorSettings
+        Numbers that tune the search and the sampling.
+
+    Returns
+    -------
+    xarray.DataTree
+        Group `posterior` over (chain, draw): `omega_B` (rad/s), `sun_B`, `wheel_speed_rad_s` at the first sample, the unknowns by
+        name, `solution_id`, `log_weight` (all alike). Group `solutions`: mean and covariance of the rate, probability, evidence,
+        chi-square, number of starts. Groups `search` and `sampling`: what was fitted and kept, and the evidence of each round.
+        Group `passes`: the variables of `passes.csv`. attrs: `verdict` and `verdict_word` ("unique", "aliases", "line",
+        "not sure", "not explained"), `p_value`.
+
+    Raises
+    ------
+    InputError
+        Priors, observations or a window that make no sense; too few samples.
+    """
+    _require_whole(seed, draws)
+    streams = [np.random.default_rng(one) for one in np.random.SeedSequence(seed).spawn(8)]
+    say = progress if callable(progress) else _written if progress else _unsaid
+    say("searching every motion that the readings allow")
+    nominal = searched(
+        vehicle,
+        telemetry,
+        priors,
+        begin_s=begin_s,
+        end_s=end_s,
+        phase=phase,
+        observations=observations,
+        wheel_mode=wheel_mode,
+        workers=workers,
+        settings=settings,
+    )
+    budget = Budget(settings.motions)
+    budget.spend(nominal.carrier.fitted)
+    doubts, mix = under_all_models(nominal, priors, streams, budget, say)
+    picked = resampled(mix.draws.log_weight, draws, streams[6])
+    checked, outliers = mix.checked(picked, streams[7], settings.sampling)
+    place, model = nominal.place, nominal.fit.model
+    searched_rad_s = min(place.limit, model.max_rate)
+    prior_sigma = searched_rad_s / np.sqrt(5)  # of a component, uniform in the ball
+    tree = tree_of(mix, picked, nominal.carrier.trace, prior_sigma)
+    tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
+
+    likeliest = mix.fits[int(np.argmax(mix.probability))]
+    doubts = [*likeliest.notes, *doubts, *_limits(mix, picked, searched_rad_s)]
+    if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
+        cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
+        doubts.append(f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0; {cure}")
+    if budget.cut:
+        doubts.append(
+            f"the draws stopped at the computing budget of {settings.motions / 1e6:.3g} million motions, with an effective sample "
+            f"size of {mix.draws.effective:.0f}"
+        )
+    complete = likeliest.complete and not budget.cut and NO_TORQUES not in doubts
+    findings = _findings(tree, mix, nominal, checked, outliers)
+    findings = replace(findings, doubts=findings.doubts + doubts, complete=complete)
+    tree.attrs.update(_judged(tree, mix, findings, nominal, outliers))
+
+    seen = bool(observations) or columns_seen(vehicle, telemetry)
+    columns = COLUMNS_STATED if seen else COLUMNS_UNCHECKED
+    row = pass_row(findings, tree, prior_sigma, columns)
+    tree["passes"] = xr.Dataset(
+        passes_table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]}
+    )
+    decided = row.answers.decided
+    tree.attrs["verdict"] += "; decided" if decided else f"; not decided: {row.answers.why_not}"
+    if periods:
+        tree["period"] = draws_by_periods(vehicle, tree, periods, workers)
+    return with_units(tree)
+
+
+def under_all_models(
+    nominal: Searched,
+    priors: Mapping[str, Any] | None,
+    streams: Sequence[np.random.Generator],
+    budget: Budget,
+    say: Callable[[str], None],
+) -> tuple[list[str], Mixture]:
+    """Return doubts in words, and draws of the nominal model and of those with a constant torque, from a stream each (6)."""
+    settings, reach_s = nominal.carrier.settings, LanderTarget(nominal.fit.model).reach_s
+
+    # Other models begin with the motions of the nominal one. A torque of a few degrees over the samples is taken up by inertia and
+    # friction, so readings that fit do not exclude it: what it leaves in doubt is in the draws.
+    torques = under_torques(nominal, priors)
+    say(
+        f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
+    )
+    fits = [nominal.fit, *(refitted(other, nominal) for other in torques)]
+    drawn = sampled(fits, nominal, streams[:3], budget)
+    mix = drawn.mixture(reach_s, settings)
+    if not (torques and nominal.carrier.complete) or explains(drawn, mix, reach_s, settings):
+        return drawn.doubts, mix
+
+    # Where no motion of the nominal model fits, a torque may hide the true one: search under each from the first samples on. If
+    # motions were left out before, one of these may fit without a torque.
+    if nominal.carrier.fitted > settings.long_search or budget.exhausted():
+        return [*drawn.doubts, NO_TORQUES], mix
+    say("no motion explains the readings: searching under constant torques")
+    more = [with_motions(other, nominal, settings) for other in torques]
+    again = sampled([nominal.fit, *more], nominal, streams[3:6], budget, drawn.draws[0])
+    return again.doubts, again.mixture(reach_s, settings)
+
+
+def sampled(
+    fits: Sequence[ShotFit],
+    nominal: Searched,
+    streams: Sequence[np.random.Generator],
+    budget: Budget,
+    before: Draws | None = None,
+) -> Drawn:
+    """Return draws of the nominal model, the first of the fits, and of others that promise to count, each from its own stream.
+
+    The likeliest model gets all draws and walkers, the others fewer. `before`: draws of the nominal model that there are already.
+    """
+    settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
+    mass = np.array([_log_mass(fit) for fit in fits])
+    chosen = [h for h in range(len(fits)) if h == 0 or mass[h] > mass.max() - settings.hopeless]
+    # the budget is divided before the first draw, so that results do not depend on which model is ready first
+    most = (budget.most - budget.used) / (len(chosen) + 1) / count
+    limit = nominal.carrier.cost_limit(slice(0, count))
+
+    def draws_of(h: int) -> tuple[Draws, Budget]:
+        """Return the draws of a model and what they took, in motions over the whole stretch."""
+        fit, s, own = fits[h], settings.sampling, Budget(most)
+        if h == 0 and before is not None:
+            return before, own
+        part = 1.0 if mass[h] == mass.max() else settings.others_draws
+        if fit.motions.cost.min() > settings.beyond * limit:
+            part, s = part * settings.beyond_draws, replace(s, rounds=2)
+        s = replace(
+            s,
+            draws=int(part * s.draws),
+            wanted=part * s.wanted,
+            walkers=int(np.ceil(part * s.walkers)),
+        )
+        # with which part of its sigma the prior held each unknown in the fit
+        under = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
+        return sample(LanderTarget(fit.model), fit, streams[h], s, own, under), own
+
+    drawn = Drawn([], [], [])
+    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
+        every = list(pool.map(draws_of, chosen))
+    for h, (draws, own) in zip(chosen, every, strict=True):
+        fit = fits[h]
+        budget.spend(own.used * count)
+        budget.cut |= own.cut
+        if np.isfinite(draws.evidence):
+            drawn.fits.append(fit)
+            drawn.draws.append(draws)
+        elif h == 0:
+            raise _nothing_drawn(fit.model)
+        elif mass[h] > logsumexp(mass) + np.log(COUNTS):
+            drawn.doubts.append(
+                f"{fit.model.what} may explain the readings too, but no motion that it allows could be drawn"
+            )
+    return drawn
+
+
+def explains(drawn: Drawn, mix: Mixture, reach_s: float, settings: PosteriorSettings) -> bool:
+    """Return whether the nominal model explains the readings: they are likely under it, and no other is far likelier."""
+    rng = np.random.default_rng(0)
+    alone = Drawn(drawn.fits[:1], drawn.draws[:1], []).mixture(reach_s, settings)
+    picked = resampled(alone.draws.log_weight, settings.checked_draws, rng)
+    checked, _ = alone.checked(picked, rng, settings.sampling)
+    return bool(
+        checked.p > settings.explains_p
+        and abs(checked.noise_sigmas) < settings.explains_noise
+        and mix.probability[0] > settings.explains_probability
+    )
+
+
+def with_motions(other: Shooting, nominal: Searched, settings: PosteriorSettings) -> ShotFit:
+    """Return the motions of the nominal model, and those of a search under a torque, fitted under that torque."""
+    motions = searched_by(other, settings)
+    both = Shots.joined([_renamed(other.model, nominal), motions.shots])
+    starts = np.concatenate([nominal.motions.starts, motions.starts])
+    return other.curved(Trials(both, starts))
+
+
+def _log_mass(fit: ShotFit) -> float:
+    """Return the log evidence of a model by Laplace's method."""
+    return float(logsumexp(fit.log_evidence))
+
+
+def _nothing_drawn(model: LanderModel) -> InputError:
+    """Return the refusal if no draw about the motions of the nominal model is possible.
+
+    The cause is the sigma of the inertia, if few bodies within it can exist, else the largest rate.
+    """
+    share = np.exp(model.log_possible)
+    if share < FEW_BODIES:
+
+        def known_to(sigma: float) -> LanderModel:
+            """Return the model with moments of this relative sigma."""
+            unknowns = (
+                replace(x, sigma=sigma * abs(x.centre)) if x.kind == "inertia" else x
+                for x in model.of_motion
+            )
+            return replace(model, of_motion=tuple(unknowns))
+
+        enough = np.log(MOST_BODIES)
+        advised = (one for one in ADVISED_SIGMAS if known_to(one).log_possible > enough)
+        return InputError(
+            "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
+            got=f"{share:.2g} of the prior",
+            do=f"give --prior inertia={next(advised, ADVISED_SIGMAS[-1]):g}, or smaller sigmas in the vehicle file",
+        )
+    return InputError(
+        "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within",
+        got=f"max_rate_rad_s {model.max_rate:.3g}",
+        do=f"give --prior max_rate_rad_s={2 * model.max_rate:.2g}",
+    )
+
+
+def _written(line: str) -> None:
+    """Write a line on the standard error, above any progress bar."""
+    tqdm.write(f"sunspin: {line}", file=sys.stderr)
+
+
+def _unsaid(_: str) -> None:
+    """Say nothing."""
+
+
+def _require_whole(seed: Any, draws: Any) -> None:
+    """Refuse a seed or a number of draws that is no whole number, or too small."""
+    for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise InputError(f"{name} must be a whole number of at least {least}", got=value)
+
+
+def _about(
+    nominal: Searched, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
+) -> dict[str, Any]:
+    """Return the attributes that say of what, and under which priors, a posterior is."""
+    window, place, model = nominal.window, nominal.place, nominal.fit.model
+    comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
+    mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
+    t_s = window.start_s + window.obs.t_s[model.panels.present()]
+    return provenance(
+        "posterior", telemetry, **comments, **nominal.assessment.vehicle.result_attributes
+    ) | {
+        "t_first_s": window.start_s,
+        "t_last_s": float(t_s[-1]),
+        "noise": float(np.median(model.panels.sigma)),
+        "noise_from": window.noise_from,
+        "samples": len(t_s),
+        "reference_sample": place.sample,
+        "priors": json.dumps(nominal.said),
+        "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
+        "wheel_mode": json.dumps(mode),
+        "max_rate_rad_s": place.given,
+        "searched_rate_rad_s": float(place.limit),
+        "time_sigma_s": model.panels.time_s,
+    }
+
+
+def _limits(mix: Mixture, picked: np.ndarray, searched_rad_s: float) -> list[str]:
+    """Return a doubt if the rates at the reference reach the limit of the search."""
+    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
+    if np.mean(speed > EDGE * searched_rad_s) <= AT_EDGE:
+        return []
+    return ["the rates reach the limit of the search; raise max_rate_rad_s"]
+
+
+def _findings(
+    tree: xr.DataTree, mix: Mixture, nominal: Searched, checked: Checked, outliers: np.ndarray
+) -> Findings:
+    """Return what the verdict is made of; `outliers` (n, p): probabilities of readings."""
+    solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
+    probability = solutions["probability"].values
+    doubts = []
+    if np.any(solutions["starts"].values[probability >= COUNTS] == 1):
+        doubts.append("a solution was reached from one start only, so others may be missing")
+    read = panels.present()
+    bright = panels.used & (panels.power > np.maximum(panels.threshold, SURELY_LIT * panels.sigma))
+    # where nothing is lit the vehicle may have been in shadow, which is no panel's fault
+    awake = bright.any(axis=1)
+    names = nominal.fit.model.vehicle.input_names
+    t_s = nominal.window.start_s + nominal.window.obs.t_s
+    rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
+    return Findings(
+        probability,
+        rate,
+        np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
+        np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
+        float(np.median(np.diff(t_s[read]))),
+        checked.p,
+        checked.noise_sigmas,
+        accused_panels(names, outliers[awake], panels.lit[awake]),
+        mix.draws.tail,
+        mix.draws.effective,
+        mix.draws.outside,
+        doubts,
+        dark_stretch(t_s[read], awake[read]),
+        True,
+    )
+
+
+def _judged(
+    tree: xr.DataTree, mix: Mixture, findings: Findings, nominal: Searched, outliers: np.ndarray
+) -> dict[str, Any]:
+    """Return the attributes of the verdict."""
+    word, text = posterior_words(findings)
+    if word != "not explained" and (alike := alike_motions(nominal.assessment.vehicle)):
+        text += f"; {alike}"
+    shares = {
+        fit.model.what: float(share) for fit, share in zip(mix.fits, mix.probability, strict=True)
+    }
+    likeliest = max(shares, key=lambda what: shares[what])
+    if likeliest != AS_STATED:
+        text += (
+            f"; an alternative model fits better: {likeliest} (probability {shares[likeliest]:.2f})"
+        )
+    if word == "not explained":
+        fastest = np.degrees(tree.attrs["searched_rate_rad_s"])
+        text += f"; rates up to {fastest:.3g} deg/s were searched"
+    return {
+        "verdict": text,
+        "verdict_word": word,
+        "p_value": findings.p,
+        "noise_sigmas": findings.noise_sigmas,
+        "pareto_k": findings.tail,
+        "effective_draws": findings.effective,
+        "log_evidence": mix.draws.evidence,
+        "remarks": "; ".join(nominal.window.remarks),
+        "spoilt_readings": float(outliers.sum()),
+        "hypotheses": json.dumps({what: round(share, 4) for what, share in shares.items()}),
+    }
+
+
+class Searched(NamedTuple):
+    """A search under the nominal model.
+
+    `assessment` of the telemetry; `window`: what was seen; `place`: the reference; `motions`: what the search ended with; `fit`:
+    these fitted to all samples with all unknowns; `said`: the priors and their sources in words.
+    """
+
+    assessment: Assessment
+    window: Window
+    place: Place
+    carrier: Shooting
+    motions: Trials
+    fit: ShotFit
+    said: dict[str, str]
+
+
+def searched(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any] | None = None,
+    *,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+    wheel_mode: str | Sequence[str] = "coast",
+    workers: int | None = None,
+    settings: PosteriorSettings = POSTERIOR,
+) -> Searched:
+    """Return every motion that the readings of a stretch allow under the nominal model, fitted to all samples.
+
+    Arguments as in :func:`sunspin.posterior`.
+    """
+    assessment = assess(vehicle, telemetry)
+    window = observe_window(assessment, begin_s, end_s, phase, observations)
+    stated, said = with_priors(assessment, window, priors, wheel_mode)
+    place = reference(stated, settings.grid, bool((priors or {}).get("max_rate_rad_s")))
+    carrier = Shooting(place.about(stated), place, settings, workers)
+    motions = searched_by(carrier, settings)
+    return Searched(assessment, window, place, carrier, motions, carrier.curved(motions), said)
+
+
+def searched_by(carrier: Shooting, settings: PosteriorSettings) -> Trials:
+    """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
+    starts = grid_starts(carrier.model, carrier.place, settings.grid, carrier.workers)
+
+    def watch(window: slice, kept: Trials) -> None:
+        """Note what is left of a window, and show it to whoever watches."""
+        carrier.note_window(window, kept)
+        if settings.search.watch is not None:
+            settings.search.watch(window, kept)
+
+    watched = replace(settings.search, watch=watch)
+    return search(carrier, starts, watched, Budget(settings.motions))
+
+
+def under_torques(nominal: Searched, priors: Mapping[str, Any] | None) -> list[Shooting]:
+    """Return carriers of the models with a constant torque, in body axes and in space, of the same readings.
+
+    Their motions are those of the nominal model, fitted by :func:`refitted`. If none of these fits, a torque may hide the true one,
+    and :func:`searched_by` looks for it under the torque from the first samples on.
+    """
+    carrier = nominal.carrier
+    return [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
+
+
+def refitted(carrier: Shooting, nominal: Searched) -> ShotFit:
+    """Return the motions of the nominal model fitted under that of a carrier, whose further unknowns begin at their centres.
+
+    All begin with which the search ended, also those far worse than the best: under another model they may fit.
+    """
+    fit = carrier.curved(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
+    # what the search left out, this model misses too
+    notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
+    return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
+
+
+def _renamed(model: LanderModel, nominal: Searched) -> Shots:
+    """Return the motions of the nominal model as those of a model that has its unknowns and more, these at their centres."""
+    names = [unknown.name for unknown in model.unknowns]
+    places = np.array([names.index(one.name) for one in nominal.carrier.model.unknowns])
+    return nominal.motions.shots.with_unknowns(places, len(names))

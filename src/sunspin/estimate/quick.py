@@ -1,0 +1,63 @@
+"""How probable a pass is, by a quick search: to compare vehicles whose columns, axes or signs differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.chain import Chain
+from sunspin.estimate.evidence import ladder
+from sunspin.estimate.model import Model, Noise, Track
+from sunspin.estimate.search import search
+from sunspin.estimate.settings import RatesSettings
+from sunspin.estimate.starts import pair_starts
+from sunspin.estimate.terms.panels import Panels
+
+RUNGS = (1e-4, 5e-6)
+"""Strengths of unknown torques (rad/s^1.5) that are compared: the search's own, and a quiet one."""
+
+MOTIONS = 8
+"""Motions of a search whose probabilities are summed, at most."""
+
+
+def quick_evidence(
+    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
+) -> float:
+    """Return the log of the probability of a pass, up to a constant that only the number of readings decides.
+
+    Minus infinity if no motion is possible. Inertia and gains are those of the file, the search begins at one pair of samples, and
+    the better one of two strengths of torques counts. `known`: the motions of the pass, if a search has found them already.
+    """
+    s = replace(settings.search, more_places=0)
+    few = replace(settings.ladder, rungs=RUNGS)
+    log = np.full(len(RUNGS), -np.inf)
+    for loose in stated.for_search(Noise(s.noise)):
+        try:
+            motions = (
+                search(Chain(loose, s), pair_starts(loose, s), s, budget, 1)
+                if known is None
+                else Track.free(known.attitude, known.omega)
+            )
+        except InputError:
+            continue
+        for one in ladder(loose, motions.take(slice(MOTIONS)), few, s, s.noise):
+            rung = RUNGS.index(one.model.noise.acceleration)
+            log[rung] = np.logaddexp(log[rung], logsumexp(one.log_evidence))
+    return float(log.max()) - sum(
+        log_size(term) for term in stated.obs.terms if isinstance(term, Panels)
+    )
+
+
+def log_size(panels: Panels) -> float:
+    """Return the sum of the logs of all sigmas, which follow the order of the columns.
+
+    A reading that is left out counts as if it might be anything up to full light. Those of panels without any signal count nothing.
+    """
+    sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full_sun)
+    sigma = sigma[:, panels.ever_shown]
+    scale = panels.scale_sigma[np.isfinite(panels.scale_sigma)]
+    return float(np.log(sigma).sum() + np.log(scale).sum())

@@ -1,0 +1,405 @@
+"""Body rates and attitude from what the Sun lights and what a gyro reads, sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from tqdm import tqdm
+
+from sunspin.base.errors import InputError
+from sunspin.base.provenance import with_units
+from sunspin.compute.pool import process_pool, worker_count
+from sunspin.dynamics.step import load as load_step
+from sunspin.dynamics.torques import acting
+from sunspin.environment import Environment
+from sunspin.environment.orbit import Orbit, SunAlongZ
+from sunspin.estimate.between import link_passes
+from sunspin.estimate.budget import USUAL, Budget
+from sunspin.estimate.columns import check_columns
+from sunspin.estimate.evidence import (
+    PassFits,
+    share_noise,
+)
+from sunspin.estimate.images import images_of
+from sunspin.estimate.model import (
+    SUN_N,
+    Body,
+    Model,
+    Noise,
+)
+from sunspin.estimate.observe import (
+    Pass,
+    asked,
+    observe,
+    split,
+    wheel_models,
+    why_not_used,
+)
+from sunspin.estimate.one_pass import PassFitter, sees_sun_alone
+from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
+from sunspin.estimate.rates_dataset import (
+    believed,
+    dataset,
+    in_space,
+    latency_attributes,
+    repeats_doubted,
+)
+from sunspin.estimate.settings import (
+    LARGEST_RATE,
+    LARGEST_TURNS,
+    RATES,
+    RatesSettings,
+)
+from sunspin.estimate.solutions import Solutions, solutions
+from sunspin.estimate.starts import (
+    allowed_directions,
+    fine_up_to,
+)
+from sunspin.estimate.terms.field import FieldCalibration
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
+from sunspin.estimate.wheels import (
+    FittedPass,
+    decide_wheels,
+    doubted_signs,
+    kept_samples,
+    longest,
+)
+from sunspin.telemetry.assess import LOW_SHARE, Assessment, assess
+from sunspin.vehicle import Vehicle
+
+NOISE_RANGE = (1e-9, 1.0)
+"""rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+
+ALONG_Z = 1e-6
+"""The Sun of an environment is off z by less than this."""
+
+WIDE_RAD = 1.0
+"""A sample that allows directions to the Sun so far apart leaves its direction open."""
+
+UNSEEN_RAD = 0.05
+"""Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+
+
+class PassBar(tqdm):
+    """A progress bar without a thread that watches it: a process with a second thread is not copied for workers."""
+
+    monitor_interval = 0
+
+
+def rates(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset | Assessment,
+    *,
+    source: str | None = None,
+    max_rate_rad_s: float | None = None,
+    acceleration_noise: float | None = None,
+    gap_s: float | None = None,
+    pass_id: int | None = None,
+    environment: Environment | None = None,
+    calibration: FieldCalibration | None = None,
+    torques: Sequence[str] = (),
+    periods: Sequence[PeriodSeen] = (),
+    column_tests: bool = False,
+    effort: float = 1.0,
+    workers: int = 1,
+    progress: bool | Callable[[str], None] = False,
+    settings: RatesSettings = RATES,
+) -> xr.Dataset:
+    """Estimate body rates and attitude of every pass of a telemetry file: all solutions that the data cannot tell apart.
+
+    Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start; starts
+    grow over the pass and are fitted with the equations of motion, under torques of every strength.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry` or its Assessment, or Dataset of `sun_directions`
+        A gyro, magnetometer or attitude sensor in it is used if the vehicle describes one.
+    source : {"panels", "sun_sensor", "directions"}, optional
+        Where the Sun comes from; default: what the telemetry has.
+    max_rate_rad_s : float, optional
+        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s.
+    acceleration_noise : float, optional
+        Strength of unknown torques, rad/s^1.5; default: the vehicle's, else every strength is tried.
+    gap_s : float, optional
+        A longer gap parts two passes; default: six usual intervals.
+    pass_id : int, optional
+        Only this pass, counted from zero as in the result; default: all.
+    environment : Environment, optional
+        What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
+        to the Sun (:func:`sunspin.environment.circular`). In an orbit field, shadow and Earth's light are known: a calibrated
+        magnetometer gives directions, and samples without a Sun count. The orbit is believed.
+    calibration : FieldCalibration, optional
+        Of the magnetometer along the orbit, by a longer file for example; default: by this telemetry.
+    torques : list, optional
+        Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`).
+    periods : list of Period, optional
+        Periods seen from outside, of the precession, the spin or their sum: the solutions are weighted by them
+        (:mod:`sunspin.estimate.periods`). `probability_without_periods (pass_id, solution)` has the probabilities without, and
+        attrs["periods"], in JSON, what each decided.
+    column_tests : bool
+        If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
+        (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit under
+        strong torques, or if their samples, each by itself, fit other columns far better, or as well.
+    effort : float
+        How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
+    workers : int
+        Processes that estimate passes side by side; the result does not depend on it. A script that asks for more than one needs
+        `if __name__ == "__main__":`.
+    progress : bool, or a function of a line
+        Show a progress bar of passes; a function is called once, when the inputs are accepted and the search begins.
+    settings : RatesSettings
+        What tunes the estimate.
+
+    Returns
+    -------
+    xarray.Dataset
+        On `time` (all samples used) of each pass's best solution: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
+        magnetometer J2000), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_of`. On
+        `curve_time` the same between the samples. On `pass_id` and `solution`: probabilities, mean rates, and what may be believed:
+        the variables of `passes.csv`. On `sample`: `why`, what became of each sample of the file. attrs: `verdict`, the settings.
+
+    Raises
+    ------
+    InputError
+        Too few samples, no rate below the largest fits, or a period was seen at a time of no pass.
+    MotionError
+        A torque without the environment that it needs.
+    """
+    # What the file shows: all samples, why each is used or not, and the passes that they form.
+    assessment = assess(vehicle, telemetry)
+    local = along_the_sun(environment)  # axes N with z to the Sun
+    calibration = along_orbit(local, assessment) if calibration is None else calibration
+    seen = observe(assessment, source, local, calibration, acting(torques, local))
+    every = split(seen, gap_s, settings.passes)
+    chosen = asked(every, pass_id)
+    passes = [every[k] for k in chosen]
+    why = why_not_used(seen, every, chosen)
+
+    # What is believed before the data: the nominal model of the whole file.
+    noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
+    rate_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
+    # the same estimate of another vehicle or another file, as one pass: to try other columns
+    again = partial(
+        rates,
+        source=None if seen.source == "directions" else seen.source,
+        max_rate_rad_s=rate_max,
+        gap_s=np.inf,
+        environment=environment,
+        calibration=calibration,
+        torques=torques,
+        effort=effort,
+        settings=settings,
+    )
+    if noise is not None:  # a stated strength is a ladder of one rung
+        settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
+    body = Body.of(vehicle, torques_stated=noise is not None)
+    stated = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
+    budget = Budget.of(effort)
+    if callable(progress):
+        used, kept = (sum(len(getattr(p, name)) for p in passes) for name in ("samples", "kept"))
+        thin = f", thinned to {kept} for the search" if kept < used else ""
+        progress(f"{used} samples used in {count_of_passes(len(passes))}{thin}")
+
+    # The fits of each pass, side by side. First those of the longest passes, which show what the wheels do.
+    require_directions(stated, passes)
+    tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
+    if (processes := min(worker_count(workers), tasks)) > 1:
+        load_step()
+    with process_pool(processes) as pool:
+        fitter = PassFitter(settings, budget, map if pool is None else pool.map)
+        wheels = decide_wheels(assessment, stated, passes, fitter)
+        stated = stated.with_momentum(wheels.momentum)
+        models = [kept_samples(stated, one) for one in passes]
+        open_still = [k for k in range(len(passes)) if k not in wheels.fits]
+        fitted = fitter.fits([models[k] for k in open_still])
+        if progress is True:
+            fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
+        done = wheels.fits | dict(zip(open_still, fitted, strict=True))
+        fits = [done[k] for k in range(len(passes))]
+        compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
+        doubt = doubted_signs(assessment, stated.obs, wheels.name, compared, fitter)
+
+    # The solutions of each pass. Passes help each other: the same torques act in all of them, and from one to the next a rate
+    # changes only so much.
+    fits = share_noise(fits, settings.ladder)
+    whole = [stated.obs.of_pass(one.samples) for one in passes]
+    solved = [
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
+        for one, obs, p in zip(fits, whole, passes, strict=True)
+    ]
+    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
+    middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
+    solved, walk = link_passes(solved, middles, stated.rate_sigma)
+    solved = [
+        one.listed(settings.solutions, len(images_of(model)))
+        for one, model in zip(solved, models, strict=True)
+    ]
+
+    # The result, and what may be believed of it.
+    stated = stated.under(common_noise(fits))
+    result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
+    in_doubt = assessment.doubtful_gains if seen.source == "panels" else {}
+    unknown = ", ".join(name for name, share in in_doubt.items() if share < LOW_SHARE)
+    result = result.assign_coords(pass_id=chosen).assign_attrs(gains_unknown=unknown)
+    doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
+    epoch = assessment.telemetry.attrs.get("epoch_utc")
+    result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
+    result = result.assign(without_periods(solved))
+    result = in_space(repeats_doubted(result, assessment), local, solved, seen)
+    result = result.assign_attrs(
+        latency_attributes(vehicle, solved)
+        | coarse
+        | of_periods
+        | {
+            "wheels": wheels.words,
+            "walk_between_passes": walk,
+            "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
+            "samples_searched": sum(len(p.kept) for p in passes),
+            "symmetric_unlisted": 0,
+        }
+    )
+    again_if_asked = again if column_tests else None
+    in_orbit = isinstance(local, SunAlongZ)
+    result = check_columns(result, assessment, doubt, again_if_asked, in_orbit, settings, budget)
+    return with_units(result.assign_attrs(verdict=rates_words(result)))
+
+
+def along_the_sun(environment: Environment | None) -> Environment | None:
+    """Return the environment in axes whose z is the direction to the Sun."""
+    if isinstance(environment, Orbit):
+        return SunAlongZ(environment)
+    if environment is not None and not isinstance(environment, SunAlongZ):
+        sun = environment.at(0.0).sun_N[0]
+        if np.linalg.norm(sun - SUN_N) > ALONG_Z:
+            raise InputError(
+                "rates needs an environment with z of its N to the Sun",
+                got=f"the Sun at {np.round(sun, 3)}",
+            )
+    return environment
+
+
+def stated_noise(
+    vehicle: Vehicle, given: float | None, dipole_modelled: bool = False
+) -> float | None:
+    """Return the strength of unknown torques (rad/s^1.5) that is given, else the vehicle's; None if neither states it.
+
+    The torque of a magnetic dipole is modelled only in a measured field: else the vehicle file has another strength.
+    """
+    disturbance = vehicle.sensors.disturbance
+    stated = (
+        disturbance.acceleration_noise
+        if disturbance.dipole is None or dipole_modelled
+        else disturbance.noise_without_field
+    )
+    noise = stated if given is None else given
+    low, high = NOISE_RANGE
+    if noise is not None and not low <= noise <= high:
+        raise InputError(
+            f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=noise
+        )
+    return noise
+
+
+def largest_rate(
+    vehicle: Vehicle, given: float | None, t_s: np.ndarray, passes: Sequence[Pass]
+) -> float:
+    """Return the largest rate (rad/s) of the search: as given, else the vehicle's, else by the shorter intervals."""
+    given = vehicle.sensors.disturbance.max_rate_rad_s if given is None else given
+    if given is not None:
+        if not (np.isfinite(given) and given > 0):
+            raise InputError("max_rate_rad_s must be positive", got=given)
+        return float(given)
+    shorter = [
+        np.sort(np.diff(t_s[one.kept]))[: max(2, len(one.kept) // 8)].mean() for one in passes
+    ]
+    return min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE)
+
+
+def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
+    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
+
+    `stated`: the nominal model of the whole file. Other sensors may do without directions.
+    """
+    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
+    if not panels or not sees_sun_alone(stated.obs):
+        return
+    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
+    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
+    if read >= count:
+        return
+    for one in passes:
+        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
+        model = of_pass.for_search(stated.noise)[0]
+        # whether the direction of the Sun is known at a sample, and was at the one before
+        known = False
+        for sample in range(len(one.kept)):
+            allowed = allowed_directions(model, sample)
+            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if before and known:
+                return
+    raise InputError(
+        "too few Sun directions to estimate a rate",
+        got=f"rows with readings of {read} of {count} panels at most",
+        do="set sample_span_s under [telemetry] to the time in which all are read",
+    )
+
+
+def common_noise(fits: Sequence[PassFits]) -> float:
+    """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
+    total = np.sum([one.log_evidence_of_rungs() for one in fits], axis=0)
+    if not np.isfinite(total).any():  # no rung was hopeful in all passes
+        total = np.sum([np.maximum(one.log_evidence_of_rungs(), -1e6) for one in fits], axis=0)
+    return fits[0].rungs[int(np.argmax(total))]
+
+
+def doubts_of(
+    result: xr.Dataset,
+    models: Sequence[Model],
+    fits: Sequence[PassFits],
+    solved: Sequence[Solutions],
+    noise_free: bool,
+    effort: float,
+    settings: RatesSettings,
+) -> tuple[list[str], dict[str, float]]:
+    """Return what the search of each pass may have left out and what would help, in words; and attributes that count such passes.
+
+    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; the gains are,
+    and no other sensor gives the rate. Or it took a body without an inertia for a sphere, but the data want torques that hardly any
+    satellite has. Torques that turn the body far between two samples are doubted too, as a nutation does that.
+    """
+    fine = [fine_up_to(model, settings.search) for model in models]
+    no_sphere = []
+    for model, one in zip(models, solved, strict=True):
+        shortest = float(np.diff(model.obs.t_s).min())
+        # what torques turn a body over the shortest interval T: noise T^1.5 / sqrt(3)
+        far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
+        strong = one.noise[0] >= settings.ladder.strong
+        no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))
+    wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
+    cures = [
+        {
+            f"budget reached: {more_effort(effort)}": one.cut,
+            f"coarse: {slower(limit)}" if np.isfinite(limit) else "": np.isfinite(limit),
+            "torques too strong for a satellite, or the body is no sphere: give its inertia": odd,
+            f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column": wheels,
+            f"the gain of panel {gains} is not known: give cells, gain_W, gain_A, or a sigma": gains
+            and sees_sun_alone(model.obs),
+        }
+        for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True)
+    ]
+    words = ["; ".join(what for what, so in one.items() if so) for one in cures]
+    coarse = [limit for limit in fine if np.isfinite(limit)]
+    return words, {
+        "effort_given": effort,
+        "fine_up_to_rad_s": min(coarse, default=np.nan),
+        "coarse_passes": len(coarse),
+        "cut_passes": sum(one.cut for one in fits),
+        "no_sphere": sum(no_sphere),
+    }

@@ -1,0 +1,357 @@
+"""The result of `rates` as a Dataset: the numbers of the best solutions on time, and of all solutions by pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.base.errors import printable
+from sunspin.base.provenance import provenance
+from sunspin.environment import Environment
+from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
+from sunspin.environment.orbit import SunAlongZ
+from sunspin.estimate.carry import RATE, TURN
+from sunspin.estimate.dense import curve
+from sunspin.estimate.images import either_side
+from sunspin.estimate.model import Model
+from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
+from sunspin.estimate.solutions import Solutions
+from sunspin.estimate.terms.field import FieldDirection, KnownField
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.verdict import (
+    COLUMNS_STATED,
+    COLUMNS_UNCHECKED,
+    OTHER_SENSORS,
+    PassRow,
+    answers,
+    misfit,
+    padded,
+    passes_table,
+)
+from sunspin.solve.rotations import (
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    without_sign_jumps,
+)
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.gains import FAINT
+from sunspin.vehicle import Vehicle
+
+ROUNDING = 1e-3
+"""Negative part of a covariance's largest variance beyond which it is rounding: 0.6 for a panel that hardly sees the Sun."""
+
+ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
+"""Rms angle between a direction and one that may be any."""
+
+OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
+"""Where the error of panel readings comes from without a stated noise."""
+
+LATENCY = "late_s"
+"""Name of the estimate of how late sensors other than the Sun's are."""
+
+
+def dataset(
+    assessment: Assessment,
+    seen: FileReadings,
+    why: np.ndarray,
+    passes: Sequence[Pass],
+    solved: Sequence[Solutions],
+    stated: Model,
+    noise_stated: bool,
+) -> xr.Dataset:
+    """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
+
+    `why` (n): what became of each sample of the file; `stated`: the nominal model, under the strength of torques that the file
+    as a whole has; `noise_stated`: the vehicle file or the user gives that strength.
+    """
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    index = np.concatenate([one.samples for one in passes])
+    best = [one.track.take(slice(0, 1)) for one in solved]
+    # one pass after the other along time
+    attitude, omega, covariance, sun = (
+        np.concatenate([getattr(track, name)[0] for track in best])
+        for name in ("attitude", "omega", "covariance", "sun_B")
+    )
+    pass_of = np.repeat(np.arange(len(passes)), [len(one.samples) for one in passes])
+    quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
+    each = ("pass_id", "solution")
+    spread = [spread_of(one.mean, one.mean_sigma, one.probability) for one in solved]
+    result = xr.Dataset(
+        {
+            "omega_B": (("time", "axis"), omega),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, RATE, RATE]),
+            "sun_B": (("time", "axis"), sun),
+            "sun_sigma_rad": ("time", _sun_sigma(sun, covariance[:, TURN, TURN])),
+            "B_from_N": (("time", "quaternion"), quaternion),
+            "pass_of": ("time", pass_of),
+            "omega_mean_B": ((*each, "axis"), padded([one.mean for one in solved])),
+            "omega_sigma_B": ((*each, "axis"), padded([one.mean_sigma for one in solved])),
+            "omega_sigma_all_B": (("pass_id", "axis"), np.array(spread)),
+            "cost": (each, padded([one.track.cost for one in solved])),
+            "cost_limit": ("pass_id", [one.cost_limit for one in solved]),
+            "why": ("sample", why.astype(np.str_)),
+        },
+        coords={
+            "time": seen.obs.t_s[index],
+            "sample": seen.obs.t_s,
+            "axis": ["x", "y", "z"],
+            "pass_id": np.arange(len(passes)),
+            "quaternion": ["x", "y", "z", "w"],
+        },
+        attrs=_attributes(vehicle, telemetry, seen, index, stated, noise_stated),
+    )
+    return result.assign(_curves(solved, stated))
+
+
+def _attributes(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    seen: FileReadings,
+    used: np.ndarray,
+    stated: Model,
+    noise_stated: bool,
+) -> dict[str, Any]:
+    """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
+    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
+    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
+        "source": seen.source,
+        "acceleration_noise": stated.noise.acceleration,
+        "max_rate_rad_s": stated.rate_max,
+        "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
+        "body": "nearly a sphere (no inertia)"
+        if stated.body.sphere
+        else "rigid body with the vehicle's inertia and wheels",
+        "earth_light": max(
+            (term.earth_share for term in panels if term.earth_share > FAINT), default=0.0
+        ),
+        "frame_N": SUN_Z_LOCAL,
+        "panels_left_out": ", ".join(name for term in panels for name in term.left_out),
+    }
+    sigmas = [term.sigma[np.isfinite(term.sigma)] for term in panels]
+    if sigmas and len(sigmas[0]):
+        noise = vehicle.input_noise
+        attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
+        attrs["noise_from"] = OF_SCATTER if noise is None else "given"
+    sensors = [term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateSize.name)]
+    read = {term.name for term in sensors if term.present()[used].any()}
+    attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
+    if any(term.name == RateSize.name for term in seen.obs.terms):
+        attrs["rate_size_used"] = int(RateSize.name in read)
+    untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
+    return attrs | {"wheels_untold": ", ".join(untold)}
+
+
+def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
+    """Return the variables on `curve_time`: the best motion of each pass on even instants between its samples."""
+    times, tracks = [], []
+    for one in solved:
+        model = replace(stated, obs=one.obs)
+        instants, track = curve(model, one.track.take(slice(0, 1)), float(one.noise[0]))
+        times.append(instants)
+        tracks.append(track)
+    attitude, omega, covariance = (
+        np.concatenate([getattr(track, name)[0] for track in tracks])
+        for name in ("attitude", "omega", "covariance")
+    )
+    pass_of = np.repeat(np.arange(len(solved)), [len(instants) for instants in times])
+    quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
+    sigma = np.sqrt(np.einsum("nii->ni", covariance[:, RATE, RATE]))
+    return {
+        "curve_omega_B": (("curve_time", "axis"), omega),
+        "curve_omega_sigma_B": (("curve_time", "axis"), sigma),
+        "curve_B_from_N": (("curve_time", "quaternion"), quaternion),
+        "curve_pass_of": ("curve_time", pass_of),
+        "curve_time": np.concatenate(times),
+    }
+
+
+def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
+    """Return the attributes on the latency of sensors other than the Sun's, by all passes together.
+
+    The estimate of each pass joins the prior of the vehicle file with its own readings: precisions add, and so do values times
+    precisions. The prior must count once, so that what each pass adds to it is summed.
+    """
+    clock = vehicle.sensors.clock
+    if clock is None:
+        late, sigma, words = np.nan, np.nan, "taken as read together"
+    else:
+        late, sigma, words = clock.late_s, clock.sigma_s, "vehicle file"
+    rows = [one.estimates[0][LATENCY] for one in solved if LATENCY in one.estimates[0]]
+    if rows and clock is not None:
+        values, sigmas = (np.array([row[k] for row in rows]) for k in (1, 2))
+        prior_precision = sigma**-2
+        added = np.maximum(sigmas**-2 - prior_precision, 0.0)
+        of_prior = clock.late_s * prior_precision
+        weighted = of_prior + (values / sigmas**2 - of_prior).sum()
+        sigma = (prior_precision + added.sum()) ** -0.5
+        late, words = weighted * sigma**2, "vehicle file and data"
+    return {
+        "sensors_late_s": float(late),
+        "sensors_late_sigma_s": float(sigma),
+        "sensors_late_from": words,
+    }
+
+
+def in_space(
+    result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: FileReadings
+) -> xr.Dataset:
+    """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
+
+    In an orbit it has the turn about the Sun with its sigma, and if a magnetometer was used attitudes from J2000. A magnetometer
+    alone gives directions of the field in place of the Sun's.
+    """
+    if any(isinstance(term, FieldDirection) for term in seen.obs.terms):
+        about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
+        return result.assign(
+            field_direction_B=result["sun_B"].assign_attrs(about),
+            sun_B=result["sun_B"] * np.nan,
+            sun_sigma_rad=result["sun_sigma_rad"] * np.nan,
+        ).assign_attrs(frame_N=FIELD_Z_LOCAL)
+    if not isinstance(local, SunAlongZ):
+        return result
+    best = [one.track.take(slice(0, 1)) for one in solved]
+    sun = np.concatenate([track.sun_B[0] for track in best])
+    covariance = np.concatenate([track.covariance[0, :, TURN, TURN] for track in best])
+    sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance, sun), 0.0))
+    about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
+    orbit = local.orbit
+    result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
+        orbit=orbit.elements[0].number,
+        orbit_name=printable(orbit.elements[0].name),
+        orbit_shift_s=orbit.shift_s,
+        orbit_drift_s_day=orbit.drift_s_day,
+        orbit_shift_sigma_s=float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
+    )
+    if not any(isinstance(term, KnownField) for term in seen.obs.terms):
+        return result
+    # the field shows the turn about the Sun, so that attitudes are known in space
+    from_J2000 = {}
+    for name, time, pass_of in (
+        ("B_from_N", "time", "pass_of"),
+        ("curve_B_from_N", "curve_time", "curve_pass_of"),
+    ):
+        attitude = matrix_from_quaternion(result[name].values)
+        attitude = attitude @ local.N_from_J2000(result[time].values)
+        quaternion = quaternion_from_matrix(attitude)
+        quaternion = without_sign_jumps(quaternion, result[pass_of].values)
+        from_J2000[name] = (time, "quaternion"), quaternion
+    return result.assign(from_J2000).assign_attrs(frame_N=J2000)
+
+
+def spread_of(mean: np.ndarray, sigma: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Return one sigma (3) of a rate about the best of K solutions, all of them counted.
+
+    `mean`, `sigma` (K, 3) and `probability` (K): those of the solutions. It is the root mean square of the difference from mean[0].
+    """
+    share = (probability / probability.sum())[:, None]
+    return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
+
+
+def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return one sigma (n) in rad of directions of the Sun (n, 3) from covariances (n, 3, 3) of the attitude.
+
+    If readings determine so little that a covariance is rounding, with negative variances, the direction may be any.
+    """
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]  # only turns across the Sun move it
+    variance = np.einsum("nij,njk,nik->n", across, covariance, across)
+    values = np.linalg.eigvalsh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
+    is_rounding = (values[:, 0] < -ROUNDING * np.abs(values[:, -1])) | (variance <= 0)
+    return np.where(is_rounding, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
+
+
+def believed(
+    passes: Sequence[Pass],
+    solved: Sequence[Solutions],
+    cures: Sequence[str],
+    rate_sigma: float,
+    epoch_utc: str | None,
+) -> dict[str, Any]:
+    """Return the variables that say what may be believed of each pass (:func:`answers`), and its solutions at mid-pass.
+
+    That is at the sample nearest to the middle of the pass. `cures`: what the search of each pass may have left out and what would
+    help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
+    """
+    sensors = sorted({name for one in solved for name in one.residual})
+    misfits = np.full((len(solved), len(sensors), 3), np.nan)
+    residual = np.full((len(sensors), sum(len(one.samples) for one in passes)), np.nan)
+    rows, begin = [], 0
+    for k, (one, cure) in enumerate(zip(solved, cures, strict=True)):
+        t_s = one.obs.t_s
+        mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
+        of_pass = slice(begin, begin + len(t_s))
+        begin += len(t_s)
+        by_sensor = {name: misfit(part[0]) for name, part in one.residual.items()}
+        for name, part in one.residual.items():
+            misfits[k, sensors.index(name)] = by_sensor[name]
+            residual[sensors.index(name), of_pass] = part[0]
+        omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
+        four_answers, speed = answers(
+            one.probability,
+            omega,
+            covariance,
+            rate_sigma,
+            by_sensor,
+            bool(one.track.cost[0] <= one.cost_limit),
+            cure,
+            either_side(one.track),
+        )
+        sigma = np.sqrt(np.einsum("kii->ki", covariance))
+        # exchanged columns give a motion of the same size, so that a size confirms none
+        # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion
+        alone = [term.label for term in one.obs.terms if isinstance(term, FieldDirection)] or [
+            "Sun"
+        ]
+        blind = set(by_sensor) <= {*alone, RateSize.label}
+        checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
+        solution = one.probability, omega, sigma, speed, four_answers, checked
+        rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))
+    return (
+        passes_table(rows, epoch_utc)
+        | _estimates([one.estimates[0] for one in solved])
+        | {
+            "misfit": (("pass_id", "sensor", "figure"), misfits),
+            "residual": (("sensor", "time"), residual),
+            "sensor": sensors,
+            "figure": ["readings", "beyond", "chance"],
+            "model": ("pass_id", [one.model[0] for one in solved]),
+            "model_probability": ("pass_id", [one.model[1] for one in solved]),
+        }
+    )
+
+
+def repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
+    """Return the result with no pass decided whose samples may be held values (`Repeats.unsure`), and with why."""
+    repeats = assessment.repeats
+    times = assessment.telemetry["time"].values[repeats.unsure]
+    with_repeats = result["pass_of"].values[np.isin(result["time"].values, times)]
+    unsure = np.isin(np.arange(result.sizes["pass_id"]), with_repeats)
+    why = [
+        "; ".join(filter(None, (str(reason), repeats.doubt if doubted else "")))
+        for reason, doubted in zip(result["why_not_decided"].values, unsure, strict=True)
+    ]
+    decided = result["decided"].values & ~unsure
+    return result.assign(decided=("pass_id", decided), why_not_decided=("pass_id", why))
+
+
+def _estimates(best: Sequence[dict[str, tuple[str, float, float]]]) -> dict[str, Any]:
+    """Return the variables with what was estimated in addition to the best motion of each pass, NaN if a pass has no such number.
+
+    `best`: for each pass the name of a number -> its unit, value and sigma.
+    """
+    units = {name: unit for of_pass in best for name, (unit, _, _) in of_pass.items()}
+    names = list(units)
+    value, sigma = np.full((2, len(best), len(names)), np.nan)
+    for k, of_pass in enumerate(best):
+        for name, (_, *numbers) in of_pass.items():
+            value[k, names.index(name)], sigma[k, names.index(name)] = numbers
+    return {
+        "estimate_value": (("pass_id", "estimate"), value),
+        "estimate_sigma": (("pass_id", "estimate"), sigma),
+        "estimate_unit": ("estimate", list(units.values())),
+        "estimate": names,
+    }

@@ -1,0 +1,218 @@
+"""The rows of a scan: initial states on a grid of rates, and what is kept of the motion that each begins.
+
+All are frozen data without compiled code, so that they can be sent to other processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.dynamics import batch
+from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.estimate.scan.directions import reconstructible_mask
+from sunspin.estimate.scan.histogram import BINS, distances_to_target
+from sunspin.estimate.scan.metrics import direction_error
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.planes import DirectionSet
+
+TRACK_ERROR = 1e-3
+"""Allowed error of the direction (rad) at the last sample if E is computed and no other error is given."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Initial states: each combination of three axes of body rates (rad/s), all with one Sun direction and one set of wheel speeds.
+
+    Attributes
+    ----------
+    omega_x, omega_y, omega_z : (n_x), (n_y), (n_z) rad/s
+    sun_B : (3)
+        Direction to the Sun, body axes.
+    wheel_speed_rad_s : (n_wheel)
+    acting : torques on the body
+    B_from_N : (4)
+        Attitude, scalar last, which only torques need.
+    bodies : (m), optional
+        Bodies in place of the vehicle's own. Each begins at each rate, so they are the last axis of the grid.
+    """
+
+    omega_x: np.ndarray
+    omega_y: np.ndarray
+    omega_z: np.ndarray
+    sun_B: np.ndarray
+    wheel_speed_rad_s: np.ndarray
+    acting: Acting = NOTHING
+    B_from_N: np.ndarray | None = None
+    bodies: Bodies | None = None
+
+    @classmethod
+    def on_grid(
+        cls,
+        vehicle: Vehicle,
+        axes: list[np.ndarray],
+        sun_B: npt.ArrayLike,
+        wheel_speed_rad_s: Any,
+        acting: Acting = NOTHING,
+        B_from_N: npt.ArrayLike | None = None,
+    ) -> Start:
+        """Return the states on a grid with the axes (omega_x, omega_y, omega_z), after a check of the arguments.
+
+        Raises
+        ------
+        InputError
+            `sun_B` is not a unit vector.
+        MotionError
+            The speeds do not fit the wheels, or the attitude does not fit the direction.
+        """
+        sun = np.asarray(sun_B, dtype=np.float64)
+        if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
+            raise InputError("sun_B must be a unit vector of three components", got=sun_B)
+        speeds, attitude = wheel_speeds(vehicle, wheel_speed_rad_s), acting.attitude(B_from_N, sun)
+        x, y, z = axes
+        return cls(x, y, z, sun, speeds, acting, attitude if acting.torques else None)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Return the shape of the grid: (n_x, n_y, n_z), or (n_x, n_y, n_z, m) with bodies."""
+        rates = len(self.omega_x), len(self.omega_y), len(self.omega_z)
+        return rates if self.bodies is None else (*rates, *self.bodies.shape)
+
+    def __len__(self) -> int:
+        return int(np.prod(self.shape))
+
+    def take(self, index: np.ndarray) -> batch.Rows:
+        """Return the states of the rows `index` (n), numbered in C order of the grid. No array of the whole grid is made."""
+        n, (x, y, z, *body) = len(index), np.unravel_index(index, self.shape)
+        return batch.Rows(
+            np.stack([self.omega_x[x], self.omega_y[y], self.omega_z[z]], axis=-1),
+            np.tile(self.sun_B, (n, 1)),
+            np.tile(self.wheel_speed_rad_s, (n, 1)),
+            None if self.bodies is None else self.bodies.take(*body),
+            None if self.B_from_N is None else np.tile(self.B_from_N, (n, 1)),
+        )
+
+
+class Measure(NamedTuple):
+    """What a scan keeps of each motion: an array of this type and of this shape for each row.
+
+    Attributes
+    ----------
+    histogram : True if it is computed from a histogram of r_z (`batch.Heights`), False if from directions (`batch.Motion`)
+    dtype, shape : of the array of one motion
+    compute : function of n motions run together and the scan's target that returns the values (n, *shape)
+    """
+
+    histogram: bool
+    dtype: str
+    shape: tuple[int, ...]
+    compute: Callable[[Any, Any], np.ndarray]
+
+
+MEASURES = {
+    "emd": Measure(True, "float64", (), lambda run, cdf: distances_to_target(run.seconds, cdf)),
+    "hist": Measure(True, "float32", (BINS,), lambda run, _: run.seconds),
+    "E": Measure(False, "float64", (), lambda run, sun_B: direction_error(run.sun_B, sun_B)),
+}
+"""EMD to a target (paper, eq. 13), the histogram itself (s), E against directions (eq. 12)."""
+
+
+@dataclass(frozen=True)
+class ScanRows:
+    """The function of `compute.rows.ensemble` that runs motions of a grid and keeps a measure of each, and its outcome.
+
+    Attributes
+    ----------
+    t_s : length of the run in s; for E the times (n) of the directions, after the start
+    measure : a name in `MEASURES`
+    target : for EMD the result of `target_segments`, for E the directions (n, 3), for histograms None
+    mask : directions that count in a histogram: "reconstructible", or None for all
+    emd_error, direction_error : allowed error of the EMD, or of the Sun direction at the end (rad). If neither is given, it is 1e-3
+        of the EMD, or 1e-3 rad for E.
+    condition : the directions of the mask as data for the compiled code
+    """
+
+    vehicle: Vehicle
+    start: Start
+    t_s: float | np.ndarray
+    measure: str
+    target: Any = None
+    mask: str | None = None
+    wheel_mode: str | tuple[str, ...] = "coast"
+    emd_error: float | None = None
+    direction_error: float | None = None
+    condition: DirectionSet | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.mask not in ("reconstructible", None):
+            raise InputError('mask must be "reconstructible" or None', got=self.mask)
+        batch.one_command(self.vehicle, self.wheel_mode)
+        if self.emd_error is None and self.direction_error is None:
+            if MEASURES[self.measure].histogram:
+                object.__setattr__(self, "emd_error", batch.EMD_ERROR)
+            else:
+                object.__setattr__(self, "direction_error", TRACK_ERROR)
+        batch.check_errors(self.direction_error, self.emd_error)
+        condition = reconstructible_mask(self.vehicle) if self.mask else None
+        object.__setattr__(self, "condition", condition)
+
+    @property
+    def outputs(self) -> dict[str, tuple[str, tuple[int, ...]]]:
+        """Return type and shape of what is kept of each motion, by name."""
+        measure = MEASURES[self.measure]
+        return {self.measure: (measure.dtype, measure.shape), "outcome": ("int8", ())}
+
+    @property
+    def n_rows(self) -> int:
+        """Return the number of motions."""
+        return len(self.start)
+
+    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Run the motions of the rows `index` (n) and return what is kept of them, by name."""
+        states, acting = self.start.take(index), self.start.acting
+        run: batch.Heights | batch.Motion
+        measure = MEASURES[self.measure]
+        if measure.histogram:
+            run = batch.sun_heights(
+                self.vehicle,
+                states,
+                float(self.t_s),
+                command=self.wheel_mode,
+                counted=self.condition,
+                error=self.direction_error,
+                emd_error=self.emd_error,
+                acting=acting,
+            )
+        else:
+            error = TRACK_ERROR if self.direction_error is None else self.direction_error
+            run = batch.run(
+                self.vehicle,
+                states,
+                self.t_s,
+                command=self.wheel_mode,
+                error=error,
+                acting=acting,
+            )
+        values = measure.compute(run, self.target)
+        return {self.measure: values, "outcome": run.outcome.astype(np.int8)}
+
+
+def track_rows(vehicle: Vehicle, start: Start, track: xr.Dataset, **options: Any) -> ScanRows:
+    """Return the rows that compare motions by E with a track: `sun_B (time, axis)` at `time`, s after the start.
+
+    Samples without a direction are left out. `options` are fields of `ScanRows`.
+    """
+    sun_B = np.asarray(track["sun_B"], dtype=np.float64)
+    known = np.all(np.isfinite(sun_B), axis=1)
+    if not known.any():
+        raise InputError("the track holds no direction to compare with")
+    times = np.asarray(track["time"], dtype=np.float64)[known]
+    return ScanRows(vehicle, start, times, "E", sun_B[known], **options)

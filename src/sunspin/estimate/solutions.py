@@ -1,0 +1,294 @@
+"""The solutions of one pass: motions summed over models and strengths of torques, carried to all samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from sunspin.estimate.carry import RATE
+from sunspin.estimate.chain import Fit, variance_of
+from sunspin.estimate.copies import Outline
+from sunspin.estimate.dense import filled, residuals_by_sensor
+from sunspin.estimate.evidence import PassFits
+from sunspin.estimate.model import AS_STATED, Model, Observations, Track
+from sunspin.estimate.settings import SearchSettings, SolutionSettings
+from sunspin.estimate.terms.panels import Panels
+from sunspin.solve.rotations import rotation_between
+
+ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "rate_size_scale", "clock", "panel_zero")
+"""Kinds of unknowns that are reported as they are."""
+
+MEAN_COUNTS = 0.05
+"""Members of a solution with less than this share do not count in the sigma of its mean rate."""
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """K solutions of one pass at all its samples (n), the most probable first; of the unknowns only the errors of the inertia.
+
+    `kept`: places of the samples that were fitted. `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged
+    over the pass. `residual`: by sensor (K, n), in sigmas. `model`: the most probable model and its probability. `noise` (K):
+    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `cost_limit`: beyond it no
+    motion fits. `without_periods` (K): the probability before periods that were seen are counted in.
+    """
+
+    obs: Observations
+    kept: np.ndarray
+    track: Track
+    probability: np.ndarray
+    mean: np.ndarray
+    mean_sigma: np.ndarray
+    residual: dict[str, np.ndarray]
+    model: tuple[str, float]
+    noise: np.ndarray
+    estimates: tuple[dict[str, tuple[str, float, float]], ...]
+    cost_limit: float
+    without_periods: np.ndarray | None = None
+
+    @staticmethod
+    def joined(every: Sequence[Solutions]) -> Solutions:
+        """Return the solutions of several, of one pass."""
+        parts = {
+            name: np.concatenate([getattr(one, name) for one in every])
+            for name in ("probability", "mean", "mean_sigma", "noise")
+        }
+        residual = {
+            name: np.concatenate([one.residual[name] for one in every])
+            for name in every[0].residual
+        }
+        estimates = tuple(each for one in every for each in one.estimates)
+        track = Track.joined([one.track for one in every])
+        return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
+
+    def take(self, which: np.ndarray) -> Solutions:
+        """Return some of the solutions, by index."""
+        return replace(
+            self,
+            track=self.track.take(which),
+            probability=self.probability[which],
+            mean=self.mean[which],
+            mean_sigma=self.mean_sigma[which],
+            residual={name: part[which] for name, part in self.residual.items()},
+            noise=self.noise[which],
+            without_periods=None if self.without_periods is None else self.without_periods[which],
+            estimates=tuple(self.estimates[k] for k in which),
+        )
+
+    def listed(self, s: SolutionSettings, images: int = 1) -> Solutions:
+        """Return the solutions that are reported, the most probable first; two motions with all their images at least."""
+        order = np.argsort(-self.probability, kind="stable")[: max(s.most, 2 * images)]
+        keep = order[: max(1, int(np.count_nonzero(self.probability[order] > s.least)))]
+        return self.take(keep)
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A motion of a fit with its part of the probability of the pass."""
+
+    fit: Fit
+    place: int
+    weight: float
+
+    @property
+    def alone(self) -> Fit:
+        """Return the fit of this motion alone (K = 1)."""
+        return self.fit.take(slice(self.place, self.place + 1))
+
+    @property
+    def motion(self) -> Track:
+        """Return the motion (K = 1)."""
+        return self.alone.motions
+
+
+def solutions(
+    fits: PassFits,
+    whole: Observations,
+    kept: np.ndarray,
+    s: SolutionSettings,
+    of_search: SearchSettings,
+) -> Solutions:
+    """Return the solutions of a pass.
+
+    A solution is a motion as its most probable model has it; that other models and rungs bend it counts in its covariance.
+
+    Parameters
+    ----------
+    fits : PassFits
+        At the kept samples.
+    whole : Observations
+        Of all samples of the pass.
+    kept : (n)
+        Places of the kept samples among them.
+    """
+    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, of_search)
+    shares: dict[str, float] = {AS_STATED: 0.0}
+    for member in (member for group in groups for member in group):
+        what = member.fit.model.what
+        shares[what] = shares.get(what, 0.0) + member.weight
+    named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
+    every = Solutions.joined([_solution(group, whole, kept) for group in groups])
+    return replace(every, model=(named, shares[named]), cost_limit=fits.stated.obs.cost_limit)
+
+
+def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
+    """Return the motions of all fits with weights that add to one, the heaviest first, without those that hardly count.
+
+    The weight of each is the larger of two: with every rate up to the largest as likely, most of which are near the largest, and
+    with every size of it. Whole turns more may fit alike, and which motion is likelier must not hang on what was taken for likely
+    before the data.
+    """
+    log = [one.log_evidence + fits.log_rung[fits.rung(one)] for one in fits.fits]
+    sized = [part + _any_size(one, s) for part, one in zip(log, fits.fits, strict=True)]
+    weights = np.max(
+        [np.exp(one - logsumexp(one)) for one in (np.concatenate(log), np.concatenate(sized))],
+        axis=0,
+    )
+    weights = weights / weights.sum()
+    places = [(one, k) for one in fits.fits for k in range(len(one))]
+    order = np.argsort(-weights, kind="stable")
+    order = order[weights[order] > s.counted * weights.max()]
+    total = weights[order].sum()
+    return [_Member(*places[i], float(weights[i] / total)) for i in order]
+
+
+def _any_size(one: Fit, s: SolutionSettings) -> np.ndarray:
+    """Return what motions (K) gain in log evidence if it is not known to a power of ten how fast the body turns.
+
+    Evidence under priors of the rate at the first sample that are narrower by the factors `slower`, in their mean. A fit that ended
+    on a slope has a covariance that is none, and gains nothing.
+    """
+    sigma = one.model.rate_sigma
+    # in sigmas of the prior a narrower one adds 1 / share^2 - 1 to the precision, as in `evidence.over_shares`
+    covariance = np.nan_to_num(one.motions.covariance[:, 0, RATE, RATE]) / sigma**2
+    sound = np.linalg.eigvalsh(covariance)[:, 0] > 0
+    covariance = np.where(sound[:, None, None], covariance, np.eye(3))
+    rate = one.motions.omega[:, 0] / sigma
+    precision = np.linalg.inv(covariance)
+    slope = (precision @ rate[..., None])[..., 0]
+    before = np.linalg.slogdet(precision)[1] - np.einsum("ki,ki->k", slope, rate)
+    gains = []
+    for share in s.slower:
+        matrix = precision + (1 / share**2 - 1) * np.eye(3)
+        mean = np.linalg.solve(matrix, slope[..., None])[..., 0]
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("ki,ki->k", slope, mean)
+        gains.append(sound * ((before - after) / 2 - 3 * np.log(share)))
+    return logsumexp(gains, axis=0) - np.log(len(gains))
+
+
+def _grouped(
+    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, of_search: SearchSettings
+) -> list[list[_Member]]:
+    """Return the members of each solution, the heaviest first; solutions by their weight."""
+    groups: list[tuple[Outline, list[_Member]]] = []
+    for member in members:
+        outline = Outline.of(member.motion, t_s)
+        for head, group in groups:
+            # two motions that one fit has separated are two, unless their sigmas join them
+            met = any(member.fit is other.fit for other in group)
+            apart = of_search.copies_rad if met else s.bent_rad
+            if outline.same(0, head, apart, s.bent_rad, of_search.copies_sigmas)[0]:
+                group.append(member)
+                break
+        else:
+            groups.append((outline, [member]))
+    lists = [group for _, group in groups]
+    return sorted(lists, key=lambda group: -sum(member.weight for member in group))
+
+
+def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> Solutions:
+    """Return one solution (K = 1) at all samples of a pass; its model is that of its most probable member."""
+    head, model = group[0], group[0].fit.model
+    weight = np.array([member.weight for member in group])
+    shares = weight / weight.sum()
+
+    # the covariance about the motion of the head, at the kept samples: what the others are off, turn and rate (1, n, 6), counts
+    offs = []
+    for member in group:
+        turn = rotation_between(head.motion.attitude, member.motion.attitude)
+        rate = member.motion.omega - head.motion.omega
+        offs.append(np.concatenate([turn, rate], axis=-1))
+    covariance = sum(
+        share * (member.motion.covariance + off[..., :, None] * off[..., None, :])
+        for member, share, off in zip(group, shares, offs, strict=True)
+    )
+    dt = np.diff(model.obs.t_s)
+    square = sum(
+        share * member.fit.model.noise.in_intervals(dt) ** 2
+        for member, share in zip(group, shares, strict=True)
+    )
+    motion = replace(head.motion, covariance=covariance)
+    fill = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
+    # a swing is not seen in the mean rate between samples, but in the rate at an instant
+    hidden = sum(
+        share * member.fit.model.noise.hidden_variance(dt)
+        for member, share in zip(group, shares, strict=True)
+    )
+    # nor are axes of N that follow a field, of which it is not known how they turn
+    hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
+    residual = residuals_by_sensor(whole, model, fill.track, kept)
+    fill.track.covariance[..., RATE, RATE] += hidden * np.eye(3)
+
+    # the mean rate over the pass, in the same way
+    counted = [k for k in range(len(group)) if k == 0 or shares[k] >= MEAN_COUNTS]
+    variance = sum(
+        shares[k]
+        * (
+            variance_of(group[k].alone, fill.mean_map)
+            + np.einsum("knij,knj->ki", fill.mean_map, offs[k]) ** 2
+        )
+        for k in counted
+    )
+    return Solutions(
+        obs=whole,
+        kept=kept,
+        track=replace(fill.track, u=motion.u[:, model.of_body]),
+        probability=weight.sum(keepdims=True),
+        mean=fill.track.omega.mean(axis=1),
+        mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
+        residual=residual,
+        model=(model.what, 1.0),
+        noise=np.sqrt(np.median(square, keepdims=True)),
+        estimates=(estimates(head.fit, head.place),),
+        cost_limit=np.inf,
+    )
+
+
+def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
+    """Return what was estimated with a motion: name -> unit, value, one sigma.
+
+    Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
+    the pass in axes of N.
+    """
+    model: Model = one.model
+    u, covariance = one.motions.u[place], one.u_covariance[place]
+    rows: dict[str, tuple[str, float, np.ndarray]] = {}  # unit, centre, change by each unknown
+    every = np.eye(len(u))  # row i: the change of unknown i by each of them
+    body = model.body
+    for i, j in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] if len(body.errors) else ():
+        change = body.errors[:, i, j] @ every[model.of_body]
+        rows[f"inertia_{'xyz'[i]}{'xyz'[j]}"] = "1", body.inertia[i, j], change
+    for k, unknown in enumerate(model.unknowns):
+        if unknown.kind in ESTIMATED:
+            rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
+    for term, where in zip(model.obs.terms, model.of_terms, strict=True):
+        if isinstance(term, Panels) and len(term.gain_errors):
+            errors = every[where][term.of_gains]
+            for k, name in enumerate(term.names):
+                rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
+        if isinstance(term, Panels) and term.earth is not None:
+            earth, light = term.earth, every[where][term.of_earth]
+            centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
+            change = earth.light_N.mean(axis=0).T @ light[earth.of_light]
+            for k, axis in enumerate("xyz"):
+                rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]
+    return {
+        name: (
+            unit,
+            float(centre + change @ u),
+            float(np.sqrt(max(change @ covariance @ change, 0))),
+        )
+        for name, (unit, centre, change) in rows.items()
+    }

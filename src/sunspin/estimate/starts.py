@@ -1,0 +1,369 @@
+"""Where a search starts: rates that take the Sun from one sample to the next.
+
+Two directions a known time apart leave a family of constant rates: one angle, the sign of the axis, and whole turns. Where moments
+or wheels turn the rate between the two, no constant rate is a start, and a grid of rates takes its place. What a gyro says is a
+start as well. Starts are coarse, and Student's law lets a start that misses most samples rest where it is: so they are tried, and
+first fitted, with errors as wide as they are apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.carry import nutation
+from sunspin.estimate.chain import carried, costs, shot
+from sunspin.estimate.copies import distinct
+from sunspin.estimate.images import images_of
+from sunspin.estimate.model import SUN_N, Body, Model, Track
+from sunspin.estimate.settings import AlternativeSettings, SearchSettings
+from sunspin.estimate.terms.term import facing
+from sunspin.vehicle.response.planes import sphere
+
+GRID, CANDIDATES, ALLOWED = 500, 10, 3.0
+"""Directions (9 degrees apart) tried where powers alone bound the Sun; how many of such a region are kept; how much more than the
+best one they may cost."""
+
+PRECESSION_RAD = 0.5
+"""If a rate turns in the body by more than this between two samples, a constant rate is no start."""
+
+COARSE_RAD = 0.6
+"""A grid with wider steps than this, as turns between two samples, may miss a motion."""
+
+GYRO_RAD = 0.5
+"""A gyro that errs by less than this between two samples is a start good enough to be the only one."""
+
+DENSE_RAD = 2.2
+"""Samples between which the body turns by less than this leave no doubt about whole turns."""
+
+BLUR = 0.6
+"""Errors of starts as a share of their distance from each other."""
+
+UNSEEN, BOUNDED = 100.0, 2.0
+"""Intervals count so many times longer if a sample does not see the Sun, and if it only bounds its direction."""
+
+ANY_AXIS_RAD = 0.5
+"""Two directions nearer to each other than this may be whole turns apart, about any axis."""
+
+MOST_AXES = 4000
+"""Axes of whole turns that are tried, at most: enough for two turns."""
+
+AT_ONCE = 4000
+"""Starts that are carried together: memory."""
+
+OTHER_BODIES = np.array(list(permutations((1.0, 0.0, -1.0))))
+"""Sigmas by which the three moments differ from those of a sphere."""
+
+FINE = 200
+"""Turns by which the family of rates between two directions is drawn before its points are spaced evenly."""
+
+
+class PairStarts(NamedTuple):
+    """States at a sample from which a body may reach the next one: directions to the Sun `sun_B` (K, 3) and rates `omega` (K, 3).
+
+    `apart_rad`: how far the turn between the two samples may be from that of the nearest start.
+    """
+
+    sun_B: np.ndarray
+    omega: np.ndarray
+    apart_rad: float
+
+
+def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]]:
+    """Yield windows with candidates: for each pair of neighbouring samples, the shortest interval first, the rates between them.
+
+    The candidates have been tried and settled on the samples around the pair. `model`: without unknowns, for the search.
+    """
+    trusted = gyro_decides(model, _pairs(model)[0])
+    for place, first in enumerate(_pairs(model)):
+        window = slice(max(0, first - s.around), min(len(model.obs), first + 2 + s.around))
+        around, sample = model.seeing(window), first - window.start
+        # further pairs are tried if nothing fits: then the gyro may be what is wrong
+        begin = starts(around, sample, s, trusted and not place)
+        if len(begin.omega) > s.crowd:
+            begin = _thinned(around, sample, begin, s)
+        if not len(begin.omega):
+            continue
+        motions = _best(around, sample, begin, s.tried[2])
+        # each round trusts the readings more: at first a start may be as far off as the starts are apart
+        for share in (1.0, 0.3, 0.0):
+            motions = shot(_loosened(around, sample, share * begin.apart_rad), sample, motions, 4)
+            motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[2]))
+        yield window, motions
+
+
+def pairs_to_try(model: Model, s: SearchSettings) -> int:
+    """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out."""
+    if len(images_of(model)) > 1:
+        # panels bound the Sun so little that one pair may start from nothing
+        return s.places_if_flat
+    first = _pairs(model)[0]
+    dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
+    return (
+        1
+        if dense or gyro_decides(model, first) or not _constant_rate_holds(model, first)
+        else s.places
+    )
+
+
+def _pairs(model: Model) -> np.ndarray:
+    """Return the first samples (n - 1) of all pairs of neighbours, the most promising first: short, and sharp directions."""
+    obs = model.obs
+    sharp = [any(len(term.starts(i).directions) for term in obs.terms) for i in range(len(obs))]
+    sees_sun = obs.sees_sun | (not obs.sees_sun.any())
+    # the interval counts as longer the worse the directions at both ends are
+    penalty = np.where(sharp, 1.0, BOUNDED) * np.where(sees_sun, 1.0, UNSEEN)
+    return np.argsort(np.diff(obs.t_s) * (penalty[1:] + penalty[:-1]), kind="stable")
+
+
+def gyro_decides(model: Model, first: int) -> bool:
+    """Return whether a gyro determines the turn from a sample to the next, so that no other rate need be tried."""
+    sigma = min((term.starts(first).rate_sigma for term in model.obs.terms), default=np.inf)
+    return bool(sigma * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < GYRO_RAD)
+
+
+def _constant_rate_holds(model: Model, first: int) -> bool:
+    """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
+    low, middle, high = np.linalg.eigvalsh(model.body.inertia)
+    wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
+    turning = wheels + model.rate_max * (high - low) / middle
+    return bool(turning * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < PRECESSION_RAD)
+
+
+def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> PairStarts:
+    """Return the starts of a pair of samples, the `first` of which is given. Rest is always among them."""
+    dt = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
+    rate_max = model.rate_max
+    if not rate_max * dt < 2 * np.pi * s.most_turns:
+        raise InputError(
+            "too many whole turns fit between two samples to try them all",
+            got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+            do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
+        )
+    known = [term.starts(first) for term in model.obs.terms]
+    read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
+    read = read[np.linalg.norm(read, axis=1) <= rate_max]
+    suns = allowed_directions(model, first)
+    # `each`: rates (m, 3) for each direction to the Sun
+    if trust_gyro and len(read) and gyro_decides(model, first):
+        sigma = min(one.rate_sigma for one in known)
+        each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
+    elif not _constant_rate_holds(model, first):
+        # wheels or moments bend the motion: no closed form
+        size = grid_step(len(suns), dt, rate_max, s)
+        each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
+    else:
+        ends, rest = allowed_directions(model, first + 1), np.zeros((1, 3))
+        each = []
+        for sun in suns:
+            rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
+            # whole turns about any axis end there too
+            if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
+                rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
+            each.append(np.concatenate([rest, *rates, read]))
+        apart = s.step_rad
+    sun_B = np.repeat(suns, [len(rates) for rates in each], axis=0)
+    return PairStarts(sun_B, np.concatenate(each), apart)
+
+
+def allowed_directions(model: Model, sample: int) -> np.ndarray:
+    """Return directions to the Sun (c, 3) that a sample allows, best first; without a sensor of the Sun that of N."""
+    if not any(term.of_sun for term in model.obs.terms):
+        return SUN_N[None]
+    for term in model.obs.terms:
+        if len(sharp := term.starts(sample).directions):
+            return sharp
+    grid = sphere(GRID)
+    still = Track.free(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
+    cost = costs(model.obs.take(slice(sample, sample + 1)), still)[:, 0]
+    allowed = grid[cost < cost.min() + ALLOWED]
+    spanning = grid[[np.argmin(cost)]]
+    while len(spanning) < min(CANDIDATES, len(allowed)):
+        # the one farthest from those taken already: they span the region
+        farthest = np.argmin((allowed @ spanning.T).max(axis=1))
+        spanning = np.concatenate([spanning, allowed[[farthest]]])
+    return spanning
+
+
+def constant_rates(
+    first: np.ndarray, second: np.ndarray, dt: float, rate_max: float, step_rad: float
+) -> np.ndarray:
+    """Return constant rates (m, 3) that carry a direction (3) of the body to another (3) in dt s, `rate_max` at most.
+
+    The axes of such turns lie on the great circle that halves the angle between the two. A turn by the angle a has the axis at the
+    angle b from the directions with sin b = sin(apart / 2) / sin(a / 2); `step_rad` is the spacing of the turns that are tried.
+    """
+    apart = float(np.arccos(np.clip(first @ second, -1, 1)))
+    middle, side = first + second, np.cross(first, second)
+    if np.linalg.norm(side) < 1e-6:  # the same direction, or the opposite one: any axis across
+        side = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
+    if np.linalg.norm(middle) < 1e-6:
+        middle = np.cross(side, first)
+    middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
+    # most angles near the smallest, where the axis turns fastest; beyond pi they are turns the other way about the opposite axis
+    angle = apart + (np.pi - apart) * np.linspace(0.0, 1.0, FINE) ** 2
+    tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
+    along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
+    families = []
+    for side_of_middle in (1.0, -1.0):
+        cosine = np.clip(side_of_middle * along, -1, 1)[:, None]
+        axis = cosine * middle + np.sqrt(1 - cosine**2) * side
+        for turns in range(int(rate_max * dt / (2 * np.pi)) + 1):
+            # the turn of the body is opposite to that of the Sun; by the rest of a circle it goes the other way about the axis
+            families.append(-axis * (angle + 2 * np.pi * turns)[:, None])
+            families.append(axis * (2 * np.pi * (turns + 1) - angle)[:, None])
+    rates = np.concatenate([_spaced(family, step_rad) for family in families]) / dt
+    return rates[np.linalg.norm(rates, axis=1) <= rate_max]
+
+
+def whole_turns(dt: float, rate_max: float, spacing_rad: float) -> np.ndarray:
+    """Return rates (m, 3) of whole turns about axes all over the sphere in dt s, `rate_max` at most, so far apart as turns."""
+    rates = [np.zeros((0, 3))]
+    for turns in range(1, int(rate_max * dt / (2 * np.pi)) + 1):
+        angle = 2 * np.pi * turns
+        axes = min(int(4 * np.pi * (angle / spacing_rad) ** 2), MOST_AXES)
+        rates.append(sphere(axes) * angle / dt)
+    return np.concatenate(rates)
+
+
+def _spaced(path: np.ndarray, step: float) -> np.ndarray:
+    """Return some points of a path (n, 3), its ends among them, each at most about a step farther on than the one before."""
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    place = np.concatenate([[0.0], np.cumsum(length)])
+    marks = np.linspace(0.0, place[-1], int(np.ceil(place[-1] / step)) + 1)
+    return path[np.unique(np.minimum(np.searchsorted(place, marks - 1e-12), len(path) - 1))]
+
+
+def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
+    """Return the most probable motions (K) with whole revolutions more and fewer between the samples, up to the largest rate.
+
+    None if the samples are uneven, or a gyro excludes them. The angular momentum L of a free body is fixed in space: whole
+    revolutions more about it between the samples show the same attitudes, and change the rate by a vector along L. How L moves in
+    the body follows from the part of |L| I^-1 that differs between the axes. If the inertia I is known the faster body nutates
+    faster, and hardly any alias fits. If it is not, a body fits for which that part is the same: exactly, without wheels.
+    """
+    dt = np.diff(model.obs.t_s)
+    first = int(np.argmin(dt))
+    uneven = dt / dt[first] - np.round(dt / dt[first])
+    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+        return motions.take(slice(0))
+    turn, rate_max = 2 * np.pi / dt[first], model.rate_max
+    most = int(2 * rate_max / turn)
+    more = turn * np.array([k for k in range(-most, most + 1) if k])
+    begin = motions.take(slice(s.relatives_of))
+    inertia = model.body.inertia_at(begin.u[:, model.of_body])
+    momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
+    momentum += model.obs.momentum
+    size = np.linalg.norm(momentum, axis=2, keepdims=True)
+    along = momentum / np.maximum(size, 1e-12)
+    faster = begin.omega + more[:, None, None, None] * along  # (turns, K, n, 3)
+    turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
+    u = begin.u[which]
+    if model.body.sphere and len(model.body.errors):
+        # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
+        rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
+        rates += more[turns, None, None] * np.eye(3)
+        u[:, model.of_body] = _errors_of_body(model.body, rates, u[:, model.of_body])
+    return Track(begin.attitude[which], faster[turns, which], u)
+
+
+def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Return the errors (K, e), in sigmas, of bodies whose I^-1 is proportional to `rates` (K, 3, 3); of no body: `otherwise`."""
+    lowest, _, highest = np.linalg.eigvalsh(rates).T
+    sound = (lowest > 0) | (highest < 0)  # the other way about L all are negative
+    inertia = np.linalg.inv(np.where(sound[:, None, None], rates, np.eye(3)))
+    inertia *= 3 / np.trace(inertia, axis1=1, axis2=2)[:, None, None]
+    off = (inertia - body.inertia).reshape(-1, 9)
+    u = np.linalg.lstsq(body.errors.reshape(-1, 9).T, off.T, rcond=None)[0].T
+    return np.where(sound[:, None], body.possible(u), otherwise)
+
+
+def other_bodies(motions: Track, model: Model) -> Track:
+    """Return the most probable motion of K with each axis of a body without an inertia the longest, the middle and the shortest.
+
+    A body that turns about a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may
+    stay there. None if an inertia is known.
+    """
+    if not (model.body.sphere and len(model.body.errors) and len(motions)):
+        return motions.take(slice(0))
+    best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
+    sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
+    u = best.u.copy()
+    u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+    return Track(best.attitude, best.omega, u)
+
+
+def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:
+    """Return the step (rad/s) of a grid of rates: fine enough for the fit, unless that were too many."""
+    return max(s.basin_rad / dt, rate_max * (4 * np.pi / 3 * suns / s.most_starts) ** (1 / 3))
+
+
+def _ball(size: float, rate_max: float) -> np.ndarray:
+    """Return a grid of rates (m, 3) with this step, up to the largest, rest among them."""
+    axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[np.linalg.norm(grid, axis=1) <= rate_max]
+
+
+def fine_up_to(model: Model, s: SearchSettings) -> float:
+    """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
+    first = int(np.argmin(np.diff(model.obs.t_s)))
+    dt = float(np.diff(model.obs.t_s).min())
+    if _constant_rate_holds(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
+        return np.inf
+    return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
+
+
+def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
+    """Return the model with terms trusted as far as starts at a sample go.
+
+    Starts are `apart_rad` apart at the next sample, and the farther a sample is the more unknown torques have changed, and errors
+    of the inertia: three percent of it turned a long body with 9 deg/s by 0.2 rad from sample to sample, 37 s apart.
+    """
+    obs, q = model.obs, model.noise.acceleration
+    away = np.abs(obs.t_s - obs.t_s[sample])
+    off_rad_s = BLUR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
+    off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
+    drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
+    drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))
+    terms = tuple(term.loosened(drift, drift_rad_s) for term in obs.terms)
+    return replace(model, obs=replace(obs, terms=terms))
+
+
+def _best(model: Model, sample: int, begin: PairStarts, most: int) -> Track:
+    """Return the starts that fit all samples best, carried by the equations of motion, and the slowest one."""
+    loose = _loosened(model, sample, begin.apart_rad)
+    tracks, every = [], []
+    for part in np.array_split(np.arange(len(begin.omega)), 1 + len(begin.omega) // AT_ONCE):
+        rates = begin.omega[part]
+        track = carried(model, sample, facing(begin.sun_B[part]), rates)
+        prior = (rates**2).sum(axis=1) / (2 * model.rate_sigma**2)
+        cost = costs(loose.obs, track).sum(axis=1) + prior
+        keep = np.argsort(cost, kind="stable")[:most]
+        tracks.append(track.take(keep))
+        every.append(cost[keep])
+    track, cost = Track.joined(tracks), np.concatenate(every)
+    order = np.argsort(cost, kind="stable")
+    slow = np.linalg.norm(track.omega[:, sample], axis=1)
+    slowest = order[np.argmin(slow[order])]
+    keep = order[:most] if slowest in order[:most] else np.append(order[: most - 1], slowest)
+    return track.take(keep)
+
+
+def _thinned(model: Model, sample: int, begin: PairStarts, s: SearchSettings) -> PairStarts:
+    """Return the better ones of a crowd of starts: by the pair alone, then fitted to four samples."""
+    apart = begin.apart_rad
+    pair = model.seeing(slice(sample, sample + 2))
+    motions = _best(pair, 0, begin, s.tried[0])
+    window = slice(max(0, sample - 1), min(len(model.obs), sample + 3))
+    around, sample = model.seeing(window), sample - window.start
+    of_pair = PairStarts(motions.sun_B[:, 0], motions.omega[:, 0], apart)
+    motions = _best(around, sample, of_pair, s.tried[1])
+    motions = shot(_loosened(around, sample, apart), sample, motions, 3)
+    motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[1], drop=np.inf))
+    return PairStarts(motions.sun_B[:, sample], motions.omega[:, sample], apart)

@@ -1,0 +1,230 @@
+"""Sensors of how the body turns in space: the gyro, and an attitude sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+import xarray as xr
+from scipy.special import gamma
+
+from sunspin.estimate.model import States, Unknown
+from sunspin.estimate.settings import GYRO_ZEROS
+from sunspin.estimate.terms.term import FREEDOM, Residual, Starts, Term, gaussian
+from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
+
+WHOLE_TURNS = 20
+"""Whole turns between two attitudes that are tried either way, at most: the largest rate leaves fewer."""
+
+
+@dataclass(frozen=True)
+class Gyro(Term):
+    """Rates (n, 3) in rad/s, NaN where not read, with one `sigma` (rad/s).
+
+    `zero_sigma` (3) in rad/s of the zero of each axis, zero for one that is known; `scale_sigma`, relative. `zero_stated`: the
+    vehicle file states the sigma of the zero; else the zero may be off by anything in :data:`GYRO_ZEROS`.
+    """
+
+    name: ClassVar[str] = "gyro"
+    label: ClassVar[str] = "gyro"
+    per_sample: ClassVar[tuple[str, ...]] = ("rate_B",)
+
+    rate_B: np.ndarray
+    sigma: float
+    zero_sigma: np.ndarray
+    scale_sigma: float
+    zero_stated: bool = True
+
+    @classmethod
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
+        """Return the gyro of telemetry; None if it has none."""
+        if VARIABLES["gyro"] not in telemetry:
+            return None
+        rate = np.asarray(telemetry[VARIABLES["gyro"]], dtype=np.float64)
+        part = vehicle.sensors.with_columns.get("gyro")
+        if part is None:
+            return cls(rate, 1.0, np.zeros(3), 0.0)
+        zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
+        scale = part.scale_sigma / abs(part.scale_rad_s)
+        gyro = cls(rate, part.noise_rad_s, zero, scale)
+        return gyro if np.any(zero) else gyro.with_any_zero()
+
+    def with_any_zero(self) -> Self:
+        """Return the gyro as if the vehicle file did not state how far its zero may be off."""
+        return replace(self, zero_sigma=np.full(3, GYRO_ZEROS[0]), zero_stated=False)
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) have a rate."""
+        return np.all(np.isfinite(self.rate_B), axis=1)
+
+    @property
+    def _columns(self) -> np.ndarray:
+        """Return what one sigma of each unknown, in their order, adds to the readings (n, 3, m) in rad/s."""
+        was_read = self.present()[:, None, None]
+        zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]  # of axes whose zero is not known
+        columns = [np.broadcast_to(zero, (len(was_read), *zero.shape))]
+        if self.scale_sigma:
+            # in proportion to the rate, for which the reading stands
+            columns.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
+        return was_read * np.concatenate(columns, axis=-1)
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the zero of each axis and the scale, if they are not known."""
+        if not self.present().any():
+            return ()
+        shares = tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
+        shares = (1.0,) if self.zero_stated else shares
+        zeros = [
+            Unknown(
+                f"gyro_zero_{axis}",
+                "gyro_zero",
+                "rad/s",
+                0.0,
+                float(sigma),
+                i,
+                shares=shares,
+                doubted=not self.zero_stated,
+            )
+            for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma, strict=True))
+            if sigma
+        ]
+        scale = Unknown("gyro_scale", "gyro_scale", "1", 0.0, self.scale_sigma)
+        return (*zeros, *([scale] if self.scale_sigma else []))
+
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the rate and the errors in common less the reading (K, n, 3), in sigmas."""
+        was_read = self.present()[:, None]
+        if not was_read.any():
+            return
+        value = was_read * (states.omega - np.nan_to_num(self.rate_B)) / self.sigma
+        by_rate = np.broadcast_to(was_read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
+        if not u.size:
+            yield Residual(value, by_rate=by_rate)
+            return
+        columns = self._columns / self.sigma
+        value = value + np.einsum("nim,km->kni", columns, u)
+        by_u = np.broadcast_to(columns, (*value.shape, columns.shape[-1]))
+        yield Residual(value, by_rate=by_rate, by_u=by_u)
+
+    def for_search(self) -> list[Self]:
+        """Return the gyro without unknowns, whose errors are added to the noise.
+
+        A zero whose sigma the file does not state is left out: 3 deg/s, the largest it may be, would be no gyro.
+        """
+        columns = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._columns
+        common = np.sqrt((columns**2).sum(axis=(1, 2)).mean() / 3) if columns.size else 0.0
+        sigma = float(np.hypot(self.sigma, common))
+        return [replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0)]
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the gyro with the drift of a start added to its errors."""
+        return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
+
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the gyro without a reading, and its log density among rates of the size of those that it reads.
+
+        A bad reading comes from a normal law of their mean square s^2. In the measure of the cost its log density is the log of the
+        integral of Student's law, less 3/2 log(2 pi s^2) + |reading|^2 / (2 s^2).
+        """
+        read = self.rate_B[self.present()]
+        variance = max(float((read**2).mean()), self.sigma**2)
+        # the integral over three numbers of (1 + |x|^2 / (FREEDOM sigma^2)) to the power -(FREEDOM + 2) / 2
+        integral = (FREEDOM * np.pi * self.sigma**2) ** 1.5 * gamma((FREEDOM - 1) / 2)
+        integral /= gamma((FREEDOM + 2) / 2)
+        exponent = (self.rate_B[sample] ** 2).sum() / (2 * variance)
+        rates = self.rate_B.copy()
+        rates[sample] = np.nan
+        log_density = np.log(integral) - 1.5 * np.log(2 * np.pi * variance) - exponent
+        return replace(self, rate_B=rates), float(min(log_density, 0.0))
+
+    def starts(self, sample: int) -> Starts:
+        """Return the rates that it reads at a sample and the next; their sigma is known only if both were read."""
+        rates = self.rate_B[sample : sample + 2]
+        rates = rates[np.isfinite(rates).all(axis=1)]
+        return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)
+
+
+@dataclass(frozen=True)
+class AttitudeChange(Term):
+    """Attitudes B_from_N (n, 3, 3) of some inertial frame at times `t_s` (n), NaN where not read, with one sigma (rad).
+
+    Only the turn between neighbours is used: which frame it is does not matter.
+    """
+
+    name: ClassVar[str] = "attitude"
+    label: ClassVar[str] = "attitude"
+    per_sample: ClassVar[tuple[str, ...]] = ("t_s", "B_from_N")
+
+    t_s: np.ndarray
+    B_from_N: np.ndarray
+    sigma_rad: float
+
+    @classmethod
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
+        """Return the attitudes of telemetry; None if it has none."""
+        if VARIABLES["attitude"] not in telemetry:
+            return None
+        quaternion = np.asarray(telemetry[VARIABLES["attitude"]], dtype=np.float64)
+        there = np.isfinite(quaternion).all(axis=1)
+        read = np.full((len(quaternion), 3, 3), np.nan)
+        read[there] = matrix_from_quaternion(quaternion[there])
+        part = vehicle.sensors.with_columns.get("attitude")
+        t_s = np.asarray(telemetry["time"], dtype=np.float64)
+        return cls(t_s, read, part.sigma_rad if part is not None else np.inf)
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) are compared with the one before: both have a reading."""
+        read = np.isfinite(self.B_from_N[:, 0, 0]) & np.isfinite(self.sigma_rad)
+        return read & np.concatenate([[False], read[:-1]])
+
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the turn (K, n, 3) of the body since the sample before less the one read, in sigmas.
+
+        Both are nearly alike, so that small turns add as vectors: that gives the derivatives.
+        """
+        there = self.present()
+        if not there.any():
+            return
+        before = np.concatenate([self.B_from_N[:1], self.B_from_N[:-1]])
+        turn_read = self.B_from_N @ np.swapaxes(before, -1, -2)
+        turn_read = np.where(there[:, None, None], turn_read, np.eye(3))
+        previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
+        relative = states.attitude @ np.swapaxes(previous, -1, -2)
+        inverse = np.where(there, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
+        turn_read = np.broadcast_to(turn_read, relative.shape)
+        value = rotation_between(turn_read, relative) * inverse
+        by_turn = np.broadcast_to(np.eye(3) * inverse[..., None], relative.shape)
+        by_previous = -relative * inverse[..., None]
+        yield Residual(value, by_turn, by_previous=by_previous, law=gaussian)
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the attitudes with the drift of a start added to their errors."""
+        return replace(self, sigma_rad=float(np.hypot(self.sigma_rad, drift_rad.max())))
+
+    def without(self, sample: int) -> tuple[Self, float]:
+        """Return the attitudes without one, and the log density of its comparisons if its turn were any.
+
+        Each comparison, a normal law of variance 2 sigma^2, fills (4 pi sigma^2)^(3/2) of the 8 pi^2 of all turns.
+        """
+        there = self.present()
+        lost = int(there[sample]) + int(sample + 1 < len(there) and there[sample + 1])
+        share = (4 * np.pi * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
+        read = self.B_from_N.copy()
+        read[sample] = np.nan
+        return replace(self, B_from_N=read), lost * min(float(np.log(share)), 0.0)
+
+    def starts(self, sample: int) -> Starts:
+        """Return the rates of the turn from a sample to the next, with whole turns more and less."""
+        pair = self.B_from_N[sample : sample + 2]
+        if len(pair) < 2 or not np.isfinite(pair).all():
+            return Starts()
+        dt = self.t_s[sample + 1] - self.t_s[sample]
+        # a turn t of the body takes its attitude to exp(-[t x]) times it
+        angle = rotation_between(pair[0], pair[1])
+        size = max(float(np.linalg.norm(angle)), 1e-9)
+        turns = 2 * np.pi * np.arange(-WHOLE_TURNS, WHOLE_TURNS + 1)[:, None]
+        return Starts(rates=angle / dt * (1 + turns / size))

@@ -1,0 +1,465 @@
+"""All readings of a lander's panels, dark ones too, with one brightness over the whole stretch.
+
+A lit reading is the panel's power with Gaussian noise. A dark one says that noise keeps the power below the threshold: panels
+turned away say nothing. Any reading may, with a small probability, have nothing to do with the Sun: a shadow, a spike.
+
+The time of a sample may be off by `time_s` (one sigma): all its panels were read a little earlier or later than it says. A fit puts
+that error at its best for each motion; the density is the sum over all errors, as a panel that lights up leaves two good ones.
+
+If a full battery throttles the panels, a sample has an unknown factor. It is put at its best for each motion (variable
+projection, Kaufman 1975) and integrated out: that leaves one power of the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from sunspin.estimate.model import States, Unknown
+from sunspin.estimate.settings import SPOILT, SPOILT_DARK, SPOILT_LARGEST
+from sunspin.estimate.terms.term import Law, Residual, Term, gaussian
+from sunspin.solve.rotations import components_after_rotation, cross, tangent_basis
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.flat import PanelResponse
+
+LOG_2PI = float(np.log(2 * np.pi))
+
+HALF_WEIGHT, ROUNDS = 5.0, 3
+"""Sigmas at which a reading counts half for the factor of a throttled sample, and how often the factor is computed again."""
+
+MEAN_LIT_SINE = 2 / 3
+"""Mean square of the sine of the angle between a normal and the Suns that light its panel."""
+
+TIME_STEPS, FAR_TIME = 3, 4.0
+"""Newton steps to the best error of a sample's time, and how many sigmas it may be."""
+
+TIME_SPACING, FEWEST_TIMES = 1.5, 4.0
+"""Distance of the times over which the density of a sample is summed, at most, and how many times there are for each sigma of the
+error, at least. The distance is in sigmas of the narrowest possible peak: a normal law is summed to 1e-3."""
+
+LARGEST_LOG_NOISE = 5.0
+"""Sigmas of its prior up to which the noise is sought."""
+
+
+@dataclass(frozen=True)
+class SunStates(States):
+    """K motions of a lander at n samples, as its sensors see them: rates and directions to the Sun, `sun` (K, n, 3).
+
+    The turn about the Sun is not seen, so that there is no attitude.
+    """
+
+    sun: np.ndarray
+
+    @classmethod
+    def of(cls, sun: np.ndarray, omega: np.ndarray) -> SunStates:
+        """Return directions (K, n, 3) with rates (K, n, 3)."""
+        return cls(np.zeros((0, 0, 3, 3)), omega, sun)
+
+    @property
+    def sun_B(self) -> np.ndarray:
+        """Return the directions to the Sun (K, n, 3)."""
+        return self.sun
+
+
+@dataclass(frozen=True)
+class PanelPowers(Term):
+    """Readings `power` (n, p) of inputs, of which those `used` (n, p) count, with their stated `sigma` (p).
+
+    `threshold`: readings above it are lit; `largest` reading of the stretch. `own`: its unknowns, log brightness (its centre is a
+    first guess), log noise, log gains and tilts of panels. `turns` (m, n_panel, 3): rotation (rad, B) of each panel by one sigma of
+    each of them. `brightness`: first guess of the signal of a panel of gain one at normal incidence. `throttled`: all readings of
+    a sample are lowered by one unknown factor. `time_s`: sigma of the time of each sample, s.
+    """
+
+    name: ClassVar[str] = "panels"
+    label: ClassVar[str] = "Sun"
+    of_sun: ClassVar[bool] = True
+    per_sample: ClassVar[tuple[str, ...]] = ("power", "used")
+
+    power: np.ndarray
+    used: np.ndarray
+    sigma: np.ndarray
+    threshold: float
+    largest: float
+    response: PanelResponse
+    brightness: float
+    throttled: bool = False
+    own: tuple[Unknown, ...] = ()
+    turns: np.ndarray | None = None
+    time_s: float = 0.0
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) have a reading that counts, dark or lit."""
+        return np.any(self.used, axis=1)
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return brightness, noise, gains and tilts."""
+        return self.own
+
+    @cached_property
+    def lit(self) -> np.ndarray:
+        """Return which readings (n, p) count and are above the threshold."""
+        return self.used & (self.power > self.threshold)
+
+    @property
+    def explained(self) -> float:
+        """Return how many numbers a motion must explain: the lit readings."""
+        return float(self.lit.sum())
+
+    @cached_property
+    def free_factors(self) -> np.ndarray:
+        """Return which samples (n) have a factor that readings determine, and so one reading fewer for all else."""
+        return np.logical_and(self.throttled, self.lit.any(axis=-1))
+
+    def place(self, kind: str) -> list[int]:
+        """Return where the unknowns of a kind stand among its own."""
+        return [i for i, unknown in enumerate(self.own) if unknown.kind == kind]
+
+    def gain(self, u: np.ndarray) -> np.ndarray:
+        """Return factors (K, p) on the gains of the response: the brightness, and each input's own."""
+        log = np.zeros((len(u), len(self.sigma)))
+        for i, unknown in enumerate(self.own):
+            if unknown.kind == "scale":
+                log += (unknown.centre + unknown.sigma * u[:, i])[:, None]
+            elif unknown.kind == "gain":
+                log[:, unknown.index] += unknown.sigma * u[:, i]
+        return np.exp(log)
+
+    def tilt(self, u: np.ndarray) -> np.ndarray | None:
+        """Return rotations (K, 1, n_panel, 3) of the panels (rad, B); None if they stand as drawn."""
+        return None if self.turns is None else np.tensordot(u, self.turns, axes=1)[:, None]
+
+    def log_noise(self, u: np.ndarray) -> np.ndarray:
+        """Return the log (K) of the noise over the stated one."""
+        places = self.place("noise")
+        return self.own[places[0]].sigma * u[:, places[0]] if places else np.zeros(len(u))
+
+    # ---- what a fit asks ---------------------------------------------------------------------------------------------------
+
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
+        """Yield predicted less read powers (K, n, p) in stated sigmas.
+
+        A dark reading differs by what the prediction is above the threshold. If times err, the best errors (K, n, 1) follow, in
+        sigmas.
+        """
+        late_s = self.best_times(states, u)[0]
+        sun = sun_later(states, late_s)
+        slopes = self.response.slopes(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        light, to_sun = slopes.power, slopes.to_sun
+        by_u = np.zeros((*light.shape, len(self.own)))
+        for i, unknown in enumerate(self.own):
+            if unknown.kind == "scale":
+                by_u[..., i] = unknown.sigma * light
+            elif unknown.kind == "gain":
+                by_u[..., unknown.index, i] = unknown.sigma * light[..., unknown.index]
+            elif unknown.kind in (TILT, COMMON_TILT):
+                assert self.turns is not None and slopes.to_tilt is not None
+                by_u[..., i] = np.einsum("knpi,pi->knp", slopes.to_tilt, self.turns[i])
+        # a turn t of the body moves the Sun by sun x t, and so the power by t . (slope x sun)
+        by_turn = cross(to_sun, sun[..., None, :])
+        power, by_turn, by_u = self._throttle(light, by_turn, by_u)
+        value, counts = self._differences(power)
+        by_turn, by_u, law = by_turn * counts, by_u * counts, self.law(u)
+        if not self.time_s:
+            yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
+            return
+        # the best error follows each change (Kaufman's slope): a change loses its part along that of a later sample
+        by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)
+        weighted = law(value)[1] * by_time
+        size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
+        along_turn, along_u = (weighted[..., None, :] @ slope / size for slope in (by_turn, by_u))
+        by_turn = by_turn - by_time[..., None] * along_turn
+        # a rate turns the body until the sample was taken
+        late = late_s[..., None, None]
+        yield Residual(
+            value,
+            by_turn=by_turn,
+            by_rate=late * by_turn,
+            by_u=by_u - by_time[..., None] * along_u,
+            law=law,
+        )
+        yield Residual(
+            late_s[..., None] / self.time_s,
+            by_turn=-along_turn,
+            by_rate=-late * along_turn,
+            by_u=-along_u,
+            law=gaussian,
+        )
+
+    def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return predicted less read powers (K, n, p) in stated sigmas, and by what (K, n, p, 1) their slopes are multiplied."""
+        above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
+        counts = self.used & (self.lit | (power > self.threshold))
+        return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
+
+    def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return how late (K, n, s) each sample was taken, at its best, and the curvature (K, n, 1/s2) of its cost without prior.
+
+        The better of two ways: readings far off are outliers, or they are far off because of the time.
+        """
+        none = np.zeros(states.sun_B.shape[:-1])
+        if not self.time_s:
+            return none, none
+        law, limit = self.law(u), FAR_TIME * self.time_s
+        gain, tilt = self.gain(u)[:, None], self.tilt(u)
+        best, curvature, least = none, none, np.full(none.shape, np.inf)
+        for trusting in (False, True):
+            late = none
+            for again in range(TIME_STEPS + 1):
+                sun = sun_later(states, late)
+                slopes = self.response.slopes(sun, gain=gain, tilt=tilt)
+                value, counts = self._differences(slopes.power)
+                moves = cross(sun, states.omega)[..., None, :]
+                slope = np.sum(slopes.to_sun * moves, axis=-1) * counts[..., 0]
+                weight = law(value)[1]
+                if trusting and not again:
+                    weight = np.ones_like(weight)
+                hold = np.sum(weight * slope**2, axis=-1)
+                if again < TIME_STEPS:
+                    pull = hold * late - np.sum(weight * slope * value, axis=-1)
+                    late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            # by the integral over the error, not by the highest density: that has a tiny volume if the power changes fast
+            cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
+            cost += 0.5 * np.log1p(self.time_s**2 * hold)
+            better = cost < least
+            best, curvature = np.where(better, late, best), np.where(better, hold, curvature)
+            least = np.minimum(cost, least)
+        return best, curvature
+
+    def taken_by_times(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return how many readings (K) the errors of times answer for: up to one for each sample, if it shows its time."""
+        sharp = self.time_s**2 * self.best_times(states, u)[1]
+        return np.sum(sharp / (1.0 + sharp), axis=1)
+
+    def _throttle(
+        self, light: np.ndarray, by_turn: np.ndarray, by_u: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return powers (K, n, p) and their derivatives under the factors of throttled samples, which follow at their best."""
+        if not self.throttled:
+            return light, by_turn, by_u
+        factor, weight = self.best_factor(light)
+        size = np.sum(weight * light**2, axis=-1)[..., None, None]
+        along = (weight * light)[..., None]
+
+        def following(slope: np.ndarray) -> np.ndarray:
+            # Kaufman's slope: the change of the light without its part along the light itself
+            part = np.sum(along * slope, axis=-2, keepdims=True)
+            share = np.divide(part, size, out=np.zeros_like(part), where=size > 0)
+            return factor[..., None] * (slope - light[..., None] * share)
+
+        return factor * light, following(by_turn), following(by_u)
+
+    def best_factor(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factor (K, n, 1) of each sample that fits its readings best, one without any, and their weights (K, n, p).
+
+        Readings count by their noise; one far from what is predicted hardly counts.
+        """
+        read = np.maximum(self.power, 0.0)
+        by_noise = self.used * (np.min(self.sigma) / self.sigma) ** 2
+        weight = np.broadcast_to(by_noise, light.shape)
+        factor = np.ones((*light.shape[:-1], 1))
+        for again in range(ROUNDS + 1):
+            if again:
+                off = (self.power - factor * light) / (HALF_WEIGHT * self.sigma)
+                weight = by_noise / (1.0 + off**2)
+            size = np.sum(weight * light**2, axis=-1, keepdims=True)
+            along = np.sum(weight * read * light, axis=-1, keepdims=True)
+            factor = np.divide(along, size, out=np.ones_like(size), where=size > 0)
+        return factor, weight
+
+    def law(self, u: np.ndarray, factor: float = 1.0) -> Law:
+        """Return cost and weight of differences (K, n, p) under `factor` times the noise that u (K, m) say.
+
+        Two per cent of readings are anything: the weight of a difference is the probability that it is not one of these. Costs
+        (K, n) are relative to readings just as predicted under the stated noise. Dark readings are taken for Gaussian too.
+        """
+        log_noise = (self.log_noise(u) + np.log(factor))[:, None, None]
+        noise = np.exp(log_noise)
+        as_stated = np.log1p(-SPOILT) - np.where(self.lit, np.log(self.sigma) + LOG_2PI / 2, 0.0)
+        largest = np.logaddexp(as_stated, self._spoilt)
+
+        def weigh(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            good = as_stated - np.where(self.lit, log_noise, 0.0) - 0.5 * (value / noise) ** 2
+            total = np.logaddexp(good, self._spoilt)
+            cost = np.where(self.used, largest - total, 0.0).sum(axis=-1)
+            weight = np.where(self.used, np.exp(good - total) / noise**2, 0.0)
+            return cost - self.free_factors * log_noise[..., 0], weight
+
+        return weigh
+
+    @cached_property
+    def _spoilt(self) -> np.ndarray:
+        """Return the log density (n, p) of each reading if it is anything, times the prior probability of that."""
+        density = (1 - SPOILT_DARK) / (SPOILT_LARGEST * self.largest)
+        return np.log(SPOILT * np.where(self.lit, density, SPOILT_DARK))
+
+    def best_noise(
+        self, value: np.ndarray, u: np.ndarray, answered: np.ndarray, least: float
+    ) -> np.ndarray:
+        """Return unknowns (K, m) with the noise at its best for differences `value` (K, n, p), by Newton steps in its logarithm.
+
+        `answered` (K): how many readings the numbers that were fitted answer for; `least` (sigmas): the noise is not sought below.
+        """
+        places = self.place("noise")
+        if not places:
+            return u
+        at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
+        spent = answered + self.free_factors.sum()
+        for _ in range(8):
+            weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
+            squares = np.sum(weight * value**2, axis=(1, 2))
+            good = np.sum(weight, axis=(1, 2)) * np.exp(2 * self.log_noise(u))
+            count = np.maximum(good - spent, 0.0)
+            slope = sigma * (count - squares) + u[:, at]
+            bend = 2 * sigma**2 * np.maximum(squares, 0.3 * count) + 1
+            step = np.clip(slope / bend, -1, 1)
+            u[:, at] = np.clip(u[:, at] - step, least, LARGEST_LOG_NOISE)
+        return u
+
+    def noise_curvature(self, value: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the second derivative (K) of the cost of differences (K, n, p) by one sigma of the log noise."""
+        weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
+        sigma = self.own[self.place("noise")[0]].sigma
+        return 2 * sigma**2 * np.sum(weight * value**2, axis=(1, 2))
+
+    def log_density(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K) of all readings, dark ones by the probability that noise keeps them below the threshold.
+
+        That is relative to no power at all, so that panels turned away say nothing.
+        """
+        if self.time_s:
+            return self._over_times(states, u).sum(axis=1)
+        none = np.zeros(states.sun_B.shape[:-1])
+        each = self._sample_densities(self.predicted(states, u, none), u)
+        return each.sum(axis=1) + self.free_factors.sum(axis=-1) * self.log_noise(u)
+
+    def _over_times(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n) of the readings of each sample, summed over the errors of its time.
+
+        Laplace's method about the best error is off where a panel lights up within it: there the density has two peaks, and which
+        one is higher changes with the motion. Draws were then unevenly weighed (2 to 5 effective ones of 100).
+        """
+        steepest = np.linalg.norm(self._full_power(u) / self.sigma, axis=1)
+        steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
+        narrow = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
+        # in powers of two, so that many motions share their times and each has its own result
+        doubled = np.ceil(np.log2(np.maximum(narrow / FEWEST_TIMES, 1.0))).astype(int)
+        total = np.empty(states.sun_B.shape[:-1])
+        for one in np.unique(doubled):
+            rows = doubled == one
+            panels = replace(self, power=self.power[rows]) if self.power.ndim == 3 else self
+            some = SunStates.of(states.sun_B[rows], states.omega[rows])
+            count = int(2 * FAR_TIME * FEWEST_TIMES) << one
+            times, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)
+            whole = np.full(some.sun_B.shape[:-1], -np.inf)
+            for late in times:
+                later = np.full(whole.shape, late * self.time_s)
+                each = panels._sample_densities(panels.predicted(some, u[rows], later), u[rows])
+                whole = np.logaddexp(whole, each - 0.5 * late**2)
+            total[rows] = whole + np.log(step) - 0.5 * LOG_2PI
+        return total
+
+    def _full_power(self, u: np.ndarray) -> np.ndarray:
+        """Return the power (K, p) of each input with the Sun along its normal."""
+        facing = self.response.power(self.response.facing_B).diagonal()
+        return self.gain(u) * facing
+
+    def _sample_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n) of the readings of each sample if these powers (K, n, p) are predicted."""
+        return np.where(self.used, self._log_densities(power, u), 0.0).sum(axis=-1)
+
+    def _log_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the log density (K, n, p) of each reading if these powers (K, n, p) are predicted."""
+        sigma = self.sigma * np.exp(self.log_noise(u))[:, None, None]
+        lit = -0.5 * ((self.power - power) / sigma) ** 2 - np.log(sigma) - LOG_2PI / 2
+        dark = log_ndtr((self.threshold - power) / sigma) - log_ndtr(self.threshold / sigma)
+        good = np.where(self.lit, lit, dark) + np.log1p(-SPOILT)
+        return np.logaddexp(good, self._spoilt)
+
+    def predicted(self, states: States, u: np.ndarray, late_s: np.ndarray) -> np.ndarray:
+        """Return powers (K, n, p) of motions in samples taken late (K, n), with the best factors of throttled ones."""
+        sun = sun_later(states, late_s)
+        power = self.response.power(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
+        return self.best_factor(power)[0] * power if self.throttled else power
+
+    # ---- what a check of the draws asks ------------------------------------------------------------------------------------
+
+    def outlier_probability(self, states: States, u: np.ndarray) -> np.ndarray:
+        """Return the probability (n, p), in the mean of motions, that a reading is not of the Sun; zero for those not used."""
+        power = self.predicted(states, u, self.best_times(states, u)[0])
+        spoilt = np.exp(self._spoilt - self._log_densities(power, u))
+        return np.where(self.used, np.minimum(spoilt.mean(axis=0), 1.0), 0.0)
+
+    def replicated(self, states: States, u: np.ndarray, rng: np.random.Generator) -> PanelPowers:
+        """Return panels with readings (K, n, p) drawn for each motion, as the model makes them: noise, and outliers."""
+        late_s = self.time_s * rng.standard_normal(states.sun_B.shape[:-1])
+        power = self.predicted(states, u, late_s)
+        noise = self.sigma * np.exp(self.log_noise(u))[:, None, None]
+        value = np.where(power > 0, power + noise * rng.standard_normal(power.shape), 0.0)
+        is_dark = rng.random(power.shape) < SPOILT_DARK
+        anything = rng.random(power.shape) * SPOILT_LARGEST * self.largest
+        outlier = rng.random(power.shape) < SPOILT
+        value = np.where(outlier, np.where(is_dark, 0.0, anything), value)
+        return replace(self, power=value)
+
+    # ---- what a search asks ------------------------------------------------------------------------------------------------
+
+    def with_tilts_as_noise(self) -> PanelPowers:
+        """Return the readings with what each panel's own tilt adds to their noise, for a search that leaves these tilts alone.
+
+        It is the root mean square over panels, and over Suns in front of them, and the same for all.
+        """
+        own = self.place(TILT)
+        if not own:
+            return self
+        assert self.turns is not None
+        across = cross(self.turns[own], self.response.normals_B)
+        square = (across**2).sum(axis=(0, 2)) / 2  # to either side
+        size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_LIT_SINE)
+        return replace(self, sigma=np.hypot(self.sigma, size * self.brightness))
+
+
+def sun_later(states: States, late_s: np.ndarray) -> np.ndarray:
+    """Return directions to the Sun (K, n, 3) in body axes some time (K, n, s) after the samples, at the rates of then."""
+    if not late_s.any():
+        return states.sun_B
+    return components_after_rotation(states.sun_B, states.omega * late_s[..., None])
+
+
+TILT, COMMON_TILT = "tilt", "tilt_common"
+"""Kinds of unknowns: two angles of a panel about axes across its normal, and one rotation of all panels."""
+
+
+def tilt_unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> tuple[Unknown, ...]:
+    """Return tilts with sigmas `own_rad` (n_panel) of each panel to either side and `common_rad` of all about each axis.
+
+    A tilt changes a panel's reading in all samples alike. As noise of each reading it would be taken for many independent errors.
+    """
+    own = (
+        Unknown(f"tilt_{panel.name}_{side + 1}_rad", TILT, "rad", 0.0, float(sigma), 2 * j + side)
+        for j, (panel, sigma) in enumerate(zip(vehicle.panels, own_rad, strict=True))
+        for side in range(2)
+    )
+    common = (
+        Unknown(f"tilt_all_{axis}_rad", COMMON_TILT, "rad", 0.0, common_rad, i)
+        for i, axis in enumerate("xyz")
+    )
+    return tuple(x for x in (*own, *common) if x.sigma > 0)
+
+
+def panel_turns(vehicle: Vehicle, unknowns: tuple[Unknown, ...]) -> np.ndarray | None:
+    """Return rotations (m, n_panel, 3) of the panels by one sigma of each unknown (rad, B); None if no unknown is a tilt."""
+    turns = np.zeros((len(unknowns), len(vehicle.panels), 3))
+    across = np.stack(tangent_basis(vehicle.panel_normals_B), axis=1)
+    for i, unknown in enumerate(unknowns):
+        if unknown.kind == TILT:
+            panel, side = divmod(unknown.index, 2)
+            turns[i, panel] = unknown.sigma * across[panel, side]
+        elif unknown.kind == COMMON_TILT:
+            turns[i, :, unknown.index] = unknown.sigma
+    return turns if turns.any() else None

@@ -1,0 +1,270 @@
+"""What the wheels do if the file does not say it, and whether they turn the way that it says.
+
+Without measured speeds wheels are held at their nominal speed, or coast from it: the evidence of the longest passes decides.
+
+Signs of a wheel's axis and speed are conventions, so the other sign is tried. A wheel turns the rate of the body round. Half a turn
+forward and half a turn back between two samples end alike, so that a wheel of the wrong sign may fit as well, with another motion.
+A reversed wheel is named if it clearly fits better than the wheel as the file has it, and its motion is one that the file's errors
+exclude. If both signs fit alike the file is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.carry import RATE, nutation, require_followed
+from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
+from sunspin.estimate.evidence import PassFits, leading, likeliest
+from sunspin.estimate.model import Model, Observations, Track
+from sunspin.estimate.observe import Pass, wheel_models
+from sunspin.estimate.one_pass import PassFitter, one_pass
+from sunspin.estimate.quick import MOTIONS, quick_evidence
+from sunspin.estimate.solutions import solutions
+from sunspin.estimate.verdict import misfit
+from sunspin.telemetry.assess import Assessment
+from sunspin.vehicle import Vehicle
+
+LONGEST_PASSES = 2
+"""Passes, those with the most samples, that say what the wheels do and which way they turn."""
+
+EVIDENCE = " (evidence "
+"""What stands after the name of a wheel model where its evidence is said."""
+
+FAR = 20.0
+"""Log evidence by which reversed wheels are out of the question if they are worse in a quick search, which holds the inertia."""
+
+WRAPPED_RAD = 10.0
+"""Nor are wheels tried that turn the rate round by more than this from sample to sample: at 42 rad one of five right files was
+accused."""
+
+AS_WELL = 1.0
+"""Log evidence by which reversed wheels may be worse in one pass and are still tried on the next."""
+
+OTHER_SIGMAS = 3.0
+"""A motion is another one if its rates are so many sigmas from the file's at half of the samples."""
+
+
+@dataclass(frozen=True)
+class DecidedWheels:
+    """What the wheels do: the `name` of the model, and `words` that say its evidence too.
+
+    `momentum` (n, 3) at all samples of the file, in mean moments times rad/s; `fits`: of the passes that were compared to decide
+    it, by their place in the file.
+    """
+
+    name: str
+    words: str
+    momentum: np.ndarray
+    fits: dict[int, PassFits]
+
+
+@dataclass(frozen=True)
+class FittedPass:
+    """A pass with the nominal model of its kept samples and the fits under it."""
+
+    samples: Pass
+    model: Model
+    fits: PassFits
+
+
+@dataclass(frozen=True)
+class Reversed:
+    """Wheels, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
+
+    And the longest pass as estimated so: whether it `fits`, its times (n) in s, rates (n, 3) in rad/s and directions of the Sun
+    (n, 3).
+    """
+
+    wheels: tuple[int, ...]
+    gain: float
+    fits: bool
+    t_s: np.ndarray
+    omega: np.ndarray
+    sun_B: np.ndarray
+
+
+def decide_wheels(
+    assessment: Assessment, stated: Model, passes: Sequence[Pass], fitter: PassFitter
+) -> DecidedWheels:
+    """Return what the wheels do: of several possibilities the one under which the longest passes have the largest evidence.
+
+    `stated`: the nominal model of the whole file, with any momentum of the wheels.
+    """
+    momenta = wheel_models(assessment.vehicle, assessment.telemetry)
+    for one in passes:
+        longest_s = float(np.diff(stated.obs.t_s[one.kept]).max())
+        for momentum in momenta.values():
+            require_followed(stated.body.inertia, momentum[one.kept], longest_s)
+    first, *others = momenta
+    if not others:
+        return DecidedWheels(first, first, momenta[first], {})
+
+    # the model of each pass that is compared, under each model of the wheels
+    compared = longest(passes)
+    models = {
+        (name, k): kept_samples(stated.with_momentum(momentum), passes[k])
+        for name, momentum in momenta.items()
+        for k in compared
+    }
+
+    # Wheels that turn the body nearly alike have nearly the same motions: fits under them begin from those of the first model, and
+    # one search serves them all. All other models are searched, side by side.
+    s = fitter.settings.search
+    alike = [
+        name
+        for name in others
+        if all(_turn_alike(models[first, k], models[name, k], s.basin_rad) for k in compared)
+    ]
+    jobs = [(name, k) for name in momenta if name not in alike for k in compared]
+    fits = dict(zip(jobs, fitter.fits_if_any([models[job] for job in jobs]), strict=True))
+    begin = {}  # motions of each pass, none if the first model allows none
+    for k in compared:
+        of_first = fits[first, k]
+        best = None if of_first is None else leading(of_first.fits, s.most, s)
+        begin[k] = Track.free(best.attitude, best.omega) if best is not None and len(best) else None
+    jobs = [(name, k) for name in alike for k in compared]
+    fitted = fitter.fits_if_any([models[job] for job in jobs], [begin[k] for _, k in jobs])
+    fits |= dict(zip(jobs, fitted, strict=True))
+
+    evidence = {job: -np.inf if one is None else log_evidence(one) for job, one in fits.items()}
+    if not np.isfinite(list(evidence.values())).any():
+        one_pass(models[first, compared[0]], fitter.settings, fitter.budget)  # raises, and says why
+    total = {name: sum(evidence[name, k] for k in compared) for name in momenta}
+    best_name = max(total, key=lambda name: total[name])
+    above = total[best_name] - max(total[name] for name in momenta if name != best_name)
+    done = {k: one for k in compared if (one := fits[best_name, k]) is not None}
+    words = f"{best_name}{EVIDENCE}{above:.1f} above any other)"
+    return DecidedWheels(best_name, words, momenta[best_name], done)
+
+
+def longest(passes: Sequence[Pass]) -> list[int]:
+    """Return the places of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
+    return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
+
+
+def kept_samples(stated: Model, one: Pass) -> Model:
+    """Return the model of the samples of a pass that the search keeps; `stated`: that of the whole file."""
+    return replace(stated, obs=stated.obs.of_pass(one.samples).take(one.kept_in_pass))
+
+
+def name_of_wheels(words: str) -> str:
+    """Return the name of a wheel model of which the words say the evidence too."""
+    return words.split(EVIDENCE)[0]
+
+
+def _turn_alike(first: Model, second: Model, basin_rad: float) -> bool:
+    """Return whether the wheels of two models turn the rate alike in a pass: no motion leaves the basin in which a fit finds it.
+
+    The angle counts from the median sample: motions agree there and differ at the ends.
+    """
+    t_s = first.obs.t_s
+    rate = nutation(first.body.inertia, second.obs.momentum - first.obs.momentum)
+    middle = len(rate) // 2
+    halves = slice(middle + 1), slice(middle, None)
+    return max(float(np.trapezoid(rate[half], t_s[half])) for half in halves) < basin_rad
+
+
+def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.ndarray:
+    """Return the momentum (n_wheel, n, 3) of each wheel in mean moments of inertia times rad/s.
+
+    `name`: what the wheels do, a key of :func:`wheel_models`. That gives the sum over all wheels: the sum with one wheel reversed
+    is less by twice the momentum of this wheel.
+    """
+    total = wheel_models(vehicle, telemetry).get(name)
+    if vehicle.inertia_kg_m2 is None or total is None:
+        return np.zeros((0, telemetry.sizes["time"], 3))
+    each = np.zeros((len(vehicle.wheels), *total.shape))
+    for k, wheel in enumerate(vehicle.wheels):
+        wheels = list(vehicle.wheels)
+        wheels[k] = replace(wheel, axis_B=-np.asarray(wheel.axis_B))
+        with_reversed = wheel_models(replace(vehicle, wheels=tuple(wheels)), telemetry)[name]
+        each[k] = (total - with_reversed) / 2
+    return each
+
+
+def reversed_momenta(
+    vehicle: Vehicle, each: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
+) -> dict[tuple[int, ...], np.ndarray]:
+    """Return the wheels' momenta (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
+
+    Without wheels so slow that they hardly turn the rate round, or so fast that they wrap. `each` (n_wheel, n, 3): their momenta
+    as the file has them; `inertia` (3, 3) in mean moments.
+    """
+    if not len(each) or not each.any():
+        return {}
+    momenta = {}
+    for change in wheel_changes(vehicle):
+        of_reversed = each[list(change.reversed_wheels)].sum(axis=0)
+        rate = float(nutation(inertia, of_reversed).max(initial=0.0))
+        wraps = rate * float(np.median(np.diff(t_s))) >= WRAPPED_RAD
+        if rate * float(np.ptp(t_s)) > WEAK_RAD and not wraps:
+            momenta[change.reversed_wheels] = each.sum(axis=0) - 2 * of_reversed
+    return momenta
+
+
+def doubted_signs(
+    assessment: Assessment,
+    obs: Observations,
+    name: str,
+    compared: Sequence[FittedPass],
+    fitter: PassFitter,
+) -> Reversed | None:
+    """Return the wheels whose sign the data doubt; None if they do not, or cannot.
+
+    Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`, and if one of
+    the passes then has another motion. Most are refused sooner: by a quick search, or as soon as the passes are worse together.
+
+    `obs`: all samples of the file; `name`: what the wheels do; `compared`: the longest passes, under the file as it is written.
+    """
+    vehicle, settings = assessment.vehicle, fitter.settings
+    each = momentum_of_each(vehicle, assessment.telemetry, name)
+    momenta = reversed_momenta(vehicle, each, compared[0].model.body.inertia, obs.t_s)
+    if not momenta:
+        return None
+    first = compared[0]
+    known = leading(first.fits.fits, MOTIONS, settings.search)
+    quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
+    doubted: list[Reversed] = []
+    for which, momentum in momenta.items():
+        models = [one.model.with_momentum(momentum[one.samples.kept]) for one in compared]
+        quick = quick_evidence(models[0], settings, replace(fitter.budget))
+        if quick < quick_as_written - FAR:
+            continue
+        gain, has_another_motion, new_fits = 0.0, False, []
+        for model, as_written in zip(models, compared, strict=True):
+            (fitted,) = fitter.fits_if_any([model])
+            if fitted is None:
+                break
+            gain += log_evidence(fitted) - log_evidence(as_written.fits)
+            if gain < -AS_WELL:
+                break
+            has_another_motion |= _is_another(as_written.fits, fitted)
+            new_fits.append(fitted)
+        if len(new_fits) < len(compared) or not has_another_motion or gain < CLEARLY:
+            continue
+        whole = replace(obs, momentum=momentum).of_pass(first.samples.samples)
+        kept = first.samples.kept_in_pass
+        solved = solutions(new_fits[0], whole, kept, settings.solutions, settings.search)
+        agree = all(misfit(part[0]).fits for part in solved.residual.values())
+        fits_well = bool(agree and solved.track.cost[0] <= solved.cost_limit)
+        best = solved.obs.t_s, solved.track.omega[0], solved.track.sun_B[0]
+        doubted.append(Reversed(which, gain, fits_well, *best))
+    return max(doubted, key=lambda one: one.gain, default=None)
+
+
+def log_evidence(one: PassFits) -> float:
+    """Return the log evidence of a pass, all rungs, models and motions summed."""
+    return float(np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung))
+
+
+def _is_another(first: PassFits, second: PassFits) -> bool:
+    """Return whether the most probable motion of the second is none that the first allows."""
+    best_fits = likeliest(first.fits), likeliest(second.fits)
+    a, b = (one.motions.take(np.array([np.argmax(one.log_evidence)])) for one in best_fits)
+    sigma = np.sqrt(np.einsum("nii->ni", a.covariance[0, :, RATE, RATE]))
+    off = np.abs(b.omega[0] - a.omega[0]) / sigma
+    return bool(np.median(off.max(axis=1)) > OTHER_SIGMAS)

@@ -1,0 +1,232 @@
+"""What `sunspin.estimate.lander.cells` compiles, in NumPy: cells of a grid of rates looked through, and starts settled."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.lander.allowed import Nodes, shortfall
+from sunspin.estimate.lander.cells import DARK_SLOPE
+from sunspin.estimate.lander.grid import MIDDLES, POINTS, Place
+from sunspin.estimate.lander.rate_grid import RateGrid
+from sunspin.estimate.settings import GridSettings
+from sunspin.estimate.terms.powers import PanelPowers
+from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
+
+CORNERS = np.array(list(product((0, 1), repeat=3)))
+"""Corners (8, 3) of a cell."""
+
+
+def corners_of(grid: RateGrid, cells: np.ndarray) -> np.ndarray:
+    """Return the attitudes (n, 8, m, 4) at the corners of cells, with signs alike so that they can be interpolated."""
+    turn = grid.turn[grid.row_of[cells[:, None] + grid.away]].astype(np.float64)
+    opposite = np.sum(turn * turn[:, :1], axis=-1, keepdims=True) < 0
+    return np.where(opposite, -turn, turn)
+
+
+def corner_weights(x: np.ndarray) -> np.ndarray:
+    """Return how much each corner counts (..., 8) at places x (..., 3) of a cell, in parts of its edge."""
+    sides = np.where(CORNERS, x[..., None, :], 1 - x[..., None, :])
+    return np.prod(sides, axis=-1)
+
+
+def corner_slopes(x: np.ndarray) -> np.ndarray:
+    """Return the derivatives (..., 8, 3) of :func:`corner_weights` by the place."""
+    sides = np.where(CORNERS, x[..., None, :], 1 - x[..., None, :])
+    signs = np.where(CORNERS, 1.0, -1.0)
+    others = sides[..., [1, 0, 0]] * sides[..., [2, 2, 1]]
+    return signs * others
+
+
+def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) rotated by quaternions (..., 4) of any length, scalar last."""
+    axis, scalar = quaternion[..., :3], quaternion[..., 3:]
+    twice = 2.0 / np.maximum(np.sum(quaternion**2, axis=-1, keepdims=True), 1e-9)
+    side = cross(axis, vector)
+    return vector + twice * (scalar * side + cross(axis, side))
+
+
+class Settling(NamedTuple):
+    """Starts on their way to the nearest solution in their cells.
+
+    Attitudes at the corners `turn` (S, 8, m, 4); the direction `sun` (S, 3) at the reference with two tangents (S, 2, 3); place `x`
+    (S, 3) in the cell and `step` (S, 2) of the direction along the tangents.
+    """
+
+    turn: np.ndarray
+    sun: np.ndarray
+    tangents: np.ndarray
+    x: np.ndarray
+    step: np.ndarray
+
+    def take(self, which: np.ndarray) -> Settling:
+        """Return some of the starts."""
+        return Settling(*(part[which] for part in self))
+
+
+class LookThrough:
+    """Readings of the reference and of the samples next to it, against the cells of a grid of rates."""
+
+    def __init__(self, grid: RateGrid, panels: PanelPowers, place: Place, s: GridSettings) -> None:
+        """Compare the readings of all nodes of the sphere with those of the samples."""
+        self.grid, self.place, self.s = grid, place, s
+        samples = np.array([place.sample, *place.others])
+        self.panels = panels.take(samples)  # the reference first
+        full = panels.response.power(panels.response.facing_B).diagonal()
+        self.full = panels.brightness * full
+        self.nodes = Nodes(s.nodes)
+        others = panels.take(place.others)
+        seen = np.broadcast_to(
+            self.nodes.directions[:, None], (len(self.nodes.directions), len(place.others), 3)
+        )
+        near, far = s.near_rad + s.node_rad, s.far_rad + s.node_rad
+        self.short_near, self.short_far = (
+            shortfall(others, seen, angle, s).T.copy() for angle in (near, far)
+        )
+        light = panels.brightness * others.response.power(seen)
+        light = others.best_factor(light)[0] * light if others.throttled else light
+        square = np.minimum(((light - others.power) / others.sigma) ** 2, 1e6)
+        self.misfit = np.where(others.used, square, 0.0).sum(axis=2).T.copy()
+
+    def settled_starts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the starts of cells (by index): rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
+        s, turn = self.s, corners_of(self.grid, cells)
+        tangents = np.stack(tangent_basis(self.place.suns), axis=1)
+        # the middle of each eighth of a cell, for each direction: does any direction near it agree?
+        middles = self._interpolated(turn[:, None], corner_weights(MIDDLES))
+        cell, eighth, sun = self._agreeing(middles)
+        at = corner_weights(POINTS)[eighth]  # (S, 8 points, 8 corners)
+        points = self._interpolated(turn[cell][:, None], at)
+        directions = rotated(points, self.place.suns[sun][:, None, None])
+        worst, total = self._against(directions, self.short_near)
+        total[worst > s.limit] = np.inf
+        best = np.argmin(total, axis=1)
+        some = np.isfinite(total[np.arange(len(total)), best])
+        cell, eighth, sun, best = cell[some], eighth[some], sun[some], best[some]
+        starts = Settling(
+            turn[cell],
+            self.place.suns[sun],
+            tangents[sun],
+            POINTS[eighth, best],
+            np.zeros((len(cell), 2)),
+        )
+        starts, misfit = self.settle(starts)
+        near = np.abs(starts.x - MIDDLES[eighth]).max(axis=1, initial=0.0) < 0.5
+        settled = near & (misfit <= s.settled)
+        starts, cell = starts.take(settled), cell[settled]
+        omega = self.grid.rates(cells[cell]) + starts.x * self.grid.edge
+        length = np.linalg.norm(starts.step, axis=1, keepdims=True)
+        angle = np.divide(np.arctan(length), length, out=np.ones_like(length), where=length > 0)
+        return omega, move_on_sphere(starts.sun, starts.step * angle), misfit[settled]
+
+    def _interpolated(self, turn: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return attitudes (n, p, m, 4), of any length, interpolated between corners (n, 1, 8, m, 4) with weights (.., p, 8)."""
+        flat = turn.reshape(len(turn), 8, -1)
+        weighted = weights @ flat
+        return weighted.reshape(*weighted.shape[:2], -1, 4)
+
+    def _agreeing(self, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return cells, eighths and directions, by index, whose middles (n, 8, m, 4) the readings do not contradict."""
+        found = []
+        for k, sun in enumerate(self.place.suns):
+            worst, _ = self._against(rotated(middles, sun), self.short_far)
+            cell, eighth = np.nonzero(worst <= self.s.limit)
+            found.append(np.stack([cell, eighth, np.full(len(cell), k)]))
+        cell, eighth, sun = np.concatenate(found, axis=1)
+        return cell, eighth, sun
+
+    def _against(self, directions: np.ndarray, short: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much readings contradict all directions near (n, p, m, 3), worst sample (n, p), and the misfit (n, p)."""
+        node = self.nodes.nearest(directions)
+        m = np.arange(len(short))
+        return short[m, node].max(axis=2), self.misfit[m, node].sum(axis=2)
+
+    def settle(self, starts: Settling) -> tuple[Settling, np.ndarray]:
+        """Return starts after least squares for place and direction, and their misfits (S).
+
+        Those whose misfit does not fall fast enough to become small end early.
+        """
+        s = self.s
+        x, step, misfit = starts.x.copy(), starts.step.copy(), np.full(len(starts.x), np.inf)
+        going = np.arange(len(x))
+        for left in range(s.steps, -1, -1):
+            if not len(going):
+                break
+            now = starts.take(going)._replace(x=x[going], step=step[going])
+            after, normal, gradient = self._equations(now)
+            gained, misfit[going] = np.maximum(misfit[going] - after, 0.0), after
+            if left == 0:
+                break
+            if left < s.steps - 1:
+                hopeful = after - left * s.faster * gained <= s.settled
+                going, normal, gradient = going[hopeful], normal[hopeful], gradient[hopeful]
+            places = np.arange(5)
+            normal[:, places, places] += 1e-2 * normal[:, places, places] + 1e-3
+            move = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+            longest = np.abs(move[:, :3]).max(axis=1, initial=0.0) / 0.25
+            across = np.abs(move[:, 3:]).max(axis=1, initial=0.0) / 0.3
+            move /= np.maximum(np.maximum(longest, across), 1.0)[:, None]
+            x[going] = np.clip(x[going] + move[:, :3], -0.2, 1.2)
+            step[going] += move[:, 3:]
+        return starts._replace(x=x, step=step), misfit
+
+    def _equations(self, now: Settling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the misfit (S) of starts, and normal equations (S, 5, 5), (S, 5) for place and direction."""
+        panels, s = self.panels, self.s
+        sun, slope = self._directions(now)
+        slopes = panels.response.slopes(sun)
+        light, to_sun = panels.brightness * slopes.power, panels.brightness * slopes.to_sun
+        # a dark input near its edge has the slope of its light, so that a start finds into it
+        facing = panels.response.facing_B
+        dark = (light <= 0) & (sun @ facing.T > -DARK_SLOPE)
+        to_sun = np.where(dark[..., None], self.full[:, None] * facing, to_sun)
+        change = to_sun @ slope
+        factor: np.ndarray | float = 1.0
+        if panels.throttled:
+            factor, weight = panels.best_factor(light)
+            size = np.sum(weight * light**2, axis=-1)[..., None, None]
+            part = np.sum((weight * light)[..., None] * change, axis=-2, keepdims=True)
+            share = np.divide(part, size, out=np.zeros_like(part), where=size > 0)
+            light, change = (
+                factor * light,
+                factor[..., None] * (change - light[..., None] * share),
+            )
+        full = factor * self.full
+        precision = 1.0 / (panels.sigma**2 + (s.blur_rad * full) ** 2)
+        counts = panels.used & ((light > 0) | (panels.power > 0))
+        gap = light - panels.power
+        square = np.where(counts, precision * gap**2, 0.0)
+        weight = np.where(counts, precision, 0.0) / (1.0 + square / 25.0)
+        count = len(now.x)
+        flat = change.reshape(count, -1, 5)
+        weighted = np.swapaxes(flat * weight.reshape(count, -1, 1), 1, 2)
+        misfit = np.minimum(square, s.cap).sum(axis=(1, 2))
+        return misfit, weighted @ flat, (weighted @ gap.reshape(count, -1, 1))[..., 0]
+
+    def _directions(self, now: Settling) -> tuple[np.ndarray, np.ndarray]:
+        """Return the directions to the Sun (S, 1 + m, 3), the reference first, and their derivatives (S, 1 + m, 3, 5)."""
+        count, others = len(now.x), now.turn.shape[2]
+        here = now.sun + np.einsum("sa,sai->si", now.step, now.tangents)
+        length = np.linalg.norm(here, axis=1, keepdims=True)
+        here /= length
+        along = np.einsum("si,sai->sa", here, now.tangents)[..., None]
+        across = (now.tangents - along * here[:, None]) / length[:, None]
+        flat = now.turn.reshape(count, 8, -1)
+        q = (corner_weights(now.x)[:, None] @ flat).reshape(count, others, 4)
+        by_x = (np.swapaxes(corner_slopes(now.x), 1, 2) @ flat).reshape(count, 3, others, 4)
+        sun = np.empty((count, 1 + others, 3))
+        slope = np.zeros((count, 1 + others, 3, 5))
+        sun[:, 0], slope[:, 0, :, 3:] = here, np.swapaxes(across, 1, 2)
+        there = rotated(q, here[:, None])
+        sun[:, 1:] = there
+        for a in range(2):
+            slope[:, 1:, :, 3 + a] = rotated(q, across[:, None, a])
+        # a change p of a quaternion q turns by twice the vector part of p q* over |q|^2
+        half = np.sum(q**2, axis=-1, keepdims=True)[:, None]
+        v, w = q[:, None, :, :3], q[:, None, :, 3:]
+        dv, dw = by_x[..., :3], by_x[..., 3:]
+        turn = 2.0 * (w * dv - dw * v - cross(dv, v)) / half
+        slope[:, 1:, :, :3] = np.moveaxis(cross(turn, there[:, None]), 1, -1)
+        return sun, slope

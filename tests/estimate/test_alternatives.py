@@ -1,0 +1,140 @@
+"""Other models of a pass: each explains what it is made for, and is not tried where nothing asks for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.estimation.test_chain import problem
+from tests.estimation.test_search import watched
+
+from sunspin.estimate.alternatives import alternatives, without_readings
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.chain import Whitening, costs
+from sunspin.estimate.evidence import ladder
+from sunspin.estimate.model import AS_STATED, Body, Model, Noise, Observations, Track
+from sunspin.estimate.one_pass import one_pass
+from sunspin.estimate.settings import RATES
+from sunspin.estimate.solutions import solutions
+from sunspin.estimate.swings import SWINGS, log_mean_likelihood
+from sunspin.estimate.terms.directions import SunDirections
+from sunspin.estimate.terms.term import facing
+
+ALTERNATIVES = RATES.alternatives
+
+
+def names(fits):
+    """Return the models of some fits, the most probable first."""
+    order = sorted(fits, key=lambda one: -float(one.log_evidence.max()))
+    return [one.model.what for one in order]
+
+
+def test_a_quiet_pass_is_asked_for_torques_and_the_zero_of_its_gyro_only():
+    model, motions = problem(torque=False)
+    model = model.seeing(slice(0, 5))
+    fits = ladder(model, motions, RATES.ladder, RATES.search, 1e-4)
+    tried = [one.what for one in alternatives(model, fits, replace(ALTERNATIVES, few=0))]
+    torques = ["a steady torque in body axes", "a steady torque in axes fixed in space"]
+    assert tried == [*torques, "another zero offset of the gyro"]
+
+
+def test_a_bad_direction_of_five_is_left_out():
+    model, _ = watched(2.0, count=5, sigma=0.03, max_deg_s=4.0)
+    (term,) = model.obs.terms
+    direction = term.direction_B.copy()
+    direction[2] = Rotation.from_rotvec([0.0, 0.9, 0.0]).apply(direction[2])
+    bad = replace(model, obs=replace(model.obs, terms=(replace(term, direction_B=direction),)))
+    fits = one_pass(bad, RATES, Budget(np.inf)).fits
+    assert "without the reading of the Sun at 40 s" in names(fits)[0]
+    assert names(one_pass(model, RATES, Budget(np.inf)).fits)[0] == AS_STATED
+
+
+def test_readings_of_a_long_pass_are_not_left_out():
+    model, _ = watched(2.0, count=12)
+    assert not list(without_readings(model, [], ALTERNATIVES))
+
+
+@pytest.mark.parametrize("sample", [1, 3])
+def test_what_leaving_a_direction_out_costs_is_its_mean_likelihood(sample):
+    model, _ = watched(2.0, count=5, sigma=0.05)
+    (term,) = model.obs.terms
+    left, log_density = term.without(sample)
+    assert left.present().sum() == 4 and not left.present()[sample]
+    around = np.random.default_rng(2).normal(size=(200_000, 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    seen = Track.free(facing(around)[:, None], np.zeros((len(around), 1, 3)))
+    cost = costs(model.obs.take(slice(sample, sample + 1)), seen)
+    assert np.isclose(np.log(np.exp(-cost).mean()), log_density, atol=0.1)
+
+
+def readings(suns, sigma, apart_s):
+    """Return directions of the Sun at even times."""
+    suns = np.array(suns, dtype=float)
+    term = SunDirections.of(suns, np.tile(sigma**2 * np.eye(3), (len(suns), 1, 1)))
+    return Observations(apart_s * np.arange(len(suns)), np.zeros((len(suns), 3)), (term,))
+
+
+def test_ways_of_a_swinging_body_are_those_of_drawn_ones():
+    """Three readings of a body that wanders by 0.4 rad between two: the mean likelihood is that over 100,000 drawn ways."""
+    rng, wander, apart_s = np.random.default_rng(4), 0.1, 16.0
+    obs = readings([[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8]], 0.2, apart_s)
+    log = log_mean_likelihood(obs, np.array([wander]))[0]
+    count = 100_000
+    attitude = Rotation.random(count, rng=rng)
+    ways = [attitude]
+    for _ in range(2):
+        turn = Rotation.from_rotvec(wander * np.sqrt(apart_s) * rng.normal(size=(count, 3)))
+        ways.append(turn * ways[-1])
+    sun = np.stack([one.as_matrix()[..., 2] for one in ways], axis=1)
+    cost = costs(obs, Track.free(facing(sun), np.zeros((count, 3, 3)))).sum(axis=1)
+    assert np.isclose(np.log(np.exp(-cost).mean()), log, atol=0.15)
+
+
+def test_a_body_that_wanders_far_has_readings_that_do_not_know_each_other():
+    obs = readings([[0, 0, 1], [1, 0, 0]], 0.2, 10.0)
+    far = log_mean_likelihood(obs, np.array([10.0]))[0]
+    alone = [log_mean_likelihood(obs.take(slice(k, k + 1)), np.array([1.0]))[0] for k in (0, 1)]
+    assert np.isclose(far, sum(alone), atol=0.01)
+
+
+def solutions_of(sun, sigma):
+    """Return the solutions of directions (n, 3) of the Sun in a sphere, read to `sigma` rad every minute."""
+    rng = np.random.default_rng(8)
+    read = sun + sigma * rng.normal(size=sun.shape)
+    obs = readings(read / np.linalg.norm(read, axis=1, keepdims=True), sigma, 60.0)
+    sphere = Body(np.eye(3), np.zeros((0, 3, 3)))
+    model = Model(obs, sphere, Noise(1e-4), np.radians(1.5))
+    fits = one_pass(model, RATES, Budget(np.inf))
+    return solutions(fits, obs, np.arange(len(obs)), RATES.solutions, RATES.search)
+
+
+def test_an_oscillation_is_not_taken_for_a_rotation():
+    """A body about rest that wanders by 0.15 rad a minute: by single motions it rotates at 0.15 deg/s, five sigmas from rest."""
+    rng, ways = np.random.default_rng(2), [Rotation.identity()]
+    for _ in range(19):
+        ways.append(Rotation.from_rotvec(0.15 * rng.normal(size=3)) * ways[-1])
+    solved = solutions_of(np.array([way.apply([0.36, 0.48, 0.8]) for way in ways]), 0.05)
+    assert solved.model[0] == SWINGS and solved.probability[0] > 0.9
+    assert np.all(np.abs(solved.mean[0]) < 2 * solved.mean_sigma[0])
+    assert np.all(solved.mean_sigma[0] > np.radians(0.05))
+
+
+def test_a_rotation_is_not_taken_for_an_oscillation():
+    rate = np.radians([0.6, -0.5, 0.8])
+    turns = Rotation.from_rotvec(-60.0 * np.arange(10)[:, None] * rate)
+    solved = solutions_of(turns.apply([0.36, 0.48, 0.8]), 0.1)
+    assert solved.model[0] != SWINGS and solved.probability[0] > 0.9
+    assert np.all(np.abs(solved.mean[0] - rate) < np.radians(0.05))
+    assert np.all(solved.mean_sigma[0] < np.radians(0.05))
+
+
+def test_a_step_is_strong_torque_in_its_interval_alone():
+    dt = np.array([5.0, 10.0, 20.0])
+    noise = Noise(1e-4, steps=((1, 0.01),))
+    strength = noise.in_intervals(dt)
+    assert strength[0] == strength[2] == 1e-4
+    assert np.isclose(strength[1] ** 2, 1e-8 + 1e-4 / 10)
+    swing = Whitening.of(Noise(1e-4, rate=1e-2), dt)
+    covariance = np.linalg.inv(swing.matrix[1].T @ swing.matrix[1])
+    assert np.isclose(covariance[0, 0], 1e-8 * 1000 / 3 + 1e-4 * 10)
+    assert np.isclose(covariance[0, 3], 1e-8 * 50) and np.isclose(covariance[3, 3], 1e-8 * 10)

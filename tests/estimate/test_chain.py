@@ -1,0 +1,230 @@
+"""The chain: its slopes are those of differences, its steps those of a dense solve, its evidence that of an integral."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin.estimate.carry import step
+from sunspin.estimate.chain import (
+    LEAST_TURN,
+    Whitening,
+    carried,
+    defects,
+    equations,
+    fit,
+    shot,
+    variance_of,
+)
+from sunspin.estimate.model import Body, Model, Noise, Observations, Track
+from sunspin.estimate.terms.directions import SunDirections
+from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.torques import ConstantTorque
+from sunspin.solve.linear import invert_bordered, solve_bordered
+from sunspin.solve.rotations import rotate_attitude
+
+INERTIA = np.diag([1.25, 1.0, 0.75])
+ERRORS = np.array([np.diag([0.02, 0.0, 0.0]), np.diag([0.0, 0.02, 0.0])])
+T_S = np.array([0.0, 10.0, 22.0, 31.0, 45.0])
+OMEGA = np.array([0.02, -0.03, 0.05])
+
+ROUNDING = 1e-4
+"""What rounding may leave of two inverses of the same matrix: its condition, 6e10, times 2e-16, with a reserve."""
+
+
+def problem(noise=1e-4, sigma=0.02, gyro=True, torque=True, seed=1, rate_sigma=0.1):
+    """Return a model of five directions with a gyro, and the motion that it saw."""
+    rng = np.random.default_rng(seed)
+    still = Observations(T_S, np.tile([0.0, 0.0, 0.01], (len(T_S), 1)), ())
+    body = Body(INERTIA, ERRORS)
+    truth = carried(Model(still, body, Noise(noise), rate_sigma), 0, np.eye(3)[None], OMEGA[None])
+    sun = truth.sun_B[0] + sigma * rng.normal(size=(len(T_S), 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    terms = [SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (len(T_S), 1, 1)))]
+    if gyro:
+        read = truth.omega[0] + 1e-3 * rng.normal(size=(len(T_S), 3))
+        terms.append(Gyro(read, 1e-3, np.full(3, 2e-3), 0.0))
+    if torque:
+        terms.append(
+            ConstantTorque.turning("B", [0.3], float(np.ptp(T_S)), INERTIA, still.momentum)
+        )
+    model = Model(replace(still, terms=tuple(terms)), body, Noise(noise), rate_sigma)
+    return model, Track(truth.attitude, truth.omega, np.zeros((1, len(model.unknowns))))
+
+
+def moved(motions, nodes, u):
+    """Return motions with turns and rates (K, n, 6) and unknowns (K, m) changed."""
+    attitude = rotate_attitude(motions.attitude, nodes[..., :3])
+    return Track(attitude, motions.omega + nodes[..., 3:], motions.u + u)
+
+
+def test_slope_is_that_of_differences():
+    model, motions = problem()
+    rng = np.random.default_rng(2)
+    motions = moved(
+        motions, 1e-3 * rng.normal(size=(1, 5, 6)), 0.2 * rng.normal(size=motions.u.shape)
+    )
+    system, h = equations(model, motions), 1e-6
+    for sample, place in ((0, 1), (2, 0), (2, 4), (4, 5)):
+        nodes = np.zeros((1, 5, 6))
+        nodes[0, sample, place] = h
+        ends = [equations(model, moved(motions, sign * nodes, 0.0)).cost for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * h)
+        assert np.allclose(slope, system.slope[:, sample, place], rtol=5e-3, atol=0.5)
+    assert system.border_slope is not None
+    for j in range(motions.u.shape[1]):
+        u = np.zeros(motions.u.shape)
+        u[0, j] = 1e-4
+        ends = [
+            equations(model, moved(motions, np.zeros((1, 5, 6)), sign * u)).cost for sign in (1, -1)
+        ]
+        assert np.allclose(
+            (ends[0] - ends[1]) / 2e-4, system.border_slope[:, j], rtol=5e-3, atol=0.2
+        )
+
+
+def dense(system):
+    """Return the matrix of a bordered chain, and its slope."""
+    n, m = system.slope.shape[1], system.border.shape[-1]
+    matrix, slope = np.zeros((6 * n + m, 6 * n + m)), np.zeros(6 * n + m)
+    for i in range(n):
+        rows = slice(6 * i, 6 * i + 6)
+        matrix[rows, rows] = system.diagonal[0, i]
+        slope[rows] = system.slope[0, i]
+        matrix[rows, 6 * n :] = system.border[0, i]
+        matrix[6 * n :, rows] = system.border[0, i].T
+        if i + 1 < n:
+            after = slice(6 * i + 6, 6 * i + 12)
+            matrix[rows, after], matrix[after, rows] = system.upper[0, i], system.upper[0, i].T
+    matrix[6 * n :, 6 * n :], slope[6 * n :] = system.corner[0], system.border_slope[0]
+    return matrix, slope
+
+
+def test_step_covariance_and_determinant_are_those_of_a_dense_solve():
+    model, motions = problem()
+    system = equations(model, motions)
+    matrix, slope = dense(system)
+    (nodes, shared), _ = solve_bordered(system, np.zeros(1))
+    change = np.concatenate([nodes.ravel(), shared.ravel()])
+    # what is left of each equation beside its terms: the condition of the matrix would magnify the rounding of any solver
+    left = np.abs(matrix @ change + slope)
+    assert np.all(left < 1e-11 * (np.abs(matrix) @ np.abs(change) + np.abs(slope)))
+    inverse, covariance = invert_bordered(system), np.linalg.inv(matrix)
+    assert np.allclose(inverse.nodes[0, 2], covariance[12:18, 12:18], rtol=ROUNDING, atol=1e-12)
+    assert np.isclose(inverse.log_determinant[0], np.linalg.slogdet(matrix)[1], atol=ROUNDING)
+
+
+def test_variance_of_a_mean_is_that_of_the_dense_covariance():
+    model, motions = problem()
+    one = fit(model, motions, 20)
+    weights = np.zeros((1, 5, 3, 6))
+    weights[..., 3:] = np.eye(3) / 5
+    matrix, _ = dense(equations(model, one.motions))
+    rows = np.concatenate(
+        [weights[0].transpose(1, 0, 2).reshape(3, -1), np.zeros((3, motions.u.shape[1]))], axis=1
+    )
+    expected = np.diag(rows @ np.linalg.inv(matrix) @ rows.T)
+    assert np.allclose(variance_of(one, weights)[0], expected, rtol=ROUNDING)
+
+
+def test_whitening_gives_the_covariance_of_white_acceleration():
+    dt, q = np.array([3.0, 20.0]), 2e-4
+    white = Whitening.of(Noise(q), dt)
+    for k, t in enumerate(dt):
+        eye = np.eye(3)
+        covariance = q**2 * np.block([[eye * t**3 / 3, eye * t**2 / 2], [eye * t**2 / 2, eye * t]])
+        covariance[:3, :3] += LEAST_TURN**2 * eye
+        assert np.allclose(white.matrix[k] @ covariance @ white.matrix[k].T, np.eye(6), atol=1e-9)
+    logs = [np.linalg.slogdet(np.linalg.inv(one.T @ one))[1] for one in white.matrix]
+    assert np.isclose(white.log_determinant, sum(logs) / 2)
+
+
+def test_evidence_is_that_of_an_integral_over_the_unknown():
+    """With one unknown on a grid and Laplace's method over the rest, the evidence is that of Laplace's method over all.
+
+    To 0.15: Student's law is no Gaussian.
+    """
+    model, motions = problem(gyro=True, torque=False)
+    model = replace(model, body=replace(model.body, errors=ERRORS[:0]))
+    motions = Track(motions.attitude, motions.omega, np.zeros((1, len(model.unknowns))))
+    whole = fit(model, motions, 30, 1e-10)
+    gyro = model.obs.terms[1]
+    zero = np.linspace(-5, 5, 21)
+    logs = []
+    for u in zero:  # the gyro's zero about x held at u sigmas
+        held = replace(
+            gyro, rate_B=gyro.rate_B - [2e-3 * u, 0, 0], zero_sigma=np.array([0, 2e-3, 2e-3])
+        )
+        other = replace(model, obs=replace(model.obs, terms=(model.obs.terms[0], held)))
+        start = Track(motions.attitude, motions.omega, np.zeros((1, 2)))
+        logs.append(fit(other, start, 30, 1e-10).log_evidence[0] - u**2 / 2)
+    integral = np.log(
+        np.trapezoid(np.exp(np.array(logs) - max(logs)), zero) / np.sqrt(2 * np.pi)
+    ) + max(logs)
+    assert np.isclose(integral, whole.log_evidence[0], atol=0.15)
+
+
+def test_evidence_does_not_hang_on_rounding():
+    """Times scaled by 1 + 1e-12 move the evidence of the lowest rung by less than 0.02."""
+    model, motions = problem(noise=5e-6, torque=False)
+    other = replace(model, obs=replace(model.obs, t_s=T_S * (1 + 1e-12)))
+    logs = [fit(one, motions, 20).log_evidence[0] for one in (model, other)]
+    assert abs(logs[0] - logs[1]) < 0.02
+
+
+def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
+    model, truth = problem(noise=1e-7, gyro=False, torque=False)
+    model = model.for_search(Noise(1e-7))[0]
+    begin = carried(model, 2, truth.attitude[:, 2], truth.omega[:, 2] + 2e-3)
+    by_shooting = shot(model, 2, begin, 20)
+    by_chain = fit(model, by_shooting, 20).motions
+    assert np.abs(by_chain.omega - by_shooting.omega).max() < 1e-5
+    # the prior of the rate stands at the first sample in a chain, and at the sample that is shot
+    assert np.isclose(by_chain.cost[0], by_shooting.cost[0], atol=0.02)
+
+
+def test_defects_of_a_free_motion_vanish_and_answer_to_the_inertia():
+    model, motions = problem(torque=False)
+    value, *_, by_u = defects(model, motions)
+    assert np.abs(value).max() < 1e-6
+    u = motions.u.copy()
+    u[0, 0] = 0.1
+    changed, *_ = defects(model, Track(motions.attitude, motions.omega, u))
+    assert np.allclose(
+        changed[0] / 0.1, by_u[0, ..., 0], rtol=0.02, atol=0.02 * np.abs(by_u[0, ..., 0]).max()
+    )
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_step_keeps_the_angular_momentum_in_space(backward):
+    dt = np.array([7.0, 30.0]) * (-1 if backward else 1)
+    omega = np.tile(OMEGA, (1, 2, 1))
+    momentum = np.tile([0.0, 0.02, 0.01], (2, 1))
+    made = step(INERTIA, omega, dt, (momentum, momentum))
+    start, end = omega @ INERTIA + momentum, made.omega @ INERTIA + momentum
+    assert np.allclose(np.einsum("knij,knj->kni", made.turned, start), end, atol=1e-5)
+
+
+def test_motions_of_several_bodies_are_those_of_each_alone():
+    inertia = np.stack([INERTIA, np.eye(3), np.diag([0.8, 1.0, 1.2])])
+    omega = np.random.default_rng(4).normal(size=(3, 4, 3)) * 0.05
+    dt, momentum = np.array([3.0, 5.0, 8.0, 20.0]), np.zeros((4, 3))
+    together = step(inertia, omega, dt, (momentum, momentum), True, ERRORS)
+    for k in range(3):
+        alone = step(inertia[k], omega[k : k + 1], dt, (momentum, momentum), True, ERRORS)
+        for one, other in zip(together, alone, strict=True):
+            assert np.array_equal(one[k], other[0])
+
+
+def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
+    rng = np.random.default_rng(4)
+    omega, dt = 0.2 * rng.normal(size=(3, 4, 3)), np.array([10.0, -3.0, 0.0, 40.0])
+    still = np.zeros((4, 3)), np.zeros((4, 3))
+    even = step(np.eye(3), omega, dt, still, True)
+    nearly = step(np.eye(3) + np.diag([1e-12, 0.0, 0.0]), omega, dt, still, True)
+    assert np.allclose(even.turned, nearly.turned, atol=1e-3)  # the steps' own error
+    assert np.allclose(even.omega, nearly.omega, atol=1e-9)
+    by_start = even.by_start - nearly.by_start
+    assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2) and np.allclose(
+        by_start[..., 3:, :], 0.0, atol=1e-6
+    )

@@ -1,0 +1,309 @@
+"""Each advice on columns, signs and axes is followed to the letter in the vehicle file, and has the promised effect."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.cli.rates import SENSOR_VARIABLES
+from sunspin.estimate.column_tests import SENSORS, Better, Culprit, Named
+from sunspin.estimate.equivalence import exchange, wheel_changes
+from sunspin.estimate.gyro_axes import wrong_gyro_axes
+from sunspin.estimate.observe import wheel_models
+from sunspin.estimate.rates import rates
+from sunspin.telemetry.assess import assess
+from sunspin.vehicle import Channel, TelemetryForm
+from sunspin.vehicle.file import parse_vehicle
+from tests.support.simulate import simulated_pass, uneven_times
+from tests.support.vehicles import CUBE_NORMALS
+
+NAMES = ("px", "py", "pz", "mx", "my", "mz")
+TEXT = """
+name = "cube"
+[body]
+inertia_kg_m2 = [[0.042, 0, 0], [0, 0.05, 0], [0, 0, 0.03]]
+{panels}
+[telemetry]
+noise = 0.01
+[telemetry.columns]
+{columns}
+"""
+OMEGA = np.array([0.02, -0.03, 0.04])
+LIMIT = {"max_rate_rad_s": 0.15, "column_tests": True}
+
+
+def text_of(columns=NAMES) -> str:
+    """Return a vehicle file with six panels of 1 W, the column of each named after the panel of its light."""
+    panels = "\n".join(
+        f'[[panel]]\nname = "{name}"\nnormal_B = {normal.astype(int).tolist()}\ngain_W = 1.0'
+        for name, normal in zip(NAMES, CUBE_NORMALS, strict=True)
+    )
+    lines = "\n".join(f'{name} = "I_{column}"' for name, column in zip(NAMES, columns, strict=True))
+    return TEXT.format(panels=panels, columns=lines)
+
+
+def written(path, data):
+    """Write telemetry to a CSV file of this path, and return the path."""
+    start = np.datetime64("2026-01-01T00:00:00.000")
+    extra = ["gx", "gy", "gz"] if "gyro_B" in data else []
+    lines = ["time," + ",".join([*(f"I_{name}" for name in NAMES), *extra])]
+    values = data["power_W"].values
+    if extra:
+        values = np.concatenate([values, data["gyro_B"].values], axis=1)
+    for t, row in zip(data["time"].values, values, strict=True):
+        stamp = start + np.timedelta64(round(1000 * t), "ms")
+        lines.append(f"{stamp}Z," + ",".join(f"{value:.6f}" for value in row))
+    path.write_text("\n".join(lines) + "\n", "utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def readings(tmp_path_factory):
+    """Return a telemetry file of the cube, and the truth."""
+    rng = np.random.default_rng(4)
+    craft = parse_vehicle(text_of(), "right")
+    data, run = simulated_pass(craft, OMEGA, uneven_times(rng, 24, 12.0, 0.2), rng, albedo=0.0)
+    return written(tmp_path_factory.mktemp("advice") / "telemetry.csv", data), run
+
+
+def estimated(text: str, path, **options):
+    """Return the estimate of a vehicle file with a telemetry file."""
+    vehicle = parse_vehicle(text, "vehicle.toml")
+    return rates(vehicle, ss.read_telemetry(path, vehicle), **LIMIT | options)
+
+
+def rate_in_the_middle(result) -> np.ndarray:
+    """Return the rate (3) of the first pass in deg/s, as it is printed."""
+    return np.degrees([result[f"omega_{axis}"].values[0, 0] for axis in "xyz"])
+
+
+def with_columns_exchanged(text: str, advice: str) -> str:
+    """Return a vehicle file in which the columns are exchanged that an advice names."""
+    match = re.search(
+        r"exchange the columns of (\w+) and (\w+) under \[telemetry\.columns\]", advice
+    )
+    assert match is not None, advice
+    column = tomllib.loads(text)["telemetry"]["columns"]
+    for name, other in (match.groups(), match.groups()[::-1]):
+        line = f'\n{name} = "{column[name]}"'
+        assert text.count(line) == 1
+        text = text.replace(line, f'\n{name} = "<{column[other]}>"')
+    return text.replace('"<', '"').replace('>"', '"')
+
+
+def test_columns_exchanged_as_advised_give_the_named_rate(readings):
+    path, run = readings
+    text = text_of(("py", "px", *NAMES[2:]))
+    doubted = estimated(text, path)
+    advice = re.search(r"CHECK THE COLUMNS; if it is so, (.*)", doubted.attrs["verdict"])
+    assert advice is not None and not doubted["decided"].values.any()
+    (named,) = json.loads(doubted.attrs["columns_changes"])
+    assert named["do"] == advice[1]
+    mended = estimated(with_columns_exchanged(text, advice[1]), path)
+    assert mended["decided"].values.all() and "columns_doubt" not in mended.attrs
+    np.testing.assert_allclose(rate_in_the_middle(mended), named["omega_deg_s"], atol=1e-3)
+    at = np.argmin(np.abs(run["time"].values - named["at_s"]))
+    np.testing.assert_allclose(
+        named["omega_deg_s"], np.degrees(run["omega_B"].values[at]), atol=0.1
+    )
+
+
+def test_a_panel_reversed_as_advised_gives_a_decided_pass(readings):
+    path, _ = readings
+    text = text_of().replace("[0, 1, 0]", "[0, -1, 0]", 1)
+    doubted = estimated(text, path)
+    changes = {one["what"]: one for one in json.loads(doubted.attrs["columns_changes"])}
+    named = changes["panel py looking the other way"]
+    assert named["do"] == "reverse normal_B of panel py" and not doubted["decided"].values.any()
+    mended = estimated(text.replace("[0, -1, 0]", "[0, 1, 0]", 1), path)
+    assert mended["decided"].values.all() and "columns_doubt" not in mended.attrs
+    np.testing.assert_allclose(rate_in_the_middle(mended), named["omega_deg_s"], atol=1e-3)
+
+
+def test_unchecked_columns_exchanged_give_the_rate_that_is_printed(readings):
+    """A cube and its mirror images read the same: each line says what the rate would be."""
+    from sunspin.output.kinds.rates import rates_summary
+
+    path, _ = readings
+    result = estimated(text_of(), path)
+    words = "\n".join(rates_summary(result).lines)
+    for change in json.loads(result.attrs["columns_unseen"]):
+        pattern = re.escape(f"with {change['what']} it would be ") + r"\(([^)]*)\)"
+        match = re.search(pattern, words)
+        assert match is not None, words
+        exchanged = with_columns_exchanged(
+            text_of(),
+            change["what"]
+            .replace("the columns of panels", "exchange the columns of")
+            .replace("exchanged", "under [telemetry.columns]"),
+        )
+        mirrored = estimated(exchanged, path, column_tests=False)
+        printed = [float(number) for number in match[1].split(",")]
+        np.testing.assert_allclose(rate_in_the_middle(mirrored), printed, atol=0.01)
+
+
+def test_more_effort_as_advised_tries_every_order_of_columns(readings):
+    path, _ = readings
+    text = text_of(("py", "px", *NAMES[2:]))
+    cut = estimated(text, path, effort=1e-6)
+    match = re.search(
+        r"not every other order of columns was tried: give more effort \(`--effort ([\d.]+)`\)",
+        cut.attrs["verdict"],
+    )
+    assert match is not None and cut.attrs["column_tests_cut"] == 1
+    done = estimated(text, path, effort=float(match[1]))
+    assert done.attrs["column_tests_cut"] == 0 and "not every other" not in done.attrs["verdict"]
+    assert "px and py exchanged" in done.attrs["verdict"]
+
+
+@pytest.mark.parametrize("key", ["axis_B", "speed_rad_s", "speed_scale_rad_s"])
+def test_the_opposite_sign_of_each_key_that_is_named_reverses_the_wheel(key):
+    """The advice is "look at the signs of its axis_B, speed_rad_s and speed_scale_rad_s"."""
+    wheel = {"axis_B": [0.0, 0.6, 0.8], "speed_rad_s": 40.0, "speed_scale_rad_s": 0.5}
+    if key == "speed_scale_rad_s":  # of a column; else the speed is nominal
+        wheel["speed_column"] = "rpm"
+    else:
+        del wheel["speed_scale_rad_s"]
+
+    def momentum(values: dict, change=None) -> np.ndarray:
+        lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in values.items())
+        text = f'{text_of()}[[wheel]]\nname = "w"\ninertia_kg_m2 = 3e-4\n{lines}\n'
+        vehicle = parse_vehicle(text, "vehicle.toml")
+        data = telemetry_with_a_wheel(vehicle, values)
+        if change is not None:
+            vehicle, data = change(vehicle).applied(vehicle, data)
+        return next(iter(wheel_models(vehicle, data).values()))
+
+    as_named = momentum(wheel, lambda vehicle: wheel_changes(vehicle)[0])
+    value = wheel[key]
+    other = [-one for one in value] if isinstance(value, list) else -value
+    assert np.abs(as_named).max() > 0
+    np.testing.assert_allclose(momentum(wheel | {key: other}), as_named, atol=1e-15)
+
+
+def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both():
+    vehicle = parse_vehicle(text_of() + WHEEL.format(sign=""), "vehicle.toml")
+    both = exchange(vehicle, 0, 4).with_wheels((0,), ["w"])
+    words = Better((Named(both),), 20.0).words()
+    advice = words.partition("if it is so, ")[2]
+    exchanged = tomllib.loads(with_columns_exchanged(text_of(), advice))["telemetry"]["columns"]
+    assert (exchanged["px"], exchanged["my"]) == ("I_my", "I_px")
+    assert "look at the signs of axis_B, speed_rad_s and speed_scale_rad_s of w" in advice
+
+
+def telemetry_with_a_wheel(vehicle, values):
+    """Return telemetry of three samples; a column of the wheel's speed, if the vehicle states one, reads 80."""
+    import xarray as xr
+
+    data = xr.Dataset({"power_W": (("time", "panel"), np.ones((3, 6)))}, {"time": np.arange(3.0)})
+    if "speed_column" in values:
+        speed = vehicle.wheels[0].speed_scale_rad_s * np.full((3, 1), 80.0)
+        data = data.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
+    return data
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
+    match = re.search(r"`--without (\w+)`", Culprit(SENSORS[name]).words())
+    assert match is not None and SENSOR_VARIABLES[match[1]] == name
+
+
+WHEEL = """
+[[wheel]]
+name = "w"
+axis_B = [0, {sign}1, 0]
+inertia_kg_m2 = 3e-4
+speed_rad_s = 40.0
+"""
+
+
+def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path):
+    """A reversed wheel and two exchanges look the same; the advice is to find out which is right before the file is changed."""
+    rng = np.random.default_rng(2)
+    right = parse_vehicle(text_of() + WHEEL.format(sign=""), "right")
+    data, _ = simulated_pass(
+        right, [0.02, 0.03, -0.01], np.arange(20) * 10.0, rng, albedo=0.0, speed=[40.0]
+    )
+    path = written(tmp_path / "telemetry.csv", data)
+    wrong = text_of() + WHEEL.format(sign="-")
+    limit = {"max_rate_rad_s": 0.06, "column_tests": False}
+    doubted = estimated(wrong, path, **limit)
+    named = json.loads(doubted.attrs["columns_changes"])
+    assert len(named) == 3 and "find out which one is right" in doubted.attrs["verdict"]
+    for change in named:
+        mended = (
+            text_of() + WHEEL.format(sign="")
+            if "wheel" in change["what"]
+            else with_columns_exchanged(wrong, change["do"])
+        )
+        result = estimated(mended, path, **limit)
+        assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+        np.testing.assert_allclose(rate_in_the_middle(result), change["omega_deg_s"], atol=0.05)
+
+
+GYRO = """
+[gyro]
+columns = ["gx", "gy", "gz"]
+scale_rad_s = 1.0
+noise_rad_s = 5e-4
+zero = { value = [0, 0, 0], sigma = 1e-4 }
+"""
+
+
+@pytest.fixture(scope="module")
+def with_gyro(tmp_path_factory):
+    """Return a telemetry file of the cube with a gyro."""
+    rng = np.random.default_rng(4)
+    craft = parse_vehicle(text_of(), "right")
+    data, run = simulated_pass(craft, OMEGA, uneven_times(rng, 40, 8.0, 0.2), rng, albedo=0.0)
+    read = run["omega_B"].values + 5e-4 * rng.normal(size=(40, 3))
+    data = data.assign(gyro_B=(("time", "axis"), read))
+    return written(tmp_path_factory.mktemp("gyro") / "telemetry.csv", data)
+
+
+def test_a_gyro_read_as_check_advises_or_the_columns_exchanged_instead_remove_the_warning(
+    with_gyro,
+):
+    """With +x and -x exchanged a right gyro seems to have y and z reversed: either change makes both agree."""
+
+    def warned(text: str) -> str | None:
+        vehicle = parse_vehicle(text, "vehicle.toml")
+        return wrong_gyro_axes(assess(vehicle, ss.read_telemetry(with_gyro, vehicle)))
+
+    text = text_of(("mx", *NAMES[1:3], "px", *NAMES[4:])) + GYRO
+    words = warned(text)
+    assert words is not None and "find out which before you set it" in words
+    match = re.search(r"set (columns = \[.*?\]) under \[gyro\]", words)
+    assert match is not None, words
+    assert warned(text.replace('columns = ["gx", "gy", "gz"]', match[1])) is None
+    exchanged = re.search(
+        r"which looks the same, the columns of panels (\w+) and (\w+) exch", words
+    )
+    assert exchanged is not None, words
+    advice = "exchange the columns of {} and {} under [telemetry.columns]".format(
+        *exchanged.groups()
+    )
+    assert warned(with_columns_exchanged(text, advice)) is None
+
+
+def test_a_gyro_resolves_the_symmetric_solutions_of_a_shared_input(with_gyro):
+    """The advice of panels that share an input: "A gyro, magnetometer or Sun sensor resolves this"."""
+    vehicle = parse_vehicle(text_of() + GYRO, "vehicle.toml")
+    data = ss.read_telemetry(with_gyro, vehicle)
+    channels = (Channel("x", ("px", "mx"), "sum"),)
+    craft = replace(vehicle, channels=channels, telemetry=TelemetryForm(noise=0.01))
+    power = data["power_W"].values
+    summed = np.column_stack([power[:, 0] + power[:, 3], power[:, [1, 2, 4, 5]]])
+    of_inputs = data.drop_dims("panel").assign_coords(panel=list(craft.input_names))
+    of_inputs = of_inputs.assign(power_W=(("time", "panel"), summed))
+    alone = rates(craft, of_inputs.drop_vars("gyro_B"), max_rate_rad_s=0.15)
+    assert "A gyro, magnetometer or Sun sensor resolves this" in alone.attrs["verdict"]
+    assert not alone["unique"].values.any()
+    resolved = rates(craft, of_inputs, max_rate_rad_s=0.15)
+    assert resolved["decided"].values.all()

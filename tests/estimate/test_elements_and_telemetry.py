@@ -1,0 +1,190 @@
+"""Elements compared with telemetry at any attitude: right ones fit, those of another plane or another clock do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.orbit import in_orbit
+from sunspin.estimate.orbit.check import Trial, Verdict, check_orbit
+from sunspin.estimate.orbit.invariants import MATRIX, Sky, fit_at_offsets, residuals_left
+from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
+from sunspin.estimate.orbit.readings import read
+from sunspin.estimate.settings import ORBIT
+from sunspin.telemetry.assess import assess
+from sunspin.vehicle.parts import Orbit
+from tests.support.orbit_cases import check_case
+from tests.support.orbits import with_node_turned
+
+FEW = replace(ORBIT, copies=10, hours=(1,))
+"""A fifth of the usual copies, and one other clock: enough if elements are clearly wrong."""
+
+
+@pytest.fixture(scope="module")
+def case():
+    return check_case(1, 1)
+
+
+@pytest.fixture(scope="module")
+def judged(case):
+    """The right elements as they are used, the check, and its words."""
+    return judged_orbit(orbit(case), *case[:2], settings=replace(ORBIT, copies=20))
+
+
+def orbit(case, by_deg=0.0, **options):
+    _, data, given, about = case
+    elements = parse_elements("\n".join((given[0], with_node_turned(given[1], by_deg))), "case")
+    options = {"shift_sigma_s": about["sigma_s"]} | options
+    return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, **options)
+
+
+def test_right_elements_fit_and_their_offset_is_within_its_errors(case, judged):
+    used, check, words = judged
+    about = case[3]
+    assert check.verdict is Verdict.FITS and "its elements fit" in words
+    assert check.better <= 1 and check.turn_times < 1.3 and check.mistaken < 0.01
+    assert used.shift_s == check.shift_s
+    assert np.hypot(used.shift_sigma_s, used.clock_sigma_s) < 1.01 * check.shift_sigma_s
+    assert abs(check.shift_s - about["ahead_s"]) < 4 * check.shift_sigma_s < 0.7 * about["sigma_s"]
+    assert check.samples["field"] == about["samples"]
+    assert check.strength_residual_T < 6e-7 and check.angle_residual_rad < 0.04
+    assert check.eclipse[1] > 5 and check.eclipse[0] <= 1
+    np.testing.assert_allclose(np.linalg.norm(check.matrix, axis=1), 1e-9, rtol=0.1)  # nT
+
+
+def test_elements_of_a_plane_that_is_near_are_refused_by_their_residuals(case):
+    check = check_orbit(orbit(case, by_deg=12.0), *case[:2], settings=FEW)
+    assert check.verdict is Verdict.REFUSED and not check.sun_in_shadow.samples
+    assert check.turn_times > 1.3 and abs(np.degrees(check.turn_rad) + 12.0) < 1e-9
+
+
+def test_elements_of_another_plane_are_refused(case):
+    used, check, words = judged_orbit(orbit(case, by_deg=70.0), *case[:2], settings=FEW)
+    assert used is None and check.verdict is Verdict.REFUSED and check.turn_times > 1.3
+    assert words.startswith("the orbit is NOT USED: elements not consistent with the telemetry")
+
+
+def test_a_clock_off_by_an_hour_is_named(case):
+    off = orbit(case, clock_s=-3600.0)
+    check = check_orbit(off, *case[:2], settings=FEW)
+    assert check.verdict is Verdict.REFUSED and check.clock_behind_s == 3600.0
+    _, _, words = judged_orbit(off, *case[:2], settings=FEW)
+    assert "they would fit if the telemetry's clock were 1 h behind UTC" in words
+
+
+def test_an_offset_at_the_border_of_what_was_tried_is_named(case):
+    ahead_s = abs(case[3]["ahead_s"])
+    for sigma_s in (ahead_s / 6, ahead_s):
+        check = check_orbit(orbit(case, shift_sigma_s=sigma_s), *case[:2], settings=FEW)
+        assert check.border == (sigma_s < ahead_s)
+
+
+def test_a_magnetometer_of_the_opposite_sign_is_named(case, judged):
+    vehicle, data, _, _ = case
+    check = check_orbit(orbit(case), vehicle, data.assign(field_B=-data["field_B"]), settings=FEW)
+    assert check.sign_turned and not judged[1].sign_turned
+    # what the words say to do makes the elements fit without a remark
+    part = vehicle.sensors.magnetometer
+    sensors = replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
+    used, _, words = judged_orbit(
+        orbit(case), replace(vehicle, sensors=sensors), data, settings=FEW
+    )
+    assert used is not None and "SIGN" not in words
+
+
+def test_a_calibration_that_reverses_the_readings_fits_the_sun_only_if_they_are_reversed():
+    nine = check_case(1, 9)
+    given = orbit(nine)
+    for sign in (1, -1):
+        data = nine[1].assign(field_B=sign * nine[1]["field_B"])
+        readings = read(assess(nine[0], data), ORBIT.samples)
+        trial = Trial(readings, float(np.hypot(given.shift_sigma_s, given.clock_sigma_s)), ORBIT)
+        predicted = trial.predicted(given)
+        own = trial.fit(predicted)
+        matrix, zero = np.split(own.calibration[own.best], [9])
+        field = readings.field @ matrix.reshape(3, 3).T - zero
+        at = predicted.at([own.best])
+        angle, opposite = (residuals_left(s * field, readings.sun, at)[1] for s in (1, -1))
+        reverses = np.linalg.det(own.calibration[own.best][MATRIX].reshape(3, 3)) < 0
+        assert (reverses and angle < ORBIT.mirrored * opposite) == (sign < 0)
+
+
+def test_few_data_leave_the_check_inconclusive_and_the_offset_at_its_prior(case):
+    vehicle, data, _, _ = case
+    given = orbit(case)
+    used, check, words = judged_orbit(given, vehicle, data.isel(time=slice(0, 12)), settings=FEW)
+    assert check.verdict is Verdict.UNDECIDED and used is given
+    assert "the telemetry cannot judge it" in words
+    without_field = data.drop_vars("field_B").isel(time=slice(0, 25))
+    settings = replace(ORBIT, hours=(1,))
+    open_orbit = orbit(case, shift_sigma_s=30.0)
+    dark = check_orbit(open_orbit, vehicle, without_field, settings=settings)
+    assert dark.verdict is Verdict.UNDECIDED and dark.matrix is None
+    assert np.isnan(dark.strength_residual_T) and 10 < dark.shift_sigma_s < 45
+    nothing = data.drop_vars(["field_B", "power_W", "panel"])
+    check = check_orbit(orbit(case, shift_s=4.0), vehicle, nothing, settings=FEW)
+    assert check.verdict is Verdict.UNDECIDED and check.shift_s == 4.0 and check.samples == {}
+
+
+def test_the_attitude_of_the_body_does_not_change_the_cost_of_an_orbit(case):
+    """Each sample of a body that is rotated at random shows the same strength, angle and light."""
+    vehicle, data, _, _ = case
+    given, shifts = orbit(case), np.arange(-40.0, 41.0, 20.0)
+    readings = read(assess(vehicle, data), ORBIT.samples)
+    # the sensor is exact: one that reads the field itself, as a calibrated one does
+    sky = Sky.along(given, readings.t_s, shifts)
+    attitudes = Rotation.random(len(readings.t_s), random_state=3).as_matrix()
+    costs = []
+    for turned in (np.broadcast_to(np.eye(3), attitudes.shape), attitudes):
+        shown = readings._replace(
+            field=np.einsum("nij,nj->ni", turned, sky.field[2] / 1e-9),
+            sun=np.einsum("nij,nj->ni", turned, sky.sun),
+            covariance=np.broadcast_to(0.01**2 * np.eye(3), attitudes.shape),
+        )
+        fits = fit_at_offsets(shown, sky.invariants(), np.zeros(len(shifts)), np.array([0.01, 1.0]))
+        assert fits.best == 2
+        strength, angle = residuals_left(
+            shown.field @ fits.calibration[2][MATRIX].reshape(3, 3).T - fits.calibration[2][9:],
+            shown.sun,
+            sky.invariants().at([2]),
+        )
+        costs.append((strength, angle))
+    assert np.array(costs)[:, 0].max() < 1e-8 and np.array(costs)[:, 1].max() < 1e-3
+
+
+def test_elements_of_the_command_line_replace_those_of_the_vehicle_file(case, tmp_path):
+    vehicle, data, given, _ = case
+    assert orbit_of(vehicle, data) is None
+    with pytest.raises(ss.InputError, match="an along-track offset needs elements; give --tle"):
+        orbit_of(vehicle, data, shift_sigma_s=3.0)
+    stated = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit(given, -3.0, 7.0, 2.0))
+    of_file = orbit_of(stated, data)
+    numbers = (of_file.shift_s, of_file.shift_sigma_s, of_file.clock_s, of_file.clock_sigma_s)
+    assert numbers == (-3.0, 7.0, 2.0, 1.0)
+    path, second = tmp_path / "two.tle", with_node_turned(given[1], 5.0)
+    path.write_text("\n".join((given[0], second)), "utf-8")
+    other = orbit_of(stated, data, path, 9.0)
+    assert other.shift_sigma_s == 9.0
+    assert other.elements[0].given[1] == second != of_file.elements[0].given[1]
+    bad = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit((given[1], given[0])))
+    with pytest.raises(ss.InputError, match=r"\[orbit\] of cube, line 1: line 2 of the elements"):
+        orbit_of(bad, data)
+
+
+@pytest.mark.real_data
+@pytest.mark.long
+def test_skcube_is_located_behind_its_sister_satellite(data_dir):
+    """By the elements of VZLUSAT-1, two months later; three crude checks by hand gave -140, -200 and -240 s."""
+    text = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
+2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""
+    vehicle = ss.load_vehicle("skcube")
+    data = ss.read_telemetry(data_dir / "skcube" / "skcube_adcs.csv", vehicle)
+    epoch, elements = data.attrs["epoch_utc"], parse_elements(text, "VZLUSAT-1")
+    given = in_orbit(elements, epoch, data["time"].values, shift_sigma_s=150.0)
+    check = check_orbit(given, vehicle, data)
+    assert check.verdict is Verdict.FITS and check.better == 0
+    assert -240 < check.shift_s < -140 and check.shift_sigma_s < 40
+    assert np.degrees(check.angle_residual_rad) < 6 and check.strength_residual_T < 2.5e-6

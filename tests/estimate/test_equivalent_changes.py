@@ -1,0 +1,242 @@
+"""Changes of columns, signs and axes that no reading distinguishes: rotations and mirrors of the body."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sunspin.estimate.columns import has_unlisted_motion
+from sunspin.estimate.equivalence import (
+    AS_WRITTEN,
+    Change,
+    Observed,
+    alike,
+    column_changes,
+    equivalence,
+    exchange,
+    rate_under,
+    unseen_changes,
+    wheel_changes,
+)
+from sunspin.vehicle import Channel, Panel, Vehicle, Wheel
+from sunspin.vehicle.parts import Fact
+from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
+
+NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+X, Y, Z = (np.diag(1.0 - 2 * np.eye(3)[k]) for k in range(3))
+"""Mirrors along the axes."""
+
+
+def body(normals=FACES, names=NAMES, gains=None, **more) -> Vehicle:
+    """Panels in W on a body whose three moments differ by far more than their sigmas."""
+    size = np.ones(len(names)) if gains is None else gains
+    panels = [
+        Panel(name, np.array(n) / np.linalg.norm(n), float(g))
+        for name, n, g in zip(names, normals, size, strict=True)
+    ]
+    return Vehicle(
+        "body",
+        **{"inertia_kg_m2": np.diag([0.04, 0.06, 0.08]), "gain_unit": "W", "panels": panels} | more,
+    )
+
+
+def lit(vehicle: Vehicle, **more) -> Observed:
+    """All columns in sunlight."""
+    return Observed(vehicle, np.ones(len(vehicle.inputs), dtype=bool), span_s=600.0, **more)
+
+
+def names(found) -> set[str]:
+    return {change.what for change, _ in found}
+
+
+def pair(a: str, b: str) -> str:
+    return f"the columns of panels {a} and {b} exchanged"
+
+
+def test_two_opposite_columns_exchanged_are_a_mirror_of_the_file_as_it_is_written():
+    cube = body()
+    for a, b, mirror in ((0, 3, X), (1, 4, Y), (2, 5, Z)):
+        (found,) = equivalence(lit(cube), AS_WRITTEN, exchange(cube, a, b))
+        np.testing.assert_allclose(found, mirror, atol=1e-12)
+        np.testing.assert_allclose(
+            rate_under(found, np.array([1.0, 2.0, 3.0])), -mirror @ [1.0, 2.0, 3.0], atol=1e-12
+        )
+    assert not len(equivalence(lit(cube), AS_WRITTEN, exchange(cube, 0, 1)))
+
+
+def test_exchanges_mapped_by_a_rotation_about_a_cube_corner_are_equivalent():
+    """+x to +y to +z to +x: of a body whose moments are alike it leaves nothing to see; moments that differ tell."""
+    cube, order = body(), [1, 2, 0, 4, 5, 3]
+    corner = Change(
+        "the panels of the body turned about a corner", columns=tuple(np.argsort(order))
+    )
+    ball = replace(cube, inertia_kg_m2=0.05 * np.eye(3))
+    (found,) = equivalence(lit(ball), AS_WRITTEN, corner)
+    assert np.linalg.det(found) == pytest.approx(1.0) and np.trace(found) == pytest.approx(0.0)
+    assert len(equivalence(lit(replace(cube, inertia_kg_m2=None)), AS_WRITTEN, corner)) == 1
+    assert not len(equivalence(lit(cube), AS_WRITTEN, corner))
+
+
+@pytest.mark.parametrize(("axis", "seen"), [("x", {pair("+x", "-x")}), ("z", {pair("+z", "-z")})])
+def test_a_mirror_reverses_a_wheel_but_not_one_along_its_normal(axis, seen):
+    wheel = Wheel("w", np.eye(3)["xyz".index(axis)], 1e-4, 300.0)
+    craft = body(wheels=(wheel,))
+    momentum = 0.5 * np.asarray(wheel.axis_B)[None, None] * np.ones((1, 20, 1))
+    empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 6)))})
+    observed = lit(craft, momenta=momentum)
+    assert names(alike(observed, AS_WRITTEN, column_changes(craft, empty))) == seen
+    (reversed_wheel,) = wheel_changes(craft)
+    others = {pair("+x", "-x"), pair("+y", "-y"), pair("+z", "-z")} - seen
+    assert names(alike(observed, reversed_wheel, column_changes(craft, empty))) == others
+    weak = replace(observed, momenta=1e-5 * momentum)  # 0.003 rad in ten minutes: nobody sees it
+    assert names(alike(weak, AS_WRITTEN, column_changes(craft, empty))) == seen | others
+
+
+def test_with_wing_panels_an_exchange_of_two_opposite_columns_is_detected():
+    wings = [[0.5, 0.15, 0.85], [-0.5, 0.15, 0.85]]
+    craft = body([*FACES[[0, 1, 3, 4, 5]], *wings], ("+x", "+y", "-x", "-y", "-z", "wa", "wb"))
+    empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 7)))})
+    assert not alike(lit(craft), AS_WRITTEN, column_changes(craft, empty))
+    ((both, matrix),) = unseen_changes(lit(craft), empty)
+    assert both.what == f"{pair('+x', '-x')}, and {pair('wa', 'wb')}"
+    np.testing.assert_allclose(matrix, X, atol=1e-12)
+    wing = exchange(craft, 5, 6)
+    assert names(alike(lit(craft), wing, column_changes(craft, empty))) == {
+        wing.what,
+        pair("+x", "-x"),
+    }
+
+
+def test_gains_distinguish_exchanges_beyond_their_sigmas_and_only_by_ratios_if_the_scale_is_free():
+    def facts(sigma: float) -> dict[str, Fact]:
+        return {f"panel.{name}.gain_W": Fact(1.0, sigma) for name in NAMES}
+
+    other = body(
+        gains=[1, 1, 1, 1.1, 1, 1], facts=facts(0.01)
+    )  # seven sigmas of the difference, in two columns
+    assert not len(equivalence(lit(other), AS_WRITTEN, exchange(other, 0, 3)))
+    wide = replace(other, facts=facts(0.05))
+    assert len(equivalence(lit(wide), AS_WRITTEN, exchange(wide, 0, 3))) == 1
+    three = body(
+        gains=[1, 1, 1, 1.2, 1.2, 1.2], facts=facts(0.01)
+    )  # the opposite of each lit panel is brighter
+    observed = Observed(three, np.array([True, True, True, False, False, False]))
+    opposite = Change("all columns exchanged", columns=(3, 4, 5, 0, 1, 2))
+    assert not len(equivalence(observed, AS_WRITTEN, opposite))
+    relative = replace(observed, vehicle=replace(three, gain_unit=None))
+    (found,) = equivalence(relative, AS_WRITTEN, opposite)
+    np.testing.assert_allclose(found, -np.eye(3), atol=1e-12)
+
+
+def test_moments_of_inertia_distinguish_exchanges_beyond_their_sigmas():
+    """+x with +y exchanged is -x with -y exchanged seen in a mirror, if the moments about x and y are alike."""
+    near = body(
+        inertia_kg_m2=np.diag([0.0600, 0.0606, 0.09])
+    )  # a percent apart: as the sigma that is assumed
+    far = body(inertia_kg_m2=np.diag([0.060, 0.066, 0.09]))
+    assert len(equivalence(lit(near), exchange(near, 0, 1), exchange(near, 3, 4))) == 1
+    assert not len(equivalence(lit(far), exchange(far, 0, 1), exchange(far, 3, 4)))
+    known = {"body.inertia_kg_m2": Fact(((0, 0, 0), (0, 0, 0), (0, 0, 0)), 0.003)}
+    assert (
+        len(equivalence(lit(replace(far, facts=known)), exchange(far, 0, 1), exchange(far, 3, 4)))
+        == 1
+    )
+    product = body(inertia_kg_m2=np.array([[0.04, 0.006, 0], [0.006, 0.06, 0], [0, 0, 0.08]]))
+    assert not len(
+        equivalence(lit(product), AS_WRITTEN, exchange(product, 0, 3))
+    )  # a mirror reverses the product xy
+    assert len(equivalence(lit(product), AS_WRITTEN, exchange(product, 2, 5))) == 1
+
+
+def test_columns_that_stay_dark_do_not_distinguish_exchanges():
+    craft = body()
+    seen = np.array([True, True, True, True, True, False])
+    toward_z = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [-0.6, 0.0, 0.8]])
+    observed = Observed(craft, seen, sun_B=toward_z)
+    upside_down = Change("panel +z looking the other way", reversed_panels=(2,))
+    assert not len(equivalence(observed, AS_WRITTEN, upside_down))  # as -z, which would be lit then
+    five = replace(craft, panels=craft.panels[:5])
+    observed = Observed(five, seen[:5], sun_B=toward_z)
+    (found,) = equivalence(observed, AS_WRITTEN, upside_down)
+    np.testing.assert_allclose(found, Z, atol=1e-12)
+
+
+def test_panels_in_one_plane_leave_its_mirror_solution():
+    ring = body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y"))
+    found = equivalence(lit(ring), AS_WRITTEN, AS_WRITTEN)
+    assert sorted(round(float(np.linalg.det(m))) for m in found) == [-1, 1]
+
+
+def test_a_solution_whose_symmetric_one_is_not_listed_is_not_unique():
+    """Sides only: the mirror along z changes no reading. With a panel on +z, lit or dark, the readings tell."""
+    ring, omega, sigma = (
+        body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y")),
+        np.radians([1.0, -2.0, 3.0]),
+        np.full((2, 3), 1e-3),
+    )
+    sun = np.array([[0.6, 0.7, 0.4], [-0.7, 0.6, 0.4], [-0.6, -0.7, 0.4], [0.7, -0.6, -0.4]])
+    observed = lit(ring, sun_B=sun / np.linalg.norm(sun, axis=1)[:, None])
+    mirrored = rate_under(Z, omega)
+    assert has_unlisted_motion(observed, np.array([omega, np.full(3, np.nan)]), sigma, 0.01)
+    assert not has_unlisted_motion(observed, np.array([omega, mirrored]), sigma, 0.01)
+    top, low = body(FACES[:5], NAMES[:5]), sun * [1.0, 1.0, 0.25]
+    for suns, seen in (
+        (sun, True),
+        (low, False),
+    ):  # at most a tenth of full Sun on +z: not lit, and ten sigmas of noise
+        observed = Observed(
+            top,
+            np.array([True, True, seen, True, True]),
+            sun_B=suns / np.linalg.norm(suns, axis=1)[:, None],
+        )
+        assert len(equivalence(observed, AS_WRITTEN, AS_WRITTEN)) == (1 if seen else 2)
+        assert not has_unlisted_motion(observed, omega[None], sigma[:1], 0.01)
+
+
+SENSORS = Sensors(
+    gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3),
+    magnetometer=Magnetometer(("u", "v", "w"), np.zeros(3), 0.02),
+    attitude=Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01),
+)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "as_read"),
+    [("gyro_B", np.diag([1.0, -1.0, -1.0])), ("field_B", X), ("field_B", -X), ("sun_sensor_B", X)],
+)
+def test_a_used_sensor_excludes_a_mirror_unless_its_axes_are_mirrored_too(sensor, as_read):
+    craft = body(sensors=SENSORS)
+    observed, columns = lit(craft, sensors=frozenset({sensor})), exchange(craft, 0, 3)
+    assert not len(equivalence(observed, AS_WRITTEN, columns))
+    axes = Change("other axes", axes={sensor: as_read})
+    (found,) = equivalence(observed, axes, columns)
+    np.testing.assert_allclose(found, X, atol=1e-12)
+    assert not len(
+        equivalence(
+            replace(observed, sensors=frozenset({sensor, "attitude_B_from_N"})), axes, columns
+        )
+    )
+
+
+def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():
+    craft = body(sensors=SENSORS)
+    field = Change("other axes", axes={"field_B": X})
+    observed = lit(craft, sensors=frozenset({"field_B"}))
+    assert len(equivalence(observed, field, exchange(craft, 0, 3))) == 1
+    assert not len(equivalence(replace(observed, in_orbit=True), field, exchange(craft, 0, 3)))
+    assert (
+        len(equivalence(lit(craft, in_orbit=True), AS_WRITTEN, exchange(craft, 0, 3))) == 1
+    )  # the Sun alone is one direction
+
+
+@pytest.mark.parametrize(("shared", "count"), [(("x",), 2), (("x", "y", "z"), 8)])
+def test_a_file_with_shared_inputs_has_their_symmetric_solutions(shared, count):
+    """Opposite panels on one input: the mirrors that the search makes images by are those of the equivalence."""
+    channels = tuple(Channel(name, (f"+{name}", f"-{name}"), "sum") for name in shared)
+    craft = body(channels=channels)
+    found = equivalence(lit(craft), AS_WRITTEN, AS_WRITTEN)
+    images = craft.response_in().symmetries
+    assert len(found) == len(images) == count
+    assert all(np.abs(found - image).max(axis=(1, 2)).min() < 1e-9 for image in images)

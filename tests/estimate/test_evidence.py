@@ -1,0 +1,151 @@
+"""Evidence: sums over sizes are about those of fits under each size, and passes of one file share the strength of torques."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from tests.estimation.test_chain import problem
+
+from sunspin.estimate.chain import Fit, fit
+from sunspin.estimate.evidence import PassFits, ladder, over_shares, share_noise
+from sunspin.estimate.settings import LadderSettings, SearchSettings, SolutionSettings
+from sunspin.estimate.solutions import solutions
+
+LADDER, SEARCH = LadderSettings(), SearchSettings()
+
+
+def test_sum_over_sizes_is_that_of_fits_under_each_size():
+    model, motions = problem(torque=True)
+    torque = model.obs.terms[-1]
+    shares = (1.0, 0.3, 0.1)
+
+    def under(share):
+        terms = (*model.obs.terms[:-1], replace(torque, sigma=share * torque.sigma))
+        return fit(replace(model, obs=replace(model.obs, terms=terms)), motions, 30, 1e-9)
+
+    terms = (*model.obs.terms[:-1], replace(torque, shares=shares))
+    wide = fit(replace(model, obs=replace(model.obs, terms=terms)), motions, 30, 1e-9)
+    summed = over_shares(wide, beyond_fit=np.inf)
+    each = [under(share) for share in shares]
+    log = np.array([one.log_evidence[0] for one in each])
+    assert np.isclose(summed.log_evidence[0], logsumexp(log) - np.log(3), atol=0.3)
+    weight = np.exp(log - logsumexp(log))
+    omega = sum(w * one.motions.omega[0] for w, one in zip(weight, each, strict=True))
+    sigma = np.sqrt(np.diag(summed.motions.covariance[0, 2]))[3:]
+    assert (np.abs(summed.motions.omega[0, 2] - omega[2]) < 0.1 * sigma).all()
+
+
+def test_a_fit_without_unknown_sizes_is_unchanged():
+    one = fit(*problem(torque=False), 10)
+    assert over_shares(one, 3.0) is one
+
+
+def test_a_stated_strength_is_one_rung():
+    model, motions = problem(noise=1e-4)
+    fits = ladder(model, motions, replace(LADDER, rungs=(1e-6,)), SEARCH, 1e-4)
+    assert [one.model.noise.acceleration for one in fits] == [1e-6]
+
+
+def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
+    model, motions = problem()
+    fits = ladder(model, motions, LADDER, SEARCH, 1e-4)
+    logs = {one.model.noise.acceleration: one.log_evidence[0] for one in fits}
+    assert logs[5e-6] > logs[1e-3]
+    assert sorted(logs) == list(logs)[-1:] + sorted(logs)[1:] or len(logs) == len(fits)
+    best = fits[int(np.argmax([one.log_evidence[0] for one in fits]))]
+    for one in fits:
+        sigma = np.sqrt(np.einsum("nii->ni", one.motions.covariance[0, :, 3:, 3:]))
+        assert (np.abs(one.motions.omega[0] - best.motions.omega[0]) < 3 * sigma).all()
+
+
+def test_no_candidates_give_no_fits():
+    model, motions = problem()
+    assert ladder(model, motions.take(slice(0)), LADDER, SEARCH, 1e-4) == []
+
+
+def passes_of(logs):
+    """Return passes with these log evidences (passes, rungs)."""
+    model, motions = problem()
+    one = fit(model, motions, 5)
+    passes = []
+    for row in logs:
+        fits = tuple(
+            Fit(
+                replace(model, noise=replace(model.noise, acceleration=rung)),
+                one.motions,
+                np.array([log]),
+                one.u_covariance,
+                one.states_by_u,
+            )
+            for rung, log in zip(LADDER.rungs, row, strict=True)
+        )
+        passes.append(PassFits(model, fits, LADDER.rungs, np.full(7, -np.log(7))))
+    return passes
+
+
+def test_one_pass_alone_has_an_even_prior_of_the_rungs():
+    (one,) = share_noise(passes_of([np.linspace(0, 9, 7)]), LADDER)
+    assert np.allclose(one.log_rung, -np.log(7))
+
+
+def test_passes_tell_each_other_how_strong_torques_are():
+    sharp, flat = np.where(np.arange(7) == 2, 0.0, -50.0), np.zeros(7)
+    told = share_noise(passes_of([sharp, flat, sharp]), LADDER)[1]
+    assert np.isclose(np.exp(told.log_rung).sum(), 1.0)
+    assert np.exp(told.log_rung[2]) > 0.7 and np.exp(told.log_rung[0]) > 0.02
+
+
+def test_a_motion_of_several_rungs_is_one_solution():
+    model, motions = problem()
+    fits = tuple(ladder(model, motions, LADDER, SEARCH, 1e-4))
+    one = PassFits(model, fits, LADDER.rungs, np.full(7, -np.log(7)))
+    solved = solutions(one, model.obs, np.arange(5), SolutionSettings(), SEARCH)
+    assert len(solved.probability) == 1 and np.isclose(solved.probability[0], 1.0)
+    assert np.allclose(solved.mean[0], solved.track.omega[0].mean(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("slow", "fast", "low", "high"),
+    [
+        (0.0, 0.0, 0.4, 0.9),  # fit alike: open
+        (-4.0, 0.0, 0.4, 0.6),  # the faster one is ahead only if every rate is as likely
+        (0.0, -4.0, 0.9, 1.0),
+        (-20.0, 0.0, 0.0, 0.01),  # nothing but the data counts
+    ],
+)
+def test_which_alias_is_likelier_does_not_hang_on_the_prior_of_the_rate(slow, fast, low, high):
+    """Two motions at 1.4 and 12 deg/s, known to 0.1 deg/s; `slow`, `fast`: log evidences, were the rate even before the data."""
+    prior, sigma = np.radians(8.0), np.radians(0.1)
+    model, motions = problem(gyro=False, torque=False, rate_sigma=prior)
+    one = fit(model, motions, 5)
+    omega = np.zeros((2, len(model.obs), 3))
+    omega[:, :, 2] = np.radians([[1.4], [12.0]])
+    two = one.take(np.array([0, 0]))
+    covariance = np.broadcast_to(sigma**2 * np.eye(6), two.motions.covariance.shape)
+    motions = replace(two.motions, omega=omega, covariance=covariance)
+    log = np.array([slow, fast]) - (omega[:, 0] ** 2).sum(axis=1) / (2 * prior**2)
+    two = replace(two, motions=motions, log_evidence=log)
+    fits = PassFits(model, (two,), (model.noise.acceleration,), np.zeros(1))
+    every = np.arange(len(model.obs))
+    result = solutions(fits, model.obs, every, SolutionSettings(), SEARCH)
+    assert np.isclose(result.probability.sum(), 1.0)
+    slower = result.mean[:, 2] < np.radians(5.0)
+    assert low <= result.probability[slower].sum() <= high
+
+
+def test_a_motion_that_ends_on_its_way_under_the_first_torques_is_followed_down_from_stronger_ones():
+    model, motions = problem(torque=False)
+    off = 0.02 * np.array([1.0, -1.0, 0.5])
+    poor = replace(motions, omega=motions.omega + off)
+    hurried = replace(LADDER, first_steps=1, steps=3)
+    first = fit(model.under(5e-6), poor, 1)
+    found = {
+        one.model.noise.acceleration: one for one in ladder(model, motions, LADDER, SEARCH, 5e-6)
+    }
+    again = {
+        one.model.noise.acceleration: one for one in ladder(model, poor, hurried, SEARCH, 5e-6)
+    }
+    best = found[5e-6].log_evidence.max()
+    assert first.log_evidence[0] < best - LADDER.hopeless
+    assert np.isclose(again[5e-6].log_evidence.max(), best, atol=0.1)

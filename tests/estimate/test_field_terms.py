@@ -1,0 +1,375 @@
+"""Magnetometer, attitude sensor, Earth's light and torques in a field: derivatives, closed forms, and what is left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from sunspin.environment import Surroundings
+from sunspin.estimate.chain import equations, fit
+from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
+from sunspin.estimate.observe import observe
+from sunspin.estimate.settings import FIELD_TURN
+from sunspin.estimate.terms.clock import Latency
+from sunspin.estimate.terms.earth_light import EarthLight
+from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
+from sunspin.estimate.terms.inertial import AttitudeChange, Gyro
+from sunspin.estimate.terms.panels import Instants, Panels
+from sunspin.estimate.terms.term import facing
+from sunspin.estimate.terms.torques import GravityGradient, MagneticTorque, StatedDipole
+from sunspin.solve.rotations import rotate_attitude
+from sunspin.telemetry.assess import assess
+from sunspin.telemetry.gains import FAINT
+from sunspin.vehicle.response.flat import PanelResponse
+from sunspin.vehicle.sensors import Sensors
+from tests.support.simulate import CUBE, MAGNETOMETER, cube_with_faults, cube_with_late_sensor
+
+T_S = np.array([0.0, 11.0, 25.0, 33.0, 48.0, 60.0])
+N = len(T_S)
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+def motions(rng, size=0.02, count=2):
+    """Return motions of slow bodies whose attitudes follow no equations of motion."""
+    turns = Rotation.from_rotvec(rng.normal(size=(count * N, 3))).as_matrix()
+    return States(turns.reshape(count, N, 3, 3), size * rng.normal(size=(count, N, 3)))
+
+
+def field_N():
+    """Return a field (N, 3) in T that turns in space."""
+    return 3e-5 * np.column_stack([np.cos(T_S / 500), np.sin(T_S / 500), 0.4 + T_S / 900])
+
+
+def field_change(rng):
+    """Return a magnetometer with an unknown zero and matrix, of a pass in which one reading is missing."""
+    read = rng.normal(size=(N, 3))
+    read[3] = np.nan
+    term = FieldChange(T_S, read, 0.02, zero_B=0.1 * np.eye(3), matrix_sigma=0.05)
+    return replace(term, drift_N=np.zeros((N, 0, 3))).of_pass(T_S)
+
+
+def known_field(rng):
+    """Return readings in a known field, with errors in common."""
+    own, along = 1e-6 * rng.normal(size=(2, N, 4, 3))
+    read = field_N() + 1e-6 * rng.normal(size=(N, 3))
+    return KnownField(T_S, read, np.full(N, 5e-7), field_N(), own, along, 5e-7)
+
+
+def attitude_change(rng):
+    """Return an attitude sensor."""
+    read = Rotation.from_rotvec(0.3 * rng.normal(size=(N, 3))).as_matrix()
+    return AttitudeChange(T_S, read, 0.05)
+
+
+def panels(rng, known):
+    """Return readings of six panels under the Earth's light, which an orbit knows or not."""
+    sigma = np.full((N, 6), 0.03)
+    response = PanelResponse(FACES, np.array([1.0, 2.0, 1.0, 1.0, 0.5, 1.0]))
+    gain, scale = (np.ones(6), 0.1 * np.eye(6)), (np.full(N, 1.1), np.full(N, 0.05))
+    names, instants = tuple("abcdef"), Instants(np.zeros(6))
+    term = Panels(
+        rng.random((N, 6)),
+        sigma,
+        response,
+        *gain,
+        *scale,
+        names,
+        instants,
+        np.ones(6, dtype=bool),
+        sigma,
+        sigma,
+        sigma,
+        np.ones(N),
+        earth_share=0.1,
+    )
+    light = 0.2 * np.column_stack([np.cos(T_S / 90), np.sin(T_S / 90), 0.3 + 0 * T_S])
+    return replace(term, known_N=light if known else None).of_pass(T_S)
+
+
+TERMS = {
+    "neighbours": field_change,
+    "known field": known_field,
+    "attitude": attitude_change,
+    "free light": lambda rng: panels(rng, known=False),
+    "known light": lambda rng: panels(rng, known=True),
+    "late gyro": lambda rng: Gyro(
+        0.02 * rng.normal(size=(N, 3)), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01
+    ),
+}
+
+
+@pytest.mark.evidence(
+    "rates", "verified", "finite differences of the cost of panels, gyro, magnetometer and attitude"
+)
+@pytest.mark.parametrize("late", [False, True], ids=["prompt", "late"])
+@pytest.mark.parametrize("name", TERMS)
+def test_the_slope_of_the_cost_is_that_of_differences(name, late):
+    rng = np.random.default_rng(3)
+    seen = motions(rng)
+    terms = (TERMS[name](rng), *([Latency(1.0, 3.0)] if late else []))
+    # strong torques, so that the readings make the slope
+    body = Body(np.diag([1.2, 1.0, 0.8]), np.zeros((0, 3, 3)))
+    obs = Observations(T_S, np.zeros((N, 3)), terms)
+    model = Model(obs, body, Noise(1e3), 1.0)
+    track = Track(seen.attitude, seen.omega, 0.3 * rng.normal(size=(2, len(model.unknowns))))
+    system = equations(model, track)
+
+    def cost(sample, place, h):
+        """Return the costs with turn or rate of a sample changed."""
+        nodes = np.zeros((2, N, 6))
+        nodes[:, sample, place] = h
+        attitude = rotate_attitude(track.attitude, nodes[..., :3])
+        return equations(
+            model, replace(track, attitude=attitude, omega=track.omega + nodes[..., 3:])
+        ).cost
+
+    for sample in (0, 1, 2, 4, 5):
+        # of two late neighbours both are turned by a rate, nearly alike: that is left out
+        neighbours = late and name in ("neighbours", "attitude")
+        for place in range(3 if neighbours else 6):
+            h = 1e-6
+            slope = (cost(sample, place, h) - cost(sample, place, -h)) / (2 * h)
+            # by how much a rate turns the body until a late reading is known to first order
+            close = 0.02 if late else 2e-4
+            scale = np.abs(system.slope).max()
+            assert np.allclose(
+                slope, system.slope[:, sample, place], rtol=close, atol=close * scale
+            )
+    for j in range(track.u.shape[1]):
+        h = 1e-5 * np.eye(track.u.shape[1])[j]
+        ends = [equations(model, replace(track, u=track.u + sign * h)).cost for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / 2e-5
+        assert np.allclose(
+            slope, system.border_slope[:, j], rtol=1e-3, atol=1e-3 * abs(slope).max()
+        )
+
+
+def test_neighbours_fit_the_field_that_they_read():
+    rng = np.random.default_rng(5)
+    seen = motions(rng, count=1)
+    still = np.array([0.3, -0.2, 0.9])
+    term = FieldChange(T_S, np.einsum("nij,j->ni", seen.attitude[0], still), 0.01)
+    (residual,) = term.residuals(seen, np.zeros((1, 0)))
+    assert np.abs(residual.value).max() < 1e-12
+    assert not term.present()[0] and term.present()[1:].all()
+
+
+def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
+    rng = np.random.default_rng(6)
+    seen = motions(rng, count=1)
+    drift = 1e-3 * np.array([0.4, -0.7, 0.2])  # of a field of size one, a second
+    field = np.array([0.3, -0.2, 0.9]) + drift * T_S[:, None]
+    read = np.einsum("nij,nj->ni", seen.attitude[0], field)
+    term = FieldChange(T_S, read, 1e-4, drift_N=np.zeros((N, 0, 3))).of_pass(T_S)
+    u = np.zeros((1, len(term.unknowns())))
+    u[0, :3] = drift / (FIELD_TURN * np.median(np.linalg.norm(read, axis=1)) / np.sqrt(3))
+    (before,) = term.residuals(seen, 0 * u)
+    (after,) = term.residuals(seen, u)
+    assert np.abs(before.value).max() > 1 and np.abs(after.value).max() < 1e-6
+
+
+def test_a_reading_left_out_takes_both_its_comparisons():
+    term = field_change(np.random.default_rng(3))
+    left, log_density = term.without(1)
+    assert list(np.flatnonzero(term.present())) == [1, 2, 5]
+    assert list(np.flatnonzero(left.present())) == [5]
+    assert log_density < -5
+
+
+def test_the_turn_about_the_sun_is_that_of_the_field():
+    rng = np.random.default_rng(7)
+    seen = motions(rng, count=1)
+    term = replace(known_field(rng), read_B=np.einsum("nij,nj->ni", seen.attitude[0], field_N()))
+    turned = seen.attitude @ Rotation.from_rotvec([0.0, 0.0, 2.1]).as_matrix()
+    attitude, _ = term.begin(replace(seen, attitude=turned), about_sun=False)
+    assert np.allclose(attitude, seen.attitude, atol=1e-9)
+
+
+def test_axes_along_the_field_have_it_on_z_and_turn_least():
+    term = known_field(np.random.default_rng(8))
+    unit = field_N() / np.linalg.norm(field_N(), axis=1, keepdims=True)
+    frames = term.frames()
+    assert np.allclose(frames @ unit[..., None], [[0.0], [0.0], [1.0]], atol=1e-12)
+    between = Rotation.from_matrix(frames[1:] @ np.swapaxes(frames[:-1], 1, 2)).magnitude()
+    assert np.allclose(between, np.arccos(np.einsum("ni,ni->n", unit[1:], unit[:-1])), atol=1e-9)
+
+
+def test_the_zero_of_a_spinner_is_what_its_strengths_show():
+    rng = np.random.default_rng(9)
+    t_s = 5.0 * np.arange(60)
+    field = 1 + 2e-4 * (t_s - 150.0)[:, None]
+    turn = Rotation.from_rotvec(0.3 * t_s[:, None] * [[0.6, 0.0, 0.8]])
+    read = turn.apply([0.3, -0.5, 0.8]) * field + 0.002 * rng.normal(size=(60, 3))
+    zero = np.array([0.3, 0.2, -0.1])
+    term = FieldChange(t_s, read + zero, 0.002, zero_B=0.5 * np.eye(3)).with_own_zero()
+    across = np.eye(3) - np.outer([0.6, 0.0, 0.8], [0.6, 0.0, 0.8])
+    covariance = term.zero_B.T @ term.zero_B
+    off = read + zero - term.field_B - zero
+    assert np.linalg.norm(across @ off[0]) < 0.05
+    sigma = np.sqrt(np.diag(across @ covariance @ across).sum())
+    assert sigma < 0.2 and np.sqrt(np.trace(covariance)) > 0.3  # along the spin nothing is learnt
+
+
+def test_a_zero_that_is_exact_on_one_axis_stays_so_on_that_axis():
+    """The other two are what the strengths show; a covariance that is singular there was refused."""
+    rng, t_s, zero = np.random.default_rng(9), 5.0 * np.arange(60), np.array([0.3, 0.2, 0.0])
+    read = Rotation.random(60, random_state=9).apply([0.3, -0.5, 0.8])
+    read += zero + 0.002 * rng.normal(size=(60, 3))
+    sensor = replace(MAGNETOMETER, zero_sigma=np.array([0.5, 0.5, 0.0]))
+    vehicle = replace(CUBE, sensors=Sensors(magnetometer=sensor))
+    telemetry = xr.Dataset({"field_B": (("time", "axis"), read)}, {"time": t_s})
+    term = FieldChange.read(vehicle, telemetry).with_own_zero()
+    np.testing.assert_allclose((read - term.field_B)[0], zero, atol=0.02)
+    assert abs((read - term.field_B)[0, 2]) < 1e-3
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])
+@pytest.mark.parametrize("known", [False, True])
+def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
+    rng = np.random.default_rng(11)
+    seen = motions(rng, size=1.0, count=1)
+    seen = replace(seen, omega=np.repeat(size * seen.omega[:, :1], N, axis=1))
+    direction = np.array([0.3, -0.4, 1.2])
+    term = MagneticTorque.in_field(np.tile(direction, (N, 1)) if known else None)
+    dt = np.diff(T_S)
+    push = term.added_by_unknowns(seen, dt)[0, 3]
+    share = (np.arange(4000) + 0.5) / 4000
+    attitude = rotate_attitude(seen.attitude[0, 3], share[:, None] * seen.omega[0, 3] * dt[3])
+    if known:
+        unit = direction / np.linalg.norm(direction)
+        each = np.cross(np.eye(3), (attitude @ unit)[:, None]) / np.sqrt(2)
+    else:
+        columns = np.swapaxes(attitude, 1, 2)
+        each = np.cross(np.eye(3)[:, None], columns[:, None]).reshape(-1, 9, 3) / np.sqrt(6)
+    acceleration = term.sigma * np.swapaxes(each, 1, 2)
+    early = (1 - share)[:, None, None]
+    assert np.allclose(push[3:], dt[3] * acceleration.mean(axis=0), atol=1e-8)
+    assert np.allclose(push[:3], dt[3] ** 2 * (early * acceleration).mean(axis=0), atol=1e-7)
+
+
+def test_a_stated_dipole_in_a_constant_field_accelerates_evenly():
+    term = StatedDipole(np.array([0.0, 0.0, 2e-6]), np.tile([1.0, 0.0, 0.0], (N, 1)))
+    pushed = term.added_by_torque(motions(np.random.default_rng(1)), np.diff(T_S))
+    dt = np.diff(T_S)
+    assert np.allclose(pushed[0, :, 4], 2e-6 * dt) and np.allclose(pushed[0, :, 1], 1e-6 * dt**2)
+    assert np.abs(pushed[..., [0, 2, 3, 5]]).max() == 0.0
+
+
+def test_gravity_turns_the_long_axis_to_the_earth():
+    """A body with its long axis (z, the least moment) 0.1 rad off the nadir is turned towards it, as the closed form says."""
+    inertia = np.diag([1.3, 1.3, 0.4])
+    attitude = np.tile(Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix(), (1, 2, 1, 1))
+    term = GravityGradient(np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, 3e-6), inertia)
+    seen = States(attitude, np.zeros((1, 2, 3)))
+    pushed = term.added_by_torque(seen, np.array([10.0]))[0, 0]
+    nadir = attitude[0, 0] @ [0.0, 0.0, 1.0]
+    torque = 3e-6 * np.cross(nadir, inertia @ nadir)
+    assert np.allclose(pushed[3:], 10 * torque / np.diag(inertia), rtol=1e-9, atol=1e-15)
+    assert np.allclose(pushed[:3], 50 * torque / np.diag(inertia), rtol=1e-9, atol=1e-15)
+
+
+def test_opposite_panels_see_sun_and_earth_as_one_vector():
+    rng = np.random.default_rng(12)
+    seen = motions(rng, count=1)
+    term = panels(rng, known=False)
+    light = np.array([0.1, -0.05, 0.08])
+    u = np.zeros((1, len(term.unknowns())))
+    u[0, 6:9] = light / np.linalg.norm(term.earth.light_N[0, 0])
+    earth = EarthLight(term.earth.light_N, np.zeros(6))
+    more, _ = earth.on_panels(term.response, term.gain, seen.attitude, u[:, 6:])
+    share = more / term.full_sun
+    both = np.einsum("knij,j->kni", seen.attitude, light)
+    assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
+
+
+def test_a_search_uses_differences_of_opposite_panels():
+    term = panels(np.random.default_rng(12), known=False)
+    (loose,) = term.for_search()
+    share = term.power / term.full_sun
+    brighter = np.maximum(share - np.roll(share, 3, axis=1), 0.0)
+    assert np.allclose(loose.power / term.full_sun, brighter) and loose.earth is None
+    error = 0.03 / term.full_sun
+    assert (loose.sigma / term.full_sun >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
+    assert not loose.unknowns()
+
+
+def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():
+    rng = np.random.default_rng(13)
+    term = replace(panels(rng, known=False), earth=None)
+    lit = np.array([1.0, 1.0, 0.5, 0.0, 0.0, 0.0])
+    here = Surroundings(np.tile([0.0, 0.0, 1.0], (N, 1)), lit=lit, lit_sigma=np.full(N, 0.001))
+    placed = term.placed(here)
+    assert list(placed.present()) == [True, True, True, False, False, False]
+    assert placed.scale_sigma[2] > 0.5 and placed.scale_sigma[0] == 0.05
+    seen = motions(rng, count=1)
+    (residual,) = placed.residuals(seen, np.zeros((1, len(placed.unknowns()))))
+    assert np.abs(residual.by_turn[:, 3:]).max() == 0.0
+    assert np.allclose(residual.value[0, 4, :6], -placed.power[4] / placed.dark_sigma[4])
+
+
+def test_directions_of_a_field_have_axes_that_turn():
+    assert (
+        FieldDirection.axes_rad_s == FIELD_TURN
+        and not known_field(np.random.default_rng(1)).axes_rad_s
+    )
+
+
+def bent_by_a_magnetometer(off, zero_sigma, matrix, matrix_sigma):
+    """Return the fit of a cube that a wrong magnetometer watches, begun at its true motion, and the true rates (n, 3)."""
+    data, run = cube_with_late_sensor("field", 0.0, np.random.default_rng(4), 9)
+    part = replace(MAGNETOMETER, zero_sigma=np.full(3, zero_sigma))
+    vehicle = replace(CUBE, sensors=Sensors(magnetometer=part))
+    read = (data["field_B"].values + off) @ matrix.T
+    data = data.assign(field_B=(("time", "axis"), read))
+    obs = observe(assess(vehicle, data)).obs
+    terms = tuple(
+        replace(term, matrix_sigma=matrix_sigma) if isinstance(term, FieldChange) else term
+        for term in obs.terms
+    )
+    obs = replace(obs, terms=terms).of_pass(np.arange(len(obs)))
+    model = Model(obs, Body.of(vehicle), Noise(1e-5), 0.05)
+    attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
+    sun_N = attitude[0].T @ run["sun_B"].values[0]
+    begin = np.zeros((1, len(model.unknowns)))
+    truth = run["omega_B"].values
+    start = Track((attitude @ facing(sun_N))[None], truth[None], begin)
+    return fit(model, start, 60), truth
+
+
+def pull_of(one, truth):
+    """Return the rms of the rates' errors over their sigmas."""
+    off = one.motions.omega[0] - truth
+    covariance = one.motions.covariance[0, :, 3:, 3:]
+    return np.sqrt(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off).mean() / 3)
+
+
+@pytest.mark.evidence(
+    "rates", "modelled", "a simulated magnetometer whose zero is off by its stated sigma"
+)
+def test_an_uncertain_magnetometer_zero_is_estimated():
+    """Taken for exact, a zero off by a third of the field bends the motion by many sigmas; with its sigma stated it does not."""
+    off = np.array([0.3, -0.25, 0.2])
+    exact, known = (bent_by_a_magnetometer(off, sigma, np.eye(3), 0.0) for sigma in (0.0, 0.3))
+    assert pull_of(*known) < 1.6 < 2.5 < pull_of(*exact)
+
+
+@pytest.mark.evidence(
+    "rates", "modelled", "a simulated magnetometer with soft iron and an uncalibrated zero"
+)
+def test_an_uncertain_magnetometer_matrix_is_estimated():
+    """Of a fast spinner soft iron turns the axis by degrees: by more sigmas if the matrix is taken for exact."""
+    rng, pulls = np.random.default_rng(3), []
+    for _ in range(6):
+        matrix = np.eye(3) + 0.05 * rng.normal(size=(3, 3))
+        cases = [bent_by_a_magnetometer(np.zeros(3), 0.0, matrix, sigma) for sigma in (0.0, 0.05)]
+        pulls.append([pull_of(*each) for each in cases])
+    exact, known = np.transpose(pulls)
+    assert np.median(known) < 1.3 and known.max() < 2 and (exact > known).all(), pulls
+
+
+def test_without_albedo_no_light_of_the_earth_is_estimated():
+    data, _ = cube_with_faults((), np.random.default_rng(1))
+    read, _ = Panels.read(assess(CUBE, data))
+    assert read.earth_share < FAINT and read.of_pass(data["time"].values).earth is None

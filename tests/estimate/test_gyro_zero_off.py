@@ -1,0 +1,77 @@
+"""A gyro whose zero is off though the vehicle file takes it for known: the rates are right, and the gyro does not fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin.estimate.alternatives import another_zero
+from sunspin.estimate.evidence import restated
+from sunspin.estimate.model import Body, Model, Noise, Track
+from sunspin.estimate.observe import observe
+from sunspin.estimate.rates import rates
+from sunspin.estimate.settings import GYRO_ZEROS, RATES
+from sunspin.telemetry.assess import assess
+from validation.passes import ZERO_OFF, compare_with_truth, make
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """Return a pass of six panels and a gyro whose zero is off by half a degree a second."""
+    return make("fault: gyro zero off", 0, 3)
+
+
+def stated(simulated) -> Model:
+    """Return the model of the pass as its vehicle file has it."""
+    obs = observe(assess(simulated.vehicle, simulated.telemetry)).obs
+    return Model(obs, Body.of(simulated.vehicle), Noise(1e-4), 0.075)
+
+
+def test_a_zero_that_is_stated_is_doubted_and_one_that_is_not_is_free_anyway(simulated):
+    (other,) = another_zero(stated(simulated), RATES.alternatives)
+    zeros = [unknown for unknown in other.unknowns if unknown.kind == "gyro_zero"]
+    assert [unknown.sigma for unknown in zeros] == [GYRO_ZEROS[0]] * 3
+    assert all(unknown.doubted and len(unknown.shares) == len(GYRO_ZEROS) for unknown in zeros)
+    assert np.isclose(other.log_prior, np.log(0.05 / 0.95))
+    assert not list(another_zero(other, RATES.alternatives))
+
+
+def test_unknowns_keep_their_size_in_the_sigmas_of_another_model(simulated):
+    model = stated(simulated)
+    (other,) = another_zero(model, RATES.alternatives)
+    u = np.random.default_rng(0).normal(size=(2, len(model.unknowns)))
+    motions = Track(np.zeros((2, 1, 3, 3)), np.zeros((2, 1, 3)), u)
+    sizes = u * [unknown.sigma for unknown in model.unknowns]
+    again = restated(motions, model, other).u * [unknown.sigma for unknown in other.unknowns]
+    np.testing.assert_allclose(again, sizes)
+    assert not np.allclose(restated(motions, model, other).u, u)
+
+
+def test_an_axis_whose_zero_is_exact_has_an_unknown_as_the_others_have(simulated):
+    """Another zero frees all three axes, and its unknowns take the places of those of the file."""
+    gyro = replace(simulated.vehicle.sensors.gyro, zero_sigma=np.array([3.0, 3.0, 0.0]))
+    vehicle = replace(simulated.vehicle, sensors=replace(simulated.vehicle.sensors, gyro=gyro))
+    obs = observe(assess(vehicle, simulated.telemetry)).obs
+    model = replace(stated(simulated), obs=obs)
+    (other,) = another_zero(model, RATES.alternatives)
+    assert [x.name for x in model.unknowns] == [x.name for x in other.unknowns]
+    sigmas = [x.sigma for x in model.unknowns if x.kind == "gyro_zero"]
+    np.testing.assert_allclose(sigmas, abs(gyro.scale_rad_s) * np.array([3.0, 3.0, 0.003]))
+
+
+def test_the_rates_are_right_and_the_gyro_is_named(simulated):
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=0.15)
+    row = compare_with_truth(result, simulated)
+    assert not row["decided"] and row["why"] == "POOR FIT (gyro)"
+    assert row["pull"] < 3 and row["miss_deg_s"] < np.degrees(ZERO_OFF) / 10
+    assert result["model"].values.tolist() == ["another zero offset of the gyro"]
+
+
+def test_a_gyro_with_the_zero_of_the_file_is_believed(simulated):
+    off = (simulated.telemetry["gyro_B"].values - simulated.omega).mean(axis=0)
+    read = simulated.telemetry["gyro_B"].values - off
+    right = simulated.telemetry.assign(gyro_B=(("time", "axis"), read))
+    result = rates(simulated.vehicle, right, max_rate_rad_s=0.15)
+    row = compare_with_truth(result, simulated._replace(telemetry=right))
+    assert row["decided"] and not row["wrong"]
+    assert result["model"].values.tolist() == ["as stated"]

@@ -1,0 +1,245 @@
+"""Readings of a lander as terms: derivatives, the law of outliers, dark readings, noise, throttled samples, given readings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from sunspin.base.errors import InputError
+from sunspin.cases import load_case
+from sunspin.estimate.model import Unknown
+from sunspin.estimate.settings import SPOILT
+from sunspin.estimate.terms.given import (
+    GivenAngle,
+    GivenDirection,
+    GivenRate,
+    GivenSpeed,
+    require_known,
+)
+from sunspin.estimate.terms.powers import PanelPowers, SunStates, panel_turns, tilt_unknowns
+from sunspin.solve.rotations import components_after_rotation
+
+SIGMA, FULL = 0.02, 2.5
+"""Noise of a reading, and brightness: of Philae's panels, in the unit of its gains."""
+
+
+def lander_readings(rng: np.random.Generator, samples: int = 7) -> tuple[PanelPowers, SunStates]:
+    """Return readings of Philae's panels with all kinds of unknowns, and the motions (3) near which they were read."""
+    vehicle = load_case("philae").vehicle
+    panels = len(vehicle.inputs)
+    tilts = tilt_unknowns(vehicle, np.full(panels, 0.02), 0.05)
+    own = (
+        Unknown("log_scale", "scale", "1", float(np.log(FULL)), 0.3),
+        Unknown("log_noise", "noise", "1", 0.0, 0.3),
+        *(Unknown(f"log_gain_{j}", "gain", "1", 0.0, 0.1, j) for j in range(panels)),
+        *tilts,
+    )
+    sun = rng.standard_normal((3, samples, 3))
+    sun /= np.linalg.norm(sun, axis=2, keepdims=True)
+    response = vehicle.response_in()
+    power = np.maximum(
+        FULL * response.power(sun[0]) + 0.1 * rng.standard_normal((samples, panels)), 0
+    )
+    used = rng.random((samples, panels)) > 0.1
+    term = PanelPowers(
+        power,
+        used,
+        np.full(panels, SIGMA),
+        0.05,
+        float(power.max()),
+        response,
+        FULL,
+        own=own,
+        turns=panel_turns(vehicle, own),
+    )
+    return term, SunStates.of(sun, 0.1 * rng.standard_normal(sun.shape))
+
+
+def only(term, seen, u):
+    """Return the one residual of a term."""
+    (residual,) = term.residuals(seen, u)
+    return residual
+
+
+def turned(seen: SunStates, step: np.ndarray) -> SunStates:
+    """Return motions after a turn (3) of the body at every sample."""
+    return SunStates.of(components_after_rotation(seen.sun_B, step), seen.omega)
+
+
+@pytest.mark.parametrize("throttled", [False, True])
+def test_panel_powers_change_as_their_derivatives_say(throttled):
+    """Gains enter through their logarithm. Kaufman's slope of throttled samples is exact for readings that agree."""
+    rng = np.random.default_rng(0)
+    term, seen = lander_readings(rng)
+    if throttled:
+        seen = SunStates.of(seen.sun_B[:1], seen.omega[:1])
+        exact = 0.7 * FULL * term.response.power(seen.sun_B[0])
+        term = replace(term, throttled=True, power=exact, threshold=0.0)
+    u = np.zeros((len(seen.omega), len(term.own)))
+    residual = only(term, seen, u)
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        change = (
+            only(term, turned(seen, step), u).value - only(term, turned(seen, -step), u).value
+        ) / 2e-6
+        off = np.abs(change - residual.by_turn[..., axis])
+        assert np.mean(off > 0.01 * np.abs(change).max()) < 0.01
+    for i, unknown in enumerate(term.own):
+        step = 1e-4 * np.eye(len(term.own))[i]
+        change = (only(term, seen, u + step).value - only(term, seen, u - step).value) / 2e-4
+        off = np.abs(change - residual.by_u[..., i])
+        assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.05, unknown.name
+
+
+def test_a_reading_far_off_costs_no_more_than_its_being_an_outlier():
+    """The cost grows with the square near the prediction, and ends where the reading may be anything; it then has no weight."""
+    term, _ = lander_readings(np.random.default_rng(1))
+    law = term.law(np.zeros((1, len(term.own))))
+    sample, panel = np.argwhere(term.lit)[0]
+
+    def cost(off: float) -> float:
+        value = np.zeros((1, *term.power.shape))
+        value[0, sample, panel] = off
+        costs, weights = law(value)
+        assert off < 50 or weights[0, sample, panel] < 1e-12
+        return float(costs.sum())
+
+    assert cost(0.0) == pytest.approx(0.0, abs=1e-12)
+    assert cost(1.0) == pytest.approx(0.5, rel=0.02)
+    # density at the peak over that of anything up to 1.5 times the largest, half of which is lit
+    peak = (1 - SPOILT) / (SIGMA * np.sqrt(2 * np.pi))
+    anything = SPOILT * 0.5 / (1.5 * term.largest)
+    assert cost(100.0) == pytest.approx(np.log((peak + anything) / anything), rel=1e-9)
+
+
+def test_a_dark_reading_bounds_the_power_from_above():
+    """No power costs nothing, less than the threshold either; beyond it the cost is that of the excess."""
+    term, seen = lander_readings(np.random.default_rng(2))
+    dark = replace(term, power=np.zeros_like(term.power), used=np.ones_like(term.used))
+    away = SunStates.of(np.broadcast_to([0.0, 0.0, -1.0], (1, 7, 3)), np.zeros((1, 7, 3)))
+    u = np.zeros((1, len(term.own)))
+    value = only(dark, away, u).value
+    light = FULL * term.response.power(np.array([0.0, 0.0, -1.0]))
+    np.testing.assert_allclose(value[0, 0], np.maximum(light - 0.05, 0) / SIGMA)
+
+
+def test_the_noise_follows_the_scatter_of_lit_readings():
+    """400 readings that scatter by twice the stated noise give its double; fitted numbers are taken off their count."""
+    rng = np.random.default_rng(3)
+    term, _ = lander_readings(rng, samples=80)
+    term = replace(term, used=np.ones_like(term.used), power=np.ones_like(term.power))
+    value = 2.0 * rng.standard_normal((1, *term.power.shape))
+    u = np.zeros((1, len(term.own)))
+    wide = replace(term.own[1], sigma=10.0)
+    term = replace(term, own=(term.own[0], wide, *term.own[2:]))
+    after = term.best_noise(value, u, np.zeros(1), -5.0)
+    scatter = np.sqrt(np.mean(value**2))
+    assert np.exp(term.log_noise(after))[0] == pytest.approx(scatter, rel=0.02)
+    half = term.best_noise(value, u, np.full(1, value.size / 2), -5.0)
+    assert np.exp(term.log_noise(half))[0] == pytest.approx(scatter * np.sqrt(2), rel=0.05)
+
+
+def test_a_factor_on_a_throttled_sample_changes_no_misfit_of_exact_readings():
+    rng = np.random.default_rng(4)
+    term, seen = lander_readings(rng)
+    exact = FULL * term.response.power(seen.sun_B[0])
+    factors = np.linspace(0.2, 1.0, len(exact))[:, None]
+    term = replace(
+        term, power=factors * exact, used=np.ones_like(term.used), threshold=0.0, throttled=True
+    )
+    value = only(
+        term, SunStates.of(seen.sun_B[:1], seen.omega[:1]), np.zeros((1, len(term.own)))
+    ).value
+    assert np.abs(value).max() < 1e-9
+
+
+def test_the_density_of_a_lit_reading_is_one_over_all_readings():
+    """What it may read above the threshold, and the probability of a dark reading, are one for a Sun that no panel sees."""
+    term, _ = lander_readings(np.random.default_rng(5))
+    away = np.array([[[0.0, 0.0, -1.0]]])
+    assert term.response.power(away).min() == 0
+    panel = int(np.argmin(term.response.power(away)[0, 0]))
+    used = np.zeros((1, term.power.shape[1]), dtype=bool)
+    used[0, panel] = True
+    seen, u = SunStates.of(away, np.zeros((1, 1, 3))), np.zeros((1, len(term.own)))
+    largest = term.largest
+
+    def density(read: float) -> float:
+        power = np.zeros((1, term.power.shape[1]))
+        power[0, panel] = read
+        one = replace(term, power=power, used=used, largest=largest)
+        return float(np.exp(one.log_density(seen, u)[0]))
+
+    # of the Gaussian the part above the threshold; of the outliers the lit half
+    lit = quad(density, 0.05 + 1e-9, 1.5 * largest, limit=400, points=[0.1, 0.2])[0]
+    expected = (1 - SPOILT) * norm.sf(0.05 / SIGMA) + SPOILT * 0.5 * (1 - 0.05 / (1.5 * largest))
+    assert lit == pytest.approx(expected, rel=1e-3)
+    # dark: relative to no power, so that a panel turned away says nothing
+    assert density(0.0) == pytest.approx(1 - SPOILT + SPOILT * 0.5)
+
+
+GIVEN = [
+    (GivenSpeed, {"kind": "rate", "t_s": 3.0, "value": 0.2, "sigma": 0.01}),
+    (GivenRate, {"kind": "gyro", "t_s": 3.0, "value": [0.1, 0.2, -0.1], "sigma": 0.01}),
+    (GivenDirection, {"kind": "direction", "t_s": 3.0, "value": [0.0, 0.6, 0.8], "sigma": 0.02}),
+    (
+        GivenAngle,
+        {"kind": "field", "t_s": 3.0, "value": [0.0, 3.0, 4.0], "sigma": 0.02, "angle_rad": 1.1},
+    ),
+]
+
+
+@pytest.mark.parametrize(("kind", "given"), GIVEN)
+def test_given_readings_change_as_their_derivatives_say(kind, given):
+    rng = np.random.default_rng(6)
+    _, seen = lander_readings(rng)
+    term, none = kind.of(given, 2, 7), np.zeros((3, 0))
+    residual = only(term, seen, none)
+    assert not np.delete(residual.value, 2, axis=1).any()
+    assert term.present().tolist() == [False, False, True, False, False, False, False]
+    for axis in np.eye(3):
+        step = 1e-6 * axis
+        change = (
+            only(term, turned(seen, step), none).value - only(term, turned(seen, -step), none).value
+        ) / 2e-6
+        by_turn = 0.0 if residual.by_turn is None else residual.by_turn @ axis
+        np.testing.assert_allclose(change, by_turn + np.zeros_like(change), atol=1e-5)
+        faster = SunStates.of(seen.sun_B, seen.omega + step)
+        slower = SunStates.of(seen.sun_B, seen.omega - step)
+        change = (only(term, faster, none).value - only(term, slower, none).value) / 2e-6
+        by_rate = 0.0 if residual.by_rate is None else residual.by_rate @ axis
+        np.testing.assert_allclose(change, by_rate + np.zeros_like(change), atol=1e-5)
+
+
+def test_given_readings_agree_with_the_motion_that_they_describe():
+    sun = np.array([0.0, 0.6, 0.8])
+    omega = np.array([0.1, 0.2, -0.1])
+    seen = SunStates.of(np.tile(sun, (1, 7, 1)), np.tile(omega, (1, 7, 1)))
+    values = {"rate": np.linalg.norm(omega), "gyro": omega, "direction": sun, "field": [1.0, 0, 0]}
+    for kind, given in GIVEN:
+        right = given | {"value": values[given["kind"]]}
+        right |= {"angle_rad": np.pi / 2} if kind is GivenAngle else {}
+        assert np.abs(only(kind.of(right, 2, 7), seen, np.zeros((1, 0))).value).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"kind": "torque", "t_s": 3.0, "value": 1.0, "sigma": 1.0}, "an observation has kind"),
+        (GIVEN[3][1] | {"more": 1}, "angle_rad"),
+        (GIVEN[0][1] | {"t_s": 99.0}, "outside the window"),
+    ],
+)
+def test_observations_that_make_no_sense_are_refused(wrong, said):
+    with pytest.raises(InputError, match=said):
+        require_known([wrong], 0.0, 10.0)
+
+
+@pytest.mark.parametrize("sigma", [0.0, -1.0, np.inf])
+def test_a_given_reading_needs_a_positive_sigma(sigma):
+    with pytest.raises(InputError, match="positive sigma"):
+        GivenRate.of(GIVEN[1][1] | {"sigma": sigma}, 2, 7)

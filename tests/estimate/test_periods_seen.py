@@ -1,0 +1,188 @@
+"""Periods seen from outside: Euler's rates against closed forms and the reference motion, and probabilities of solutions."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.base.errors import InputError
+from sunspin.estimate import periods as pd
+from sunspin.estimate.model import Body, Observations, Track
+from sunspin.estimate.rates import rates
+from sunspin.estimate.solutions import Solutions
+from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
+from sunspin.vehicle import Vehicle
+from validation.many_passes import make_period
+
+WHEELED = Vehicle(
+    "cube",
+    inertia_kg_m2=np.diag([0.04, 0.042, 0.03]),
+    wheels=[ss.Wheel("w", [0, 0.6, 0.8], 1e-3, speed_rad_s=1.0)],
+)
+RATES = np.array([[0.05, -0.02, 0.09], [0.03, 0.01, 0.2]])
+
+
+@pytest.mark.parametrize("wheel", [0.0, 3.0])
+def test_periods_of_a_symmetric_body_agree_with_the_textbook(wheel):
+    """Precession |H| / A whatever spins along the axis, nutation none; spin is what is left of the rate about the axis."""
+    A, C = 13.0, 16.0
+    omega = np.array([[0.1, 0.2, 0.3], [0.1, -0.1, -0.4], [0.0, 0.05, 0.0]])
+    momentum = omega * [A, A, C] + [0, 0, wheel]
+    precession, spin, total = pd.euler_rates(omega, momentum, np.array([0.0, 0.0, 1.0])).T
+    size = np.linalg.norm(momentum, axis=1)
+    np.testing.assert_allclose(precession, size / A, rtol=1e-12)
+    np.testing.assert_allclose(spin, omega[:, 2] - momentum[:, 2] / A, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        total, precession + spin * np.where(momentum[:, 2] < 0, -1, 1), rtol=1e-9
+    )
+
+
+def test_a_pure_spin_has_one_period_only():
+    omega = np.array([[0, 0, 0.4], [0, 0, -0.4]])
+    periods = 2 * np.pi / pd.euler_rates(omega, 15 * omega, np.array([0, 0, 1.0]))
+    assert np.isnan(periods[:, :2]).all() and periods[:, 2] == pytest.approx([5 * np.pi] * 2)
+    seen = [ss.Period(0.0, 15.7, 1.0)]
+    weighed = pd.weigh_draws(seen, [periods], np.array([0.5, 0.5]))
+    np.testing.assert_allclose(weighed.shares, [[0, 0, 1]], atol=1e-12)
+
+
+def test_weights_by_a_period_are_the_mean_of_three_densities():
+    """Spins of 10 to 20 s even, the others far away: the weighted mean is the period seen, and it is the spin."""
+    n = 4000
+    periods = np.stack([np.full(n, 90.0), np.linspace(10, 20, n), np.full(n, np.nan)], axis=1)
+    seen, even = [ss.Period(0.0, 14.0, 1.0)], np.full(n, 1 / n)
+    weighed = pd.weigh_draws(seen, [periods], even)
+    assert weighed.weight.sum() == pytest.approx(1)
+    assert weighed.weight @ periods[:, 1] == pytest.approx(14.0, abs=0.01)
+    assert weighed.effective == pytest.approx(n * 2 * np.sqrt(np.pi) / 10, rel=0.01)
+    np.testing.assert_allclose(weighed.shares, [[0, 1, 0]], atol=1e-12)
+    both = pd.weigh_draws(seen, [periods[:, [1, 1, 0]]], even)
+    np.testing.assert_allclose(both.shares, [[0.5, 0.5, 0]], atol=1e-12)
+
+
+def two_solutions(probability, sigma=1e-6):
+    """A pass of three samples with two solutions of constant rates and a body of known inertia."""
+    body = replace(Body.of(WHEELED), errors=np.zeros((0, 3, 3)))
+    t_s = np.array([0.0, 40.0, 80.0])
+    mean_moment = np.trace(WHEELED.require_inertia()) / 3
+    momentum = np.tile(1e-3 * np.array([0, 0.6, 0.8]) / mean_moment, (3, 1))
+    omega = np.repeat(RATES[:, None], 3, axis=1)
+    covariance = np.broadcast_to(sigma**2 * np.eye(6), (2, 3, 6, 6))
+    attitude = np.broadcast_to(np.eye(3), (2, 3, 3, 3))
+    track = Track(attitude, omega, np.zeros((2, 0)), np.zeros(2), covariance)
+    obs = Observations(t_s, momentum, ())
+    known = np.full((2, 3), sigma)
+    nothing: dict = {}
+    one = Solutions(
+        obs,
+        np.arange(3),
+        track,
+        np.array(probability),
+        RATES,
+        known,
+        {},
+        ("as stated", 1.0),
+        np.zeros(2),
+        (nothing, nothing),
+        1.0,
+    )
+    return one, body
+
+
+def test_periods_of_solutions_agree_with_the_reference_motion():
+    """Free motion with a wheel that is held, before and after the sample nearest to what was seen."""
+    seen = ss.Period(45.0, 25.0, 0.5)
+    periods = pd.periods_of(*two_solutions([0.5, 0.5]), seen).reshape(2, -1, 3)
+    instants = seen.t_s + np.linspace(-2, 2, 9) * seen.period_s - 40.0
+    inertia = WHEELED.require_inertia()
+    for omega, of_draws in zip(RATES, periods, strict=True):
+        before = np.array([0.0, *sorted(instants[instants < 0], reverse=True)])
+        after = np.array([0.0, *instants[instants > 0]])
+        runs = [
+            ss.propagate(WHEELED, omega, [0, 0, 1], 1.0, t, wheel_mode="hold")["omega_B"].values[1:]
+            for t in (before, after)
+        ]
+        rate = np.concatenate(runs)
+        momentum = rate @ inertia + 1e-3 * np.array([0, 0.6, 0.8])
+        mean = pd.euler_rates(rate, momentum, pd.own_axis(inertia)).mean(axis=0)
+        np.testing.assert_allclose(np.median(of_draws, axis=0), 2 * np.pi / np.abs(mean), rtol=2e-3)
+
+
+def test_a_period_that_may_be_another_counts_both():
+    """Two solutions of unlike periods: a column that may have either keeps their probabilities, times those of the column."""
+    one, body = two_solutions([0.5, 0.5])
+    # the sum of precession and spin, averaged over four of the periods seen; the period of either solution is that of no other
+    seen_s = 62.0
+    draws = pd.periods_of(one, body, ss.Period(40.0, seen_s, 0.5)).reshape(2, -1, 3)
+    of_each = np.median(draws, axis=1)
+    first_s, second_s = of_each[:, 2]
+    other = LikelyPeriod(float(second_s), 0.5, 0.25)
+    seen = FoundPeriod(40.0, float(first_s), 0.5, 0.75, 1e-4, (other,))
+    (after,), attrs = pd.weigh_by_periods([one], body, [seen], [0])
+    # the precession of the first has nearly the same period: two of its three rotations count
+    near = np.exp(-0.5 * ((of_each - of_each[:, 2:]) / 0.5) ** 2).sum(axis=1) * [0.75, 0.25]
+    assert after.probability == pytest.approx(near / near.sum(), abs=0.02)
+    (row,) = json.loads(attrs["periods"])
+    assert row["told"] and row["carried"] > 0.99
+    elsewhere = replace(seen, t_s=1e5)
+    unchanged, attrs = pd.weigh_by_periods([one], body, [elsewhere], [0])
+    assert unchanged == [one] and attrs == {}
+    sure = replace(seen, probability=1.0, aliases=())
+    (after,), _ = pd.weigh_by_periods([one], body, [sure], [0])
+    assert after.probability[0] > 0.99
+
+
+def test_a_period_reweights_solutions_and_names_the_kind_of_rotation():
+    one, body = two_solutions([0.8, 0.2])
+    at_40 = ss.Period(40.0, 25.0, 0.5)
+    periods = np.median(pd.periods_of(one, body, at_40).reshape(2, -1, 3), axis=1)
+    of_second = ss.Period(40.0, float(periods[1, 0]), 0.5)
+    (after,), attrs = pd.weigh_by_periods([one], body, [of_second], [3])
+    (row,) = json.loads(attrs["periods"])
+    assert after.probability[1] > 0.99 and np.array_equal(after.without_periods, [0.8, 0.2])
+    assert row["told"] and row["pass"] == 3
+    assert row["shares"][0] > 0.9 and row["without"] == pytest.approx([0.2, 0.8])
+
+    # a period that none has, and one that only an unlikely solution has
+    (same,), attrs = pd.weigh_by_periods([one], body, [ss.Period(40.0, 400.0, 0.5)], [0])
+    (row,) = json.loads(attrs["periods"])
+    assert np.array_equal(same.probability, one.probability)
+    assert not row["told"] and row["nearest_sigmas"] > pd.FAR_SIGMAS
+    rare, body = two_solutions([0.99, 0.01])
+    (kept,), attrs = pd.weigh_by_periods([rare], body, [of_second], [0])
+    (row,) = json.loads(attrs["periods"])
+    assert np.array_equal(kept.probability, rare.probability)
+    assert not row["told"] and row["carried"] == pytest.approx(0.01)
+
+
+def test_a_period_at_a_time_of_no_pass_is_refused():
+    one, body = two_solutions([0.8, 0.2])
+    with pytest.raises(InputError, match=r"time of no pass .*; passes are at 0 to 80 s"):
+        pd.weigh_by_periods([one], body, [ss.Period(200.0, 25.0, 0.5)], [0])
+
+
+def test_drawn_inertias_scatter_as_the_file_says_and_a_sphere_has_one():
+    rng = np.random.default_rng(0)
+    body = Body.of(WHEELED)
+    drawn = np.concatenate([pd.drawn_inertias(body, rng) for _ in range(200)])
+    spread = np.sqrt(((drawn - body.inertia) ** 2).mean(axis=0))
+    np.testing.assert_allclose(spread, np.abs(body.errors).max(axis=0), rtol=0.1)
+    sphere = Body.of(replace(WHEELED, inertia_kg_m2=None, wheels=()))
+    assert (pd.drawn_inertias(sphere, rng) == np.eye(3)).all()
+
+
+def test_rates_with_a_period_keep_probabilities_with_and_without_it():
+    simulated, period = make_period(0, 0)
+    result = rates(
+        simulated.vehicle,
+        simulated.telemetry,
+        max_rate_rad_s=simulated.max_rate_rad_s,
+        periods=[period],
+    )
+    before = result["probability_without_periods"]
+    assert before.dims == ("pass_id", "solution")
+    assert result["probability"].values[0].sum() == pytest.approx(1, abs=1e-2)
+    assert result["probability"].values[0, 0] > before.values[0, 0]
+    assert json.loads(result.attrs["periods"])[0]["told"]

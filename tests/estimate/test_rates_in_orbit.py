@@ -1,0 +1,318 @@
+"""Passes in an orbit, spinners, a field alone, sensors that are late, and gravity: whole passes. All telemetry is synthetic."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.base.errors import InputError
+from sunspin.environment import circular
+from sunspin.environment.frames import FIELD_Z_LOCAL
+from sunspin.environment.orbit import SunAlongZ
+from sunspin.estimate.field_led import field_of
+from sunspin.estimate.model import Body, Model, Noise, Track
+from sunspin.estimate.observe import FIELD_ALONE, observe, split, thinned
+from sunspin.estimate.one_pass import no_faster
+from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.rates import along_the_sun, rates
+from sunspin.estimate.settings import FIELD_TURN, RATES
+from sunspin.estimate.terms.field import FieldChange, KnownField
+from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.verdict import COLUMNS_UNCHECKED
+from sunspin.output.export import build_attitude
+from sunspin.telemetry.assess import assess
+from sunspin.telemetry.synthetic import telemetry_dataset
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle.sensors import Clock, Disturbance, Magnetometer, Sensors
+from tests.support.orbit_cases import one_pass, orbit_of, pass_against_truth, rates_case
+from tests.support.simulate import cube_with_late_sensor, cube_with_sensor
+from validation import spinners
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Return vehicle, telemetry, orbit, calibration, truth and begin of a pass of a CubeSat with a dipole under clouds."""
+    vehicle, data, elements, truth, about = rates_case(1, 3, patches=1000)
+    orbit = replace(orbit_of(elements, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
+    calibration = along_orbit(orbit, assess(vehicle, data))
+    return vehicle, data, orbit, calibration, truth, about["begin_s"][0]
+
+
+def middle_rate(result, k=0):
+    """Return rate and sigma (3) of pass `k` at its middle sample, and the time of that."""
+    t_s = result["time"].values[result["pass_of"].values == k]
+    at_s = t_s[np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2))]
+    rate, sigma = (
+        np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
+        for name in ("omega", "sigma")
+    )
+    return rate, sigma, at_s
+
+
+def test_a_sample_in_the_shadow_uses_its_field_and_requires_dark_panels(case):
+    vehicle, data, orbit, calibration, _, _ = case
+    assessment = assess(vehicle, data)
+    known = observe(assessment, None, SunAlongZ(orbit), calibration)
+    plain = observe(assessment)
+    panels, field = known.obs.terms[:2]
+    assert isinstance(panels, Panels) and isinstance(field, KnownField)
+    dark = np.flatnonzero(panels.sun_up == 0)
+    assert len(dark) and set(known.why[dark]) == {FIELD_ALONE + "no panel lit"}
+    assert len(known.usable) == len(data["time"]) > len(plain.usable)
+    assert np.isfinite(panels.sigma[dark]).all() and not known.obs.sees_sun[dark].any()
+    stated = Model(known.obs, Body.of(vehicle), Noise(1e-4), 0.1)
+    assert field_of(stated.seeing(dark[:6])) is not None and field_of(stated) is None
+
+
+def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
+    vehicle, data, *_ = case
+    t_s = 5.0 * np.arange(60)
+    power = np.zeros((60, len(vehicle.panels)))
+    power[:15, 0] = power[-15:, 0] = 1.0  # 150 s without a Sun
+    alone = telemetry_dataset(
+        vehicle, t_s, power, np.tile([1.0, 0.0, 0.0], (60, 1)), "2026-01-01T00:00:00Z", {}
+    )
+    turned = Rotation.from_rotvec(0.02 * t_s[:, None] * [[0.0, 0.0, 1.0]])
+    field = alone.assign(field_B=(("time", "axis"), 3e4 * turned.apply([0.6, 0.0, 0.8])))
+    counts = [
+        len(split(observe(assess(vehicle, each)), None, RATES.passes)) for each in (alone, field)
+    ]
+    assert counts == [2, 1]
+
+
+def test_a_pass_that_begins_in_the_dark_keeps_its_samples_close_where_the_sun_is_seen():
+    settings = RATES.passes
+    places = thinned(400, settings, 200)
+    steps = np.diff(places)
+    assert len(places) <= settings.kept and places[0] == 0 and places[-1] == 399
+    assert steps[np.searchsorted(places, 200)] == 1 and steps[0] > 5 and steps[-1] > 5
+
+
+def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(case):
+    vehicle, data, *_ = case
+    obs = observe(assess(vehicle, data)).obs.take(np.arange(4))
+    model = Model(obs, Body.of(vehicle), Noise(1e-4), rate_sigma=0.5)
+    omega = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]])[:, None] * np.ones((4, 1))
+    motions = Track.free(np.tile(np.eye(3), (2, 4, 1, 1)), omega)
+    fitting = replace(motions, cost=np.array([1.0, 0.5]))
+    assert len(no_faster(model, fitting, RATES.search)) == 1
+    assert len(no_faster(model, replace(motions, cost=np.array([1e3, 0.5])), RATES.search)) == 2
+
+
+def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(case):
+    """The calibration has the zero's error, in tesla; that of the vehicle file is in the unit of the columns."""
+    vehicle, data, orbit, calibration, _, _ = case
+    part = replace(vehicle.sensors.magnetometer, zero_sigma=np.full(3, 4.0))
+    stated = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=part))
+    found = []
+    for craft in (vehicle, stated):
+        seen = observe(assess(craft, data), None, SunAlongZ(orbit), calibration)
+        (known,) = (term for term in seen.obs.terms if isinstance(term, KnownField))
+        found.append([(one.name, one.sigma) for one in known.unknowns()])
+        assert sum(isinstance(term, FieldChange) for term in seen.obs.terms) == 0
+    assert found[0] == found[1]
+
+
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "a simulated CubeSat in its orbit, under clouds")
+def test_a_pass_in_its_orbit_has_the_true_rate_and_its_attitude_in_J2000(case):
+    vehicle, data, orbit, calibration, truth, begin_s = case
+    result = rates(vehicle, one_pass(data, begin_s), environment=orbit, calibration=calibration)
+    found = pass_against_truth(result, truth, 0)
+    assert result.attrs["frame_N"] == "J2000" and result.attrs["field_used"] == 1
+    assert found["attitude_deg"] < 6 and max(np.abs(found["pulls"])) < 4 and not found["wrong"]
+    assert result["turn_sigma_rad"].values.max() < 0.3
+    quaternion, of_pass = result["B_from_N"].values, result["pass_of"].values
+    same = np.diff(of_pass) == 0
+    assert np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1])[same].min() > 0
+    message = build_attitude(result)
+    assert message.number == str(orbit.elements[0].number)
+    assert message.centre == "EARTH" and message.name != "UNKNOWN"
+
+
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "the same CubeSat with its magnetometer alone")
+def test_a_field_that_an_orbit_knows_leads_the_search_without_a_sun(case):
+    vehicle, data, orbit, calibration, truth, begin_s = case
+    field = one_pass(data, begin_s).drop_vars(["power_W", "panel"])
+    result = rates(vehicle, field, environment=orbit, calibration=calibration)
+    found = pass_against_truth(result, truth, 0)
+    assert result.attrs["source"] == "field" and found["listed"]
+    assert max(np.abs(found["pulls"])) < 5
+
+
+CUBE = Vehicle(
+    "cube",
+    np.diag([0.02, 0.028, 0.012]),
+    panels=(Panel("+X", [1, 0, 0], 1.0),),
+    gain_unit="W",
+    telemetry=TelemetryForm(noise=0.01),
+    sensors=Sensors(
+        magnetometer=Magnetometer(
+            ("x", "y", "z"), np.zeros(3), 400.0, zero_sigma=np.full(3, 300.0)
+        ),
+        disturbance=Disturbance(acceleration_noise=2e-5, max_rate_rad_s=0.05),
+    ),
+)
+
+
+def field_alone(seed):
+    """Return the magnetometer of a free body in a field that turns by 0.1 deg/s, and its rates."""
+    rng = np.random.default_rng(seed)
+    t_s = 15.0 * np.arange(24)
+    run = ss.propagate(CUBE, np.radians(1.5) * rng.normal(size=3), [0.6, 0.0, 0.8], None, t_s)
+    axis = rng.normal(size=3)
+    turned = Rotation.from_rotvec(1.7e-3 * t_s[:, None] * axis / np.linalg.norm(axis))
+    field = Rotation.from_quat(run["B_from_N"].values).apply(3e4 * turned.apply([0.2, 0.5, -0.8]))
+    read = field + 400 * rng.normal(size=field.shape)
+    sun = run["sun_B"].values
+    data = telemetry_dataset(CUBE, t_s, np.ones((24, 1)), sun, "2026-01-01T00:00:00Z", {})
+    data = data.assign(field_B=(("time", "axis"), read)).drop_vars(["power_W", "panel"])
+    return data, run["omega_B"].values
+
+
+@pytest.mark.evidence("rates", "modelled", "a simulated magnetometer alone, without an orbit")
+def test_rates_of_a_field_alone_are_right_and_the_sun_is_unknown():
+    pulls = []
+    for seed in (1, 2, 3):
+        data, omega = field_alone(seed)
+        result = rates(CUBE, data)
+        rate, sigma, at_s = middle_rate(result)
+        pulls.append((rate - omega[data["time"].values == at_s][0]) / sigma)
+        assert np.all(sigma > FIELD_TURN / np.sqrt(3)) and result.attrs["frame_N"] == FIELD_Z_LOCAL
+        assert np.isnan(result["sun_B"].values).all()
+        assert np.isfinite(result["field_direction_B"].values).all()
+        assert "NO ORBIT" in result.attrs["verdict"] and result.attrs["field_used"] == 1
+        # a reversed axis of the sensor would fit with the mirrored motion
+        assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
+    assert np.abs(pulls).max() < 4
+
+
+def test_a_field_alone_needs_its_noise():
+    part = replace(CUBE.sensors.magnetometer, noise=None)
+    blunt = replace(CUBE, sensors=replace(CUBE.sensors, magnetometer=part))
+    with pytest.raises(InputError, match="needs its `noise` in the vehicle file, or an orbit"):
+        rates(blunt, field_alone(1)[0])
+
+
+@pytest.mark.evidence("rates", "modelled", "simulated sensors that are read late, and prompt ones")
+@pytest.mark.parametrize(
+    ("kind", "seed", "late_s"),
+    [("gyro", 101, 5.0), ("gyro", 101, 0.0), ("attitude", 102, -4.0), ("field", 101, 5.0)],
+)
+def test_a_stated_time_offset_is_estimated_within_its_sigma(kind, seed, late_s):
+    data, run = cube_with_late_sensor(kind, late_s, np.random.default_rng(seed))
+    result = rates(cube_with_sensor(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
+    found, sigma = result.attrs["sensors_late_s"], result.attrs["sensors_late_sigma_s"]
+    assert abs(found - late_s) < 3.5 * sigma and sigma < 1.5
+    assert "late (vehicle file and data)" in result.attrs["verdict"]
+    truth = run["omega_B"].sel(time=result["time"]).values
+    assert np.abs(result["omega_mean_B"].values[0, 0] - truth.mean(axis=0)).max() < np.radians(0.1)
+    assert result["decided"].values[0]
+
+
+def test_a_late_gyro_of_which_the_file_says_nothing_does_not_fit():
+    data, _ = cube_with_late_sensor("gyro", 5.0, np.random.default_rng(101))
+    result = rates(cube_with_sensor("gyro", None), data, max_rate_rad_s=0.15)
+    assert not result["decided"].values[0]
+    assert np.isnan(result.attrs["sensors_late_s"]) and "late" not in result.attrs["verdict"]
+
+
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "a simulated spinner with a large unknown zero")
+def test_a_spinner_with_a_large_zero_has_the_true_rate(tmp_path):
+    spin = spinners.Case(
+        5,
+        2,
+        -6.0,
+        1,
+        1.0,
+        ("+X", "-Y"),
+        spinners.AS_MOUNTED,
+        (0.9, -0.6, 0.4),
+        True,
+        1.3,
+        True,
+        0.1,
+        2.0,
+        150,
+    )
+    truth = spinners.make(spin, tmp_path)
+    craft = ss.load_vehicle(tmp_path / "vehicle.toml")
+    result = rates(craft, ss.read_telemetry(tmp_path / "telemetry.csv", craft))
+    rate, sigma, at_s = middle_rate(result)
+    true = np.radians(
+        np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - at_s).argmin()]
+    )
+    assert np.abs((rate - true) / sigma).max() < 4 and result["fits"].values[0]
+
+
+ORBIT = circular(1.1e-3, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
+
+
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "a simulated CubeSat that gravity turns")
+def test_gravity_determines_the_turn_about_the_sun():
+    inertia = np.array([[0.042, 0.0005, 0.0], [0.0005, 0.041, -0.001], [0.0, -0.001, 0.009]])
+    cube = Vehicle(
+        "cube",
+        inertia,
+        telemetry=TelemetryForm(quantity="current_A", noise=0.01),
+        panels=[
+            Panel(f"{sign}{axis}", x, 1.0)
+            for axis, e in zip("xyz", np.eye(3), strict=True)
+            for sign, x in (("+", e), ("-", -e))
+        ],
+    )
+    rng, attitude = np.random.default_rng(3), Rotation.random(random_state=4)
+    t_s = np.concatenate([[0.0], np.cumsum(60 * rng.uniform(0.7, 1.3, 29))])
+    run = ss.propagate(
+        cube,
+        np.array([0.004, -0.003, 0.006]),
+        attitude.apply([0, 0, 1]),
+        None,
+        t_s,
+        environment=ORBIT,
+        torques=("gravity_gradient",),
+        B_from_N=attitude.as_quat(),
+    )
+    power = ss.panel_power(cube, run["sun_B"].values)
+    power = np.maximum(power + 0.01 * rng.normal(size=power.shape), 0)
+    data = telemetry_dataset(cube, t_s, power, run["sun_B"].values, "2026-01-01T00:00:00Z", {})
+    options = {"acceleration_noise": 1e-7, "max_rate_rad_s": 0.03, "environment": ORBIT}
+    free = rates(cube, data, **options)
+    pulled = rates(cube, data, torques=("gravity_gradient",), **options)
+    off = [
+        each["omega_B"].values - run["omega_B"].sel(time=each["time"]).values
+        for each in (free, pulled)
+    ]
+    errors = np.mean(off[1] ** 2 / np.einsum("nii->ni", pulled["omega_cov_B"].values))
+    assert np.sqrt(errors) < 1.5 and np.abs(off[1]).mean() < np.abs(off[0]).mean() / 2
+    found = Rotation.from_quat(pulled["B_from_N"].values)
+    true = Rotation.from_quat(run["B_from_N"].values)
+    assert np.degrees((found * true.inv()).magnitude()).max() < 20.0
+
+
+def test_a_torque_without_the_environment_that_it_needs_is_refused():
+    t_s = np.arange(0.0, 100.0, 10.0)
+    sun = np.tile([1.0, 0.0, 0.0], (10, 1))
+    data = telemetry_dataset(CUBE, t_s, np.ones((10, 1)), sun, "2026-01-01T00:00:00Z", {})
+    with pytest.raises(ss.MotionError, match="'gravity_gradient' needs an environment"):
+        rates(CUBE, data, torques=("gravity_gradient",))
+
+
+def test_an_environment_whose_sun_is_not_along_z_is_refused():
+    class Aside:
+        """An environment with the Sun along x."""
+
+        frame_N = "x"
+
+        def at(self, t_s):
+            """Return surroundings with the Sun along x."""
+            here = ORBIT.at(t_s)
+            return replace(here, sun_N=np.tile([1.0, 0.0, 0.0], (np.size(t_s), 1)))
+
+    with pytest.raises(InputError, match="z of its N to the Sun"):
+        along_the_sun(Aside())

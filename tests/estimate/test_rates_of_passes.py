@@ -1,0 +1,161 @@
+"""`rates` from end to end on simulated passes: the truth lies where the sigmas say, and no result hangs on workers."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.observe import thinned
+from sunspin.estimate.rates import rates
+from sunspin.estimate.settings import RATES, PassSettings
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
+from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
+from validation.passes import observe as observe_passes
+
+
+def two_passes():
+    """Return vehicle, telemetry of two passes an hour apart, and the true rates."""
+    rng = np.random.default_rng(3)
+    runs, data = [], []
+    for begin, omega in ((0.0, [0.02, -0.03, 0.04]), (3600.0, [0.021, -0.029, 0.04])):
+        seen, run = simulated_pass(
+            CUBE_WITHOUT_NOISE_STATED, omega, uneven_times(rng, 20, 15.0, 0.2), rng, albedo=0.0
+        )
+        data.append(seen.assign_coords(time=seen["time"] + begin))
+        runs.append(run.assign_coords(time=run["time"] + begin))
+    telemetry = xr.concat(data, "time", data_vars="minimal", combine_attrs="override")
+    return CUBE_WITHOUT_NOISE_STATED, telemetry, xr.concat(runs, "time", data_vars="minimal")
+
+
+def test_two_passes_cover_the_truth_whatever_the_workers():
+    vehicle, telemetry, run = two_passes()
+    alone, together = (
+        rates(vehicle, telemetry, max_rate_rad_s=0.15, workers=workers) for workers in (1, 2)
+    )
+    xr.testing.assert_allclose(alone, together, rtol=1e-9, atol=1e-9)
+    assert alone["decided"].values.all() and alone["fits"].values.all()
+    truth = run["omega_B"].sel(time=alone["time"]).values
+    sigma = np.sqrt(np.einsum("nii->ni", alone["omega_cov_B"].values))
+    pull = (alone["omega_B"].values - truth) / sigma
+    assert np.abs(pull).max() < 5 and np.sqrt((pull**2).mean()) < 2
+
+
+def test_a_bar_of_passes_is_shown_if_progress_is_asked_for(capsys):
+    vehicle, telemetry, _ = two_passes()
+    rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, workers=1)
+    assert "rates:" not in capsys.readouterr().err
+    rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, workers=1, progress=True)
+    shown = re.findall(r"rates: .* (\d)/2 ", capsys.readouterr().err.replace("\r", "\n"))
+    assert shown[0] == "0" and shown[-1] in "12"
+
+
+def test_one_pass_of_a_file_can_be_asked_for():
+    vehicle, telemetry, _ = two_passes()
+    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=1)
+    assert result["pass_id"].values.tolist() == [1] and result["time"].values.min() >= 3600
+    assert (result["why"].values[:20] == "dropped: in another pass than the one asked for").all()
+    with pytest.raises(InputError, match="there is no such pass"):
+        rates(vehicle, telemetry, pass_id=2)
+
+
+@pytest.mark.parametrize(
+    "kind", ["right model", "steady torque", "step of the rate", "slow", "jitter"]
+)
+def test_simulated_passes_are_not_decided_and_wrong(kind):
+    simulated = make(kind, 0, 0)
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
+    row = compare_with_truth(result, simulated)
+    assert row["listed"] and not (row["decided"] and row["wrong"])
+
+
+def test_a_step_of_the_rate_is_named_and_its_pass_decided():
+    simulated = make("step of the rate", 0, 9)
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
+    row = compare_with_truth(result, simulated)
+    assert "step of the rate" in str(result["model"].values[0])
+    assert row["decided"] and row["pull"] < 3
+
+
+def test_a_long_pass_is_searched_thinned_and_filled():
+    """Eighty samples: forty are searched, all have a rate, and the residuals of all are as their noise says."""
+    rng = np.random.default_rng(5)
+    telemetry, run = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED,
+        [0.02, 0.03, -0.04],
+        uneven_times(rng, 80, 8.0, 0.2),
+        rng,
+        albedo=0.0,
+    )
+    result = rates(CUBE_WITHOUT_NOISE_STATED, telemetry, max_rate_rad_s=0.15)
+    assert result.attrs["samples_searched"] == 40 and result.sizes["time"] == 80
+    assert result["fits"].values.all() and result["misfit"].values[0, 0, 0] == 80
+    truth = run["omega_B"].sel(time=result["time"]).values
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    assert (np.abs(result["omega_B"].values - truth) / sigma).max() < 5
+
+
+def test_kept_samples_begin_dense_and_reach_both_ends():
+    s = PassSettings()
+    for count in (41, 200, 3000):
+        kept = thinned(count, s)
+        steps = np.diff(kept)
+        assert len(kept) <= s.kept and kept[0] == 0 and kept[-1] == count - 1
+        assert steps[0] == 1 and (steps[1:] <= np.ceil(s.growth * steps[:-1]) + 1).all()
+
+
+def test_a_search_that_was_cut_short_is_not_decided():
+    vehicle, telemetry, _ = two_passes()
+    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, pass_id=0)
+    assert not result["search_complete"].values[0] and not result["decided"].values[0]
+    assert "SEARCH STOPPED" in result.attrs["verdict"]
+
+
+def test_a_stated_strength_of_torques_is_used():
+    vehicle, telemetry, _ = two_passes()
+    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, acceleration_noise=2e-4, pass_id=0)
+    assert result.attrs["acceleration_noise"] == 2e-4
+    assert result.attrs["acceleration_noise_from"] == "given"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"max_rate_rad_s": -1.0}, "max_rate_rad_s must be positive"),
+        ({"acceleration_noise": 3.0}, "acceleration_noise must lie between"),
+        ({"source": "sun_sensor"}, "no Sun from sun_sensor"),
+        ({"effort": 0}, "effort must be a positive number"),
+        ({"gap_s": 1e-3}, "no pass has three samples"),
+    ],
+)
+def test_options_out_of_range_are_refused(options, words):
+    vehicle, telemetry, _ = two_passes()
+    with pytest.raises(InputError, match=words):
+        rates(vehicle, telemetry, **options)
+
+
+def test_settings_are_taken():
+    vehicle, telemetry, _ = two_passes()
+    windows = []
+    watch = replace(RATES.search, watch=lambda window, motions: windows.append(window))
+    rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=0, settings=replace(RATES, search=watch))
+    assert windows[-1] == slice(0, 20)
+
+
+@pytest.mark.parametrize("frame", ["body axes", "axes fixed in space"])
+def test_an_unmodelled_torque_is_named_and_the_rates_are_right(frame):
+    torque = 1e-4 * np.array([1.0, -0.5, 0.5])  # rad/s2 over the mean moment
+
+    def push(_, attitude):
+        return (torque if frame == "body axes" else attitude @ torque) * MOMENTS.mean() / MOMENTS
+
+    t_s = np.arange(0.0, 300.0, 10.0)
+    omega, attitude = spin(np.radians([2.0, -1.0, 1.5]), t_s, push)
+    seen = observe_passes(FACES, omega, attitude, t_s, 0.01, np.random.default_rng(3))
+    result = rates(seen.vehicle, seen.telemetry, max_rate_rad_s=0.15)
+    assert result["model"].values[0] == f"a steady torque in {frame}"
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    truth = omega[np.isin(t_s, result["time"].values)]
+    assert np.abs((result["omega_B"].values - truth) / sigma).max() < 4.5

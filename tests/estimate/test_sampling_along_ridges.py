@@ -1,0 +1,448 @@
+"""Draws along ridges against densities whose integral, weights and moments are known in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import logsumexp
+
+from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
+from sunspin.estimate.lander.ridges import (
+    Bend,
+    Chart,
+    Equations,
+    Law,
+    Slopes,
+    monomials,
+    ridges_of,
+)
+from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
+from sunspin.estimate.model import Unknown
+from sunspin.estimate.settings import SAMPLING
+from sunspin.solve.rotations import tangent_basis
+
+RATE, TURN = np.array([2e-4, 1e-4, 3e-4]), 0.02
+"""Sigmas of the rates (rad/s) about a ridge, and of the direction (rad)."""
+
+REACH_S = 100.0
+
+BRIGHT, READ = 0.3, 0.2
+"""Where the readings put the brightness, and how well, in sigmas of its prior."""
+
+
+@dataclass(frozen=True)
+class Bananas:
+    """A posterior with a bent ridge about each motion of `omega` (M, 3) and `sun` (M, 3), which hold parts `weight` (M) of it.
+
+    The rate x follows the unknown `bend` as `straight` u + `curved` u^2 (rad/s). So the integral over the rates does not depend on
+    it. `lowest`: the least `bend` that is possible. The other unknown is a brightness.
+    """
+
+    omega: np.ndarray
+    sun: np.ndarray
+    weight: np.ndarray
+    straight: float = 5e-3
+    curved: float = 3e-3
+    lowest: float = -np.inf
+    rate_max: float = 1.0
+    reach_s: float = REACH_S
+    standing = np.array([1])
+    bending = np.array([0])
+    unknowns = (
+        Unknown("bend", "inertia", "1", 0.0, 1.0),
+        Unknown("brightness", "scale", "1", 0.0, 1.0),
+    )
+
+    def _off(self, shots: Shots) -> np.ndarray:
+        """Differences (K, M, 5) from the ridges, in sigmas."""
+        u = shots.u[:, 0]
+        ridge = np.zeros((len(u), 1, 3))
+        ridge[:, 0, 0] = self.straight * u + self.curved * u**2
+        rate = (shots.omega[:, None] - self.omega - ridge) / RATE
+        across = np.stack(tangent_basis(self.sun), axis=1)
+        side = np.einsum("mai,ki->kma", across, shots.sun) / TURN
+        return np.concatenate([rate, side], axis=2)
+
+    def _bright(self, u: np.ndarray) -> np.ndarray:
+        return (u[:, 1] - BRIGHT) / READ
+
+    def run(self, shots: Shots) -> np.ndarray:
+        return self._off(shots)
+
+    def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
+        each = np.log(self.weight) - (seen**2).sum(axis=2) / 2
+        return np.asarray(logsumexp(each, axis=1)) - self._bright(u) ** 2 / 2
+
+    def log_prior(self, shots: Shots) -> np.ndarray:
+        normal = -np.sum(shots.u**2 + np.log(2 * np.pi), axis=1) / 2
+        # the antipodes of the directions have the same components across
+        facing = np.any(shots.sun @ self.sun.T > 0, axis=1)
+        return np.where(facing & (shots.u[:, 0] >= self.lowest), normal, -np.inf)
+
+    def standing_slopes(self, seen, u, wider):
+        pull = -self._bright(u) / READ / wider**2
+        return pull[:, None], np.full((len(u), 1, 1), (READ * wider) ** -2)
+
+    def linearised(self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0):
+        off = self._off(shots)
+        nearest = np.argmin((off**2).sum(axis=2), axis=1)
+        every = np.arange(len(shots))
+        residual = (
+            np.concatenate([off[every, nearest], self._bright(shots.u)[:, None]], axis=1) / wider
+        )
+        jacobian = np.zeros((len(shots), 6, 6))
+        jacobian[:, range(3), range(3)] = 1 / RATE
+        own = np.stack(tangent_basis(shots.sun), axis=1)
+        across = np.stack(tangent_basis(self.sun), axis=1)[nearest]
+        jacobian[:, 3:5, 3:5] = np.einsum("kai,kbi->kab", across, own) / TURN
+        jacobian[:, 5, 5] = 1 / READ
+        jacobian /= wider
+        matrix = np.swapaxes(jacobian, 1, 2) @ jacobian
+        matrix[:, 5, 5] += 1
+        slope = np.einsum("kri,kr->ki", jacobian, residual)
+        slope[:, 5] += shots.u[:, 1]
+        cost = (residual**2).sum(axis=1) / 2 + (shots.u**2).sum(axis=1) / 2
+        same = np.zeros((len(shots), 5, 1))
+        return Equations(
+            cost, slope, matrix, Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
+        )
+
+    def log_replicated(self, seen, u, rng) -> np.ndarray:
+        """Log likelihood of six normal readings about the motions."""
+        return -np.sum(rng.normal(size=(len(u), 6)) ** 2, axis=1) / 2
+
+    @property
+    def log_integral(self) -> float:
+        """Log of the integral of the posterior, all of `bend` being possible."""
+        solid, _ = quad(lambda a: np.exp(-((np.sin(a) / TURN) ** 2) / 2) * np.sin(a), 0, np.pi / 2)
+        bright = READ / np.hypot(READ, 1) * np.exp(-(BRIGHT**2) / 2 / (READ**2 + 1))
+        rates = (2 * np.pi) ** 1.5 * np.prod(RATE)
+        return float(np.log(rates * 2 * np.pi * solid * bright))
+
+    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
+        """The motions at a value of `bend` on the ridges, with their curvature, or one that is sharper in `bend`."""
+        omega = np.array(self.omega[which])
+        omega[:, 0] += self.straight * bend + self.curved * bend**2
+        u = np.tile([bend, BRIGHT / (1 + READ**2)], (len(which), 1))
+        shots = Shots(omega, self.sun[which], u)
+        matrix = self.linearised(shots).matrix
+        whole = np.zeros((len(which), 7, 7))
+        rest = [0, 1, 2, 3, 4, 6]
+        whole[np.ix_(range(len(which)), rest, rest)] = matrix
+        slope = (self.straight + 2 * self.curved * bend) / RATE[0]
+        whole[:, 5, 5] = (1 + slope**2) + (sharper - 1)
+        whole[:, 0, 5] = whole[:, 5, 0] = -slope / RATE[0]
+        cost = -np.log(self.weight[which])
+        return ShotFit(None, replace(shots, cost=cost), whole, -cost, np.ones(len(which)))
+
+
+TIED = 0.01
+"""Sigma with which the readings tie the third unknown of :class:`Tied` to the first, in sigmas of their priors."""
+
+
+@dataclass(frozen=True)
+class Tied(Bananas):
+    """The same with a third unknown, the friction, that readings tie to the first one along a curve: u0 / 2 + u0^2 / 10."""
+
+    bending = np.array([0, 2])
+    unknowns = (*Bananas.unknowns, Unknown("friction", "viscous", "1", 0.0, 1.0))
+
+    def _tie(self, u: np.ndarray) -> np.ndarray:
+        return (u[:, 2] - u[:, 0] / 2 - u[:, 0] ** 2 / 10) / TIED
+
+    def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return super().log_likelihood(seen, u) - self._tie(u) ** 2 / 2
+
+    @property
+    def log_integral(self) -> float:
+        """Log of the integral of the posterior: the tie is so narrow that the prior of friction is taken on the curve."""
+        tied, _ = quad(
+            lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2) / np.sqrt(2 * np.pi), -8, 8
+        )
+        return super().log_integral + float(np.log(TIED * tied))
+
+    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
+        """The motion with friction on the curve."""
+        assert bend == 0.0
+        fit = super().fit(which, bend, sharper)
+        whole = np.zeros((len(which), 8, 8))
+        whole[:, :7, :7] = fit.curvature
+        whole[:, 7, 7] = 1.0
+        tie = np.zeros(8)
+        tie[5], tie[7] = -0.5 / TIED, 1 / TIED
+        u = np.concatenate([fit.motions.u, np.zeros((len(which), 1))], axis=1)
+        return replace(fit, motions=replace(fit.motions, u=u), curvature=whole + np.outer(tie, tie))
+
+
+def one(**changes) -> Bananas:
+    return Bananas(
+        np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1), **changes
+    )
+
+
+def pair(weight: float) -> Bananas:
+    """Two motions, one the mirror image of the other in z."""
+    omega = np.array([[0.1, 0.05, -0.02], [-0.1, -0.05, -0.02]])
+    sun = np.array([[0.0, 0.6, 0.8], [0.0, 0.6, -0.8]])
+    return Bananas(omega, sun, np.array([weight, 1 - weight]))
+
+
+def drawn(target: Bananas, fit: ShotFit, seed: int = 0, **changes) -> Draws:
+    return sample(target, fit, np.random.default_rng(seed), replace(SAMPLING, **changes))
+
+
+def shares(draws: Draws) -> np.ndarray:
+    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    return np.bincount(draws.region, weights=weight)
+
+
+def moments(draws: Draws) -> tuple[float, float]:
+    """Mean and standard deviation of the unknown that bends the ridge."""
+    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    mean = weight @ draws.shots.u[:, 0]
+    return float(mean), float(np.sqrt(weight @ (draws.shots.u[:, 0] - mean) ** 2))
+
+
+def test_evidence_and_moments_of_a_bent_ridge():
+    # the ridge is 8 mrad/s long, and as wide as 0.2
+    target = one()
+    draws = drawn(target, target.fit([0]))
+    assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
+    assert draws.effective > 2500 and draws.tail < 0.3 and draws.outside == 0.0
+    mean, sigma = moments(draws)
+    assert mean == pytest.approx(0.0, abs=0.06) and sigma == pytest.approx(1.0, abs=0.05)
+    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    bright = weight @ draws.shots.u[:, 1]
+    assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
+
+
+def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
+    """Evidence by quadrature; laws that know no bend leave fewer effective draws."""
+    target = Tied(np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1))
+    few = {"draws": 1000, "rounds": 6, "wanted": 1e9}
+    draws = drawn(target, target.fit([0]), **few)
+    straight = drawn(target, target.fit([0]), thin=0.0, **few)
+    assert draws.evidence == pytest.approx(target.log_integral, abs=0.06)
+    assert draws.effective > 1.5 * straight.effective
+    assert draws.effective > 1000
+
+
+def curve(n: int, seed: int = 0) -> np.ndarray:
+    """Return points (n, 3): the second follows the first by a quadratic to 0.01."""
+    a, b, c = np.random.default_rng(seed).standard_normal((3, n))
+    return np.stack([a, 1.0 + a + 0.1 * a**2 + 0.01 * b, 3.0 * c], axis=1)
+
+
+def test_a_bend_straightens_a_thin_curve_and_keeps_volumes():
+    y = curve(4000)
+    law = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
+    assert law is not None
+    assert law.across.shape == (3, 1)
+    straight = law.straight(y)
+    assert law.bent(straight) == pytest.approx(y, abs=1e-9)
+    thinnest = np.sqrt(np.linalg.eigvalsh(np.cov(straight.T))[0])
+    assert thinnest < 0.25 * np.sqrt(np.linalg.eigvalsh(np.cov(y.T))[0])
+    at, size = y[:1], 1e-6
+    columns = [(law.straight(at + size * e) - law.straight(at - size * e))[0] for e in np.eye(3)]
+    assert np.linalg.det(np.array(columns) / (2 * size)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_draws_that_are_round_or_few_have_no_bend():
+    round_ = np.random.default_rng(0).standard_normal((4000, 3))
+    assert Bend.of(round_, np.full(4000, 1 / 4000), SAMPLING) is None
+    assert Bend.of(curve(5), np.full(5, 0.2), SAMPLING) is None
+
+
+def test_a_bent_law_draws_with_the_density_that_it_states():
+    """Means over draws of another density over their own are one, of the law's draws and under a law without a bend."""
+    y = curve(4000)
+    bend = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
+    mean = bend.straight(y).mean(axis=0, keepdims=True)
+    none = np.array([-1])
+    law = Law(np.ones(1), mean, np.cov(bend.straight(y).T)[None], none, bend)
+    points = law.draw(20_000, np.random.default_rng(1), 5.0)
+    inside = law._replace(covariance=0.5 * law.covariance)
+    ratio = np.exp(inside.log_densities(points, 8.0) - law.log_densities(points, 5.0))
+    assert ratio.mean() == pytest.approx(1.0, abs=0.02)
+    wide = Law(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None], none)
+    points = wide.draw(20_000, np.random.default_rng(2), 5.0)
+    ratio = np.exp(law.log_densities(points, 5.0) - wide.log_densities(points, 5.0))
+    assert ratio.mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_component_does_not_count_for_the_draw_on_which_it_stands():
+    """It stands there because the weight was large; if it counted, evidences would be short."""
+    target = one()
+    (ridge,) = ridges_of(target, target.fit([0]), None, SAMPLING)
+    d = ridge.chart.dimensions
+    y = np.stack([np.zeros(d), np.full(d, 2.0)])
+    spread = np.tile(0.01 * np.eye(d), (2, 1, 1))
+    wide = Law(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
+    local = Law(np.ones(2), y, spread, np.array([0, 1]))
+    ridge.laws = [(2, Law.joined([(0.5, wide), (0.5, local)]))]
+    found = ridge.log_outer(y, 5.0, draws=True)
+    each = ridge.laws[0][1].log_densities(y, 5.0)
+    expected = [logsumexp(each[0, [0, 2]]), logsumexp(each[1, [0, 1]])]
+    assert found == pytest.approx(expected)
+    assert ridge.log_outer(y, 5.0) == pytest.approx(logsumexp(each, axis=1))
+
+
+def test_draws_stay_on_the_ridge():
+    """A law that ignored the curve would propose rates ten sigmas beside it."""
+    target = one()
+    draws = drawn(target, target.fit([0]))
+    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    off = target.run(draws.shots)[:, 0]
+    assert np.sqrt(weight @ off**2) == pytest.approx(np.ones(5), abs=0.06)
+
+
+@pytest.mark.parametrize("weight", [0.5, 0.8])
+def test_two_motions_keep_their_probabilities(weight):
+    target = pair(weight)
+    draws = drawn(target, target.fit([0, 1]))
+    assert shares(draws) == pytest.approx([weight, 1 - weight], abs=0.02)
+    assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
+
+
+def test_a_motion_fitted_twice_counts_once():
+    """Two ridges that are one share their draws, and are one region."""
+    target = one()
+    fits = [target.fit([0], bend) for bend in (0.0, 0.3)]
+    twice = ShotFit(
+        None,
+        Shots.joined([fit.motions for fit in fits]),
+        np.concatenate([fit.curvature for fit in fits]),
+        np.zeros(2),
+        np.ones(2),
+    )
+    assert len(ridges_of(target, twice, None, SAMPLING)) == 1
+    apart = replace(SAMPLING, on_ridge=0.0)
+    assert len(ridges_of(target, twice, None, apart)) == 2
+    draws = drawn(target, twice, on_ridge=0.0)
+    assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
+    assert len(shares(draws)) == 1
+
+
+def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
+    target = one(lowest=0.0)
+    draws = drawn(target, target.fit([0], 0.3))
+    assert draws.evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
+    assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
+    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    assert weight[draws.shots.u[:, 0] < 0].sum() == 0.0
+
+
+def test_walkers_leave_proposals_that_are_too_narrow():
+    """The curvature claims that the unknown is known to a tenth; one round cannot learn that it is not."""
+    target = one()
+    narrow = drawn(target, target.fit([0], sharper=1000.0), rounds=1, defence=0.0)
+    assert narrow.outside > 0.02
+    assert drawn(target, target.fit([0]), rounds=1).outside <= 0.02
+
+
+def test_a_seed_gives_the_same_draws():
+    target = one()
+    few = {"rounds": 2, "draws": 200}
+    first, again, other = (drawn(target, target.fit([0]), seed, **few) for seed in (1, 1, 2))
+    assert np.array_equal(first.shots.omega, again.shots.omega)
+    assert not np.array_equal(first.shots.omega, other.shots.omega)
+
+
+def test_coordinates_of_a_chart_are_inverse_to_its_motions():
+    target = pair(0.5)
+    fit = target.fit([0])
+    chart = Chart.about(target, fit.motions, np.linalg.inv(fit.curvature[0]), SAMPLING)
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=(50, chart.dimensions))
+    z = 0.3 * rng.normal(size=(50, chart.stiff))
+    shots = chart.motions(y, z, np.tile(fit.motions.u, (50, 1)))
+    back_y, back_z = chart.coordinates(shots)
+    assert back_y == pytest.approx(y, abs=1e-9) and back_z == pytest.approx(z, abs=1e-9)
+    # a step along a stiff coordinate, in the motion's own tangents, leads where the chart leads
+    step = np.zeros((50, 5 + 2))
+    step[:, :5] = 1e-4 * chart.stiff_steps(shots, y, z)[:, :, 0]
+    moved = shots.moved(step)
+    size = 1e-4 * np.eye(chart.stiff)[0]
+    there = chart.motions(y, z + size, shots.u)
+    assert moved.sun == pytest.approx(there.sun, abs=1e-7)
+    assert moved.omega == pytest.approx(there.omega, abs=1e-9)
+
+
+def test_volume_of_a_chart_is_that_of_rates_and_solid_angle():
+    """The volume per unit of coordinates against differences of the motions."""
+    target = one()
+    fit = target.fit([0])
+    chart = Chart.about(target, fit.motions, np.linalg.inv(fit.curvature[0]), SAMPLING)
+    y, z = np.full((1, chart.dimensions), 0.2), np.full((1, chart.stiff), 0.4)
+    at = np.concatenate([y[:, : chart.softs], z], axis=1)
+    columns = []
+    for i in range(5):
+        ends = []
+        for sign in (1, -1):
+            moved = at + sign * 1e-5 * np.eye(5)[i]
+            along = np.concatenate([moved[:, : chart.softs], y[:, chart.softs :]], axis=1)
+            ends.append(chart.motions(along, moved[:, chart.softs :], fit.motions.u))
+        middle = chart.motions(y, z, fit.motions.u)
+        step = [end.from_centre(middle)[0, :5] for end in ends]
+        columns.append((step[0] - step[1]) / 2e-5)
+    volume = np.log(abs(np.linalg.det(np.array(columns))))
+    assert chart.log_volume(y, z)[0] == pytest.approx(volume, abs=1e-6)
+
+
+def test_monomials_are_one_the_coordinates_and_products_of_those_that_bend():
+    y = np.array([[2.0, 3.0, 5.0]])
+    assert monomials(y, np.array([0, 2])).tolist() == [[1, 2, 3, 5, 4, 10, 25]]
+
+
+def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
+    """Draws of equal weight, spread over regions whose rates x stand at these values."""
+    rng = np.random.default_rng(len(region_at))
+    region = np.arange(n) % len(region_at)
+    omega = 1e-4 * rng.normal(size=(n, 3))
+    omega[:, 0] += np.array(region_at)[region]
+    sun = np.tile([0.0, 0.0, 1.0], (n, 1))
+    shots = Shots(omega, sun, rng.normal(size=(n, 2)))
+    weight = np.full(n, evidence)
+    return Draws(shots, weight, np.zeros(n, int), region, float(n), 0.0, evidence)
+
+
+def test_models_are_weighed_by_evidence_and_prior():
+    mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], [0.0, np.log(0.5)], REACH_S)
+    weight = np.exp(mix.log_weight - logsumexp(mix.log_weight))
+    expected = 1 / (1 + 0.5 * np.exp(-1.0))
+    assert weight[mix.of_model == 0].sum() == pytest.approx(expected)
+    assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0 + np.log(0.5)))
+
+
+def test_regions_of_two_models_are_one_if_they_differ_by_a_bend():
+    """Half a turn in the window is a bend, whole turns are another motion."""
+    bent, turned = 0.5 / REACH_S, 2 * np.pi / REACH_S
+    joined = mixed([of_model(0.0, [0.0]), of_model(0.0, [bent])], [0.0, 0.0], REACH_S)
+    assert shares(joined) == pytest.approx([1.0])
+    parted = mixed([of_model(0.0, [0.0]), of_model(-1.0, [turned])], [0.0, 0.0], REACH_S)
+    assert shares(parted) == pytest.approx([1 / (1 + np.exp(-1)), 1 / (1 + np.e)])
+
+
+def test_resampled_draws_are_proportional_to_the_weights():
+    draws = of_model(0.0, [0.0], n=3)
+    draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
+    picked = resampled(draws.log_weight, 800, np.random.default_rng(0))
+    assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
+
+
+def test_readings_that_no_motion_explains_have_no_chance():
+    """Six readings off by a sigma each are usual; off by six sigmas they come from no motion."""
+    target = one()
+    fit = target.fit([0])
+    for sigmas, low, high in ((1.0, 0.2, 0.8), (6.0, 0.0, 0.002)):
+        omega = np.tile(fit.motions.omega + sigmas * RATE, (100, 1))
+        u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
+        side = np.concatenate(
+            [np.zeros((1, 3)), sigmas * TURN * np.ones((1, 2)), np.zeros((1, 2))], 1
+        )
+        sun = np.tile(fit.motions.moved(side).sun, (100, 1))
+        checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
+        assert low <= checked.p <= high

@@ -1,0 +1,164 @@
+"""The scan compared with tracks by heyoka and distances by SciPy; its mask, its store and its independence of workers."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.stats import wasserstein_distance
+
+import sunspin as ss
+from sunspin.estimate.scan.directions import reconstructible_mask
+from sunspin.estimate.scan.near_minimum import near_minimum
+from sunspin.telemetry.sun import reconstructible_patterns
+from tests.support.vehicles import FIRST_SUN
+
+PHILAE = ss.load_vehicle("philae")
+N_ROWS = 40
+
+
+def grid_rows(n: int, seed: int):
+    rng = np.random.default_rng(seed)
+    xy, z = np.linspace(-0.5, 1, 101), np.linspace(-0.3, 0.3, 41)
+    return np.column_stack([rng.choice(xy, n), rng.choice(xy, n), rng.choice(z, n)])
+
+
+def reference_emd(omega, target):
+    track = ss.propagate(PHILAE, omega, FIRST_SUN, 865.0, np.linspace(0, 2700, 27001), rtol=1e-9)[
+        "sun_B"
+    ].values
+    seen = track[reconstructible_mask(PHILAE).contains(track), 2]
+    return wasserstein_distance(seen, target) / 2
+
+
+def compare(n: int, seed: int) -> np.ndarray:
+    target = np.random.default_rng(seed).uniform(0.05, 0.98, 15)
+    error = []
+    for omega in grid_rows(n, seed):
+        ours = ss.scan(PHILAE, target, FIRST_SUN, *omega[:, None], 865.0, 2700.0)
+        error.append(abs(ours.item() - reference_emd(omega, target)))
+    return np.array(error)
+
+
+@pytest.mark.evidence(
+    "scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories"
+)
+def test_scan_emd_agrees_with_the_reference(reached):
+    error = compare(N_ROWS, 1)
+    reached("largest difference of EMD", error, "", 1e-3)
+    reached("motions", error.size)
+    assert error.max() < 1e-3
+
+
+def test_the_scan_mask_allows_what_the_panels_allow():
+    n = np.random.default_rng(0).normal(size=(20_000, 3))
+    for vehicle in (PHILAE, ss.load_vehicle("skcube")):
+        names = np.array(vehicle.panel_names)
+        good = reconstructible_patterns(vehicle)
+        lit = ss.panel_power(vehicle, n) > 0
+        expected = [frozenset(names[row].tolist()) in good for row in lit]
+        assert np.array_equal(reconstructible_mask(vehicle).contains(n), expected)
+
+
+@pytest.mark.evidence("scan", "verified", "one and three threads, and single motions")
+def test_workers_do_not_change_a_scan():
+    axes = [np.linspace(-0.4, 0.9, 30), np.linspace(-0.4, 0.9, 30), np.linspace(-0.2, 0.2, 11)]
+    runs = [
+        ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)
+    ]
+    np.testing.assert_allclose(runs[0], runs[1], rtol=1e-9)
+    alone = ss.scan(
+        PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, axes[0][7], axes[1][3], axes[2][5], 865.0, 300.0
+    )
+    assert alone.item() == pytest.approx(runs[0].values[7, 3, 5], rel=1e-9)
+
+
+@pytest.mark.evidence("scan", "modelled", "a Sun track simulated by its own model")
+def test_the_track_metric_finds_the_truth():
+    truth = np.array([0.1, -0.05, 0.02])
+    t = np.array([0.0, 31.0, 64.0, 90.0, 131.0, 160.0])
+    run = ss.propagate(PHILAE, truth, FIRST_SUN, 865.0, t)
+    track = xr.Dataset({"sun_B": run["sun_B"]})
+    axes = [np.linspace(v - 0.02, v + 0.02, 5) for v in truth]
+    volume = ss.scan(PHILAE, track, FIRST_SUN, *axes, 865.0)
+    best = np.unravel_index(volume.values.argmin(), volume.shape)
+    assert best == (2, 2, 2)
+    assert volume.values.min() < 1e-4
+
+
+def test_a_motion_without_an_allowed_direction_has_the_largest_emd():
+    below = np.array([0.1, 0.1, -0.99]) / np.linalg.norm([0.1, 0.1, -0.99])
+    assert ss.scan(PHILAE, [0.5], below, 0.0, 0.0, 0.0, 865.0, 60.0).item() == 1.0
+
+
+@pytest.mark.evidence("near_minimum", "verified", "a volume of a few points, by hand")
+def test_the_near_minimum_set_by_hand():
+    volume = xr.DataArray(
+        [[[1.0, 1.05], [2.0, 1.11]]],
+        dims=("omega_x", "omega_y", "omega_z"),
+        coords={"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]},
+    )
+    np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
+
+
+def test_rows_that_failed_are_never_in_the_near_minimum_set():
+    volume = xr.DataArray(
+        [[[0.0, 1.0, 1.05]]],
+        dims=("omega_x", "omega_y", "omega_z"),
+        coords={
+            "omega_x": [0.5],
+            "omega_y": [0.1],
+            "omega_z": [-0.1, 0.0, 0.1],
+            "outcome": (("omega_x", "omega_y", "omega_z"), [[[3, 0, 0]]]),
+        },
+    )
+    np.testing.assert_array_equal(near_minimum(volume, 1.1)[:, 2], [0.0, 0.1])
+    with pytest.raises(ss.InputError, match="outcome"):
+        near_minimum(volume.assign_coords(outcome=volume["outcome"] * 0 + 3))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"target_z": []}, "target_z"),
+        ({"target_z": [1.2]}, "target_z"),
+        ({"omega_x": np.linspace(0, 1, 10**6), "omega_y": np.linspace(0, 1, 10**6)}, "larger step"),
+        ({"omega_z": [np.nan]}, "omega_z"),
+        ({"sun_B": [1, 1, 1]}, "unit vector"),
+        ({"duration_s": 0.0}, "duration_s"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_bad_arguments_of_a_scan_are_named(change, message):
+    arguments = {
+        "target_z": [0.5],
+        "sun_B": FIRST_SUN,
+        "omega_x": [0.1],
+        "omega_y": [0.1],
+        "omega_z": [0.1],
+        "wheel_speed_rad_s": 865.0,
+        "duration_s": 60.0,
+    } | change
+    with pytest.raises(ss.InputError, match=message):
+        ss.scan(PHILAE, **arguments)
+
+
+def test_a_scan_store_is_resumed_with_another_mass_and_refused_with_another_wheel(tmp_path):
+    """What only a landing asks for does not belong to a scan."""
+
+    def run(*changes):
+        craft = ss.load_vehicle("philae", changes)
+        return ss.scan(
+            craft,
+            [0.2, 0.8],
+            FIRST_SUN,
+            [0.1],
+            [0.2],
+            [0.0, 0.1],
+            865.0,
+            60.0,
+            store=tmp_path / "rows",
+        )
+
+    first = run()
+    assert run("body.mass_kg=90", "leg[2].tip_B_m[0]+=0.1").values.tolist() == first.values.tolist()
+    with pytest.raises(ss.InputError, match="one of other inputs"):
+        run("wheel.inertia_kg_m2*=1.1")

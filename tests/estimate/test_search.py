@@ -1,0 +1,215 @@
+"""The search: its starts reach the next sample, it keeps a slow body, and a larger range of rates loses no motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.chain import Chain, carried, fit
+from sunspin.estimate.copies import Outline, distinct
+from sunspin.estimate.model import Body, Model, Noise, Observations, Track
+from sunspin.estimate.search import grown, search
+from sunspin.estimate.settings import AlternativeSettings, SearchSettings
+from sunspin.estimate.starts import (
+    aliases,
+    constant_rates,
+    other_bodies,
+    pair_starts,
+    pairs_to_try,
+    whole_turns,
+)
+from sunspin.estimate.terms.directions import SunDirections
+from sunspin.solve.rotations import rotate_attitude
+
+SEARCH = SearchSettings()
+
+ELEMENTS = [(np.eye(3)[i], np.eye(3)[j]) for i in range(3) for j in range(i, 3)]
+"""Axes that the elements of an inertia belong to."""
+
+
+def watched(deg_s, apart_s=20.0, count=20, sigma=0.03, max_deg_s=8.0, seed=0):
+    """Return a model for the search of directions that a body showed, and its true motion."""
+    rng = np.random.default_rng(seed)
+    moments = rng.uniform(0.8, 1.2, 3)
+    body = Body(np.diag(moments / moments.mean()), np.zeros((0, 3, 3)))
+    t_s = apart_s * np.arange(count)
+    axis = rng.normal(size=3)
+    omega = np.radians(deg_s) * axis / np.linalg.norm(axis)
+    attitude, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    attitude *= np.sign(np.linalg.det(attitude))
+    still = Observations(t_s, np.zeros((count, 3)), ())
+    model = Model(still, body, Noise(1e-4), np.radians(max_deg_s) / 2)
+    truth = carried(model, 0, attitude[None], omega[None])
+    sun = truth.sun_B[0] + sigma * rng.normal(size=(count, 3))
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    term = SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (count, 1, 1)))
+    return replace(model, obs=replace(still, terms=(term,))), truth
+
+
+def found(model, s=SEARCH):
+    """Return the motions that a search finds."""
+    return search(Chain(model, s), pair_starts(model, s), s, Budget(np.inf), pairs_to_try(model, s))
+
+
+def holds(motions, truth, apart_rad=0.35):
+    """Return whether one of the motions turns as the truth does from the middle of the stretch to both ends, in its basin."""
+    t_s = 20.0 * np.arange(truth.omega.shape[1])
+    outline = Outline.of(truth, t_s)
+    others = Outline.of(motions, t_s)
+    far = np.linalg.norm(others.whole - outline.whole[0], axis=-1).max(axis=1)
+    sigma = np.sqrt(np.einsum("knii->kni", motions.covariance[..., 3:, 3:]))
+    pull = (np.abs(motions.omega - truth.omega) / sigma).max(axis=(1, 2))
+    return bool(((far < apart_rad) | (pull < 4)).any())
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.3, 2.0, np.pi])
+def test_constant_rates_carry_one_direction_to_the_other(apart):
+    first, dt = np.array([0.0, 0.6, 0.8]), 20.0
+    second = rotate_attitude(np.eye(3), np.array([apart, 0.0, 0.0])) @ first
+    rates = constant_rates(first, second, dt, 0.6, SEARCH.step_rad)
+    turned = rotate_attitude(np.eye(3), rates * dt) @ first
+    missed = np.arccos(np.clip(turned @ second, -1, 1))
+    assert missed.max() < 0.05
+    assert np.linalg.norm(rates, axis=1).max() <= 0.6
+    assert (
+        np.linalg.norm(rates, axis=1).min() <= apart / dt + 1e-9
+    )  # the shortest way is among them
+
+
+def test_every_turn_between_two_directions_has_a_start_in_its_basin():
+    rng, dt, rate_max = np.random.default_rng(5), 20.0, 0.6
+    for _ in range(100):
+        omega = rng.normal(size=3)
+        omega *= rate_max * rng.random() / np.linalg.norm(omega)
+        first = rng.normal(size=3)
+        first /= np.linalg.norm(first)
+        second = rotate_attitude(np.eye(3), omega * dt) @ first
+        rates = constant_rates(first, second, dt, rate_max, SEARCH.step_rad)
+        if first @ second > np.cos(0.5):
+            rates = np.concatenate([rates, whole_turns(dt, rate_max, 2 * SEARCH.basin_rad)])
+        assert np.linalg.norm(rates - omega, axis=1).min() * dt < 0.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_body_is_kept_though_fast_ones_are_searched(seed):
+    model, truth = watched(0.15, sigma=0.05, seed=seed)
+    assert holds(found(model), truth)
+
+
+def test_a_larger_range_of_rates_loses_no_motion():
+    for seed in (1, 2):
+        model, _ = watched(0.2, sigma=0.05, max_deg_s=2.0, seed=seed)
+        near = found(model)
+        wide = found(replace(model, rate_sigma=np.radians(8.0) / 2))
+        good = near.take(np.flatnonzero(near.cost < near.cost[0] + 6.0))
+        for k in range(len(good)):
+            assert holds(wide, good.take(slice(k, k + 1))), f"seed {seed}, motion {k}"
+
+
+def test_a_tumbling_body_with_whole_turns_between_samples_is_found():
+    model, truth = watched(20.0, max_deg_s=30.0, sigma=0.02)
+    assert holds(found(model), truth)
+
+
+def test_a_search_says_which_candidates_each_window_has():
+    seen = []
+    model, _ = watched(2.0)
+    found(model, replace(SEARCH, watch=lambda window, motions: seen.append((window, len(motions)))))
+    assert seen[-1][0] == slice(0, 20) and all(count for _, count in seen)
+
+
+def test_no_rate_explains_directions_that_jump():
+    model, _ = watched(1.0, max_deg_s=2.0)
+    term = model.obs.terms[0]
+    flipped = replace(
+        term, direction_B=np.where(np.arange(20)[:, None] % 2, -1, 1) * term.direction_B
+    )
+    motions = found(replace(model, obs=replace(model.obs, terms=(flipped,))))
+    assert motions.cost[0] > model.obs.cost_limit
+
+
+def test_more_turns_than_can_be_tried_are_refused():
+    model, _ = watched(2.0)
+    with pytest.raises(InputError, match="too many whole turns"):
+        found(replace(model, rate_sigma=100.0))
+
+
+def test_windows_grow_to_all_samples():
+    t_s, window, windows = np.arange(40.0), slice(3, 8), []
+    while window != slice(0, 40):
+        window = grown(t_s, window, SEARCH.growth)
+        windows.append(window)
+    sizes = [one.stop - one.start for one in windows]
+    assert sizes == sorted(sizes) and max(np.diff(sizes)) <= 14
+
+
+def test_copies_fall_and_mirror_images_stay():
+    model, truth = watched(1.0)
+    near = rotate_attitude(truth.attitude, np.array([0.0, 0.0, 0.05]))
+    image = np.diag([1.0, 1.0, -1.0]) @ truth.attitude @ np.diag([-1.0, 1.0, 1.0])
+    motions = Track(
+        np.concatenate([truth.attitude, near, image]),
+        np.repeat(truth.omega, 3, axis=0),
+        np.zeros((3, 0)),
+        np.array([1.0, 2.0, 3.0]),
+    )
+    assert distinct(motions, model.obs.t_s, SEARCH, most=9).tolist() == [0, 2]
+
+
+def test_a_fit_of_a_candidate_does_not_hang_on_the_others():
+    model, truth = watched(1.0)
+    rng = np.random.default_rng(1)
+    begin = carried(
+        model,
+        9,
+        truth.attitude[:, 9].repeat(5, 0),
+        truth.omega[:, 9] + 1e-3 * rng.normal(size=(5, 3)),
+    )
+    together, alone = fit(model, begin, 6), fit(model, begin.take(slice(3, 4)), 6)
+    assert np.allclose(together.motions.omega[3], alone.motions.omega[0], rtol=0, atol=1e-12)
+
+
+def test_aliases_of_a_motion_turn_whole_revolutions_more():
+    model, truth = watched(4.0, max_deg_s=40.0)
+    others = aliases(truth, model, AlternativeSettings())
+    turns = np.linalg.norm(others.omega - truth.omega, axis=-1) * 20.0 / (2 * np.pi)
+    assert len(others) and np.allclose(turns, np.round(turns), atol=1e-6)
+    assert set(np.round(turns[:, 0]).astype(int)) == {1, 2}
+    uneven = replace(model.obs, t_s=model.obs.t_s * (1 + 0.01 * np.arange(20)))
+    assert not len(aliases(truth, replace(model, obs=uneven), AlternativeSettings()))
+
+
+def test_a_nutating_body_without_an_inertia_has_aliases_with_the_same_attitudes_and_another_inertia():
+    model, _ = watched(4.0, max_deg_s=50.0)
+    errors = np.array([(np.outer(i, j) + np.outer(j, i)) for i, j in ELEMENTS]) * 0.1
+    unknown = replace(model, body=Body(np.eye(3), errors, sphere=True))
+    u = np.array([[0.8, 0.2, -0.3, -0.6, 0.1, -1.0]])
+
+    def free(u, attitude, omega):
+        body = Body(unknown.body.inertia_at(u)[0], np.zeros((0, 3, 3)))
+        return carried(replace(model, body=body), 0, attitude, omega)
+
+    truth = free(u, np.eye(3)[None], np.radians([[6.0, -4.0, 7.0]]))
+    others = aliases(Track(truth.attitude, truth.omega, u), unknown, AlternativeSettings())
+    along = truth.omega[0] / np.linalg.norm(truth.omega[0], axis=1, keepdims=True)
+    assert np.degrees(np.arccos(along @ along[0])).max() > 15  # it nutates
+    assert len(others) >= 3
+    for k in range(len(others)):
+        alone = others.take([k])
+        again = free(alone.u, alone.attitude[:, 0], alone.omega[:, 0])
+        # twenty intervals of one to three turns, in each of which the equations of motion are solved to some 1e-4
+        assert np.abs(again.attitude - truth.attitude).max() < 0.01
+        assert np.abs(again.omega - alone.omega).max() < 1e-3
+        assert np.abs(alone.u - u).max() > 0.2
+
+
+def test_a_body_without_an_inertia_is_tried_in_six_shapes():
+    model, truth = watched(4.0, max_deg_s=8.0)
+    assert not len(other_bodies(truth, model))
+    errors = np.array([0.3 * np.diag(row) for row in np.eye(3)])
+    model = replace(model, body=Body(np.eye(3), errors, sphere=True))
+    motion = Track(truth.attitude, truth.omega, np.zeros((1, 3)))
+    shapes = other_bodies(motion, model).u.round(6)
+    assert len({tuple(row) for row in shapes}) == 6 and np.allclose(shapes.sum(axis=1), 0)

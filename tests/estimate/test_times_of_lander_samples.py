@@ -1,0 +1,153 @@
+"""Errors of the times of a lander's samples: integrated out of the likelihood, and followed by the fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.estimation import test_posterior_of_a_box as of_box
+from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_telemetry
+
+from sunspin.base.errors import InputError
+from sunspin.estimate.lander.fit import FINAL_ERROR, Fitting, Problem
+from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.priors import with_priors
+from sunspin.estimate.lander.target import LanderTarget
+from sunspin.estimate.lander.window import observe_window
+from sunspin.estimate.posterior import posterior
+from sunspin.estimate.terms.powers import SunStates
+from sunspin.telemetry.assess import assess
+
+NOISE = 12.0
+"""Of the readings: 2 % of full Sun on the largest panel."""
+
+TIME_S = 0.5
+"""Sigma of the times: the body turns by 0.05 rad in it."""
+
+
+def late_model(time_s=TIME_S, noise=NOISE):
+    """Return the model of Philae with readings of noise 2 % of full Sun, and errors of its times."""
+    telemetry = lander_telemetry(20.0 * np.arange(8), noise)
+    vehicle = replace(PHILAE, telemetry=replace(PHILAE.telemetry, noise=NOISE))
+    assessment = assess(vehicle, telemetry)
+    return with_priors(assessment, observe_window(assessment), {"time_s": time_s})[0]
+
+
+def off(model, count=1, size=2e-3):
+    """Return motions near that of the telemetry."""
+    rng = np.random.default_rng(2)
+    omega = OMEGA + size * rng.standard_normal((count, 3)) / 10
+    return Shots(omega, np.tile(SUN, (count, 1)), np.zeros((count, len(model.unknowns))))
+
+
+def test_the_density_of_a_sample_is_the_integral_over_its_time():
+    """Gauss-Hermite quadrature of the exact times' density, each sample by itself, agrees to 0.005 a sample."""
+    model = late_model()
+    exact = replace(model.panels, time_s=0.0)
+    shots = off(model)
+    states, own = model.carried(shots, 1e-9).seen, shots.u[:, model.of_panels]
+    nodes, weight = np.polynomial.hermite_e.hermegauss(201)
+    total = 0.0
+    for k in range(len(model.obs)):
+        here = SunStates.of(states.sun_B[:, [k]], states.omega[:, [k]])
+        one = exact.take(slice(k, k + 1))
+        each = []
+        for node in nodes:
+            late = replace(one, time_s=TIME_S)
+            power = late.predicted(here, own, np.full((1, 1), TIME_S * node))
+            each.append(np.exp(one._log_densities(power, own)[0, 0][one.used[0]].sum()))
+        total += np.log(np.average(each, weights=weight))
+    found = model.panels.log_density(states, own)[0]
+    assert found == pytest.approx(total, abs=0.005 * len(model.obs))
+    # and differs much from that of exact times
+    assert abs(exact.log_density(states, own)[0] - total) > 1.0
+
+
+def test_the_density_has_no_jumps_where_a_panel_lights_up_within_the_error_of_a_time():
+    """Second differences along a line of rates are small: both peaks of the error count. About one it jumps by 2.9."""
+    model, count = late_model(2.0), 161
+    line = np.linspace(-6e-3, 6e-3, count)[:, None] * np.array([1.0, -0.5, 0.7])
+    sun = np.tile(SUN, (count, 1))
+    shots = Shots(OMEGA + line, sun, np.zeros((count, len(model.unknowns))))
+    density = LanderTarget(model).log_likelihood(LanderTarget(model).run(shots), shots.u)
+    assert np.ptp(density) > 20.0
+    assert np.abs(np.diff(density, 2)).max() < 0.3
+
+
+def test_noise_is_not_taken_for_less_because_times_fit_it():
+    """Times at their best take up one reading of each sample: the noise of a fit stays within 2.5 sigmas of the true one."""
+    model = late_model(2.0)
+    free = np.ones(len(model.unknowns), dtype=bool)
+    fitting = Fitting(Problem(model, free, FINAL_ERROR), off(model, size=0.0))
+    fitting.go(1.0, 8)
+    fitting.fit_noise()
+    fitted = fitting.shots.u[0, model.places("noise")[0]]
+    value = fitting.problem.of_panels(fitting.linear.value)
+    own = fitting.shots.u[:, model.of_panels]
+    of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
+    assert abs(fitted) < 2.5
+    assert fitted > of_all[0, model.panels.place("noise")[0]] + 0.3
+
+
+def test_slopes_are_those_of_the_cost_with_times_at_their_best():
+    model = late_model()
+    shots, step = off(model), 1e-6
+    target = LanderTarget(model)
+    problem = target._problem
+    base = target.linearised(shots)
+
+    def cost(motion):
+        """Return the cost of a motion whose times are at their best."""
+        seen, _ = problem.seen(motion, 1e-10)
+        still = np.zeros((len(motion), 5, *seen.shape[1:]))
+        linear = problem.differences(motion, seen, still)
+        return problem.system(motion.u, linear, 1.0).cost[0]
+
+    for axis in range(3):
+        change = step * np.eye(3)[axis]
+        up, down = (replace(shots, omega=shots.omega + sign * change) for sign in (1, -1))
+        slope = (cost(up) - cost(down)) / (2 * step)
+        assert base.slope[0, axis] == pytest.approx(slope, rel=0.02, abs=3.0)
+
+
+def test_curvature_is_less_by_what_the_times_take_up():
+    """That of the fit is the change of the slope about a motion that fits exactly; with exact times it is far larger."""
+    model = late_model(noise=0.0)
+    target, shots, step = LanderTarget(model), off(model, size=0.0), 2e-5
+    matrix = target.linearised(shots).matrix[0, :3, :3]
+    for axis in range(3):
+        change = step * np.eye(3)[axis]
+        up, down = (
+            target.linearised(replace(shots, omega=shots.omega + sign * change)).slope[0, :3]
+            for sign in (1, -1)
+        )
+        scale = np.abs(matrix).max()
+        assert matrix[axis] == pytest.approx((up - down) / (2 * step), rel=0.05, abs=0.03 * scale)
+    exact = LanderTarget(late_model(0.0, noise=0.0)).linearised(shots).matrix[0, :3, :3]
+    assert np.linalg.eigvalsh(exact).max() > 1.2 * np.linalg.eigvalsh(matrix).max()
+
+
+def test_the_posterior_takes_samples_that_are_off_in_time():
+    """Times off by 2 s, a tenth of a radian: taken for exact they look like noise; stated, the truth is within its sigmas."""
+    craft = of_box.box()
+    rng = np.random.default_rng(5)
+    telemetry = of_box.telemetry_of(craft)
+    late = telemetry.assign_coords(
+        time=of_box.T_S + np.r_[0.0, 2.0 * rng.standard_normal(len(of_box.T_S) - 1)]
+    )
+    stated = posterior(craft, late, of_box.PRIORS | {"time_s": 2.0}, workers=1, settings=of_box.FEW)
+    exact = posterior(craft, late, of_box.PRIORS, workers=1, settings=of_box.FEW)
+    assert exact.attrs["noise_sigmas"] > 2 > abs(stated.attrs["noise_sigmas"])
+    assert stated.attrs["log_evidence"] > exact.attrs["log_evidence"] + 3
+    assert stated.attrs["time_sigma_s"] == 2.0
+    solutions = stated["solutions"].to_dataset()
+    error = solutions["omega_B"].values[0] - of_box.OMEGA
+    assert np.sqrt(error @ np.linalg.solve(solutions["omega_cov_B"].values[0], error)) < 3.5
+
+
+def test_throttled_panels_with_errors_of_times_are_refused():
+    vehicle = replace(PHILAE, telemetry=replace(PHILAE.telemetry, throttled=True))
+    assessment = assess(vehicle, lander_telemetry(20.0 * np.arange(8)))
+    with pytest.raises(InputError, match="errors of times"):
+        with_priors(assessment, observe_window(assessment), {"time_s": 0.5})

@@ -1,0 +1,124 @@
+"""Wheels whose sign in the file is wrong: named if they clearly fit better the other way, and never accused if they are right."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.estimate.carry import nutation
+from sunspin.estimate.columns import samples_of
+from sunspin.estimate.model import Body
+from sunspin.estimate.observe import COASTING, HELD, cut, wheel_models
+from sunspin.estimate.rates import rates
+from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
+
+TWO = replace(
+    CUBE_WITHOUT_NOISE_STATED,
+    wheels=(
+        ss.Wheel("a", [0, 1, 0], 3e-4, speed_rad_s=40.0),
+        ss.Wheel("b", [1, 0, 0], 2e-4, speed_rad_s=-30.0),
+    ),
+)
+
+
+def seen(omega=(0.02, 0.03, -0.01)):
+    """Return telemetry and truth of a cube whose wheel about y turns its rate round by half a turn between samples."""
+    craft = one_wheel(40.0)
+    t_s = np.arange(20) * 10.0
+    rng = np.random.default_rng(2)
+    return simulated_pass(craft, omega, t_s, rng, albedo=0.0, speed=[40.0])
+
+
+def one_wheel(speed_rad_s):
+    """Return the cube with a wheel about y of this nominal speed."""
+    wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=speed_rad_s)
+    return replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
+
+
+def test_the_wheel_of_a_later_pass_coasts_from_the_first_sample_of_the_file():
+    friction = ss.Friction(coulomb_N_m=2e-6)
+    wheel = ss.Wheel("w", [0, 1, 0], 3e-4, speed_rad_s=40.0, friction=friction)
+    craft = replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
+    data = xr.Dataset(coords={"time": np.concatenate([np.arange(8.0), 3600 + np.arange(8.0)])})
+    result = xr.Dataset({"pass_of": ("time", np.repeat([0, 1], 8))}, {"time": data["time"]})
+    later = samples_of(result, data, 1)
+    whole, part = wheel_models(craft, data), wheel_models(craft, later)
+    again = wheel_models(craft, cut(later, np.arange(4, 8)))
+    assert set(part) == set(whole) == {HELD, COASTING}
+    np.testing.assert_allclose(part[COASTING], whole[COASTING][8:])
+    np.testing.assert_allclose(again[COASTING], whole[COASTING][12:])
+    assert whole[COASTING][8, 1] < 0.6 * whole[HELD][8, 1]  # it lost speed before the later pass
+
+
+def test_momenta_of_wheels_add_up_and_lie_along_their_axes():
+    data, _ = seen()
+    each = momentum_of_each(TWO, data, HELD)
+    np.testing.assert_allclose(each.sum(axis=0), wheel_models(TWO, data)[HELD], atol=1e-12)
+    unit = np.trace(TWO.inertia_kg_m2) / 3
+    np.testing.assert_allclose(each[0], np.tile([0, 3e-4 * 40 / unit, 0], (20, 1)), atol=1e-12)
+    np.testing.assert_allclose(each[1], np.tile([-2e-4 * 30 / unit, 0, 0], (20, 1)), atol=1e-12)
+
+
+def test_each_wheel_and_all_are_reversed_unless_they_hardly_turn_the_rate_or_wrap():
+    data, _ = seen()
+    t_s, inertia = data["time"].values, Body.of(TWO).inertia
+    each = momentum_of_each(TWO, data, HELD)
+    momenta = reversed_momenta(TWO, each, inertia, t_s)
+    assert set(momenta) == {(0,), (1,), (0, 1)}
+    np.testing.assert_allclose(momenta[0,], each[1] - each[0], atol=1e-12)
+    np.testing.assert_allclose(momenta[0, 1], -each.sum(axis=0), atol=1e-12)
+    assert not reversed_momenta(TWO, 1e-5 * each, inertia, t_s)
+    turned = nutation(inertia, each[0])[0] * 10.0
+    fast = each * (1.01 * WRAPPED_RAD / turned)
+    assert (0,) not in reversed_momenta(TWO, fast, inertia, t_s)
+    assert not reversed_momenta(replace(TWO, wheels=()), each[:0], inertia, t_s)
+
+
+def test_a_wheel_of_the_right_sign_is_not_accused():
+    data, run = seen()
+    result = rates(one_wheel(40.0), data, max_rate_rad_s=0.06)
+    truth = run["omega_B"].sel(time=result["time"]).values
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    assert result["decided"].values.all()
+    assert np.abs((result["omega_B"].values - truth) / sigma).max() < 5.0
+    assert "columns_doubt" not in result.attrs
+    # a mirror across the wheel's axis is not seen: the columns +y and -y may be exchanged, no others
+    unseen = [one["what"] for one in json.loads(result.attrs["columns_unseen"])]
+    assert unseen == ["the columns of panels +y and -y exchanged"]
+    assert result["columns_checked"].values[0] == "unchecked"
+
+
+def test_a_wheel_speed_of_the_wrong_sign_is_named_and_leaves_the_pass_undecided():
+    """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
+    data, run = seen()
+    result = rates(one_wheel(-40.0), data, max_rate_rad_s=0.06)
+    assert not result["decided"].values.any()
+    assert result["columns_checked"].values[0] == "doubtful"
+    assert "the sign of a wheel" in result["why_not_decided"].values[0]
+    # a mirror along x or z reverses the wheel: these columns exchanged look the same, and none of the three is recommended
+    named = {one["what"]: one["omega_deg_s"] for one in json.loads(result.attrs["columns_changes"])}
+    wheel = "wheel reaction-y turning the other way"
+    mirrored = {f"the columns of panels +{a} and -{a} exchanged" for a in "xz"}
+    assert set(named) == {wheel, *mirrored}
+    assert "before you change the file" in result.attrs["verdict"]
+    x, y, z = named[wheel]
+    exchanged = named["the columns of panels +x and -x exchanged"]
+    np.testing.assert_allclose(exchanged, [x, -y, -z], atol=1e-6)
+    truth = np.degrees(run["omega_B"].values[9:11])
+    assert np.abs(truth - [x, y, z]).max(axis=1).min() < 0.5
+
+
+@pytest.mark.parametrize(("stated", "read", "decided"), [(0.0, False, False), (0.0, True, True)])
+def test_a_wheel_of_unstated_speed_leaves_every_pass_undecided(stated, read, decided):
+    rng = np.random.default_rng(5)
+    times = uneven_times(rng, 12, 10.0, 0.3)
+    data, _ = simulated_pass(CUBE_WITHOUT_NOISE_STATED, [0.01, 0.012, -0.01], times, rng)
+    if read:
+        data = data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((12, 1))))
+    result = rates(one_wheel(stated), data, max_rate_rad_s=0.05)
+    assert bool(result["decided"].values[0]) is decided
+    assert ("WHEEL SPEED UNKNOWN" in result.attrs["verdict"]) is not decided

@@ -1,0 +1,97 @@
+"""What a posterior says: by the probabilities of solutions, the quality of the draws, and the predictive check."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sunspin.estimate.lander.verdict import (
+    Findings,
+    accused_panels,
+    dark_stretch,
+    posterior_words,
+)
+
+GOOD = Findings(
+    probability=np.array([1.0]),
+    rate=np.array([[0.1, 0.0, 0.0]]),
+    length=np.array([1e-3]),
+    speed=np.array([0.1]),
+    interval_s=20.0,
+    p=0.5,
+    noise_sigmas=0.0,
+    accused=[],
+    tail=0.1,
+    effective=3000.0,
+    outside=0.0,
+    doubts=[],
+    dark="",
+    complete=True,
+)
+
+
+def aliases(*probability: float, apart: float = 0.1) -> Findings:
+    """Return findings of solutions with these probabilities, `apart` (rad/s) from one to the next along x."""
+    count = len(probability)
+    rate = np.stack([apart * np.arange(1, count + 1), np.zeros(count), np.zeros(count)], axis=1)
+    lengths, speed = np.full(count, 1e-3), np.linalg.norm(rate, axis=1)
+    share = np.array(probability)
+    return replace(GOOD, probability=share, rate=rate, length=lengths, speed=speed)
+
+
+@pytest.mark.parametrize(
+    ("findings", "word", "text"),
+    [
+        (GOOD, "unique", "a single solution, with an angular speed of 5.73 deg/s"),
+        (aliases(0.995, 0.005), "unique", "a single solution"),
+        (aliases(0.7, 0.3), "aliases", "2 aliases, 5.73 deg/s apart"),
+        (aliases(0.985, 0.008, 0.007), "aliases", "98.5% of the probability, 2 others"),
+        (replace(GOOD, length=np.array([0.2])), "line", "a line of solutions over 23 deg/s"),
+        (aliases(*[0.04] * 25, apart=1e-3), "line", "the data do not select one"),
+        (replace(GOOD, p=0.001), "not explained", "residuals as large as these"),
+        (replace(GOOD, noise_sigmas=4.0), "not explained", "far more than assumed (+4.0 sigma)"),
+        (replace(GOOD, noise_sigmas=-4.0), "not explained", "far less than assumed"),
+        (
+            replace(GOOD, p=0.001, complete=False, doubts=["a doubt"]),
+            "not sure",
+            "a doubt; none of the solutions searched fits",
+        ),
+        (replace(GOOD, doubts=["a doubt"]), "not sure", "a doubt; result so far: unique"),
+        (replace(GOOD, tail=0.6), "not sure", "approximate"),
+        (replace(GOOD, effective=600.0), "not sure", "effective sample size only 600"),
+        (replace(GOOD, outside=0.03), "not sure", "3.0%"),
+        (replace(GOOD, accused=["panel a: bad"]), "unique", "; panel a: bad"),
+        (replace(GOOD, p=0.0, dark="no panel lit"), "not explained", "If this is an eclipse"),
+        (replace(GOOD, tail=0.6, dark="no panel lit"), "not sure", "If this is an eclipse"),
+        (
+            replace(GOOD, p=0.0, complete=False, dark="no panel lit"),
+            "not sure",
+            "If this is an eclipse",
+        ),
+    ],
+)
+def test_word_and_sentence_follow_from_the_findings(findings, word, text):
+    told, sentence = posterior_words(findings)
+    assert told == word and text in sentence
+
+
+def test_a_panel_is_accused_for_three_outliers_that_are_much_of_its_readings():
+    lit = np.ones((10, 2), dtype=bool)
+    outliers = np.zeros((10, 2))
+    outliers[:5, 0] = 0.95
+    outliers[:2, 1] = 1.0
+    (sentence,) = accused_panels(("a", "b"), outliers, lit)
+    assert sentence.startswith("panel a: about 5 outliers")
+    # as many of more readings are chance
+    assert not accused_panels(
+        ("a", "b"), np.vstack([outliers, np.zeros((5, 2))]), np.ones((15, 2), bool)
+    )
+
+
+def test_the_longest_stretch_without_light_is_named_from_three_samples_on():
+    t_s = 10.0 * np.arange(8)
+    lit = np.array([True, False, False, True, False, False, False, True])
+    assert dark_stretch(t_s, lit) == "no panel lit from 40 to 60 s (3 samples)"
+    assert dark_stretch(t_s, lit | (t_s == 50.0)) == ""
