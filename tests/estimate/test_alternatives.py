@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.estimation.test_chain import problem
-from tests.estimation.test_search import watched
 
 from sunspin.estimate.alternatives import alternatives, without_readings
 from sunspin.estimate.budget import Budget
@@ -19,6 +17,8 @@ from sunspin.estimate.solutions import solutions
 from sunspin.estimate.swings import SWINGS, log_mean_likelihood
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.term import facing
+from tests.estimate.test_chain import problem
+from tests.estimate.test_search import watched
 
 ALTERNATIVES = RATES.alternatives
 

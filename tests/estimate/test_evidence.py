@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from tests.estimation.test_chain import problem
 
 from sunspin.estimate.chain import Fit, fit
 from sunspin.estimate.evidence import PassFits, ladder, over_shares, share_noise
 from sunspin.estimate.settings import LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
+from tests.estimate.test_chain import problem
 
 LADDER, SEARCH = LadderSettings(), SearchSettings()
 

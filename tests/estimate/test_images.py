@@ -1,7 +1,6 @@
 """Mirror images: panels in one plane read the same in them, both are listed, and neither is decided."""
 
 import numpy as np
-from tests.estimation.test_four_sides import nearest
 
 from sunspin.estimate.chain import carried, defects, equations
 from sunspin.estimate.images import either_side, imaged, images_of, with_images
@@ -11,6 +10,7 @@ from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.telemetry.assess import assess
+from tests.estimate.test_four_sides import nearest
 from tests.support.simulate import FOUR_SIDES, simulated_pass, uneven_times
 
 OMEGA = np.array([0.02, -0.03, 0.04])

@@ -6,15 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.estimation.plain_cells import (
-    LookThrough,
-    Settling,
-    corner_slopes,
-    corner_weights,
-    corners_of,
-    rotated,
-)
-from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_model, lander_telemetry
 
 import sunspin as ss
 from sunspin.base.errors import InputError
@@ -45,6 +36,15 @@ from sunspin.estimate.posterior import refitted, searched, under_torques
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.telemetry.assess import assess
+from tests.estimate.plain_cells import (
+    LookThrough,
+    Settling,
+    corner_slopes,
+    corner_weights,
+    corners_of,
+    rotated,
+)
+from tests.estimate.test_lander_model import OMEGA, PHILAE, SUN, lander_model, lander_telemetry
 
 GRID, SHOOTING = POSTERIOR.grid, POSTERIOR.shooting
 NOISE = 12.0

@@ -6,14 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.estimation.test_lander_model import (
-    OMEGA,
-    PHILAE,
-    SUN,
-    lander_model,
-    lander_telemetry,
-    nominal,
-)
 
 import sunspin as ss
 from sunspin.dynamics.torques import Steady
@@ -24,6 +16,14 @@ from sunspin.estimate.lander.sample import sample
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.posterior import searched
 from sunspin.estimate.terms.powers import SunStates
+from tests.estimate.test_lander_model import (
+    OMEGA,
+    PHILAE,
+    SUN,
+    lander_model,
+    lander_telemetry,
+    nominal,
+)
 
 
 def near(model, count: int = 3, size: float = 1e-3) -> Shots:

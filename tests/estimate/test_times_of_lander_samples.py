@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.estimation import test_posterior_of_a_box as of_box
-from tests.estimation.test_lander_model import OMEGA, PHILAE, SUN, lander_telemetry
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.lander.fit import FINAL_ERROR, Fitting, Problem
@@ -18,6 +16,8 @@ from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import posterior
 from sunspin.estimate.terms.powers import SunStates
 from sunspin.telemetry.assess import assess
+from tests.estimate import test_posterior_of_a_box as of_box
+from tests.estimate.test_lander_model import OMEGA, PHILAE, SUN, lander_telemetry
 
 NOISE = 12.0
 """Of the readings: 2 % of full Sun on the largest panel."""
