@@ -18,7 +18,6 @@ import numpy as np
 from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
-from validation import subject
 from validation.scoreboard import Task
 from validation.truths import WRONG_SIGMAS
 
@@ -130,12 +129,12 @@ def _orbiting(seed: int, i: int) -> Row:
 
 def _sparse(seed: int, i: int) -> Row:
     """Run and judge `rates` on sparse samples of satellite `i` in orbit, several revolutions apart."""
+    import sunspin as ss
     from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rates_case
-    from validation.subject import rates
 
     vehicle, data, _, truth, about = rates_case(seed, i, **SPARSE)
     results = [
-        rates(vehicle, one_pass(data, begin).drop_vars("field_B")) for begin in about["begin_s"]
+        ss.rates(vehicle, one_pass(data, begin).drop_vars("field_B")) for begin in about["begin_s"]
     ]
     return _of_passes(
         [pass_against_truth(result, truth, 0) for result in results], "miss_deg_s", "sigma_deg_s"
@@ -322,7 +321,7 @@ def _spinner(seed: int, number: int, elements: str) -> Row:
 
     case = cases(seed, number + 1, whole=True)[number]
     with tempfile.TemporaryDirectory() as folder:
-        if number == 0 and subject.room() == subject.OF_COMMANDS:
+        if number == 0:
             row = run(case, Path(folder), f"check {elements}")
         else:
             row = check_elements(case, Path(folder), elements)
@@ -668,14 +667,13 @@ def _skcube(side: str) -> Row:
     """Estimate skCUBE's rates without its gyro, and judge them by the gyro."""
     import sunspin as ss
     from validation.real import SIDES, compare_with_gyro, fit_gyros
-    from validation.subject import rates
 
     path = Path(os.environ.get("SUNSPIN_DATA", "")) / "skcube" / "skcube_adcs.csv"
     if not os.environ.get("SUNSPIN_DATA") or not path.is_file():
         return {"outcome": "not run", "says": "no skcube/skcube_adcs.csv below SUNSPIN_DATA"}
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(path, craft)
-    result = rates(craft, data.drop_vars(SIDES[side]), workers=1)
+    result = ss.rates(craft, data.drop_vars(SIDES[side]), workers=1)
     rows = [
         row
         for row in compare_with_gyro(craft, data, result, fit_gyros(craft, data))

@@ -7,6 +7,7 @@ posterior is given. Telemetry of "swapped" and "wheel_off" follows another model
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
@@ -14,12 +15,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from sunspin import posterior
+from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.priors import with_priors
+from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.solve.rotations import tangent_basis
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Friction, Vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
-from validation import subject
 from validation.truths import is_in_solutions
+
+DIRECTION_ERROR = 1e-5
+"""Error of directions (rad) in a density."""
 
 KINDS = {"known": 0, "unknown": 1, "swapped": 5, "wheel_off": 6, "turned": 8}
 """Kinds of cases, each with the number that seeds its draws."""
@@ -218,7 +226,7 @@ def judge(vehicle: Vehicle, case: SimulatedCase, seed: int) -> dict[str, Any]:
     a solution is within `NEAR_SIGMAS` of it. "error" and "sigma" of the rate in rad/s.
     """
     telemetry, truth, priors = case
-    tree = subject.posterior(vehicle, telemetry, priors, seed, workers=1)
+    tree = posterior(vehicle, telemetry, priors, seed, workers=1)
     solutions = tree["solutions"].to_dataset()
     *of_draws, of_truth = _log_densities(vehicle, telemetry, priors, tree, truth)
     off = truth.omega_B - solutions["omega_B"].values
@@ -249,4 +257,28 @@ def _log_densities(
         np.vstack([draws[name].values[0], true])
         for name, true in (("omega_B", truth.omega_B), ("sun_B", truth.sun_B))
     )
-    return subject.log_density(vehicle, telemetry, priors, omega, sun, values)
+    return log_density(vehicle, telemetry, priors, omega, sun, values)
+
+
+def log_density(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any],
+    omega_B: np.ndarray,
+    sun_B: np.ndarray,
+    values: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """Return the log posterior density (n) of motions under the nominal model, up to a constant.
+
+    Rates (rad/s) and directions (n, 3) are those at the first sample; `values`: of the unknowns (n), by name.
+    """
+    assessment = assess(vehicle, telemetry)
+    model, _ = with_priors(assessment, observe_window(assessment), priors)
+    shots = Shots(omega_B, sun_B, _in_sigmas(model.unknowns, values))
+    return model.log_likelihood(shots, DIRECTION_ERROR) + model.log_prior_density(shots)
+
+
+def _in_sigmas(unknowns: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the values (n) of unknowns as deviations (n, m) from their centres in sigmas."""
+    columns = [(values[one.name] - one.centre) / one.sigma for one in unknowns]
+    return np.stack(columns, axis=1)

@@ -16,7 +16,6 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.vehicle import TelemetryForm
-from validation.subject import rates
 from validation.truths import is_wrong
 
 EXCHANGES, SAMPLES = 2, 32
@@ -271,7 +270,7 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     try:
         # column tests try reversed wheels too: without them the set sees whether each wheel's sign is tried by itself
         tested = which != WHEEL_REVERSED
-        result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=tested)
+        result = ss.rates(vehicle, data, max_rate_rad_s=0.09, column_tests=tested)
     except SunspinError as error:
         return row | {"outcome": "refused", "verdict": str(error)}
     row |= {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin import Period
+from sunspin import Period, rates
 from sunspin.base.errors import SunspinError
 from validation.passes import (
     FACES,
@@ -21,7 +21,6 @@ from validation.passes import (
     spin,
     unit,
 )
-from validation.subject import rates
 
 PASSES, APART_S = 4, 5600.0
 """Number of passes of a file, and the time from one to the next."""

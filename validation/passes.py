@@ -16,11 +16,11 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin import rates
 from sunspin.base.errors import SunspinError
 from sunspin.estimate.verdict import DECIDED, NARROWER
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
-from validation.subject import rates
 from validation.truths import is_listed, is_wrong
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])

@@ -22,9 +22,9 @@ import numpy as np
 import xarray as xr
 from scipy.integrate import solve_ivp
 
+from sunspin import posterior
 from sunspin.base.errors import SunspinError
 from sunspin.cases import load_case
-from validation import subject
 from validation.truths import is_in_solutions
 
 CASES = 24
@@ -201,7 +201,7 @@ def run(case: Case) -> dict[str, Any]:
     began = time.process_time()
     try:
         priors = {"max_rate_rad_s": case.max_rate}
-        tree = subject.posterior(vehicle, telemetry, priors, 0, workers=1)
+        tree = posterior(vehicle, telemetry, priors, 0, workers=1)
     except SunspinError as error:
         took = time.process_time() - began
         return {

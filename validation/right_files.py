@@ -11,12 +11,10 @@ from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin import load_vehicle, read_telemetry
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
 from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.file import parse_vehicle
-from validation import subject
 from validation.passes import unit
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
@@ -47,10 +45,6 @@ def _accusations(verdict: str) -> list[str]:
 def judge(folder: Path, seed: int, i: int, command: str) -> dict[str, Any]:
     """Return the accusations of one file by the command "check" or "rates": "form" has its features, "accused" the texts."""
     vehicle, telemetry, form = make(folder, seed, i)
-    if command == "rates" and subject.room() != subject.OF_COMMANDS:
-        craft = load_vehicle(vehicle)
-        result = subject.rates(craft, read_telemetry(telemetry, craft))
-        return {"form": form, "accused": _accusations(result.attrs["verdict"])}
     arguments = [str(vehicle), str(telemetry), "--json"]
     done = CliRunner().invoke(
         check if command == "check" else rates, arguments, catch_exceptions=False

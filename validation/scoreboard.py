@@ -28,7 +28,6 @@ import numpy as np
 
 from sunspin.base import atomic_write
 from validation.campaign import load_or_make, rows_folder
-from validation.subject import OF_COMMANDS, ROOMS, judge_room
 
 ROOT = Path(__file__).parents[1]
 
@@ -83,11 +82,10 @@ def run_tasks(
     folder: Path,
     workers: int,
     say: Callable[[str], None],
-    room: str = OF_COMMANDS,
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Run the tasks without a row in `folder` and return the rows by set and case.
 
-    Rows are kept in `folder`, so an interruption loses only the cases in progress. `room`: the package that is judged.
+    Rows are kept in `folder`, so an interruption loses only the cases in progress.
     """
     paths = {}  # file of each row -> its task
     for task in tasks:
@@ -97,9 +95,7 @@ def run_tasks(
     begin = time.monotonic()
     # each case in a process that starts afresh: none inherits what another has computed
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_prepare, initargs=(room,)
-    ) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare) as pool:
         waiting = {pool.submit(_load_or_run, path, paths[path].run): path for path in missing}
         for count, future in enumerate(as_completed(waiting), 1):
             task, row = paths[waiting[future]], future.result()
@@ -119,10 +115,9 @@ def run_tasks(
     return rows
 
 
-def _prepare(room: str) -> None:
-    """Limit linear algebra to one thread, and judge this package."""
+def _prepare() -> None:
+    """Limit linear algebra to one thread."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    judge_room(room)
 
 
 def _as_file(name: str) -> str:
@@ -347,12 +342,6 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="COMMIT",
         help="measure processor times too, beside this commit in an environment of its own",
     )
-    parser.add_argument(
-        "--room",
-        choices=[*ROOMS, OF_COMMANDS],
-        default=OF_COMMANDS,
-        help="the package that is judged; default: that of the commands",
-    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.set_defaults(level="quick")
 
@@ -373,11 +362,8 @@ def main(options: argparse.Namespace) -> int:
         for task in AREAS[name](options.level, seed)
     ]
     state = package_state()
-    # one package is not judged by the rows of another
-    folder = options.rows / (state if options.room == OF_COMMANDS else f"{state}-{options.room}")
-    rows = run_tasks(
-        tasks, folder, options.workers, lambda text: print(text, flush=True), options.room
-    )
+    folder = options.rows / state
+    rows = run_tasks(tasks, folder, options.workers, lambda text: print(text, flush=True))
     if options.before is not None:  # alone on the machine, after all else
         path = folder / f"speed-{options.level}-{options.before}.json"
         run = partial(speed.make_row, options.before, options.level, options.rows / "environments")

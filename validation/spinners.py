@@ -25,11 +25,12 @@ import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.cli.check import check
 from sunspin.environment.ephemeris import OrbitFile
+from sunspin.estimate.orbit.check import check_orbit
+from sunspin.estimate.orbit.judged import orbit_of
 from sunspin.output.check.orbit import choose_orbit
 from sunspin.telemetry.assess import assess
 from tests.support.orbits import with_check_digit, with_node_turned
 from tests.support.vehicles import FACES
-from validation import subject
 from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
@@ -381,8 +382,8 @@ def check_elements(case: Case, folder: Path, which: str) -> dict[str, Any]:
     make(case, folder)
     vehicle = ss.load_vehicle(folder / "vehicle.toml")
     telemetry = ss.read_telemetry(folder / "telemetry.csv", vehicle)
-    orbit = subject.orbit_of(vehicle, telemetry, folder / f"{which}.tle")
-    found = subject.check_orbit(orbit, vehicle, telemetry)
+    orbit = orbit_of(vehicle, telemetry, folder / f"{which}.tle")
+    found = check_orbit(orbit, vehicle, telemetry)
     shift = {"shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s}
     return {"defect": False, "orbit": {"verdict": found.verdict.name.lower()} | shift}
 
@@ -396,7 +397,7 @@ def _estimate(folder: Path, which: str, truth: dict[str, Any]) -> dict[str, Any]
         if which != "none":
             chosen = choose_orbit(assessment, OrbitFile(folder / f"{which}.tle"), None)
             orbit, calibration = chosen.orbit, chosen.calibration
-        result = subject.rates(craft, assessment, environment=orbit, calibration=calibration)
+        result = ss.rates(craft, assessment, environment=orbit, calibration=calibration)
     except SunspinError as error:
         return {"defect": False, "error": str(error)[-300:]}
     passes = [_pass(truth, result.isel(pass_id=k)) for k in range(result.sizes["pass_id"])]

@@ -13,11 +13,11 @@ import numpy as np
 import xarray as xr
 from scipy.stats import chi2
 
+from sunspin import posterior
 from sunspin.base.errors import SunspinError
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from validation import subject
 from validation.calibrate import AS_DRAWN, draw_from_prior
 from validation.truths import WRONG_SIGMAS, is_in_solutions
 
@@ -98,7 +98,7 @@ def judge(level: str, seed: int, i: int) -> dict[str, Any]:
     """
     case = make(level, seed, i)
     try:
-        tree = subject.posterior(BOX, case.telemetry, case.priors, seed, workers=1)
+        tree = posterior(BOX, case.telemetry, case.priors, seed, workers=1)
     except SunspinError as error:
         return {"word": "refused", "verdict": str(error), "listed": False}
     solutions = tree["solutions"]

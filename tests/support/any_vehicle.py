@@ -21,7 +21,6 @@ from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 from tests.support.simulate import telemetry_of, uneven_times
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
-from validation import subject
 from validation.calibrate import ASSUMED
 from validation.truths import is_in_solutions, is_listed
 
@@ -313,7 +312,7 @@ def judge_posterior(case: PosteriorCase, workers: int | None) -> dict[str, Any]:
     """Return the verdict of the posterior on a case, or that it refuses, and how far the truth is from the nearest solution."""
     began = time.process_time()
     try:
-        tree = subject.posterior(case.vehicle, case.telemetry, case.priors, seed=0, workers=workers)
+        tree = ss.posterior(case.vehicle, case.telemetry, case.priors, seed=0, workers=workers)
     except SunspinError as error:
         return case.about | {"word": "refused", "verdict": str(error), "listed": False}
     modes = tree["solutions"]

@@ -13,6 +13,7 @@ import xarray as xr
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
+from sunspin import calibrate_sensors
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import drift_sigma_s_day, in_orbit
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -20,7 +21,6 @@ from sunspin.vehicle.sensors import Disturbance, Gyro, Magnetometer, Sensors, Su
 from tests.support.orbits import EPOCH, sky, two_line_elements
 from tests.support.simulate import telemetry_of
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
-from validation import subject
 
 SENSOR_X_AXES = [[0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0]]
 """The x axis of the Sun sensor on each face, before it is made perpendicular to the face's normal."""
@@ -177,7 +177,7 @@ def judge_calibration(seed: int, i: int) -> dict[str, Any]:
     orbit = in_orbit(
         elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=case.shift_sigma_s
     )
-    result = subject.calibrate_sensors(case.vehicle, data, orbit)
+    result = calibrate_sensors(case.vehicle, data, orbit)
     along_track = {
         f"orbit.{name}": [
             (result.attrs[name] - true) / result.attrs[name.replace("_s", "_sigma_s", 1)]

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin import rates
 from sunspin.base.errors import SunspinError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
@@ -37,7 +38,6 @@ from tests.support.orbits import (
 )
 from tests.support.simulate import telemetry_of
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
-from validation import subject
 from validation.truths import is_listed, is_wrong
 
 WRONG_DEG = 20.0
@@ -143,7 +143,7 @@ def judge_check(seed: int, i: int) -> dict[str, Any]:
         ("clock", 0.0, late),
     ):
         orbit = orbit_of(elements, samples, about, by_deg)
-        checks[name] = subject.check_orbit(orbit, vehicle, samples, seed=i)
+        checks[name] = check_orbit(orbit, vehicle, samples, seed=i)
     return checks
 
 
@@ -279,7 +279,7 @@ def judge_rates(seed: int, i: int) -> dict[str, Any]:
         about[name] = {"passes": []}
         for begin in about["begin_s"][: 1 if dropped else None]:
             try:
-                result = subject.rates(
+                result = rates(
                     vehicle,
                     one_pass(data, begin).drop_vars(dropped),
                     environment=orbit,
