@@ -27,6 +27,7 @@ from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
     OTHER_SENSORS,
+    AtOnce,
     PassRow,
     answers,
     misfit,
@@ -290,16 +291,9 @@ def believed(
             misfits[k, sensors.index(name)] = by_sensor[name]
             residual[sensors.index(name), of_pass] = part[0]
         omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
-        four_answers, speed = answers(
-            one.probability,
-            omega,
-            covariance,
-            rate_sigma,
-            by_sensor,
-            bool(one.track.cost[0] <= one.cost_limit),
-            cure,
-            either_side(one.track),
-        )
+        motions = AtOnce(one.probability, omega, covariance, either_side(one.track))
+        explained = bool(one.track.cost[0] <= one.cost_limit)
+        four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, cure)
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # exchanged columns give a motion of the same size, so that a size confirms none
         # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion

@@ -210,33 +210,28 @@ class Answers(NamedTuple):
         return "; ".join(reasons)
 
 
+class AtOnce(NamedTuple):
+    """K solutions at one instant, the most probable first.
+
+    `probability` (K); `omega` (K, 3) in rad/s with `covariance` (K, 3, 3); `one_rate` (K): which are the first one, or differ from
+    it in the sign of the Sun's direction alone.
+    """
+
+    probability: np.ndarray
+    omega: np.ndarray
+    covariance: np.ndarray
+    one_rate: np.ndarray
+
+
 def answers(
-    probability: np.ndarray,
-    omega: np.ndarray,
-    covariance: np.ndarray,
-    rate_sigma: float,
-    misfits: Mapping[str, Misfit],
-    explained: bool,
-    cure: str,
-    one_rate: np.ndarray,
+    motions: AtOnce, rate_sigma: float, misfits: Mapping[str, Misfit], explained: bool, cure: str
 ) -> tuple[Answers, np.ndarray]:
     """Return the answers for the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
 
-    Parameters
-    ----------
-    probability : (K)
-    omega, covariance : (K, 3) rad/s, (K, 3, 3)
-    rate_sigma : float, rad/s
-        Sigma of a component before the data.
-    misfits
-        By sensor.
-    explained : bool
-        Whether all readings together cost as little as those of a motion of this kind.
-    cure
-        What the search may have left out, in words; empty if nothing.
-    one_rate : (K)
-        Which solutions are the first one, or differ from it in the sign of the Sun's direction alone.
+    `rate_sigma` (rad/s): sigma of a component before the data; `misfits`: by sensor. `explained`: whether all readings together
+    cost as little as those of a motion of this kind. `cure`: what the search may have left out, in words; empty if nothing.
     """
+    probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
     # one sigma about the first solution, all solutions counted
     share = (probability / probability.sum())[:, None]
