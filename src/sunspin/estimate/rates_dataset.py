@@ -33,6 +33,7 @@ from sunspin.estimate.verdict import (
     misfit,
     padded,
     passes_table,
+    spread_of,
 )
 from sunspin.solve.rotations import (
     matrix_from_quaternion,
@@ -81,7 +82,7 @@ def dataset(
     pass_of = np.repeat(np.arange(len(passes)), [len(one.samples) for one in passes])
     quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
     each = ("pass_id", "solution")
-    spread = [spread_of(one.mean, one.mean_sigma, one.probability) for one in solved]
+    spread = [spread_of(one.mean, one.mean_sigma**2, one.probability) for one in solved]
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), omega),
@@ -242,15 +243,6 @@ def in_space(
         quaternion = without_sign_jumps(quaternion, result[pass_of].values)
         from_J2000[name] = (time, "quaternion"), quaternion
     return result.assign(from_J2000).assign_attrs(frame_N=J2000)
-
-
-def spread_of(mean: np.ndarray, sigma: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Return one sigma (3) of a rate about the best of K solutions, all of them counted.
-
-    `mean`, `sigma` (K, 3) and `probability` (K): those of the solutions. It is the root mean square of the difference from mean[0].
-    """
-    share = (probability / probability.sum())[:, None]
-    return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
 
 
 def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -233,10 +233,7 @@ def answers(
     """
     probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
-    # one sigma about the first solution, all solutions counted
-    share = (probability / probability.sum())[:, None]
-    variance = np.einsum("kii->ki", covariance) + (omega - omega[0]) ** 2
-    sigma = np.sqrt((share * variance).sum(axis=0))
+    sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
     x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     four_answers = Answers(
@@ -249,6 +246,15 @@ def answers(
         speed=speed_of(omega[0], drawn, probability),
     )
     return four_answers, np.quantile(drawn, SPEEDS, axis=1).T
+
+
+def spread_of(omega: np.ndarray, variance: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Return one sigma (3) of a rate about the first of K solutions, all of them counted by their `probability` (K).
+
+    It is the root mean square of the difference from omega[0]; `omega`, `variance` (K, 3): of each solution.
+    """
+    share = (probability / probability.sum())[:, None]
+    return np.sqrt((share * (variance + (omega - omega[0]) ** 2)).sum(axis=0))
 
 
 class PassRow(NamedTuple):
