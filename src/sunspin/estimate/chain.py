@@ -514,17 +514,8 @@ class Chain:
         return Track.joined(motions)
 
     def fit(self, motions: Track, window: slice) -> Track:
-        """Return motions fitted to a window; in a short one those that still fit badly are shot first, as the chain creeps."""
-        model = self.model.seeing(window)
-        fitted = fit(model, motions, steps=4).motions
-        half_s = np.abs(model.obs.t_s - model.obs.t_s[len(model.obs) // 2]).max()
-        short = model.noise.acceleration * np.sqrt(half_s**3 / 3) <= self.s.stiff_rad
-        poor = np.flatnonzero(fitted.cost > self.s.poor * model.obs.cost_limit)
-        if not (short and len(poor)):
-            return fitted
-        moved = fit(model, shot(model, len(model.obs) // 2, fitted.take(poor), 8), 4).motions
-        good = fitted.take(np.setdiff1d(np.arange(len(fitted)), poor))
-        return Track.joined([good, moved]) if len(good) else moved
+        """Return motions fitted to a window."""
+        return fit(self.model.seeing(window), motions, steps=4).motions
 
     def kept(self, motions: Track, window: slice) -> Track:
         """Return motions without copies and without improbable ones, best first."""
@@ -555,7 +546,7 @@ def along_the_valley(
     valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
     far from the best.
     """
-    limit = s.poor * model.obs.cost_limit
+    limit = s.valley_fits * model.obs.cost_limit
     limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
     motions = motions.take(np.flatnonzero(motions.cost < limit))
     covariance = np.nan_to_num(motions.covariance[:, middle])

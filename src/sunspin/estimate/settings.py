@@ -98,6 +98,9 @@ class SearchSettings:
     valley_most: int = 16
     """Further candidates for one window, at most: with 64 no more of 100 slow bodies were found."""
 
+    valley_fits: float = 0.4
+    """Candidates that cost more than this share of the limit get no further ones: they do not fit."""
+
     valley_leading: float = 6.0
     """Candidates that cost more than the best by this get no further ones."""
 
@@ -112,12 +115,6 @@ class SearchSettings:
 
     good_enough: float = 0.8
     """A candidate fits for the search if it costs less than this share of the limit."""
-
-    poor: float = 0.4
-    """Candidates that cost more than this share of the limit are fitted by shooting, if the window is short."""
-
-    stiff_rad: float = 0.1
-    """A window is short if unknown torques turn the body by less than this in half of it: there the chain creeps."""
 
     watch: Callable[[Any, Any], None] | None = None
     """Called with each window and its candidates: to see which stage dropped a motion."""
