@@ -114,7 +114,7 @@ def _fitted(
     one = fit(model, motions, steps, s.tolerance)
     # under weak torques a chain creeps: a motion whose cost rises may stand on a slope, and then goes down along the equations
     span_s = float(np.ptp(model.obs.t_s))
-    stiff = model.noise.acceleration * np.sqrt((span_s / 2) ** 3 / 3) <= of_search.stiff_rad
+    stiff = model.noise.acceleration * np.sqrt((span_s / 2) ** 3 / 3) <= s.stiff_rad
     if stiff and len(motions.cost) == len(one):
         rises = one.motions.cost > motions.cost + s.creeping
         if rises.any():

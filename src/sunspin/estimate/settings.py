@@ -147,6 +147,9 @@ class LadderSettings:
     """A motion whose cost rises by more than this from one rung to the next may only creep: it is fitted further by steps along the
     equations of motion. Fitting all motions so took twice the time of passes with few samples."""
 
+    stiff_rad: float = 0.1
+    """Torques are weak for such a fit if they turn the body by less than this in half of the pass."""
+
     hopeless: float = 18.0
     """Log evidence by which a motion, or a rung, is too improbable to go on with."""
 
