@@ -9,7 +9,7 @@ import numpy as np
 
 from sunspin.estimate.lander.allowed import Nodes, shortfall
 from sunspin.estimate.lander.cells import DARK_SLOPE
-from sunspin.estimate.lander.grid import MIDDLES, POINTS, Place
+from sunspin.estimate.lander.grid import MIDDLES, POINTS, Reference
 from sunspin.estimate.lander.rate_grid import RateGrid
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
@@ -33,7 +33,7 @@ def corner_weights(x: np.ndarray) -> np.ndarray:
 
 
 def corner_slopes(x: np.ndarray) -> np.ndarray:
-    """Return the derivatives (..., 8, 3) of :func:`corner_weights` by the place."""
+    """Return the derivatives (..., 8, 3) of :func:`corner_weights` by the reference."""
     sides = np.where(CORNERS, x[..., None, :], 1 - x[..., None, :])
     signs = np.where(CORNERS, 1.0, -1.0)
     others = sides[..., [1, 0, 0]] * sides[..., [2, 2, 1]]
@@ -69,17 +69,19 @@ class Settling(NamedTuple):
 class LookThrough:
     """Readings of the reference and of the samples next to it, against the cells of a grid of rates."""
 
-    def __init__(self, grid: RateGrid, panels: PanelPowers, place: Place, s: GridSettings) -> None:
+    def __init__(
+        self, grid: RateGrid, panels: PanelPowers, reference: Reference, s: GridSettings
+    ) -> None:
         """Compare the readings of all nodes of the sphere with those of the samples."""
-        self.grid, self.place, self.s = grid, place, s
-        samples = np.array([place.sample, *place.others])
+        self.grid, self.reference, self.s = grid, reference, s
+        samples = np.array([reference.sample, *reference.others])
         self.panels = panels.take(samples)  # the reference first
         full = panels.response.power(panels.response.facing_B).diagonal()
         self.full = panels.brightness * full
         self.nodes = Nodes(s.nodes)
-        others = panels.take(place.others)
+        others = panels.take(reference.others)
         seen = np.broadcast_to(
-            self.nodes.directions[:, None], (len(self.nodes.directions), len(place.others), 3)
+            self.nodes.directions[:, None], (len(self.nodes.directions), len(reference.others), 3)
         )
         near, far = s.near_rad + s.node_rad, s.far_rad + s.node_rad
         self.short_near, self.short_far = (
@@ -93,13 +95,13 @@ class LookThrough:
     def settled_starts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the starts of cells (by index): rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
         s, turn = self.s, corners_of(self.grid, cells)
-        tangents = np.stack(tangent_basis(self.place.suns), axis=1)
+        tangents = np.stack(tangent_basis(self.reference.suns), axis=1)
         # the middle of each eighth of a cell, for each direction: does any direction near it agree?
         middles = self._interpolated(turn[:, None], corner_weights(MIDDLES))
         cell, eighth, sun = self._agreeing(middles)
         at = corner_weights(POINTS)[eighth]  # (S, 8 points, 8 corners)
         points = self._interpolated(turn[cell][:, None], at)
-        directions = rotated(points, self.place.suns[sun][:, None, None])
+        directions = rotated(points, self.reference.suns[sun][:, None, None])
         worst, total = self._against(directions, self.short_near)
         total[worst > s.limit] = np.inf
         best = np.argmin(total, axis=1)
@@ -107,7 +109,7 @@ class LookThrough:
         cell, eighth, sun, best = cell[some], eighth[some], sun[some], best[some]
         starts = Settling(
             turn[cell],
-            self.place.suns[sun],
+            self.reference.suns[sun],
             tangents[sun],
             POINTS[eighth, best],
             np.zeros((len(cell), 2)),
@@ -130,7 +132,7 @@ class LookThrough:
     def _agreeing(self, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return cells, eighths and directions, by index, whose middles (n, 8, m, 4) the readings do not contradict."""
         found = []
-        for k, sun in enumerate(self.place.suns):
+        for k, sun in enumerate(self.reference.suns):
             worst, _ = self._against(rotated(middles, sun), self.short_far)
             cell, eighth = np.nonzero(worst <= self.s.limit)
             found.append(np.stack([cell, eighth, np.full(len(cell), k)]))

@@ -282,10 +282,10 @@ class SamplingSettings:
     inner_width: float = 1.1
     """Factor on the sigmas of the stiff coordinates given the others."""
 
-    standing_noise: tuple[float, ...] = (2.0, 1.0)
+    reading_noise: tuple[float, ...] = (2.0, 1.0)
     """Factors on the noise in the steps to the best gains, brightness and misalignments given a motion."""
 
-    standing_step: float = 2.0
+    reading_step: float = 2.0
     """Such a step is no longer than this, in sigmas of the prior."""
 
     defence: float = 0.15

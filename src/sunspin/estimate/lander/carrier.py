@@ -19,12 +19,12 @@ from sunspin.estimate.lander.families import (
 )
 from sunspin.estimate.lander.fit import (
     FINAL_ERROR,
-    Problem,
+    FitProblem,
     fit_finally,
     fit_first,
     in_pieces,
 )
-from sunspin.estimate.lander.grid import Place
+from sunspin.estimate.lander.grid import Reference
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
 from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
 from sunspin.estimate.search import grown
@@ -52,25 +52,25 @@ class Shooting:
     def __init__(
         self,
         model: LanderModel,
-        place: Place,
+        reference: Reference,
         s: PosteriorSettings,
         workers: int | None = None,
         torque_size: int | None = None,
     ) -> None:
-        """Begin a search under a model whose reference is at `place`.
+        """Begin a search under a model that counts time from `reference`.
 
         The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, which hide the true motion on
         their sheets. `torque_size`: index of the sigma of a constant torque, if one acts.
         """
-        self.model, self.place = model, place
+        self.model, self.reference = model, reference
         self.sizes: Sizes = {"inertia": 0}
         if torque_size is not None:
             self.sizes = {"inertia": 0, "steady_torque": torque_size}
         self.s, self.growth, self.workers = s.shooting, s.search.growth, worker_count(workers)
         self.settings = s
         self.t_s = model.obs.t_s
-        self.notes: list[str] = list(place.notes)
-        self.complete = not place.notes
+        self.notes: list[str] = list(reference.notes)
+        self.complete = not reference.notes
         self.fitted = 0  # motions times samples
         self.trace: list[
             tuple[int, int, int]
@@ -79,7 +79,7 @@ class Shooting:
 
     def of(self, model: LanderModel) -> Shooting:
         """Return the same for a model of the same readings under a constant torque."""
-        return Shooting(model, self.place, self.settings, self.workers, self.s.searched_under)
+        return Shooting(model, self.reference, self.settings, self.workers, self.s.searched_under)
 
     def _note(self, text: str, complete: bool) -> None:
         """Note once what the verdict has to say."""
@@ -97,7 +97,7 @@ class Shooting:
         """
         s = self.s
         problem, held = self._problem(window)
-        first = not len(motions.normal) and not len(motions.neighbours_s)
+        first = not len(motions.curvature) and not len(motions.neighbours_s)
         levels = s.first_levels if first else s.levels
         limit = self.cost_limit(window)
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
@@ -115,7 +115,7 @@ class Shooting:
 
     def _fitted(
         self,
-        problem: Problem,
+        problem: FitProblem,
         motions: Trials,
         fit: Callable[..., tuple[Shots, np.ndarray]],
         levels: Sequence[tuple[float, int]],
@@ -123,11 +123,11 @@ class Shooting:
         """Return motions fitted by a function of a problem, motions and levels."""
         self.fitted += len(motions) * len(problem.model.obs)
         one = partial(fit, problem, levels=levels)
-        shots, normal = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
+        shots, curvature = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
         neighbours_s = motions.neighbours_s if len(motions.neighbours_s) else np.zeros(len(shots))
-        return Trials(shots, motions.starts, normal, neighbours_s)
+        return Trials(shots, motions.starts, curvature, neighbours_s)
 
-    def _problem(self, window: slice) -> tuple[Problem, bool]:
+    def _problem(self, window: slice) -> tuple[FitProblem, bool]:
         """Return the fit to a window, and whether body and wheel are held at their centres.
 
         Each panel's own tilts are left alone and counted as noise: they would be as many as readings. The rotation of all panels
@@ -140,7 +140,7 @@ class Shooting:
         free = np.ones(len(model.unknowns), dtype=bool)
         free[model.places(TILT)] = False
         free[: len(model.of_motion)] = not held
-        return Problem(model, free, sizes=self.sizes), held
+        return FitProblem(model, free, sizes=self.sizes), held
 
     def kept(self, motions: Trials, window: slice) -> Trials:
         """Return motions without copies and without those that the readings rule out, best first."""
@@ -179,7 +179,7 @@ class Shooting:
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
             motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
-            motions = replace(motions, normal=motions.normal[:0])
+            motions = replace(motions, curvature=motions.curvature[:0])
         allowed = np.ones(len(motions), dtype=bool)
         for sample in (window.start - 1, window.stop):
             if wider.start <= sample < wider.stop:
@@ -207,7 +207,7 @@ class Shooting:
             sun = np.nan_to_num(carried.seen.sun_B)
             short = shortfall(bare.panels, sun, self.s.look_rad, g).sum(axis=1)
             allowed[rows] = (short <= g.limit) & carried.fine
-        slow = self.model.first_speed(shots.take(allowed), TRIAL_ERROR) <= self.place.fastest
+        slow = self.model.first_speed(shots.take(allowed), TRIAL_ERROR) <= self.reference.fastest
         allowed[allowed] = slow
         return allowed
 
@@ -216,7 +216,7 @@ class Shooting:
         took = FIT_S * min(going, most) * samples / self.s.held
         log = logging.getLogger("sunspin")
         if going > most:
-            smaller = self.place.given * (most / going) ** (1 / 3)
+            smaller = self.reference.given * (most / going) ** (1 / 3)
             log.warning(
                 "sunspin: %d motions may fit %d samples; %d of them are followed, which takes about %.1f min, and the search will "
                 "not be complete; with --prior max_rate_rad_s=%.2g about all of them would be followed",
@@ -283,16 +283,16 @@ class Shooting:
             begins = [ALL_SIZES]
         parts, normals = [], []
         for sizes in begins:
-            problem = Problem(self.model, free, FINAL_ERROR, sizes)
+            problem = FitProblem(self.model, free, FINAL_ERROR, sizes)
             fit = partial(fit_finally, problem, levels=self.s.last_levels)
-            fitted, normal = in_pieces(fit, shots, problem.rows_at_once, self.workers)
+            fitted, curvature = in_pieces(fit, shots, problem.rows_at_once, self.workers)
             if sizes:
                 # and on from there with all sizes by how likely they are
                 weighed = replace(problem, sizes=ALL_SIZES)
                 fit = partial(fit_finally, weighed, levels=((1.0, 4),))
-                fitted, normal = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
+                fitted, curvature = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
             parts.append(fitted)
-            normals.append(normal)
+            normals.append(curvature)
         every, curvature = Shots.joined(parts), np.concatenate(normals)
         evidence = log_evidence(self.model, every.cost, curvature)
         whole = ShotFit(self.model, every, curvature, evidence, np.tile(starts, len(begins)))

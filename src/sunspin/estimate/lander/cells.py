@@ -104,15 +104,15 @@ class Limits(NamedTuple):
     faster: float
 
 
-class Looked(NamedTuple):
+class Cells(NamedTuple):
     """Cells that are looked through.
 
-    `cells` (c): lowest corners in a cube of points; `away` (8): from there to all corners; `row_of`: rows of points in `turn`
+    `lowest` (c): lowest corners in a cube of points; `away` (8): from there to all corners; `row_of`: rows of points in `turn`
     (rows, m, 4); `suns` (s, 3, 3): directions at the reference, each with two tangents; `middles`, `points`: places in a cell,
     (8, 3) and (8, 8, 3).
     """
 
-    cells: np.ndarray
+    lowest: np.ndarray
     away: np.ndarray
     row_of: np.ndarray
     turn: np.ndarray
@@ -121,8 +121,8 @@ class Looked(NamedTuple):
     points: np.ndarray
 
 
-class Room(NamedTuple):
-    """Room for the numbers of one start.
+class Workspace(NamedTuple):
+    """Arrays that compiled code fills again for each start.
 
     `q` (4, 4): attitude and its changes. `here` (3, 3): direction at the reference and its changes; `sun` (3), `slope` (5, 3): the
     same at a sample. `light` (p), `change` (p, 5): power and its changes. `follows` (5): changes of a factor. `normal`, `gradient`:
@@ -145,14 +145,14 @@ class Room(NamedTuple):
 
 
 @compiled
-def load_corners(looked, cell, corners):
+def load_corners(cells, cell, corners):
     """Write the attitudes at the corners of a cell (8, m, 4), with signs alike so that they can be interpolated."""
     for c in range(8):
-        row = looked.row_of[cell + looked.away[c]]
+        row = cells.row_of[cell + cells.away[c]]
         for m in range(corners.shape[1]):
             alike = 0.0
             for k in range(4):
-                corners[c, m, k] = looked.turn[row, m, k]
+                corners[c, m, k] = cells.turn[row, m, k]
                 alike += corners[c, m, k] * corners[0, m, k]
             if alike < 0:
                 for k in range(4):
@@ -247,15 +247,15 @@ def contradiction(turns, sun, short, misfit, limits, out):
 
 
 @compiled
-def best_point(corners, places, sun, tables, limits, room):
+def best_point(corners, places, sun, tables, limits, work):
     """Return which of the points at `places` (8, 3) fits best, and its misfit: infinite if the readings contradict all."""
     least, best = np.inf, 0
     for point in range(8):
         worst, total = 0.0, 0.0
         for m in range(corners.shape[1]):
-            interpolate(corners, m, places[point], room.q)
-            rotate(room.q[0], sun, room.sun)
-            node = nearest_node(limits.nodes, room.sun[0], room.sun[1], room.sun[2])
+            interpolate(corners, m, places[point], work.q)
+            rotate(work.q[0], sun, work.sun)
+            node = nearest_node(limits.nodes, work.sun[0], work.sun[1], work.sun[2])
             worst = max(worst, tables.near[m, node])
             if worst > limits.limit:
                 break
@@ -269,7 +269,7 @@ def best_point(corners, places, sun, tables, limits, room):
 
 
 @compiled
-def see(light, m, sun, slope, room):
+def see(light, m, sun, slope, work):
     """Write the power of each input in sample m for a direction `sun` (3), and its change by what moves that by `slope` (5, 3).
 
     Changes of what counts for nothing are not written: of inputs that are dark, and should be.
@@ -284,7 +284,7 @@ def see(light, m, sun, slope, room):
                     power, a, b, c = here, row[0], row[1], row[2]
             elif here > 0:
                 power, a, b, c = power + here, a + row[0], b + row[1], c + row[2]
-        room.light[j] = power
+        work.light[j] = power
         if power <= 0 and not (light.used[m, j] and light.power[m, j] > 0):
             continue
         if power <= 0:
@@ -292,11 +292,11 @@ def see(light, m, sun, slope, room):
             if row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2] > -DARK_SLOPE:
                 a, b, c = light.full[j] * row[0], light.full[j] * row[1], light.full[j] * row[2]
         for i in range(5):
-            room.change[j, i] = a * slope[i, 0] + b * slope[i, 1] + c * slope[i, 2]
+            work.change[j, i] = a * slope[i, 0] + b * slope[i, 1] + c * slope[i, 2]
 
 
 @compiled
-def best_factor(light, m, room):
+def best_factor(light, m, work):
     """Return the factor that fits the readings of a throttled sample best, and write how it follows the five coordinates.
 
     As `PanelPowers.best_factor`, with the weights that it ends with held in the derivative.
@@ -304,33 +304,33 @@ def best_factor(light, m, room):
     least, factor, size = light.sigma.min(), 1.0, 0.0
     for again in range(ROUNDS + 1):
         along, size = 0.0, 0.0
-        room.follows[:] = 0.0
+        work.follows[:] = 0.0
         for j in range(len(light.full)):
             if not light.used[m, j]:
                 continue
             weight = (least / light.sigma[j]) ** 2
             if again:
-                off = (light.power[m, j] - factor * room.light[j]) / (HALF_WEIGHT * light.sigma[j])
+                off = (light.power[m, j] - factor * work.light[j]) / (HALF_WEIGHT * light.sigma[j])
                 weight /= 1.0 + off * off
-            size += weight * room.light[j] ** 2
-            along += weight * max(light.power[m, j], 0.0) * room.light[j]
-            if room.light[j] > 0:
+            size += weight * work.light[j] ** 2
+            along += weight * max(light.power[m, j], 0.0) * work.light[j]
+            if work.light[j] > 0:
                 for i in range(5):
-                    room.follows[i] += weight * room.light[j] * room.change[j, i]
+                    work.follows[i] += weight * work.light[j] * work.change[j, i]
         factor = along / size if size > 0 else 1.0
     for i in range(5):
-        room.follows[i] = room.follows[i] / size if size > 0 else 0.0
+        work.follows[i] = work.follows[i] / size if size > 0 else 0.0
     return factor
 
 
 @compiled
-def add_sample(light, m, limits, room):
+def add_sample(light, m, limits, work):
     """Add the readings of sample m, as seen, to the normal equations; return their misfit."""
     misfit, factor = 0.0, 1.0
     if light.throttled:
-        factor = best_factor(light, m, room)
+        factor = best_factor(light, m, work)
     for j in range(len(light.full)):
-        power, read = factor * room.light[j], light.power[m, j]
+        power, read = factor * work.light[j], light.power[m, j]
         if not light.used[m, j] or not (power > 0 or read > 0):
             continue
         # errors of interpolated attitudes blur a reading in proportion to the power in full Sun
@@ -340,12 +340,12 @@ def add_sample(light, m, limits, room):
         weight = precision / (1.0 + square / SOFT_SIGMAS**2)
         if light.throttled:
             for i in range(5):
-                room.change[j, i] = factor * (room.change[j, i] - room.light[j] * room.follows[i])
+                work.change[j, i] = factor * (work.change[j, i] - work.light[j] * work.follows[i])
         for i in range(5):
-            pull = weight * room.change[j, i]
-            room.gradient[i] += pull * (power - read)
+            pull = weight * work.change[j, i]
+            work.gradient[i] += pull * (power - read)
             for k in range(i + 1):
-                room.normal[i, k] += pull * room.change[j, k]
+                work.normal[i, k] += pull * work.change[j, k]
     return misfit
 
 
@@ -372,13 +372,13 @@ def solve(normal, gradient, move):
 
 
 @compiled
-def equations(corners, x, step, frame, light, limits, room):
+def equations(corners, x, step, frame, light, limits, work):
     """Write the normal equations of a start for place and direction, and return its misfit."""
     for i in range(5):
-        room.gradient[i] = 0.0
+        work.gradient[i] = 0.0
         for k in range(i + 1):
-            room.normal[i, k] = 0.0
-    here = room.here  # the direction at the reference, and its two changes
+            work.normal[i, k] = 0.0
+    here = work.here  # the direction at the reference, and its two changes
     for k in range(3):
         here[0, k] = frame[0, k] + step[0] * frame[1, k] + step[1] * frame[2, k]
     length = np.sqrt(here[0, 0] ** 2 + here[0, 1] ** 2 + here[0, 2] ** 2)
@@ -392,37 +392,37 @@ def equations(corners, x, step, frame, light, limits, room):
     for m in range(1 + corners.shape[1]):
         if m == 0:  # the reference, whose direction does not depend on the rate
             for k in range(3):
-                room.slope[0, k], room.slope[1, k], room.slope[2, k] = 0.0, 0.0, 0.0
-                room.slope[3, k], room.slope[4, k] = here[1, k], here[2, k]
-            see(light, m, here[0], room.slope, room)
+                work.slope[0, k], work.slope[1, k], work.slope[2, k] = 0.0, 0.0, 0.0
+                work.slope[3, k], work.slope[4, k] = here[1, k], here[2, k]
+            see(light, m, here[0], work.slope, work)
         else:
-            interpolate(corners, m - 1, x, room.q)
-            rotate(room.q[0], here[0], room.sun)
+            interpolate(corners, m - 1, x, work.q)
+            rotate(work.q[0], here[0], work.sun)
             for i in range(3):
-                turned_by(room.q[0], room.q[1 + i], room.sun, room.slope[i])
+                turned_by(work.q[0], work.q[1 + i], work.sun, work.slope[i])
             for i in range(2):
-                rotate(room.q[0], here[1 + i], room.slope[3 + i])
-            see(light, m, room.sun, room.slope, room)
-        misfit += add_sample(light, m, limits, room)
+                rotate(work.q[0], here[1 + i], work.slope[3 + i])
+            see(light, m, work.sun, work.slope, work)
+        misfit += add_sample(light, m, limits, work)
     return misfit
 
 
 @compiled
-def settle(corners, x, step, frame, light, limits, room):
+def settle(corners, x, step, frame, light, limits, work):
     """Move place x and `step` of a start to the nearest solution, and return its misfit.
 
     It ends early if the misfit does not fall fast enough to become small.
     """
     misfit = np.inf
     for left in range(limits.steps, -1, -1):
-        before, misfit = misfit, equations(corners, x, step, frame, light, limits, room)
+        before, misfit = misfit, equations(corners, x, step, frame, light, limits, work)
         gained = max(before - misfit, 0.0)
         if left == 0 or (
             left < limits.steps - 1 and misfit - left * limits.faster * gained > limits.settled
         ):
             break
-        move = room.move
-        solve(room.normal, room.gradient, move)
+        move = work.move
+        solve(work.normal, work.gradient, move)
         place = max(abs(move[0]), abs(move[1]), abs(move[2])) / LONGEST_PLACE
         turn = max(abs(move[3]), abs(move[4])) / LONGEST_TURN
         size = max(place, turn, 1.0)
@@ -437,7 +437,7 @@ def _entry(sources: int) -> Any:
     """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the search for starts of a posterior, once (some 10 s)")
-    def look_through(looked, tables, light, limits):
+    def search_cells(cells, tables, light, limits):
         """Return the starts (n, START) that settle in cells.
 
         An eighth of a cell is left out if no direction near its middle agrees with the readings. Of its eight points the best is
@@ -445,9 +445,9 @@ def _entry(sources: int) -> Any:
         """
         _ = sources
         count, found = 0, np.empty((256, START))
-        p, others = len(light.full), looked.turn.shape[1]
+        p, others = len(light.full), cells.turn.shape[1]
         corners = np.empty((8, others, 4))
-        room = Room(
+        work = Workspace(
             np.empty((4, 4)),
             np.empty((3, 3)),
             np.empty(3),
@@ -460,27 +460,27 @@ def _entry(sources: int) -> Any:
             np.empty(5),
         )
         turns, step = np.empty((others, 4)), np.empty(2)
-        for cell in looked.cells:
-            load_corners(looked, cell, corners)
+        for cell in cells.lowest:
+            load_corners(cells, cell, corners)
             for eighth in range(8):
-                middle = looked.middles[eighth]
+                middle = cells.middles[eighth]
                 for m in range(others):
-                    interpolate(corners, m, middle, room.q)
-                    turns[m] = room.q[0]
-                for s in range(len(looked.suns)):
-                    frame = looked.suns[s]
+                    interpolate(corners, m, middle, work.q)
+                    turns[m] = work.q[0]
+                for s in range(len(cells.suns)):
+                    frame = cells.suns[s]
                     worst, _total = contradiction(
-                        turns, frame[0], tables.far, tables.misfit, limits, room.sun
+                        turns, frame[0], tables.far, tables.misfit, limits, work.sun
                     )
                     if worst > limits.limit:
                         continue
-                    points = looked.points[eighth]
-                    best, least = best_point(corners, points, frame[0], tables, limits, room)
+                    points = cells.points[eighth]
+                    best, least = best_point(corners, points, frame[0], tables, limits, work)
                     if least == np.inf:
                         continue
                     x = points[best].copy()
                     step[:] = 0.0
-                    misfit = settle(corners, x, step, frame, light, limits, room)
+                    misfit = settle(corners, x, step, frame, light, limits, work)
                     if misfit > limits.settled or np.abs(x - middle).max() >= KEPT_PLACE:
                         continue
                     if count == len(found):
@@ -491,7 +491,7 @@ def _entry(sources: int) -> Any:
                     count += 1
         return found[:count]
 
-    return look_through
+    return search_cells
 
 
-look_through = _entry(digest(__file__))
+search_cells = _entry(digest(__file__))

@@ -31,7 +31,7 @@ def one_each_box(trials: Trials, reach_s: float, s: ShootingSettings) -> Trials:
     starts = np.bincount(inverse.ravel(), weights=trials.starts[order]).astype(np.int64)
     rank = np.argsort(first, kind="stable")
     kept = trials.take(order[first[rank]])
-    return Trials(kept.shots, starts[rank], kept.normal, kept.neighbours_s)
+    return Trials(kept.shots, starts[rank], kept.curvature, kept.neighbours_s)
 
 
 def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
@@ -39,8 +39,8 @@ def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
 
     Inertia, friction and wheel, uncertain, make a sheet of each motion, which boxes of rate and direction cut into many.
     """
-    shots, normal = trials.shots, trials.normal
-    reach = _reach(normal, s.sheet_chi2)
+    shots, curvature = trials.shots, trials.curvature
+    reach = _reach(curvature, s.sheet_chi2)
     kept, starts, left = [], [], np.arange(len(trials))
     while len(left):
         best = left[0]
@@ -50,7 +50,7 @@ def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
         near[0] = True
         candidates = left[near]
         off = shots.take(candidates).from_centre(shots.take(slice(best, best + 1)))
-        distance = np.minimum(_square(off, normal[best]), _square(off, normal[candidates]))
+        distance = np.minimum(_square(off, curvature[best]), _square(off, curvature[candidates]))
         copies = distance < s.sheet_chi2
         copies[0] = True
         kept.append(best)
@@ -58,7 +58,7 @@ def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
         near[near] = copies
         left = left[~near]
     joined = trials.take(np.array(kept, dtype=int))
-    return Trials(joined.shots, np.array(starts), joined.normal, joined.neighbours_s)
+    return Trials(joined.shots, np.array(starts), joined.curvature, joined.neighbours_s)
 
 
 def distinct_fits(fit: ShotFit, s: ShootingSettings) -> ShotFit:
@@ -90,10 +90,10 @@ def _square(off: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.sum((off[:, None, :] @ metric)[:, 0] * off, axis=1)
 
 
-def _reach(normal: np.ndarray, chi2: float) -> np.ndarray:
+def _reach(curvature: np.ndarray, chi2: float) -> np.ndarray:
     """Return bounds (K, 3) of how far the rates of motions on one sheet are apart, by curvatures (K, D, D); inf: unbounded."""
-    size = np.sqrt(np.einsum("kdd->kd", normal)).clip(1e-12)
-    values, vectors = np.linalg.eigh(normal / (size[:, :, None] * size[:, None, :]))
+    size = np.sqrt(np.einsum("kdd->kd", curvature)).clip(1e-12)
+    values, vectors = np.linalg.eigh(curvature / (size[:, :, None] * size[:, None, :]))
     across = np.sum(vectors[:, :3] ** 2 / values[:, None].clip(1e-300), axis=2)
     return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, :3], np.inf)
 
@@ -106,7 +106,7 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
-    spread = np.linalg.inv(trials.normal[:, :5, :5] + least) * size[:, None] * size
+    spread = np.linalg.inv(trials.curvature[:, :5, :5] + least) * size[:, None] * size
     values, vectors = np.linalg.eigh(spread)
     loosest = slice(None, -s.family_directions - 1, -1)
     width, along = np.sqrt(values[:, loosest].clip(0)), vectors[:, :, loosest]

@@ -47,7 +47,7 @@ NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
 
 
 class Point(NamedTuple):
-    """Motions on their way: state, derivatives `moves` (K, c, n, w) of what is seen, and how they came there.
+    """Motions on their way: state, derivatives `seen_slopes` (K, c, n, w) of what is seen, and how they came there.
 
     `before` (K, n, w): what was seen where the last step began; `step` (K, c): that step, zero if nothing is learnt of it.
     """
@@ -55,7 +55,7 @@ class Point(NamedTuple):
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
-    moves: np.ndarray
+    seen_slopes: np.ndarray
     before: np.ndarray
     step: np.ndarray
 
@@ -68,18 +68,18 @@ class Point(NamedTuple):
 class Linear(NamedTuple):
     """Differences `value` (K, R) in stated sigmas and derivatives `jacobian` (K, R, F) by the free coordinates.
 
-    `fine` (K): the motion could be computed; `moves` and `seen` as in :class:`Point`.
+    `fine` (K): the motion could be computed; `seen_slopes` and `seen` as in :class:`Point`.
     """
 
     value: np.ndarray
     jacobian: np.ndarray
     fine: np.ndarray
-    moves: np.ndarray
+    seen_slopes: np.ndarray
     seen: np.ndarray
 
 
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """A fit of motions to the samples of a model with some coordinates free.
 
     `free_unknowns` (m): which unknowns are free; the noise never is. `sizes`: sigmas that are taken of unknowns with several.
@@ -161,12 +161,12 @@ class Problem:
         seen, fine = self.seen(Shots.joined(bare), self.difference_error)
         seen = seen.reshape(len(runs), count, *seen.shape[1:])
         base = seen[0]
-        moves = np.zeros((5 + len(self.moving), *base.shape))
-        moves[RATE] = (seen[1:4] - base) / rate
+        seen_slopes = np.zeros((5 + len(self.moving), *base.shape))
+        seen_slopes[RATE] = (seen[1:4] - base) / rate
         sun, carried = base[..., :3], seen[4, ..., :3]
-        moves[3, ..., :3], moves[4, ..., :3] = carried, cross(sun, carried)
-        moves[5:] = (seen[5:] - base) / steps[:, None, None, None]
-        return base, np.nan_to_num(np.moveaxis(moves, 0, 1))
+        seen_slopes[3, ..., :3], seen_slopes[4, ..., :3] = carried, cross(sun, carried)
+        seen_slopes[5:] = (seen[5:] - base) / steps[:, None, None, None]
+        return base, np.nan_to_num(np.moveaxis(seen_slopes, 0, 1))
 
     def _unknown_steps(self) -> np.ndarray:
         """Return the steps (f) of the differences in the unknowns of the motion, in sigmas."""
@@ -179,8 +179,8 @@ class Problem:
                 steps[k] = RATE_STEP / turn
         return steps
 
-    def differences(self, shots: Shots, seen: np.ndarray, moves: np.ndarray) -> Linear:
-        """Return differences and derivatives of motions of which is `seen` (K, n, w), with derivatives `moves` (K, c, n, w).
+    def differences(self, shots: Shots, seen: np.ndarray, seen_slopes: np.ndarray) -> Linear:
+        """Return differences and derivatives of motions of which is `seen` (K, n, w), with derivatives `seen_slopes` (K, c, n, w).
 
         Without any (c = 0) the derivatives are those by unknowns on which the motion does not depend.
         """
@@ -189,10 +189,10 @@ class Problem:
         seen = np.where(fine[:, None, None], seen, 0.0)
         sun, omega = seen[..., :3], seen[..., 3:]
         # a change d of the Sun is the turn d x sun of the body, but for the turn about the Sun
-        turn = np.moveaxis(cross(moves[..., :3], sun[:, None]), 1, -1)
-        of_rate = np.moveaxis(moves[..., 3:], 1, -1)
+        turn = np.moveaxis(cross(seen_slopes[..., :3], sun[:, None]), 1, -1)
+        of_rate = np.moveaxis(seen_slopes[..., 3:], 1, -1)
         own = self.fitted[len(self.moving) :] - len(model.of_motion)
-        moving = moves.shape[1]
+        moving = seen_slopes.shape[1]
         values, columns = [], []
         for term in (model.panels, *model.given):
             for residual in term.residuals(SunStates.of(sun, omega), shots.u[:, model.of_panels]):
@@ -209,7 +209,7 @@ class Problem:
         fine = fine & np.all(np.isfinite(value), axis=1)
         value = np.where(fine[:, None], value, 0.0)
         jacobian = np.where(np.isfinite(jacobian) & fine[:, None, None], jacobian, 0.0)
-        return Linear(value, jacobian, fine, moves, seen)
+        return Linear(value, jacobian, fine, seen_slopes, seen)
 
     def of_panels(self, value: np.ndarray) -> np.ndarray:
         """Return the differences (K, n, p) of the panels among all (K, R)."""
@@ -217,18 +217,18 @@ class Problem:
         return value[:, : shape[0] * shape[1]].reshape(-1, *shape)
 
     def weigh(
-        self, value: np.ndarray, u: np.ndarray, factor: float
+        self, value: np.ndarray, u: np.ndarray, noise_factor: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return cost (K) and weights (K, R) of differences under `factor` times the noise."""
-        law = self.model.panels.law(u[:, self.model.of_panels], factor)
+        """Return cost (K) and weights (K, R) of differences under `noise_factor` times the noise."""
+        law = self.model.panels.law(u[:, self.model.of_panels], noise_factor)
         by_sample, weight = law(self.of_panels(value))
         others = value[:, weight[0].size :]
         cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
         return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
 
-    def system(self, u: np.ndarray, linear: Linear, factor: float) -> DenseSystem:
+    def system(self, u: np.ndarray, linear: Linear, noise_factor: float) -> DenseSystem:
         """Return the normal equations of a step, priors included."""
-        cost, weight = self.weigh(linear.value, u, factor)
+        cost, weight = self.weigh(linear.value, u, noise_factor)
         prior, precision = self.model.prior_cost(u, self.sizes)
         normal, gradient = _normal(linear.value, linear.jacobian, weight)
         places = np.arange(5, len(self.coordinates))
@@ -249,50 +249,50 @@ def _normal(
     return weighted @ jacobian, (weighted @ value[..., None])[..., 0]
 
 
-def corrected(moves: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+def corrected(seen_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Return derivatives (K, c, n, w) that give the change (K, n, w) of what is seen along a step (K, c) as it was.
 
     Of all such corrections it is the smallest, parts of the step being counted by how far they move what is seen.
     """
-    flat = moves.reshape(*moves.shape[:2], -1)
+    flat = seen_slopes.reshape(*seen_slopes.shape[:2], -1)
     size = step * np.sum(flat**2, axis=2)
     length = np.sum(size * step, axis=1, keepdims=True)
     share = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
     left = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
-    return moves + (share[:, :, None] * left).reshape(moves.shape)
+    return seen_slopes + (share[:, :, None] * left).reshape(seen_slopes.shape)
 
 
 def in_tangents_at(
-    there: np.ndarray, sun: np.ndarray, moves: np.ndarray, step: np.ndarray
+    there: np.ndarray, sun: np.ndarray, seen_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives and a step, given in the tangents at directions `sun` (K, 3), in those at directions `there` (K, 3)."""
     across = np.stack(tangent_basis(there), axis=1)
     turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)
-    moves, step = moves.copy(), step.copy()
-    moves[:, SUN] = np.einsum("kab,kbnw->kanw", turn, moves[:, SUN])
+    seen_slopes, step = seen_slopes.copy(), step.copy()
+    seen_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, seen_slopes[:, SUN])
     step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
-    return moves, step
+    return seen_slopes, step
 
 
 class Fitting:
     """A batch of motions being fitted; the result of each depends on itself alone."""
 
-    def __init__(self, problem: Problem, shots: Shots) -> None:
+    def __init__(self, problem: FitProblem, shots: Shots) -> None:
         """Begin at motions whose bodies can exist, with the stated noise.
 
         A noise that was small for fewer readings would let the wide levels draw in less than they should.
         """
         u = problem.model.limited(shots.u, INSIDE)
         u[:, problem.model.places("noise")] = 0.0
-        self.problem, self.factor = problem, 1.0
+        self.problem, self.noise_factor = problem, 1.0
         self.shots = Shots(shots.omega, shots.sun, u)
         self.refresh()
 
     def refresh(self) -> None:
         """Compute the derivatives where the motions are now."""
-        seen, moves = self.problem.derivatives(self.shots)
-        linear = self.problem.differences(self.shots, seen, moves)
-        self.system = self.problem.system(self.shots.u, linear, self.factor)
+        seen, seen_slopes = self.problem.derivatives(self.shots)
+        linear = self.problem.differences(self.shots, seen, seen_slopes)
+        self.system = self.problem.system(self.shots.u, linear, self.noise_factor)
 
     @property
     def linear(self) -> Linear:
@@ -304,15 +304,15 @@ class Fitting:
         """Return the cost (K) under the present noise."""
         return self.system.cost
 
-    def go(self, factor: float, steps: int) -> None:
-        """Take steps under `factor` times the noise."""
-        self.factor = factor
+    def go(self, noise_factor: float, steps: int) -> None:
+        """Take steps under `noise_factor` times the noise."""
+        self.noise_factor = noise_factor
         self._weigh_again()
         self.steps(steps)
 
     def _weigh_again(self) -> None:
         """Weigh the same differences under another noise."""
-        self.system = self.problem.system(self.shots.u, self.linear, self.factor)
+        self.system = self.problem.system(self.shots.u, self.linear, self.noise_factor)
 
     def take(self, rows: np.ndarray) -> None:
         """Go on with some of the motions."""
@@ -338,16 +338,16 @@ class Fitting:
         """Return derivatives and what is seen where a system was set up, no step having been taken from there."""
         linear = Linear(*system.extras)
         step = np.zeros((len(linear.seen), len(self.problem.of_motion)))
-        return linear.moves, linear.seen, step
+        return linear.seen_slopes, linear.seen, step
 
     def _linearised(self, point: Point) -> DenseSystem:
         """Return the system after a step, with derivatives corrected by it."""
         seen, fine = self.problem.seen(point.shots, self.problem.difference_error)
         change = np.where(fine[:, None, None], seen - point.before, 0.0)
         step = np.where(fine[:, None], point.step, 0.0)
-        moves = corrected(point.moves, step, change)
-        linear = self.problem.differences(point.shots, seen, moves)
-        return self.problem.system(point.u, linear, self.factor)
+        seen_slopes = corrected(point.seen_slopes, step, change)
+        linear = self.problem.differences(point.shots, seen, seen_slopes)
+        return self.problem.system(point.u, linear, self.noise_factor)
 
     def _moved(self, point: Point, step: np.ndarray) -> Point:
         """Return the motions after steps (K, F), with derivatives in the tangents of the new directions."""
@@ -355,9 +355,9 @@ class Fitting:
         whole[:, self.problem.coordinates] = step
         sun = move_on_sphere(point.sun, whole[:, SUN])
         own = whole[:, self.problem.of_motion]
-        moves, own = in_tangents_at(sun, point.sun, point.moves, own)
+        seen_slopes, own = in_tangents_at(sun, point.sun, point.seen_slopes, own)
         omega, u = point.omega + whole[:, RATE], point.u + whole[:, 5:]
-        return Point(omega, sun, u, moves, point.before, own)
+        return Point(omega, sun, u, seen_slopes, point.before, own)
 
     def _length_ratio(self, point: Point, step: np.ndarray) -> np.ndarray:
         """Return the lengths (K) of steps (K, F) over the longest one allowed."""
@@ -402,7 +402,7 @@ class Fitting:
     def _answered(self) -> np.ndarray:
         """Return how many readings (K) the fitted numbers answer for: the trace of their share in the curvature."""
         linear, u = self.linear, self.shots.u
-        weight = self.problem.weigh(linear.value, u, self.factor)[1]
+        weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
         prior = np.zeros(read.shape[:2])
         prior[:, 5:] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
@@ -416,7 +416,7 @@ class Fitting:
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss and Newton; of what is not free those of the prior."""
         problem, linear, u = self.problem, self.linear, self.shots.u
-        weight = problem.weigh(linear.value, u, self.factor)[1]
+        weight = problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
         whole = np.zeros((len(u), problem.model.dimension, problem.model.dimension))
         whole[:, problem.coordinates[:, None], problem.coordinates] = read
@@ -433,24 +433,24 @@ Levels = Sequence[tuple[float, int]]
 
 
 def fit_first(
-    problem: Problem, shots: Shots, levels: Levels, hopeless: float = np.inf, held: bool = False
+    problem: FitProblem, shots: Shots, levels: Levels, hopeless: float = np.inf, held: bool = False
 ) -> tuple[Shots, np.ndarray]:
     """Return motions fitted to a few samples, with costs, and their curvature (K, D, D).
 
     D: two of the direction, three of the rate, then the unknowns. Those that cost more than `hopeless` after the first level stay
-    as they are then, with no curvature and the cost under the noise factor of that level. `held`: body and wheel are not free.
+    as they are then, with no curvature and the cost under the noise of that level. `held`: body and wheel are not free.
     """
     fitting = Fitting(problem, shots)
-    (factor, steps), *others = levels
-    fitting.go(factor, steps)
+    (noise_factor, steps), *others = levels
+    fitting.go(noise_factor, steps)
     result = replace(fitting.shots, cost=fitting.cost.copy())
     normal = np.zeros((len(shots), problem.model.dimension, problem.model.dimension))
     going = np.flatnonzero(fitting.cost <= hopeless)
     if not len(going):
         return result, normal
     fitting.take(going)
-    for factor, steps in others:
-        fitting.go(factor, steps)
+    for noise_factor, steps in others:
+        fitting.go(noise_factor, steps)
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
         getattr(result, name)[going] = getattr(fitting.shots, name)
@@ -458,13 +458,13 @@ def fit_first(
     return result, normal
 
 
-def fit_finally(problem: Problem, shots: Shots, levels: Levels) -> tuple[Shots, np.ndarray]:
+def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shots, np.ndarray]:
     """Return motions fitted to all samples, with costs, and their curvature (K, D, D); new derivatives at each level."""
     fitting = Fitting(problem, shots)
-    for k, (factor, steps) in enumerate(levels):
+    for k, (noise_factor, steps) in enumerate(levels):
         if k:
             fitting.refresh()
-        fitting.go(factor, steps)
+        fitting.go(noise_factor, steps)
     fitting.fit_noise()
     for _ in range(2):
         fitting.refresh()

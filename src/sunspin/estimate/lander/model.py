@@ -60,7 +60,7 @@ ALL_SIZES: Sizes = {}
 """All of them count, by how likely they are."""
 
 
-class Carried(NamedTuple):
+class CarriedStates(NamedTuple):
     """K motions at n samples: directions to the Sun and rates (K, n, 3); `fine` (K): the motion could be computed."""
 
     seen: SunStates
@@ -324,7 +324,7 @@ class LanderModel:
             leave_long=True,  # one draw far out in the priors must not end them all
         )
 
-    def carried(self, shots: Shots, error_rad: float) -> Carried:
+    def carried(self, shots: Shots, error_rad: float) -> CarriedStates:
         """Return motions at all samples, forward and backward from the reference; directions err by `error_rad` at most."""
         t_s, rows = self.obs.t_s, self.rows(shots)
         sun, omega = (np.empty((len(shots), len(t_s), 3)) for _ in range(2))
@@ -337,7 +337,7 @@ class LanderModel:
                 fine &= moved.outcome == batch.Outcome.FINE
         fine &= np.isfinite(sun).all(axis=(1, 2)) & np.isfinite(omega).all(axis=(1, 2))
         sun[~fine], omega[~fine] = np.nan, np.nan
-        return Carried(SunStates.of(sun, omega), fine)
+        return CarriedStates(SunStates.of(sun, omega), fine)
 
     def first_speed(self, shots: Shots, error_rad: float) -> np.ndarray:
         """Return angular speeds (K) at the first sample, rad/s; infinite for motions that cannot be computed."""

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from sunspin.estimate.lander.fit import SEARCH_ERROR, Problem, corrected, in_tangents_at
+from sunspin.estimate.lander.fit import SEARCH_ERROR, FitProblem, corrected, in_tangents_at
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import RATE, SUN, Shots
-from sunspin.estimate.lander.ridges import FIVE, Equations, Slopes
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
+from sunspin.estimate.lander.ridges import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.terms.powers import SunStates
 
@@ -33,13 +33,13 @@ class LanderTarget:
         return self.model.unknowns
 
     @cached_property
-    def standing(self) -> np.ndarray:
+    def reading_unknowns(self) -> np.ndarray:
         """Return the places of brightness, gains and misalignments."""
         own = np.arange(len(self.model.of_motion), len(self.unknowns))
         return np.setdiff1d(own, self.model.places("noise"))
 
     @cached_property
-    def bending(self) -> np.ndarray:
+    def motion_unknowns(self) -> np.ndarray:
         """Return the places of unknowns on which the motion depends."""
         return np.arange(len(self.model.of_motion))
 
@@ -54,37 +54,39 @@ class LanderTarget:
         return self.model.max_rate
 
     @cached_property
-    def _problem(self) -> Problem:
-        """Return the fit of rate, direction and standing unknowns."""
+    def _problem(self) -> FitProblem:
+        """Return the fit of rate, direction and reading unknowns."""
         free = np.zeros(len(self.unknowns), dtype=bool)
-        free[self.standing] = True
-        return Problem(self.model, free)
+        free[self.reading_unknowns] = True
+        return FitProblem(self.model, free)
 
     def linearised(
-        self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0
+        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
     ) -> Equations:
-        """Return the equations in rate, direction and standing unknowns, under `wider` times the noise."""
+        """Return the equations in rate, direction and reading unknowns, under `noise_factor` times the noise."""
         problem = self._problem
         if slopes is None:
-            seen, moves = problem.derivatives(shots)
+            seen, seen_slopes = problem.derivatives(shots)
         else:
             seen, fine = problem.seen(shots, SEARCH_ERROR)
-            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :FIVE]
+            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :STATE_SIZE]
             turn = np.maximum(
                 np.linalg.norm(step[:, RATE], axis=1) * self.reach_s,
                 np.linalg.norm(step[:, SUN], axis=1),
             )
             # if unknowns of the motion have changed as well, what is seen has not changed by the step alone
-            alike = np.all(shots.u[:, self.bending] == slopes.u[:, self.bending], axis=1)
+            alike = np.all(
+                shots.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
+            )
             learnt = (alike & fine & (turn > LEAST_TURN_RAD))[:, None]
-            moves, step = in_tangents_at(
-                shots.sun, slopes.sun, slopes.moves, np.where(learnt, step, 0.0)
+            seen_slopes, step = in_tangents_at(
+                shots.sun, slopes.sun, slopes.seen_slopes, np.where(learnt, step, 0.0)
             )
             change = np.where(fine[:, None, None], np.nan_to_num(seen - slopes.seen), 0.0)
-            moves = corrected(moves, step, change)
-        linear = problem.differences(shots, seen, moves)
-        system = problem.system(shots.u, linear, wider)
-        at = Slopes(shots.omega, shots.sun, shots.u, moves, linear.seen)
+            seen_slopes = corrected(seen_slopes, step, change)
+        linear = problem.differences(shots, seen, seen_slopes)
+        system = problem.system(shots.u, linear, noise_factor)
+        at = MotionSlopes(shots.omega, shots.sun, shots.u, seen_slopes, linear.seen)
         return Equations(system.cost, system.slope, system.matrix, at)
 
     def run(self, shots: Shots) -> np.ndarray:
@@ -92,15 +94,15 @@ class LanderTarget:
         seen, fine = self._problem.seen(shots, SEARCH_ERROR)
         return np.where(fine[:, None, None], seen, np.nan)
 
-    def standing_slopes(
-        self, seen: np.ndarray, u: np.ndarray, wider: float
+    def reading_slopes(
+        self, seen: np.ndarray, u: np.ndarray, noise_factor: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the standing unknowns."""
+        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
         problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
         # the differences depend on u and on what is seen alone
         none = np.zeros((len(u), 3))
         linear = problem.differences(Shots(none, none, u), seen, still)
-        _, weight = problem.weigh(linear.value, u, wider)
+        _, weight = problem.weigh(linear.value, u, noise_factor)
         jacobian = linear.jacobian
         weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
         return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian
