@@ -13,7 +13,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
-from sunspin.estimate.lander.families import one_each_box, one_each_sheet, with_neighbours
+from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
 from sunspin.estimate.lander.fit import (
     FINAL_ERROR,
     FitProblem,
@@ -348,12 +348,12 @@ def test_a_family_gets_neighbours_along_its_loose_direction_alone():
     assert len(with_neighbours(again, reach, 0.6, SHOOTING)) == 1
 
 
-def test_motions_of_one_sheet_or_box_are_joined_with_all_their_starts():
+def test_motions_of_one_ridge_or_box_are_joined_with_all_their_starts():
     close, apart = family(5, 0.01, 0.02), family(5, 0.1, 0.02)
-    joined = one_each_sheet(close, SHOOTING)
+    joined = one_each_ridge(close, SHOOTING)
     assert len(joined) < 5
     assert joined.starts.sum() == 5
-    assert len(one_each_sheet(apart, SHOOTING)) == 5
+    assert len(one_each_ridge(apart, SHOOTING)) == 5
     boxed = one_each_box(family(5, 1e-5, 0.02), 100.0, SHOOTING)
     assert len(boxed) == 1
     assert boxed.starts.tolist() == [5]

@@ -240,7 +240,7 @@ def search_nominal(
     carrier = Shooting(reference.about(stated), reference, settings, workers)
     motions = search_under(carrier)
     return NominalSearch(
-        assessment, window, reference, carrier, motions, carrier.curved(motions), said
+        assessment, window, reference, carrier, motions, carrier.fit_all_samples(motions), said
     )
 
 
@@ -307,7 +307,7 @@ def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
 
     All motions with which the search ended are fitted, also those far worse than the best: under another model they may fit.
     """
-    fit = carrier.curved(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
+    fit = carrier.fit_all_samples(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
     # what the search left out, this model misses too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
@@ -318,7 +318,7 @@ def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
     motions = search_under(carrier)
     both = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
     starts = np.concatenate([nominal.motions.starts, motions.starts])
-    return carrier.curved(Trials(both, starts))
+    return carrier.fit_all_samples(Trials(both, starts))
 
 
 def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:

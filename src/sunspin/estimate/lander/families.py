@@ -1,7 +1,7 @@
 """Motions of a lander that are copies of each other, or of one family: found alike, joined, and with neighbours between them.
 
-The readings of a few samples leave families: motions along a line or a sheet that fit alike. The fits of neighbouring starts stay a
-step apart along it, and as the window grows that step grows: without others between them the true motion would be lost.
+The readings of a few samples leave families: motions along a line or a surface that fit alike. The fits of neighbouring starts stay
+a step apart along it, and as the window grows that step grows: without others between them the true motion would be lost.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, ShotFit, Shots, Trials
 from sunspin.estimate.settings import ShootingSettings
 from sunspin.solve.rotations import move_on_sphere
 
@@ -34,13 +34,13 @@ def one_each_box(trials: Trials, reach_s: float, s: ShootingSettings) -> Trials:
     return Trials(kept.shots, starts[rank], kept.curvature, kept.neighbours_s)
 
 
-def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
-    """Return motions (best first) without those on the sheet of a better one, whose starts count for it.
+def one_each_ridge(trials: Trials, s: ShootingSettings) -> Trials:
+    """Return motions (best first) without those on the ridge of a better one, whose starts count for it.
 
-    Inertia, friction and wheel, uncertain, make a sheet of each motion, which boxes of rate and direction cut into many.
+    Uncertain inertia, friction and wheel make a ridge of each motion, which boxes of rate and direction cut into many.
     """
     shots, curvature = trials.shots, trials.curvature
-    reach = _reach(curvature, s.sheet_chi2)
+    reach = _reach(curvature, s.ridge_chi2)
     kept, starts, left = [], [], np.arange(len(trials))
     while len(left):
         best = left[0]
@@ -51,7 +51,7 @@ def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
         candidates = left[near]
         off = shots.take(candidates).from_centre(shots.take(slice(best, best + 1)))
         distance = np.minimum(_square(off, curvature[best]), _square(off, curvature[candidates]))
-        copies = distance < s.sheet_chi2
+        copies = distance < s.ridge_chi2
         copies[0] = True
         kept.append(best)
         starts.append(int(trials.starts[candidates[copies]].sum()))
@@ -91,11 +91,11 @@ def _square(off: np.ndarray, metric: np.ndarray) -> np.ndarray:
 
 
 def _reach(curvature: np.ndarray, chi2: float) -> np.ndarray:
-    """Return bounds (K, 3) of how far the rates of motions on one sheet are apart, by curvatures (K, D, D); inf: unbounded."""
+    """Return bounds (K, 3) of how far the rates of motions on one ridge are apart, by curvatures (K, D, D); inf: unbounded."""
     size = np.sqrt(np.einsum("kdd->kd", curvature)).clip(1e-12)
     values, vectors = np.linalg.eigh(curvature / (size[:, :, None] * size[:, None, :]))
-    across = np.sum(vectors[:, :3] ** 2 / values[:, None].clip(1e-300), axis=2)
-    return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, :3], np.inf)
+    across = np.sum(vectors[:, RATE] ** 2 / values[:, None].clip(1e-300), axis=2)
+    return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, RATE], np.inf)
 
 
 def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings) -> Trials:
@@ -106,7 +106,9 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
-    spread = np.linalg.inv(trials.curvature[:, :5, :5] + least) * size[:, None] * size
+    spread = (
+        np.linalg.inv(trials.curvature[:, :STATE_SIZE, :STATE_SIZE] + least) * size[:, None] * size
+    )
     values, vectors = np.linalg.eigh(spread)
     loosest = slice(None, -s.family_directions - 1, -1)
     width, along = np.sqrt(values[:, loosest].clip(0)), vectors[:, :, loosest]
@@ -122,8 +124,8 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
             continue
         step = s.neighbour_rad * along[rows] @ np.array(signs, dtype=np.float64) / size
         own = trials.shots.take(rows)
-        sun = move_on_sphere(own.sun, step[:, 3:])
-        parts.append(Shots(own.omega + step[:, :3], sun, own.u, own.cost))
+        sun = move_on_sphere(own.sun, step[:, SUN])
+        parts.append(Shots(own.omega + step[:, RATE], sun, own.u, own.cost))
         parents.append(rows)
 
     every, parent = Shots.joined(parts), np.concatenate(parents)

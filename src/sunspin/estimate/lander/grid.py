@@ -18,14 +18,14 @@ from sunspin.base.errors import InputError
 from sunspin.dynamics import batch
 from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
 from sunspin.estimate.lander.cells import (
-    CELL,
-    MISFIT,
-    PLACE,
-    STEP,
-    SUN,
+    OF_CELL,
+    OF_MISFIT,
+    OF_PLACE,
+    OF_STEP,
+    OF_SUN,
     Cells,
-    Light,
     Limits,
+    PanelTable,
     Tables,
     search_cells,
 )
@@ -48,12 +48,12 @@ POINTS = 0.5 * CORNERS[:, None] + 0.25 * (0.5 + CORNERS)
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the search begins.
+    """The sample at which a motion is a state, and where the search begins.
 
-    `sample`: the reference, `after_s` after the first sample; `window`: it and its neighbours `tried`, which are in `others` (m);
-    `edge`: step of the grid (rad/s); `suns` (c, 3): directions to the Sun at the reference; `limit` (rad/s): rates searched there;
-    `max_rate`: ball of rates at the reference that holds what comes of the prior's, `given`, at the first sample, at which no
-    motion is faster than `fastest`.
+    `sample`: its index, `after_s` after the first one; `window`: it and its two neighbours, the `others` (m) in it. The search
+    tries the directions `suns` (c, 3) with rates on a grid, `edge` apart, up to `limit`. The prior's ball of rates, up to `given`,
+    is that at the first sample, at which no motion is faster than `fastest`; `max_rate`: ball at the reference that holds what
+    comes of it. Rates are in rad/s.
     """
 
     sample: int
@@ -85,18 +85,18 @@ class Reference:
 def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = False) -> Reference:
     """Return the reference from which the search is the shortest, of those samples at which no wheel can have stopped.
 
-    `given_rate`: the largest rate is the caller's, and refused if it asks for more starts than can be tried.
+    `given_rate`: the largest rate is the caller's, and refused if it needs more starts than can be tried.
     """
-    reference, asked = _shortest(model, s)
-    if given_rate and asked > s.most_starts:
+    reference, needed = _shortest(model, s)
+    if given_rate and needed > s.most_starts:
         smaller, enough = model, reference
-        starts = asked
+        starts = needed
         while starts > s.most_starts:
             # with a smaller ball another reference may be the best one
             limit = 0.99 * largest_ball(s.most_starts / len(enough.suns), enough.edge)
             smaller = replace(smaller, max_rate=float(f"{limit:.3g}"))
             enough, starts = _shortest(smaller, s)
-        what = f"max_rate_rad_s asks for {asked:.2g} starts, and {s.most_starts:.0e} at most can be tried in an hour"
+        what = f"max_rate_rad_s asks for {needed:.2g} starts, and {s.most_starts:.0e} at most can be tried in an hour"
         raise InputError(
             what,
             got=f"{model.max_rate:g}",
@@ -108,25 +108,27 @@ def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = Fal
 
 
 def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
-    """Return the reference with the shortest search, and how many starts it has.
+    """Return the reference with the shortest search, and how many starts it has in the ball of the prior.
 
-    Starts take time, and so do motions that fit the first few samples. These are about as many as the directions that they allow,
-    times the volume of rates in units of the inverse of the time that they reach. It is half as long from the middle of a file.
+    Starts take time, and so do motions that fit the first few samples. These are about as many as the directions that the samples
+    allow, times the volume of rates in units of 1 / (time to the farthest of them)^3: from the middle of a file it is half as far.
     """
     t_s, panels = model.obs.t_s, model.panels
     read = np.flatnonzero(panels.present())
     lit = np.flatnonzero(panels.lit.any(axis=1))
+    # Samples that may be the reference, evenly some of them: lit, wheels still run there, and have handed over little.
     choices = [k for k in lit if _wheels_run(model, t_s[k], s)] or [lit[0]]
     slow = [k for k in choices if model.spun_up(t_s[k]) <= s.most_spun * model.max_rate]
     choices = slow or choices[:1]
     even = np.linspace(0, len(choices) - 1, s.choices).round().astype(int)
     suns: dict[int, np.ndarray] = {}
-    best: tuple[float, Reference, float] | None = None
+    shortest_s, best, starts = np.inf, None, 0.0
     for sample in (choices[i] for i in np.unique(even)):
         near = read[np.argsort(np.abs(t_s[read] - t_s[sample]), kind="stable")[: s.few]]
         for k in (*near, sample):
             if k not in suns:
                 suns[k] = possible_directions(panels, k, s)
+        # the reference and the samples before and after it; at an end of the file both are on one side
         at = int(np.searchsorted(read, sample))
         first = min(max(at - 1, 0), max(len(read) - 3, 0))
         tried = read[first : first + 3]
@@ -137,28 +139,28 @@ def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
             edge = min(edge, s.shared_edge * model.max_rate)
         ball, fastest = _balls(model, after, s)
         reach = float(np.abs(t_s[near] - after).max())
-        took = s.start_cost * len(suns[sample]) * cell_count(ball, edge)
         allowed = np.prod([len(suns[k]) for k in near], dtype=float)
-        took += s.window_cost * (fastest * reach) ** 3 * allowed
-        if best is not None and took >= best[0]:
+        takes_s = s.start_cost * len(suns[sample]) * cell_count(ball, edge)
+        takes_s += s.window_cost * (fastest * reach) ** 3 * allowed
+        if best is not None and takes_s >= shortest_s:
             continue
         limit = min(model.max_rate, largest_ball(s.most_cells / len(suns[sample]), edge))
-        reference = Reference(
-            int(sample),
-            after,
-            slice(int(tried[0]), int(tried[-1]) + 1),
-            others,
-            edge,
-            suns[sample],
+        shortest_s, starts = takes_s, cell_count(model.max_rate, edge) * len(suns[sample])
+        best = Reference(
+            sample=int(sample),
+            after_s=after,
+            window=slice(int(tried[0]), int(tried[-1]) + 1),
+            others=others,
+            edge=edge,
+            suns=suns[sample],
             # the whole ball that comes of the prior's, unless even the prior's cannot be searched
-            limit if limit < model.max_rate else ball,
-            ball,
-            fastest,
-            model.max_rate,
+            limit=limit if limit < model.max_rate else ball,
+            max_rate=ball,
+            fastest=fastest,
+            given=model.max_rate,
         )
-        best = took, reference, cell_count(model.max_rate, edge) * len(suns[sample])
     assert best is not None
-    return best[1], best[2]
+    return best, starts
 
 
 def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
@@ -270,24 +272,26 @@ def settled_starts(
     square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
-    light = Light.of(panels.take(np.array([reference.sample, *reference.others])))
+    table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
     limits = Limits(s.nodes, s.limit, s.blur_rad, s.cap, s.settled, s.steps, s.faster)
     suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
 
     def starts_in(lowest: np.ndarray) -> np.ndarray:
         """Return the starts of some cells, given by their lowest corners."""
         cells = Cells(lowest, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
-        return search_cells(cells, tables, light, limits)
+        return search_cells(cells, tables, table, limits)
 
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))
     with ThreadPoolExecutor(workers) as pool:
-        found = np.concatenate(list(pool.map(starts_in, pieces)))
-    omega = grid.rates(found[:, CELL].astype(np.int64)) + found[:, PLACE] * grid.edge
+        starts = np.concatenate(list(pool.map(starts_in, pieces)))
+    omega = grid.rates(starts[:, OF_CELL].astype(np.int64)) + starts[:, OF_PLACE] * grid.edge
     # the direction lies in the plane of its tangents, before it is a unit vector
-    length = np.linalg.norm(found[:, STEP], axis=1, keepdims=True)
+    length = np.linalg.norm(starts[:, OF_STEP], axis=1, keepdims=True)
     angle = np.divide(np.arctan(length), length, out=np.ones_like(length), where=length > 0)
-    sun = move_on_sphere(reference.suns[found[:, SUN].astype(np.int64)], found[:, STEP] * angle)
-    return omega, sun, found[:, MISFIT]
+    sun = move_on_sphere(
+        reference.suns[starts[:, OF_SUN].astype(np.int64)], starts[:, OF_STEP] * angle
+    )
+    return omega, sun, starts[:, OF_MISFIT]
 
 
 def _anything(model: LanderModel, reference: Reference) -> Trials:

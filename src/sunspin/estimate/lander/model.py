@@ -347,12 +347,14 @@ class LanderModel:
         speed = np.linalg.norm(back.omega_B[:, 0], axis=1)
         return np.where(np.isfinite(speed), speed, np.inf)
 
-    def log_likelihood(self, shots: Shots, error_rad: float) -> np.ndarray:
-        """Return the log likelihood (K) of all readings, up to a constant of the other observations."""
-        carried = self.carried(shots, error_rad)
+    def log_likelihood(self, carried: CarriedStates, u: np.ndarray) -> np.ndarray:
+        """Return the log likelihood (K) of all readings, up to a constant of the other observations.
+
+        It is minus infinity for motions that could not be computed.
+        """
         with np.errstate(invalid="ignore"):
-            total = self.panels.log_density(carried.seen, shots.u[:, self.of_panels])
+            total = self.panels.log_density(carried.seen, u[:, self.of_panels])
             for term in self.given:
-                for residual in term.residuals(carried.seen, shots.u[:, :0]):
+                for residual in term.residuals(carried.seen, u[:, :0]):
                     total = total - residual.law(residual.value)[0].sum(axis=1)
         return np.where(carried.fine & np.isfinite(total), total, -np.inf)

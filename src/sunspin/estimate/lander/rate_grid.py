@@ -24,7 +24,7 @@ from sunspin.estimate.settings import GridSettings
 from sunspin.solve.rotations import cross, tangent_basis
 
 TRIAL_ERROR = 1e-3
-"""Error of a direction (rad) on the grid."""
+"""Error of directions (rad) in runs of the grid, and in those that only look whether a sample allows a motion."""
 
 RUNS_AT_ONCE, POINTS_AT_ONCE = 16_384, 200_000
 """Motions that are run together by a thread, and points that it fills."""

@@ -7,12 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from sunspin.estimate.lander.fit import SEARCH_ERROR, FitProblem, corrected, in_tangents_at
-from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.fit import (
+    SEARCH_ERROR,
+    FitProblem,
+    corrected,
+    in_tangents_at,
+    states_of,
+)
+from sunspin.estimate.lander.model import CarriedStates, LanderModel
 from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
 from sunspin.estimate.lander.ridges import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
-from sunspin.estimate.terms.powers import SunStates
 
 LEAST_TURN_RAD = 1e-3
 """Steps that turn the body by less within the window correct no derivatives: runs are good to 1e-5 rad, and would be the change."""
@@ -108,22 +113,15 @@ class LanderTarget:
         return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian
 
     def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (K); minus infinity for motions that could not be computed."""
-        model, omega = self.model, seen[..., 3:]
-        fine = np.isfinite(seen).all(axis=(1, 2))
-        states = SunStates.of(seen[..., :3], omega)
-        with np.errstate(invalid="ignore"):
-            total = model.panels.log_density(states, u[:, model.of_panels])
-            for term in model.given:
-                for residual in term.residuals(states, u[:, :0]):
-                    total = total - residual.law(residual.value)[0].sum(axis=1)
-        return np.where(fine & np.isfinite(total), total, -np.inf)
+        """Return the log likelihood (K) of all readings."""
+        carried = CarriedStates(states_of(seen), np.all(np.isfinite(seen), axis=(1, 2)))
+        return self.model.log_likelihood(carried, u)
 
     def log_replicated(
         self, seen: np.ndarray, u: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
         """Return the log likelihood (K) of readings simulated from the motions, each set under its own motion."""
-        model, states = self.model, SunStates.of(seen[..., :3], seen[..., 3:])
+        model, states = self.model, states_of(seen)
         of_panels = u[:, model.of_panels]
         simulated = model.panels.replicated(states, of_panels, rng)
         total = simulated.log_density(states, of_panels)
@@ -136,9 +134,8 @@ class LanderTarget:
         """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
         seen = self.run(shots)
         fine = np.isfinite(seen).all(axis=(1, 2))
-        states = SunStates.of(seen[fine, :, :3], seen[fine, :, 3:])
         own = shots.u[fine][:, self.model.of_panels]
-        return self.model.panels.outlier_probability(states, own)
+        return self.model.panels.outlier_probability(states_of(seen[fine]), own)
 
     def log_prior(self, shots: Shots) -> np.ndarray:
         """Return the log prior density (K)."""
