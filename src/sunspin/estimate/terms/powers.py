@@ -172,7 +172,7 @@ class PanelPowers(Term):
         if not self.time_s:
             yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
             return
-        # the best error of a time follows each change, which so loses its part along that by time; 1.0 is the prior's weight
+        # the best error of a time follows each change, which so loses its part along that by time
         by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)
         weighted = law(value)[1] * by_time
         size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
@@ -202,7 +202,7 @@ class PanelPowers(Term):
         return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
 
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return how late (K, n) in s each sample was taken at its best, and the curvature (K, n) in 1/s2 of its cost without prior.
+        """Return how late (K, n; s) each sample was taken at its best, and the curvature (K, n; 1/s2) of its cost without prior.
 
         The better of two ways: readings far off are outliers from the first step on, or they are trusted in it, as the time may be
         what is wrong.
@@ -228,7 +228,7 @@ class PanelPowers(Term):
                 if again < TIME_STEPS:
                     pull = hold * late - np.sum(weight * slope * value, axis=-1)
                     late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
-            # compared by the integral over the error (Laplace), not by the highest density: its volume is tiny if power changes fast
+            # compared by the integral over the error (Laplace), not by the density, whose peak is narrow if the power changes fast
             cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
             cost += 0.5 * np.log1p(self.time_s**2 * hold)
             better = cost < least
