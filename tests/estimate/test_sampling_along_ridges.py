@@ -13,11 +13,10 @@ from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
 from sunspin.estimate.lander.outer_law import Bend, OuterLaw, monomials
 from sunspin.estimate.lander.ridges import (
     Chart,
-    Equations,
-    MotionSlopes,
     ridges_of,
 )
 from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
+from sunspin.estimate.lander.target import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
 from sunspin.solve.rotations import tangent_basis

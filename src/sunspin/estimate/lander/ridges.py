@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -29,7 +29,7 @@ from sunspin.estimate.lander.outer_law import (
     student_draws,
     student_log_density,
 )
-from sunspin.estimate.model import Unknown
+from sunspin.estimate.lander.target import LanderTarget, MotionSlopes
 from sunspin.estimate.settings import SamplingSettings
 from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
@@ -46,95 +46,6 @@ COLD, WARM = ((3.0, 2), (1.0, 4)), ((1.0, 3),)
 SETTLED_GAIN = 1.0
 """Gain in cost that a step must promise to be tried, and for another to follow: 1.4 sigma of the stiff coordinates. What is left is
 taken by a last step that is not tried. With 0.05 a draw of Philae takes a quarter more time, and draws are not better."""
-
-
-class MotionSlopes(NamedTuple):
-    """K motions, what sensors `seen` (K, ...) of them, and its derivatives `seen_slopes` (K, 5, ...) by rate and direction.
-
-    Least squares at motions near by begins with these derivatives.
-    """
-
-    omega: np.ndarray
-    sun: np.ndarray
-    u: np.ndarray
-    seen_slopes: np.ndarray
-    seen: np.ndarray
-
-
-class Equations(NamedTuple):
-    """Normal equations of K motions in their f coordinates: five of rate and direction, then the s reading unknowns.
-
-    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, f), `matrix` (K, f, f): its derivatives.
-    """
-
-    cost: np.ndarray
-    slope: np.ndarray
-    matrix: np.ndarray
-    slopes: MotionSlopes
-
-
-class Target(Protocol):
-    """A posterior that is sampled: of one model, with K motions evaluated at once.
-
-    Its unknowns have a standard normal prior.
-    """
-
-    @property
-    def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the unknowns (m)."""
-        ...
-
-    @property
-    def reading_unknowns(self) -> np.ndarray:
-        """Return the indices (s) of unknowns that change the readings, but not the motion: brightness, gains, misalignments."""
-        ...
-
-    @property
-    def motion_unknowns(self) -> np.ndarray:
-        """Return the indices of unknowns that change the motion: inertia, friction, wheel speeds, torques."""
-        ...
-
-    @property
-    def reach_s(self) -> float:
-        """Return the time from the reference to the farthest sample."""
-        ...
-
-    @property
-    def rate_max(self) -> float:
-        """Return the largest rate (rad/s)."""
-        ...
-
-    def linearised(
-        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
-    ) -> Equations:
-        """Return the equations under `noise_factor` times the noise.
-
-        If `slopes` of motions near by are given, no runs for derivatives are made: those are corrected by what the step from there
-        has changed, if it is a step in rate and direction alone.
-        """
-        ...
-
-    def run(self, shots: Shots) -> Any:
-        """Return what sensors see of the motions."""
-        ...
-
-    def reading_slopes(
-        self, seen: Any, u: np.ndarray, noise_factor: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
-        ...
-
-    def log_likelihood(self, seen: Any, u: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (K)."""
-        ...
-
-    def log_prior(self, shots: Shots) -> np.ndarray:
-        """Return the log prior density (K) over rates (rad/s), directions and unknowns; minus infinity where none is possible."""
-        ...
-
-    def log_replicated(self, seen: Any, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return the log likelihood (K) of readings that were simulated from the motions, each set under its own motion."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -154,7 +65,7 @@ class Chart:
 
     @classmethod
     def about(
-        cls, target: Target, centre: Shots, covariance: np.ndarray, s: SamplingSettings
+        cls, target: LanderTarget, centre: Shots, covariance: np.ndarray, s: SamplingSettings
     ) -> Chart:
         """Return the coordinates about a motion with the covariance (D, D).
 
@@ -347,7 +258,7 @@ class Peak(NamedTuple):
 
 
 def ridges_of(
-    target: Target, fit: ShotFit, fitted_share: np.ndarray | None, s: SamplingSettings
+    target: LanderTarget, fit: ShotFit, fitted_share: np.ndarray | None, s: SamplingSettings
 ) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
@@ -383,7 +294,11 @@ def ridges_of(
 
 
 def _begun(
-    target: Target, centre: Shots, covariance: np.ndarray, peaks: list[Peak], s: SamplingSettings
+    target: LanderTarget,
+    centre: Shots,
+    covariance: np.ndarray,
+    peaks: list[Peak],
+    s: SamplingSettings,
 ) -> Ridge:
     """Return a ridge about a motion, straight as its covariance (D, D) has it."""
     chart = Chart.about(target, centre, covariance, s)
@@ -414,7 +329,7 @@ def _components(chart: Chart, peaks: list[Peak], y: np.ndarray, log_promise: flo
 
 
 def over_sizes(
-    target: Target, u: np.ndarray, fitted: Peak, fitted_share: np.ndarray, s: SamplingSettings
+    target: LanderTarget, u: np.ndarray, fitted: Peak, fitted_share: np.ndarray, s: SamplingSettings
 ) -> list[Peak]:
     """Return the peak of a motion with unknowns u (m) for each combination of the shares that sigmas of unknowns may have.
 
@@ -469,7 +384,7 @@ class StiffFit(NamedTuple):
 
 
 def fit_stiff(
-    target: Target,
+    target: LanderTarget,
     chart: Chart,
     y: np.ndarray,
     z: np.ndarray,
@@ -543,7 +458,7 @@ def fit_stiff(
 
 
 def draw_reading_unknowns(
-    target: Target, seen: Any, u: np.ndarray, white: np.ndarray, s: SamplingSettings
+    target: LanderTarget, seen: np.ndarray, u: np.ndarray, white: np.ndarray, s: SamplingSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return u (n, m) with the reading unknowns drawn given what is `seen` of the motions, and the log density (n) of that draw.
 
@@ -566,7 +481,7 @@ def draw_reading_unknowns(
 
 
 def complete_motions(
-    target: Target,
+    target: LanderTarget,
     chart: Chart,
     y: np.ndarray,
     z: np.ndarray,
@@ -594,7 +509,7 @@ def complete_motions(
 
 
 def trace_ridge(
-    target: Target, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
+    target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
     """Learn where a ridge runs, from `count` points at each of several widths about its motion.
 
@@ -616,7 +531,7 @@ def trace_ridge(
 
 
 def propose(
-    target: Target, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
+    target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
     """Draw `count` motions from the present outer laws of a ridge and add them to its proposals: the three steps of this module."""
     chart, before = ridge.chart, ridge.points

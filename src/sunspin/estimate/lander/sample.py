@@ -19,7 +19,6 @@ from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
 from sunspin.estimate.lander.outer_law import Bend, OuterLaw, student_log_density
 from sunspin.estimate.lander.ridges import (
     Ridge,
-    Target,
     complete_motions,
     fit_ridge_curve,
     fit_stiff,
@@ -27,6 +26,7 @@ from sunspin.estimate.lander.ridges import (
     ridges_of,
     trace_ridge,
 )
+from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.settings import SAMPLING, SamplingSettings
 from sunspin.solve.weights import effective_draws, pareto_tail
 
@@ -35,7 +35,7 @@ INSIDE_TAIL = 10.0
 
 
 def sample(
-    target: Target,
+    target: LanderTarget,
     fit: ShotFit,
     rng: np.random.Generator,
     s: SamplingSettings = SAMPLING,
@@ -200,7 +200,7 @@ def learn(
 
 
 def share_outside(
-    target: Target,
+    target: LanderTarget,
     ridges: list[Ridge],
     log_shares: list[np.ndarray],
     rng: np.random.Generator,
@@ -263,7 +263,7 @@ class Checked(NamedTuple):
 
 
 def predictive_check(
-    target: Target, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+    target: LanderTarget, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
 ) -> Checked:
     """Return whether readings that fit as badly as the real ones would come from these motions, which are draws of equal weight."""
     some = shots.take(slice(0, s.checked))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,18 +17,42 @@ from sunspin.estimate.lander.fit import (
 )
 from sunspin.estimate.lander.model import CarriedStates, LanderModel
 from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
-from sunspin.estimate.lander.ridges import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
 
 LEAST_TURN_RAD = 1e-3
 """Steps that turn the body by less within the window correct no derivatives: runs are good to 1e-5 rad, and would be the change."""
 
 
+class MotionSlopes(NamedTuple):
+    """K motions, what sensors `seen` (K, ...) of them, and its derivatives `seen_slopes` (K, 5, ...) by rate and direction.
+
+    Least squares at motions near by begins with these derivatives.
+    """
+
+    omega: np.ndarray
+    sun: np.ndarray
+    u: np.ndarray
+    seen_slopes: np.ndarray
+    seen: np.ndarray
+
+
+class Equations(NamedTuple):
+    """Normal equations of K motions in their f coordinates: five of rate and direction, then the s reading unknowns.
+
+    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, f), `matrix` (K, f, f): its derivatives.
+    """
+
+    cost: np.ndarray
+    slope: np.ndarray
+    matrix: np.ndarray
+    slopes: MotionSlopes
+
+
 @dataclass(frozen=True)
 class LanderTarget:
-    """Posterior of the motions of a lander.
+    """Posterior of the motions of a lander under one model: K motions are evaluated at once.
 
-    What is `seen` (K, n, w) of a motion are its directions to the Sun, and its rates if other sensors than panels are read.
+    What is `seen` (K, n, w) of motions are their directions to the Sun, and their rates if they are needed (:meth:`FitProblem.seen`).
     """
 
     model: LanderModel
@@ -39,13 +64,13 @@ class LanderTarget:
 
     @cached_property
     def reading_unknowns(self) -> np.ndarray:
-        """Return the places of brightness, gains and misalignments."""
+        """Return the indices (s) of unknowns that change readings, but not the motion, but for the noise: brightness, gains, tilts."""
         own = np.arange(len(self.model.of_motion), len(self.unknowns))
         return np.setdiff1d(own, self.model.places("noise"))
 
     @cached_property
     def motion_unknowns(self) -> np.ndarray:
-        """Return the places of unknowns on which the motion depends."""
+        """Return the indices of unknowns that change the motion: inertia, friction, wheel speeds, torques."""
         return np.arange(len(self.model.of_motion))
 
     @property
@@ -68,7 +93,11 @@ class LanderTarget:
     def linearised(
         self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
     ) -> Equations:
-        """Return the equations in rate, direction and reading unknowns, under `noise_factor` times the noise."""
+        """Return the equations under `noise_factor` times the noise.
+
+        If `slopes` of motions near by are given, no runs for derivatives are made: those are corrected by what the step from there
+        has changed, if it is a step in rate and direction alone.
+        """
         problem = self._problem
         if slopes is None:
             seen, seen_slopes = problem.derivatives(shots)
