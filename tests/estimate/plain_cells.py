@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.lander.allowed import Nodes, shortfall
+from sunspin.estimate.lander.allowed import cube_nodes, shortfall
 from sunspin.estimate.lander.cells import DARK_SLOPE
 from sunspin.estimate.lander.grid import MIDDLES, POINTS, Reference
 from sunspin.estimate.lander.rate_grid import RateGrid
@@ -66,6 +66,19 @@ class Settling(NamedTuple):
         return Settling(*(part[which] for part in self))
 
 
+def nearest_node(direction: np.ndarray, size: int) -> np.ndarray:
+    """Return the index (...) of the node of a cube nearest to each direction (..., 3)."""
+    shape, flat = direction.shape[:-1], direction.reshape(-1, 3)
+    axis = np.argmax(np.abs(flat), axis=1)
+    top, row, column = (
+        np.take_along_axis(flat, (axis[:, None] + k) % 3, axis=1)[:, 0] for k in range(3)
+    )
+    length = np.maximum(np.abs(top), 1e-300)
+    i, j = (np.rint((part / length + 1) * (size / 2)).astype(np.int64) for part in (row, column))
+    face = 2 * axis + (top < 0)
+    return (face * (size + 1) ** 2 + i * (size + 1) + j).reshape(shape)
+
+
 class LookThrough:
     """Readings of the reference and of the samples next to it, against the cells of a grid of rates."""
 
@@ -78,11 +91,9 @@ class LookThrough:
         self.panels = panels.take(samples)  # the reference first
         full = panels.response.power(panels.response.facing_B).diagonal()
         self.full = panels.brightness * full
-        self.nodes = Nodes(s.nodes)
+        self.nodes = cube_nodes(s.nodes)
         others = panels.take(reference.others)
-        seen = np.broadcast_to(
-            self.nodes.directions[:, None], (len(self.nodes.directions), len(reference.others), 3)
-        )
+        seen = np.broadcast_to(self.nodes[:, None], (len(self.nodes), len(reference.others), 3))
         near, far = s.near_rad + s.node_rad, s.far_rad + s.node_rad
         self.short_near, self.short_far = (
             shortfall(others, seen, angle, s).T.copy() for angle in (near, far)
@@ -141,7 +152,7 @@ class LookThrough:
 
     def _against(self, directions: np.ndarray, short: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much readings contradict all directions near (n, p, m, 3), worst sample (n, p), and the misfit (n, p)."""
-        node = self.nodes.nearest(directions)
+        node = nearest_node(directions, self.s.nodes)
         m = np.arange(len(short))
         return short[m, node].max(axis=2), self.misfit[m, node].sum(axis=2)
 

@@ -11,7 +11,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
-from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
+from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
 from sunspin.estimate.lander.fit import (
@@ -42,6 +42,7 @@ from tests.estimate.plain_cells import (
     corner_slopes,
     corner_weights,
     corners_of,
+    nearest_node,
     rotated,
 )
 from tests.estimate.test_lander_model import OMEGA, PHILAE, SUN, lander_model, lander_telemetry
@@ -67,12 +68,12 @@ def placed(model, **changes):
 
 def test_the_nearest_node_is_within_its_stated_distance():
     rng = np.random.default_rng(0)
-    nodes, sun = Nodes(GRID.nodes), rng.standard_normal((2000, 3))
+    nodes, sun = cube_nodes(GRID.nodes), rng.standard_normal((2000, 3))
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)
-    off = np.arccos(np.clip(np.sum(nodes.directions[nodes.nearest(sun)] * sun, axis=1), -1, 1))
+    off = np.arccos(np.clip(np.sum(nodes[nearest_node(sun, GRID.nodes)] * sun, axis=1), -1, 1))
     assert off.max() < GRID.node_rad
-    by_search = np.argmax(sun @ nodes.directions.T, axis=1)
-    assert np.mean(nodes.nearest(sun) == by_search) > 0.9
+    by_search = np.argmax(sun @ nodes.T, axis=1)
+    assert np.mean(nearest_node(sun, GRID.nodes) == by_search) > 0.9
 
 
 def test_corners_of_a_cell_count_by_trilinear_weights():

@@ -189,7 +189,10 @@ def posterior(
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
-    doubts = [*likeliest.notes, *doubts, *_limits(mix, picked, searched_rad_s)]
+    doubts = [*likeliest.notes, *doubts]
+    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
+    if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
+        doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
     if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
         cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
         doubts.append(f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0; {cure}")
@@ -469,14 +472,6 @@ def _about(
         "searched_rate_rad_s": float(reference.limit),
         "time_sigma_s": model.panels.time_s,
     }
-
-
-def _limits(mix: Mixture, picked: np.ndarray, searched_rad_s: float) -> list[str]:
-    """Return a doubt if the rates at the reference reach the limit of the search."""
-    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
-    if np.mean(speed > EDGE * searched_rad_s) <= AT_EDGE:
-        return []
-    return ["the rates reach the limit of the search; raise max_rate_rad_s"]
 
 
 def _findings(

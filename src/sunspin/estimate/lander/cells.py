@@ -216,7 +216,7 @@ def turned_by(q, change, vector, out):
 
 @compiled
 def nearest_node(size, x, y, z):
-    """Return the index of the node nearest to a direction, in the order of :class:`sunspin.estimate.lander.allowed.Nodes`."""
+    """Return the index of the node nearest to a direction, in the order of :func:`sunspin.estimate.lander.allowed.cube_nodes`."""
     along = (abs(x), abs(y), abs(z))
     if along[0] >= along[1] and along[0] >= along[2]:
         axis, top, row, column = 0, x, y, z

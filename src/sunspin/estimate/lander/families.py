@@ -101,22 +101,22 @@ def _reach(curvature: np.ndarray, chi2: float) -> np.ndarray:
 def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings) -> Trials:
     """Return motions, and after them neighbours of those that are one of a family at a time `reach_s` from the reference.
 
-    A family is free in a combination of rate and direction by more than a share of a radian then. Its neighbours differ along the
+    A family is uncertain in some combination of rate and direction by more than `family_rad` then. Its neighbours differ along the
     loosest combinations, alone and together. Unknowns stay: what differs by these alone is found from either.
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
-    spread = (
-        np.linalg.inv(trials.curvature[:, :STATE_SIZE, :STATE_SIZE] + least) * size[:, None] * size
-    )
-    values, vectors = np.linalg.eigh(spread)
-    loosest = slice(None, -s.family_directions - 1, -1)
+    information = trials.curvature[:, :STATE_SIZE, :STATE_SIZE] + least
+    values, vectors = np.linalg.eigh(np.linalg.inv(information) * size[:, None] * size)
+    loosest = slice(None, -s.family_directions - 1, -1)  # eigenvalues rise
     width, along = np.sqrt(values[:, loosest].clip(0)), vectors[:, :, loosest]
+    # again only if the window has grown enough since neighbours were last placed
     due = s.again_from * trials.neighbours_s < reach_s
     free = (width > s.family_rad) & due[:, None]
-    set_s = np.where(free.any(axis=1), reach_s, trials.neighbours_s)
+    placed_s = np.where(free.any(axis=1), reach_s, trials.neighbours_s)
 
     parts, parents = [trials.shots], [np.arange(len(trials))]
+    # a neighbour for each choice of signs of the directions, 0: not along it
     for signs in product((0, 1, -1), repeat=s.family_directions):
         which = np.flatnonzero(signs)
         rows = np.flatnonzero(free[:, which].all(axis=1)) if len(which) else which
@@ -133,4 +133,4 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
     kept = np.union1d(first, np.arange(len(trials)))
     own = kept < len(trials)
     starts = np.where(own, trials.starts[parent[kept]], 1)
-    return Trials(every.take(kept), starts, neighbours_s=set_s[parent[kept]])
+    return Trials(every.take(kept), starts, neighbours_s=placed_s[parent[kept]])

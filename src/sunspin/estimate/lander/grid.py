@@ -16,7 +16,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics import batch
-from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
+from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.cells import (
     OF_CELL,
     OF_MISFIT,
@@ -262,8 +262,8 @@ def settled_starts(
     grid: RateGrid, panels: PanelPowers, reference: Reference, s: GridSettings, workers: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the starts that settle in the cells of a grid: rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
-    nodes, others = Nodes(s.nodes), panels.take(reference.others)
-    seen = np.repeat(nodes.directions[:, None], len(reference.others), axis=1)
+    nodes, others = cube_nodes(s.nodes), panels.take(reference.others)
+    seen = np.repeat(nodes[:, None], len(reference.others), axis=1)
     near, far = (
         shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
     )

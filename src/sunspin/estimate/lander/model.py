@@ -54,10 +54,10 @@ PRIOR_DRAWS = 20_000
 
 
 Sizes = Mapping[str, int]
-"""Kinds of unknowns whose sigma is one of several -> index of the one that is taken."""
+"""Kind of unknowns whose sigma is one of several (:attr:`Unknown.shares`) -> index of the one that is taken."""
 
 ALL_SIZES: Sizes = {}
-"""All of them count, by how likely they are."""
+"""All sigmas count, by how likely they are."""
 
 
 class CarriedStates(NamedTuple):
@@ -115,7 +115,7 @@ class LanderModel:
         return 5 + len(self.unknowns)
 
     def places(self, *kinds: str) -> list[int]:
-        """Return where the unknowns of some kinds stand."""
+        """Return the indices of the unknowns of some kinds."""
         return [i for i, unknown in enumerate(self.unknowns) if unknown.kind in kinds]
 
     def values(self, u: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ class LanderModel:
         return centre + u * np.array([unknown.sigma for unknown in self.unknowns])
 
     def _deviation(self, u: np.ndarray, kind: str, count: int) -> np.ndarray:
-        """Return by how much (K, count) the unknowns of a kind are off their centres, by index; zero for those that are known."""
+        """Return how far off their centres (K, count) the numbers of a kind are, by :attr:`Unknown.index`; zero for known ones."""
         off = np.zeros((len(u), count))
         for i in self.places(kind):
             off[:, self.unknowns[i].index] = self.unknowns[i].sigma * u[:, i]

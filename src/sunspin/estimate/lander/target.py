@@ -52,7 +52,7 @@ class Equations(NamedTuple):
 class LanderTarget:
     """Posterior of the motions of a lander under one model: K motions are evaluated at once.
 
-    What is `seen` (K, n, w) of motions are their directions to the Sun, and their rates if they are needed (:meth:`FitProblem.seen`).
+    What is `seen` (K, n, w) of motions are directions to the Sun, and rates if they are needed (:meth:`FitProblem.seen`).
     """
 
     model: LanderModel
@@ -64,7 +64,7 @@ class LanderTarget:
 
     @cached_property
     def reading_unknowns(self) -> np.ndarray:
-        """Return the indices (s) of unknowns that change readings, but not the motion, but for the noise: brightness, gains, tilts."""
+        """Return the indices (s) of unknowns that change readings, but not the motion: brightness, gains, tilts; not the noise."""
         own = np.arange(len(self.model.of_motion), len(self.unknowns))
         return np.setdiff1d(own, self.model.places("noise"))
 
