@@ -72,7 +72,7 @@ class NominalSearch(NamedTuple):
     """A search under the nominal model.
 
     `window`: what was seen; `reference`: the sample at which motions are states, and the search began; `motions`: with which the
-    search ended, and `fit`: these fitted to all samples with all unknowns; `said`: the priors and their sources in words.
+    search ended, and `fit`: these fitted to all samples with all unknowns; `prior_words`: the priors and their sources in words.
     """
 
     assessment: Assessment
@@ -81,7 +81,7 @@ class NominalSearch(NamedTuple):
     carrier: Shooting
     motions: Trials
     fit: ShotFit
-    said: dict[str, str]
+    prior_words: dict[str, str]
 
 
 class Drawn(NamedTuple):
@@ -238,12 +238,18 @@ def search_nominal(
     """
     assessment = assess(vehicle, telemetry)
     window = observe_window(assessment, begin_s, end_s, phase, observations)
-    stated, said = with_priors(assessment, window, priors, wheel_mode)
+    stated, prior_words = with_priors(assessment, window, priors, wheel_mode)
     reference = choose_reference(stated, settings.grid, bool((priors or {}).get("max_rate_rad_s")))
     carrier = Shooting(reference.about(stated), reference, settings, workers)
     motions = search_under(carrier)
     return NominalSearch(
-        assessment, window, reference, carrier, motions, carrier.fit_all_samples(motions), said
+        assessment,
+        window,
+        reference,
+        carrier,
+        motions,
+        carrier.fit_all_samples(motions),
+        prior_words,
     )
 
 
@@ -294,8 +300,10 @@ def draw_all_models(
     if nominal.carrier.fitted > settings.long_search or budget.exhausted():
         return [*drawn.doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
-    more = [search_and_refit(other, nominal) for other in torques]
-    again = draw_models([nominal.fit, *more], nominal, streams[3:6], budget, drawn.draws[0])
+    under_torques = [search_and_refit(other, nominal) for other in torques]
+    again = draw_models(
+        [nominal.fit, *under_torques], nominal, streams[3:6], budget, drawn.draws[0]
+    )
     return again.doubts, again.mixture(reach_s, settings)
 
 
@@ -319,9 +327,9 @@ def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
 def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
     """Return the motions of the nominal model, and those of a search under a torque from the first samples on, fitted under it."""
     motions = search_under(carrier)
-    both = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
+    shots = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
     starts = np.concatenate([nominal.motions.starts, motions.starts])
-    return carrier.fit_all_samples(Trials(both, starts))
+    return carrier.fit_all_samples(Trials(shots, starts))
 
 
 def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:
@@ -465,7 +473,7 @@ def _about(
         "noise_from": window.noise_from,
         "samples": len(t_s),
         "reference_sample": reference.sample,
-        "priors": json.dumps(nominal.said),
+        "priors": json.dumps(nominal.prior_words),
         "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(mode),
         "max_rate_rad_s": reference.given,

@@ -292,8 +292,8 @@ class LanderModel:
     def spun_up(self, after_s: float) -> float:
         """Return the rate (rad/s) that wheels running down hand over until then, about the axis of the least moment."""
         none = np.zeros((1, len(self.unknowns)))
-        there = replace(self, after_s=after_s).wheel_speeds(none)
-        lost = np.abs(there - replace(self, after_s=0.0).wheel_speeds(none))[0]
+        then = replace(self, after_s=after_s).wheel_speeds(none)
+        lost = np.abs(then - replace(self, after_s=0.0).wheel_speeds(none))[0]
         momentum = lost @ np.array([wheel.inertia_kg_m2 for wheel in self.vehicle.wheels])
         return float(momentum / np.linalg.eigvalsh(self.vehicle.require_inertia())[0])
 

@@ -233,8 +233,8 @@ def attitudes(model: LanderModel, omega: np.ndarray, times: np.ndarray) -> np.nd
         h, r = moved.momentum_B[:, 0], moved.sun_B[:, 0]
         with np.errstate(invalid="ignore"):
             h = h / np.linalg.norm(h, axis=1, keepdims=True)
-            there = np.stack([h, r, cross(h, r)], axis=2)
-            matrix = there @ np.swapaxes(frame, 1, 2)
+            after = np.stack([h, r, cross(h, r)], axis=2)
+            matrix = after @ np.swapaxes(frame, 1, 2)
         matrix[~np.isfinite(matrix).all(axis=(1, 2))] = np.eye(3)
         turn[:, i] = Rotation.from_matrix(matrix).as_quat()
     return turn

@@ -103,10 +103,10 @@ class Chart:
         places = np.append(np.arange(STATE_SIZE), STATE_SIZE + self.outer)
         whole = np.eye(len(places))
         whole[:STATE_SIZE, :STATE_SIZE] = self.basis
-        found = whole @ of_motion[np.ix_(places, places)] @ whole.T
+        in_chart = whole @ of_motion[np.ix_(places, places)] @ whole.T
         of_u = np.arange(STATE_SIZE, len(places))
         order = np.concatenate([np.arange(self.softs), of_u, np.arange(self.softs, STATE_SIZE)])
-        return found[np.ix_(order, order)]
+        return in_chart[np.ix_(order, order)]
 
     def coordinates(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
         """Return y (K, d) and z (K, q) of motions."""
@@ -139,8 +139,8 @@ class Chart:
         """Return the steps (K, 5, q) of rate and direction, in the motions' own tangents, per unit of z while y is held."""
         size, steps = 1e-5, []
         for one in np.eye(self.stiff):
-            there = self.motions(y, z + size * one, shots.u)
-            steps.append(there.from_centre(shots)[:, :STATE_SIZE] / size)
+            shifted = self.motions(y, z + size * one, shots.u)
+            steps.append(shifted.from_centre(shots)[:, :STATE_SIZE] / size)
         return np.stack(steps, axis=2)
 
 
@@ -358,16 +358,16 @@ def _resized(
 
     The prior's part of the curvature changes by 1 / share^2 - 1 / before^2: a step of Newton leads to the new mean.
     """
-    at, more = STATE_SIZE + places, share**-2 - before**-2
+    at, added = STATE_SIZE + places, share**-2 - before**-2
     precision, pull = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
-    precision[at, at] += more
+    precision[at, at] += added
     size = u[places] + peak.step[at]
-    pull[at] = -more * size
+    pull[at] = -added * size
     covariance = np.linalg.inv(precision)
     step = covariance @ pull
     if share > before and np.linalg.norm(size + step[at]) > s.far_torque * share:
         return None
-    gain = (pull @ step - more * size @ size) / 2
+    gain = (pull @ step - added * size @ size) / 2
     volume = (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(peak.covariance)[1]) / 2
     log_mass = peak.log_mass + gain + volume - len(places) * np.log(share / before)
     return Peak(float(log_mass), peak.step + step, covariance)
@@ -432,7 +432,7 @@ def fit_stiff(
         # most predicted starts are so near that a step need not be tried
         far = np.flatnonzero(~(solve_dense(system, np.zeros(len(y)))[1] < SETTLED_GAIN))
         if len(far):
-            found = least_squares(
+            solution = least_squares(
                 lambda at, noise_factor=noise_factor: equations(noise_factor, at),
                 moved,
                 solve_dense,
@@ -442,8 +442,8 @@ def fit_stiff(
                 system=take_problems(system, far),
                 carry=with_slopes,
             )
-            state = replace_problems(state, far, found.state)
-            system = replace_problems(system, far, found.system)
+            state = replace_problems(state, far, solution.state)
+            system = replace_problems(system, far, solution.system)
     assert system is not None
     # a last step, not tried, if it is short enough for the equations to be linear
     covariance = np.linalg.inv(system.matrix)
