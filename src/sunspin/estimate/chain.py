@@ -254,10 +254,12 @@ def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     momentum = model.obs.momentum
     inertia = model.body.inertia_at(motions.u[:, model.of_body])
     back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
-    made = step(inertia, motions.omega, back, (momentum, momentum))
-    turning = np.cross(made.omega @ inertia + momentum, made.omega)
+    stepped = step(inertia, motions.omega, back, (momentum, momentum))
+    turning = np.cross(stepped.omega @ inertia + momentum, stepped.omega)
     acceleration = turning @ np.linalg.inv(inertia)
-    return Earlier(States(made.turned @ motions.attitude, made.omega), made.turned, acceleration)
+    return Earlier(
+        States(stepped.turned @ motions.attitude, stepped.omega), stepped.turned, acceleration
+    )
 
 
 def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
@@ -268,14 +270,14 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
     body, dt = model.body, np.diff(model.obs.t_s)
     momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
     inertia = body.inertia_at(motions.u[:, model.of_body])
-    made = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
+    stepped = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
     relative = motions.attitude[:, 1:] @ np.swapaxes(motions.attitude[:, :-1], -1, -2)
     value = np.concatenate(
-        [rotation_between(made.turned, relative), motions.omega[:, 1:] - made.omega], axis=-1
+        [rotation_between(stepped.turned, relative), motions.omega[:, 1:] - stepped.omega], axis=-1
     )
-    assert made.by_start is not None and made.by_inertia is not None
-    by_start, by_u = made.by_start, np.zeros((*value.shape, motions.u.shape[1]))
-    by_u[..., model.of_body] = made.by_inertia
+    assert stepped.by_start is not None and stepped.by_inertia is not None
+    by_start, by_u = stepped.by_start, np.zeros((*value.shape, motions.u.shape[1]))
+    by_u[..., model.of_body] = stepped.by_inertia
     for term, place in zip(model.obs.terms, model.of_terms, strict=True):
         push = term.added_by_unknowns(motions, dt)
         if push is not None:
@@ -455,9 +457,9 @@ def _carry_on(
 ) -> None:
     """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
     for start, end in _ways(first, last, attitudes.shape[1]):
-        made = _step_between(model, rates, start, end)
-        attitudes[:, end] = made.turned @ attitudes[:, start]
-        rates[:, end] = made.omega
+        stepped = _step_between(model, rates, start, end)
+        attitudes[:, end] = stepped.turned @ attitudes[:, start]
+        rates[:, end] = stepped.omega
 
 
 def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
@@ -502,11 +504,11 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, sample, n):
-            made = _step_between(model, track.omega, start, end, derivatives=True)
-            track.attitude[:, end] = made.turned @ track.attitude[:, start]
-            track.omega[:, end] = made.omega
-            assert made.by_start is not None
-            by_state[:, end] = made.by_start @ by_state[:, start]
+            stepped = _step_between(model, track.omega, start, end, derivatives=True)
+            track.attitude[:, end] = stepped.turned @ track.attitude[:, start]
+            track.omega[:, end] = stepped.omega
+            assert stepped.by_start is not None
+            by_state[:, end] = stepped.by_start @ by_state[:, start]
         previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:

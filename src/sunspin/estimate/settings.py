@@ -286,10 +286,10 @@ class SamplingSettings:
     inner_width: float = 1.1
     """Factor on the sigmas of the stiff coordinates given the others."""
 
-    standing_noise: tuple[float, ...] = (2.0, 1.0)
+    reading_noise: tuple[float, ...] = (2.0, 1.0)
     """Factors on the noise in the steps to the best gains, brightness and misalignments given a motion."""
 
-    standing_step: float = 2.0
+    reading_step: float = 2.0
     """Such a step is no longer than this, in sigmas of the prior."""
 
     defence: float = 0.15
@@ -614,7 +614,7 @@ class ShootingSettings:
     """How the motions of a lander are fitted, compared and carried on."""
 
     held: int = 5
-    """With fewer samples than this inertia, friction and wheel stay at their centres: few samples tell nothing of them."""
+    """With fewer samples than this inertia, friction and wheel are held at their centres: few samples determine none of them."""
 
     first_levels: tuple[tuple[float, int], ...] = ((3.0, 2), (1.0, 2))
     """Factor on the noise, and steps, one after the other: of the fit to the first window. Wide noise draws in what is far."""
@@ -651,8 +651,8 @@ class ShootingSettings:
     box_sun_rad: float = 0.3
     """The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
 
-    sheet_chi2: float = 2.0
-    """Squared distance in sigmas below which two motions lie on one sheet while the window grows, and are copies."""
+    ridge_chi2: float = 2.0
+    """Squared distance in sigmas below which two motions lie on one ridge while the window grows, and are copies."""
 
     same_chi2: float = 9.0
     """The same, in sigmas of either, of motions fitted to all samples."""
@@ -679,7 +679,7 @@ class ShootingSettings:
     """By how much a motion may be wrong about the sample added next, before it is fitted to it."""
 
     most_boxes: int = 100_000
-    """Motions carried on, at most, before those on one sheet are joined."""
+    """Motions carried on, at most, before those on one ridge are joined."""
 
     most: int = 20_000
     """The same after that."""
