@@ -66,9 +66,7 @@ def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():
         decided=("pass_id", [True]),
         why_not_decided=("pass_id", [""]),
     )
-    checked = check_columns(
-        alone, assess(FOUR_SIDES, data), None, None, False, RATES, Budget(np.inf)
-    )
+    checked = check_columns(alone, assess(FOUR_SIDES, data), None, None, RATES, Budget(np.inf))
     assert checked.attrs["symmetric_unlisted"] == 1
     assert not checked["unique"].values.any() and not checked["decided"].values.any()
 
