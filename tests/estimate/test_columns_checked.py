@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.columns import check_columns, clock_time
+from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.verdict import COLUMNS_UNCHECKED, alike_motions
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Channel
 from tests.support.simulate import CUBE, FOUR_SIDES, simulated_pass, uneven_times
+from validation.passes import make
 
 OMEGA = np.array([0.02, -0.03, 0.04])
 
@@ -66,9 +67,7 @@ def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():
         decided=("pass_id", [True]),
         why_not_decided=("pass_id", [""]),
     )
-    checked = check_columns(
-        alone, assess(FOUR_SIDES, data), None, None, False, RATES, Budget(np.inf)
-    )
+    checked = check_columns(alone, assess(FOUR_SIDES, data), None, None, RATES, Budget(np.inf))
     assert checked.attrs["symmetric_unlisted"] == 1
     assert not checked["unique"].values.any() and not checked["decided"].values.any()
 
@@ -87,3 +86,14 @@ def test_times_are_clocks_on_the_day_of_the_epoch():
     assert clock_time(None, 61.4) == "61 s"
     assert clock_time(epoch, 61.0) == "00:01:01"
     assert clock_time(epoch, 86461.0).startswith("2026-01-02T00:01:01")
+
+
+def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tests():
+    """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels."""
+    simulated = make("columns exchanged", 7, 4)
+    most = simulated.max_rate_rad_s
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=most)
+    assert result["fits"].values.all()
+    assert not result["decided"].values.any()
+    assert SAMPLES_DENY in str(result["why_not_decided"].values[0])
+    assert "estimate with column tests" in result.attrs["columns_doubt"]

@@ -50,7 +50,7 @@ def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
     """A file that fits, so that nothing but its dark columns is tried."""
     as_given = assess(spinner.vehicle, spinner.telemetry)
     result = rates(spinner.vehicle, as_given, max_rate_rad_s=spinner.max_rate_rad_s)
-    checked = check_columns(result, as_given, None, fail, False, RATES, Budget(0.0))
+    checked = check_columns(result, as_given, None, fail, RATES, Budget(0.0))
     assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
     assert checked.attrs["column_tests_cut"] == 1
     assert "not every other order of columns was tried" in rates_words(checked)
