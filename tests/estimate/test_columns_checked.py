@@ -62,9 +62,7 @@ def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():
     result = rates(FOUR_SIDES, data, max_rate_rad_s=0.15)
     assert result.sizes["solution"] >= 2 and result.attrs["symmetric_unlisted"] == 0
     alone = result.isel(solution=[0]).assign(
-        unique=("pass_id", [True]),
-        decided=("pass_id", [True]),
-        why_not_decided=("pass_id", [""]),
+        unique=("pass_id", [True]), decided=("pass_id", [True]), why_not_decided=("pass_id", [""])
     )
     checked = check_columns(
         alone, assess(FOUR_SIDES, data), None, None, False, RATES, Budget(np.inf)

@@ -14,23 +14,11 @@ from sunspin.dynamics.torques import Steady
 from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_sheet, with_neighbours
-from sunspin.estimate.lander.fit import (
-    FINAL_ERROR,
-    Fitting,
-    Problem,
-    corrected,
-    in_tangents_at,
-)
+from sunspin.estimate.lander.fit import FINAL_ERROR, Fitting, Problem, corrected, in_tangents_at
 from sunspin.estimate.lander.grid import grid_starts, reference, settled_starts
 from sunspin.estimate.lander.motions import Shots, Trials
 from sunspin.estimate.lander.priors import with_priors
-from sunspin.estimate.lander.rate_grid import (
-    RateGrid,
-    Reached,
-    Sphere,
-    attitudes,
-    without_sphere,
-)
+from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitudes, without_sphere
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import refitted, searched, under_torques
 from sunspin.estimate.settings import POSTERIOR

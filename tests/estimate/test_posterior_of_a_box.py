@@ -60,10 +60,7 @@ def telemetry_of(craft: Vehicle, torque_N_m: np.ndarray | None = None) -> xr.Dat
     power = ss.panel_power(craft, run["sun_B"].values)
     power = np.maximum(power + NOISE_W * rng.standard_normal(power.shape), 0.0)
     return xr.Dataset(
-        {
-            "power_W": (("time", "panel"), power),
-            "flag": ("time", np.zeros(len(T_S), np.uint8)),
-        },
+        {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(T_S), np.uint8))},
         {"time": T_S, "panel": list(craft.panel_names)},
         {"epoch_utc": "2025-01-01T00:00:00Z", "synthetic": 1, "quantity": "power_W"},
     )

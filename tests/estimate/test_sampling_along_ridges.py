@@ -10,15 +10,7 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
-from sunspin.estimate.lander.ridges import (
-    Bend,
-    Chart,
-    Equations,
-    Law,
-    Slopes,
-    monomials,
-    ridges_of,
-)
+from sunspin.estimate.lander.ridges import Bend, Chart, Equations, Law, Slopes, monomials, ridges_of
 from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING

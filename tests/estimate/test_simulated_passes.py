@@ -9,13 +9,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
-from sunspin.estimate.synthetic import (
-    EARTH_LIGHT,
-    GAIN_ERROR,
-    LEAST_SUNLIT,
-    NOISE,
-    simulate_pass,
-)
+from sunspin.estimate.synthetic import EARTH_LIGHT, GAIN_ERROR, LEAST_SUNLIT, NOISE, simulate_pass
 from sunspin.telemetry.synthetic import generator
 from tests.support.orbits import EPOCH, place_and_speed, two_line_elements
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED as CUBE
