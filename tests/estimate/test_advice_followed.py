@@ -16,11 +16,9 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.model import Body, Model, Noise
 from sunspin.estimate.observe import observe
-from sunspin.estimate.orbit.judged import judged_orbit
 from sunspin.estimate.rates import doubts_of, rates
 from sunspin.estimate.settings import RATES
-from sunspin.estimate.starts import fine_up_to
-from sunspin.estimate.verdict import more_effort, slower
+from sunspin.estimate.verdict import more_effort
 from sunspin.output.check import orbit as check_words
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, Vehicle
@@ -67,20 +65,6 @@ def test_with_the_effort_that_is_named_a_search_is_complete():
     assert done["search_complete"].values[0] and done["decided"].values[0]
     assert "effort" not in done.attrs["verdict"]
     assert printed(r"--effort ([\d.e+]+)", more_effort(20.0)) == 200.0
-
-
-def test_with_the_largest_rate_that_is_named_the_starts_are_fine_enough():
-    """With a rate a little larger than the one that the sentence names they are not."""
-    vehicle, data, _ = fast_body(60.0, np.random.default_rng(5), samples=5)
-    obs = observe(assess(vehicle, data)).obs
-
-    def fine(rate_max: float) -> float:
-        model = Model(obs, Body.of(vehicle), Noise(1e-4), rate_max / 2)
-        return fine_up_to(model, RATES.search)
-
-    words = slower(fine(1.0))
-    limit = np.radians(printed(r"faster than ([\d.]+) deg/s, give it as `--max-rate-deg-s`", words))
-    assert np.isfinite(fine(1.0)) and fine(limit) == np.inf and np.isfinite(fine(1.02 * limit))
 
 
 def test_a_coarse_search_is_told_with_the_largest_rate_that_makes_it_fine():
@@ -192,19 +176,6 @@ def test_strong_torques_of_a_body_without_an_inertia_ask_for_it(noise, sphere, s
     assert ("give its inertia" in words[0]) is asked and counts["no_sphere"] == asked
 
 
-def test_weaker_torques_that_turn_a_sphere_far_between_samples_ask_for_its_inertia():
-    """9e-4 rad/s^1.5 turn it by 0.006 rad in 5 s and by 0.05 rad in 21 s."""
-    vehicle = replace(CUBE, inertia_kg_m2=None)
-    solved: Any = [SimpleNamespace(noise=np.array([9e-4]))]
-    fits: Any = [SimpleNamespace(cut=False)]
-    result = xr.Dataset(attrs={"wheels_untold": "", "gains_unknown": ""})
-    for apart_s, asked in ((5.0, 0), (20.0, 0), (22.0, 1)):
-        data, _ = seen([0.01, 0.012, -0.01], apart_s * np.arange(12))
-        model = Model(observe(assess(vehicle, data)).obs, Body.of(vehicle), Noise(1e-4), 0.025)
-        counts = doubts_of(result, [model], fits, solved, True, 1.0, RATES)[1]
-        assert counts["no_sphere"] == asked
-
-
 @pytest.mark.long
 def test_the_advice_to_state_the_zero_of_a_magnetometer_gives_right_rates(tmp_path):
     """docs/howto/orbit.md: a zero of a third of the field, taken for none, fits no motion; with its sigma the motion comes."""
@@ -259,25 +230,6 @@ def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
         data["time"].values,
         **options,
     )
-
-
-def test_the_advice_to_reverse_the_matrix_of_the_magnetometer_makes_the_elements_fit(monkeypatch):
-    with_few_copies(monkeypatch, 10)
-    vehicle, data, given, about = check_case(1, 1)
-    orbit, wrong = (
-        in_an_orbit(data, given, shift_sigma_s=about["sigma_s"]),
-        data.assign(field_B=-data["field_B"]),
-    )
-    _, _, words = judged_orbit(orbit, vehicle, wrong)
-    assert "HAS THE OPPOSITE SIGN: change the sign of `matrix`" in words
-    part = vehicle.sensors.magnetometer
-    turned = replace(
-        vehicle, sensors=replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
-    )
-    used, _, words = judged_orbit(
-        orbit, turned, wrong.assign(field_B=-wrong["field_B"])
-    )  # as its columns are read now
-    assert used is not None and "SIGN" not in words
 
 
 def test_the_advice_to_widen_the_along_track_offset_makes_the_elements_fit(monkeypatch):

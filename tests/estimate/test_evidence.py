@@ -41,12 +41,6 @@ def test_a_fit_without_unknown_sizes_is_unchanged():
     assert over_shares(one, 3.0) is one
 
 
-def test_a_stated_strength_is_one_rung():
-    model, motions = problem(noise=1e-4)
-    fits = ladder(model, motions, replace(LADDER, rungs=(1e-6,)), SEARCH, 1e-4)
-    assert [one.model.noise.acceleration for one in fits] == [1e-6]
-
-
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
     model, motions = problem()
     fits = ladder(model, motions, LADDER, SEARCH, 1e-4)

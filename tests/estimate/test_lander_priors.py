@@ -44,22 +44,6 @@ def model_of(craft: Vehicle, telemetry: xr.Dataset, **priors) -> tuple[LanderMod
 # ---- readings and brightness -----------------------------------------------------------------------------------------------
 
 
-def test_missing_readings_and_fillers_are_left_out_and_the_noise_is_that_of_dark_panels():
-    """A missing reading, a missing sample, and a converter's filler of 2e8 times full Sun; the file states no noise."""
-    craft = small_cube()
-    craft = replace(craft, telemetry=replace(craft.telemetry, noise=None))
-    telemetry = samples(craft)
-    value, rng = telemetry["current_A"].values, np.random.default_rng(8)
-    value[:] = np.where(value > 0, value, 0.02 * rng.standard_normal(value.shape))
-    value[3, 2], value[5], value[4, 1] = np.nan, np.nan, 99999999.0
-    window = observe_window(assess(craft, telemetry))
-    panels = window.obs.terms[0]
-    assert len(window.obs) == 14
-    assert np.argwhere(~panels.used).tolist() == [[3, 2], [4, 1]]
-    assert any("a reading beyond full Sun" in remark for remark in window.remarks)
-    assert panels.sigma == pytest.approx(0.02, rel=0.4) and panels.largest < 1
-
-
 @pytest.mark.parametrize("lit", [20, 7])
 def test_brightness_is_estimated_if_no_sample_gives_a_direction_and_most_are_dark(lit):
     """Four side panels; 0.37 is true."""

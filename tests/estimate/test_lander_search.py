@@ -9,25 +9,22 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.dynamics.propagate import propagate
-from sunspin.dynamics.torques import Steady
 from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_sheet, with_neighbours
-from sunspin.estimate.lander.fit import FINAL_ERROR, Fitting, Problem, corrected, in_tangents_at
+from sunspin.estimate.lander.fit import FINAL_ERROR, Problem, corrected, in_tangents_at
 from sunspin.estimate.lander.grid import grid_starts, reference, settled_starts
 from sunspin.estimate.lander.motions import Shots, Trials
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitudes, without_sphere
 from sunspin.estimate.lander.window import observe_window
-from sunspin.estimate.posterior import refitted, searched, under_torques
+from sunspin.estimate.posterior import searched
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.telemetry.assess import assess
 from tests.estimate.plain_cells import (
     LookThrough,
     Settling,
-    corner_slopes,
     corner_weights,
     corners_of,
     rotated,
@@ -61,20 +58,6 @@ def test_the_nearest_node_is_within_its_stated_distance():
     assert off.max() < GRID.node_rad
     by_search = np.argmax(sun @ nodes.directions.T, axis=1)
     assert np.mean(nodes.nearest(sun) == by_search) > 0.9
-
-
-def test_corners_of_a_cell_count_by_trilinear_weights():
-    """They sum to one, give back a corner at it and any linear function, and change as their slopes say."""
-    rng = np.random.default_rng(1)
-    x = rng.random((5, 3))
-    weights, slopes = corner_weights(x), corner_slopes(x)
-    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
-    corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
-    np.testing.assert_allclose(weights @ corners, x)
-    for axis in range(3):
-        step = 1e-6 * np.eye(3)[axis]
-        change = (corner_weights(x + step) - corner_weights(x - step)) / 2e-6
-        np.testing.assert_allclose(change, slopes[..., axis], atol=1e-9)
 
 
 def rate_grid(model, place, settings=GRID):
@@ -283,28 +266,6 @@ def test_a_step_has_one_meaning_in_the_tangents_of_two_directions():
     np.testing.assert_allclose(np.einsum("kc,kcnw->knw", turned, after), before, atol=1e-3)
 
 
-def test_a_fit_from_near_the_truth_ends_at_it_and_fits_the_noise():
-    """Within 4.5 sigma of its own curvature, with the noise of the readings to 15 %."""
-    assessment = assess(noisy(), lander_telemetry(100.0 * np.arange(12), NOISE))
-    model, _ = with_priors(assessment, observe_window(assessment), {})
-    count = len(model.unknowns)
-    problem = Problem(model, np.ones(count, dtype=bool), FINAL_ERROR)
-    start = Shots(OMEGA[None] + 1e-4, SUN[None], np.zeros((1, count)))
-    fitting = Fitting(problem, start)
-    fitting.go(2.0, 3)
-    fitting.refresh()
-    fitting.go(1.0, 10)
-    fitting.fit_noise()
-    truth = Shots(OMEGA[None], SUN[None], np.zeros((1, count)))
-    off = fitting.shots.from_centre(truth)[0]
-    off[5 + np.array(model.places("scale", "noise"))] = 0.0
-    rate = off[:3]
-    covariance = np.linalg.inv(fitting.curvature()[0])[:3, :3]
-    assert rate @ np.linalg.solve(covariance, rate) < 4.5**2
-    noise = np.exp(model.panels.log_noise(fitting.shots.u[:, model.of_panels]))[0]
-    assert noise == pytest.approx(1.0, abs=0.3)
-
-
 # ---- families --------------------------------------------------------------------------------------------------------------
 
 
@@ -374,29 +335,6 @@ def test_the_search_lists_the_true_motion(observed):
     assert sigmas[0] < 4.5
     assert fit.complete
     assert fit.log_evidence[0] == fit.log_evidence.max()
-
-
-def test_a_torque_that_no_file_states_is_fitted_from_the_motions_without_it():
-    """It moves the Sun by 0.36 rad at most, on a body without a wheel, which would hold it; the torque comes out."""
-    t_s, acceleration = 60.0 * np.arange(12), 8e-6
-    inertia = PHILAE.require_inertia()
-    torque = acceleration * np.trace(inertia) / 3 * np.array([1.0, 0.0, 0.0])
-    vehicle = replace(noisy(), wheels=())
-    steady = Steady(np.stack([torque, 0 * torque]))
-    run = propagate(vehicle, OMEGA, SUN, [], t_s, torques=[steady])
-    telemetry = lander_telemetry(t_s)
-    power = 2.5 * ss.panel_power(PHILAE, run["sun_B"].values)
-    power += NOISE * np.random.default_rng(0).standard_normal(power.shape)
-    telemetry["power_W"] = (("time", "panel"), np.maximum(power, 0.0))
-    priors = {"max_rate_rad_s": 0.12}
-    nominal = searched(vehicle, telemetry, priors, workers=1)
-    in_body = refitted(under_torques(nominal, priors)[0], nominal)
-    assert in_body.log_evidence[0] > nominal.fit.log_evidence[0] + 3
-    places = in_body.model.places("steady_torque")
-    fitted = in_body.model.values(in_body.motions.u)[0, places]
-    sigma = np.sqrt(np.diag(np.linalg.inv(in_body.curvature[0])))[5 + np.array(places)]
-    sigma = sigma * in_body.model.unknowns[places[0]].sigma
-    assert np.all(np.abs(fitted - [acceleration, 0.0, 0.0]) < 4.5 * sigma)
 
 
 def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():

@@ -48,20 +48,6 @@ def test_a_pure_spin_has_one_period_only():
     np.testing.assert_allclose(weighed.shares, [[0, 0, 1]], atol=1e-12)
 
 
-def test_weights_by_a_period_are_the_mean_of_three_densities():
-    """Spins of 10 to 20 s even, the others far away: the weighted mean is the period seen, and it is the spin."""
-    n = 4000
-    periods = np.stack([np.full(n, 90.0), np.linspace(10, 20, n), np.full(n, np.nan)], axis=1)
-    seen, even = [ss.Period(0.0, 14.0, 1.0)], np.full(n, 1 / n)
-    weighed = pd.weigh_draws(seen, [periods], even)
-    assert weighed.weight.sum() == pytest.approx(1)
-    assert weighed.weight @ periods[:, 1] == pytest.approx(14.0, abs=0.01)
-    assert weighed.effective == pytest.approx(n * 2 * np.sqrt(np.pi) / 10, rel=0.01)
-    np.testing.assert_allclose(weighed.shares, [[0, 1, 0]], atol=1e-12)
-    both = pd.weigh_draws(seen, [periods[:, [1, 1, 0]]], even)
-    np.testing.assert_allclose(both.shares, [[0.5, 0.5, 0]], atol=1e-12)
-
-
 def two_solutions(probability, sigma=1e-6):
     """A pass of three samples with two solutions of constant rates and a body of known inertia."""
     body = replace(Body.of(WHEELED), errors=np.zeros((0, 3, 3)))

@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.base.errors import InputError
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.lander.predict import best_motions, predict
 from sunspin.estimate.posterior import posterior
@@ -180,13 +179,6 @@ def test_a_torque_that_the_file_lacks_is_found_and_named():
     steady = tree["posterior"]["steady_torque"].values[0, :, 0]
     expected = craft.require_inertia() @ acceleration / (np.trace(craft.require_inertia()) / 3)
     assert np.all(np.abs(steady.mean(axis=0) - expected) < 4 * steady.std(axis=0))
-
-
-def test_what_cannot_be_used_is_refused():
-    craft = box()
-    telemetry = telemetry_of(craft)
-    with pytest.raises(InputError, match="draws must be a whole number"):
-        posterior(craft, telemetry, PRIORS, draws=0)
 
 
 def test_output_and_predictions_read_the_result(result):

@@ -169,33 +169,6 @@ def test_a_motion_step_agrees_with_the_reference_propagator(reached):
     assert off.max() < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        (lambda d: d.isel(time=slice(0, 2)), "fewer than three samples"),
-        (lambda d: d.drop_vars("power_W"), "no Sun from panels or Sun sensors"),
-        (lambda d: d.assign(power_W=0 * d["power_W"]), "fewer than three samples"),
-    ],
-)
-def test_telemetry_without_rates_is_refused_in_one_sentence(change, text):
-    data, _ = simulated_pass(
-        CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5)
-    )
-    with pytest.raises(ss.SunspinError, match=text):
-        ss.rates(CUBE_WITHOUT_NOISE_STATED, change(data))
-
-
-@pytest.mark.parametrize(
-    "bad", [{"max_rate_rad_s": float("nan")}, {"acceleration_noise": -1.0}, {"source": "stars"}]
-)
-def test_bad_settings_of_rates_are_refused_in_one_sentence(bad):
-    data, _ = simulated_pass(
-        CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5)
-    )
-    with pytest.raises(ss.InputError):
-        ss.rates(CUBE_WITHOUT_NOISE_STATED, data, **bad)
-
-
 def test_with_a_largest_rate_below_every_solution_nothing_fits_and_is_decided():
     data, _ = simulated_pass(
         CUBE_WITHOUT_NOISE_STATED,

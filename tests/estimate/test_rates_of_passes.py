@@ -8,9 +8,8 @@ import pytest
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.observe import thinned
 from sunspin.estimate.rates import rates
-from sunspin.estimate.settings import RATES, PassSettings
+from sunspin.estimate.settings import RATES
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
 from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
 from validation.passes import observe as observe_passes
@@ -77,40 +76,6 @@ def test_a_step_of_the_rate_is_named_and_its_pass_decided():
     row = compare_with_truth(result, simulated)
     assert "step of the rate" in str(result["model"].values[0])
     assert row["decided"] and row["pull"] < 3
-
-
-def test_a_long_pass_is_searched_thinned_and_filled():
-    """Eighty samples: forty are searched, all have a rate, and the residuals of all are as their noise says."""
-    rng = np.random.default_rng(5)
-    telemetry, run = simulated_pass(
-        CUBE_WITHOUT_NOISE_STATED,
-        [0.02, 0.03, -0.04],
-        uneven_times(rng, 80, 8.0, 0.2),
-        rng,
-        albedo=0.0,
-    )
-    result = rates(CUBE_WITHOUT_NOISE_STATED, telemetry, max_rate_rad_s=0.15)
-    assert result.attrs["samples_searched"] == 40 and result.sizes["time"] == 80
-    assert result["fits"].values.all() and result["misfit"].values[0, 0, 0] == 80
-    truth = run["omega_B"].sel(time=result["time"]).values
-    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
-    assert (np.abs(result["omega_B"].values - truth) / sigma).max() < 5
-
-
-def test_kept_samples_begin_dense_and_reach_both_ends():
-    s = PassSettings()
-    for count in (41, 200, 3000):
-        kept = thinned(count, s)
-        steps = np.diff(kept)
-        assert len(kept) <= s.kept and kept[0] == 0 and kept[-1] == count - 1
-        assert steps[0] == 1 and (steps[1:] <= np.ceil(s.growth * steps[:-1]) + 1).all()
-
-
-def test_a_search_that_was_cut_short_is_not_decided():
-    vehicle, telemetry, _ = two_passes()
-    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, pass_id=0)
-    assert not result["search_complete"].values[0] and not result["decided"].values[0]
-    assert "SEARCH STOPPED" in result.attrs["verdict"]
 
 
 def test_a_stated_strength_of_torques_is_used():

@@ -92,44 +92,6 @@ def test_every_turn_between_two_directions_has_a_start_in_its_basin():
         assert np.linalg.norm(rates - omega, axis=1).min() * dt < 0.5
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_slow_body_is_kept_though_fast_ones_are_searched(seed):
-    model, truth = watched(0.15, sigma=0.05, seed=seed)
-    assert holds(found(model), truth)
-
-
-def test_a_larger_range_of_rates_loses_no_motion():
-    for seed in (1, 2):
-        model, _ = watched(0.2, sigma=0.05, max_deg_s=2.0, seed=seed)
-        near = found(model)
-        wide = found(replace(model, rate_sigma=np.radians(8.0) / 2))
-        good = near.take(np.flatnonzero(near.cost < near.cost[0] + 6.0))
-        for k in range(len(good)):
-            assert holds(wide, good.take(slice(k, k + 1))), f"seed {seed}, motion {k}"
-
-
-def test_a_tumbling_body_with_whole_turns_between_samples_is_found():
-    model, truth = watched(20.0, max_deg_s=30.0, sigma=0.02)
-    assert holds(found(model), truth)
-
-
-def test_a_search_says_which_candidates_each_window_has():
-    seen = []
-    model, _ = watched(2.0)
-    found(model, replace(SEARCH, watch=lambda window, motions: seen.append((window, len(motions)))))
-    assert seen[-1][0] == slice(0, 20) and all(count for _, count in seen)
-
-
-def test_no_rate_explains_directions_that_jump():
-    model, _ = watched(1.0, max_deg_s=2.0)
-    term = model.obs.terms[0]
-    flipped = replace(
-        term, direction_B=np.where(np.arange(20)[:, None] % 2, -1, 1) * term.direction_B
-    )
-    motions = found(replace(model, obs=replace(model.obs, terms=(flipped,))))
-    assert motions.cost[0] > model.obs.cost_limit
-
-
 def test_more_turns_than_can_be_tried_are_refused():
     model, _ = watched(2.0)
     with pytest.raises(InputError, match="too many whole turns"):
