@@ -17,6 +17,7 @@ from sunspin.estimate.equivalence import exchange, wheel_changes
 from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.observe import wheel_models
 from sunspin.estimate.rates import rates
+from sunspin.estimate.verdict import COLUMNS_UNCHECKED
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Channel, TelemetryForm
 from sunspin.vehicle.file import parse_vehicle
@@ -83,6 +84,10 @@ def rate_in_the_middle(result) -> np.ndarray:
     return np.degrees([result[f"omega_{axis}"].values[0, 0] for axis in "xyz"])
 
 
+def pair_exchanged(a: str, b: str) -> str:
+    return f"the columns of panels {a} and {b} exchanged"
+
+
 def with_columns_exchanged(text: str, advice: str) -> str:
     """Return a vehicle file in which the columns are exchanged that an advice names."""
     match = re.search(
@@ -103,6 +108,8 @@ def test_columns_exchanged_as_advised_give_the_named_rate(readings):
     doubted = estimated(text, path)
     advice = re.search(r"CHECK THE COLUMNS; if it is so, (.*)", doubted.attrs["verdict"])
     assert advice is not None and not doubted["decided"].values.any()
+    assert doubted["columns_checked"].values.tolist() == ["doubtful"]
+    assert "columns, signs or axes" in str(doubted["why_not_decided"].values[0])
     (named,) = json.loads(doubted.attrs["columns_changes"])
     assert named["do"] == advice[1]
     mended = estimated(with_columns_exchanged(text, advice[1]), path)
@@ -133,7 +140,12 @@ def test_unchecked_columns_exchanged_give_the_rate_that_is_printed(readings):
     path, _ = readings
     result = estimated(text_of(), path)
     words = "\n".join(rates_summary(result).lines)
-    for change in json.loads(result.attrs["columns_unseen"]):
+    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
+    unseen = json.loads(result.attrs["columns_unseen"])
+    pairs = (("px", "mx"), ("py", "my"), ("pz", "mz"))
+    assert [one["what"] for one in unseen] == [pair_exchanged(*pair) for pair in pairs]
+    for change in unseen:
         pattern = re.escape(f"with {change['what']} it would be ") + r"\(([^)]*)\)"
         match = re.search(pattern, words)
         assert match is not None, words
@@ -224,10 +236,10 @@ speed_rad_s = 40.0
 
 
 def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path):
-    """A reversed wheel and two exchanges look the same; the advice is to find out which is right before the file is changed."""
+    """Mirrors along x and z reverse the wheel too; the advice is to find out which is right before the file is changed."""
     rng = np.random.default_rng(2)
     right = parse_vehicle(text_of() + WHEEL.format(sign=""), "right")
-    data, _ = simulated_pass(
+    data, run = simulated_pass(
         right, [0.02, 0.03, -0.01], np.arange(20) * 10.0, rng, albedo=0.0, speed=[40.0]
     )
     path = written(tmp_path / "telemetry.csv", data)
@@ -235,7 +247,15 @@ def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path
     limit = {"max_rate_rad_s": 0.06, "column_tests": False}
     doubted = estimated(wrong, path, **limit)
     named = json.loads(doubted.attrs["columns_changes"])
-    assert len(named) == 3 and "find out which one is right" in doubted.attrs["verdict"]
+    assert not doubted["decided"].values.any() and doubted["columns_checked"].values == "doubtful"
+    assert "the sign of a wheel" in doubted["why_not_decided"].values[0]
+    rate = {change["what"]: change["omega_deg_s"] for change in named}
+    wheel, mirrored = "wheel w turning the other way", pair_exchanged("px", "mx")
+    assert set(rate) == {wheel, mirrored, pair_exchanged("pz", "mz")}
+    assert "find out which one is right" in doubted.attrs["verdict"]
+    truth = np.degrees(run["omega_B"].values[9:11])
+    assert np.abs(truth - rate[wheel]).max(axis=1).min() < 0.5
+    np.testing.assert_allclose(rate[mirrored], rate[wheel] * np.array([1, -1, -1]), atol=1e-6)
     for change in named:
         mended = (
             text_of() + WHEEL.format(sign="")

@@ -54,24 +54,27 @@ def test_right_elements_fit_and_their_offset_is_within_its_errors(case, judged):
     np.testing.assert_allclose(np.linalg.norm(check.matrix, axis=1), 1e-9, rtol=0.1)  # nT
 
 
-def test_elements_of_a_plane_that_is_near_are_refused_by_their_residuals(case):
-    check = check_orbit(orbit(case, by_deg=12.0), *case[:2], settings=FEW)
-    assert check.verdict is Verdict.REFUSED and not check.sun_in_shadow.samples
-    assert check.turn_times > 1.3 and abs(np.degrees(check.turn_rad) + 12.0) < 1e-9
+@pytest.mark.parametrize("by_deg", [12.0, 70.0])
+def test_elements_of_another_plane_are_refused_by_their_residuals(by_deg, case):
+    used, check, words = judged_orbit(orbit(case, by_deg=by_deg), *case[:2], settings=FEW)
+    assert used is None and check.verdict is Verdict.REFUSED and check.turn_times > 1.3
+    assert words.startswith("the orbit is NOT USED: elements not consistent with the telemetry")
+    if by_deg == 12.0:
+        assert not check.sun_in_shadow.samples and abs(np.degrees(check.turn_rad) + 12.0) < 1e-9
 
 
 def test_a_clock_off_by_an_hour_is_named(case):
-    off = orbit(case, clock_s=-3600.0)
-    check = check_orbit(off, *case[:2], settings=FEW)
+    _, check, words = judged_orbit(orbit(case, clock_s=-3600.0), *case[:2], settings=FEW)
     assert check.verdict is Verdict.REFUSED and check.clock_behind_s == 3600.0
-    _, _, words = judged_orbit(off, *case[:2], settings=FEW)
     assert "they would fit if the telemetry's clock were 1 h behind UTC" in words
 
 
 def test_a_magnetometer_of_the_opposite_sign_is_named(case, judged):
     vehicle, data, _, _ = case
-    check = check_orbit(orbit(case), vehicle, data.assign(field_B=-data["field_B"]), settings=FEW)
+    turned = data.assign(field_B=-data["field_B"])
+    _, check, words = judged_orbit(orbit(case), vehicle, turned, settings=FEW)
     assert check.sign_turned and not judged[1].sign_turned
+    assert "HAS THE OPPOSITE SIGN: change the sign of `matrix`" in words
     # what the words say to do makes the elements fit without a remark
     part = vehicle.sensors.magnetometer
     sensors = replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
