@@ -12,7 +12,18 @@ from sunspin.estimate.observe import observe
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import GYRO_ZEROS, RATES
 from sunspin.telemetry.assess import assess
-from validation.passes import ZERO_OFF, compare_with_truth, make
+from sunspin.vehicle.sensors import Sensors
+from validation.passes import (
+    FACES,
+    GYRO,
+    ZERO_OFF,
+    compare_with_truth,
+    draw_times,
+    make,
+    spin,
+    unit,
+)
+from validation.passes import observe as observe_passes
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +86,21 @@ def test_a_gyro_with_the_zero_of_the_file_is_believed(simulated):
     row = compare_with_truth(result, simulated._replace(telemetry=right))
     assert row["decided"] and not row["wrong"]
     assert result["model"].values.tolist() == ["as stated"]
+
+
+def test_a_zero_that_is_off_within_its_stated_sigma_is_estimated():
+    rng = np.random.default_rng(5)
+    t_s = draw_times(rng, 24, 10.0)
+    omega, attitude = spin(np.radians(2.0) * unit(rng), t_s)
+    simulated = observe_passes(FACES, omega, attitude, t_s, 0.02, rng, gyro=True)
+    off = 2e-3 * np.array([1.0, -1.0, 0.5])
+    read = omega + off + GYRO.noise_rad_s * rng.normal(size=omega.shape)
+    data = simulated.telemetry.assign(gyro_B=(("time", "axis"), read))
+    gyro = replace(GYRO, zero_sigma=np.full(3, 2e-3))
+    vehicle = replace(simulated.vehicle, sensors=Sensors(gyro=gyro))
+    result = rates(vehicle, data, max_rate_rad_s=0.15)
+    row = compare_with_truth(result, simulated)
+    assert row["decided"] and not row["wrong"]
+    k = [result["estimate"].values.tolist().index(f"gyro_zero_{axis}") for axis in "xyz"]
+    value, sigma = (result[f"estimate_{what}"].values[0, k] for what in ("value", "sigma"))
+    assert (np.abs(value - off) < 4 * sigma).all() and sigma.max() < 1e-3

@@ -18,7 +18,7 @@ def area(hist, target, weights) -> float:
     return float(np.abs(ours - steps[np.searchsorted(target[order], Z, side="right")]).mean())
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_histogram_emd_is_half_the_area_between_the_distributions(seed):
     rng = np.random.default_rng(seed)
     hist = rng.exponential(1.0, (6, BINS)) * (rng.random((6, BINS)) < rng.uniform(0.02, 1, (6, 1)))

@@ -119,6 +119,9 @@ def test_a_common_misalignment_of_the_file_turns_its_panels():
 # ---- refusals --------------------------------------------------------------------------------------------------------------
 
 
+OBSERVED = {"kind": "rate", "t_s": 1.0, "value": 1.0, "sigma": 1.0}
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
@@ -129,14 +132,19 @@ def test_a_common_misalignment_of_the_file_turns_its_panels():
         ({"phase": "descent"}, "no such phase"),
         ({"begin_s": 1e6}, "three samples"),
         (
-            {"observations": [{"kind": "smell", "t_s": 1, "value": 1, "sigma": 1}]},
+            {"observations": [OBSERVED | {"kind": "smell"}]},
             "an observation has kind",
         ),
         (
-            {"observations": [{"kind": "rate", "t_s": 1e5, "value": 1, "sigma": 1}]},
+            {"observations": [OBSERVED | {"t_s": 1e5}]},
             "outside the window",
         ),
+        (
+            {"observations": [OBSERVED | {"kind": "field", "value": [0.0, 3.0, 4.0], "more": 1}]},
+            "angle_rad",
+        ),
         ({"seed": -1}, "seed must be a whole number"),
+        ({"draws": 0}, "draws must be a whole number"),
     ],
 )
 def test_bad_input_of_the_posterior_is_named(arguments, part):

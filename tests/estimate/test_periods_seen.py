@@ -46,6 +46,8 @@ def test_a_pure_spin_has_one_period_only():
     seen = [ss.Period(0.0, 15.7, 1.0)]
     weighed = pd.weigh_draws(seen, [periods], np.array([0.5, 0.5]))
     np.testing.assert_allclose(weighed.shares, [[0, 0, 1]], atol=1e-12)
+    two = pd.weigh_draws(seen, [periods[:, [2, 2, 0]]], np.array([0.5, 0.5]))
+    np.testing.assert_allclose(two.shares, [[0.5, 0.5, 0]], atol=1e-12)
 
 
 def two_solutions(probability, sigma=1e-6):

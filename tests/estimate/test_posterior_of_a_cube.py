@@ -12,8 +12,10 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.base.errors import SunspinError
+from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import posterior
 from sunspin.estimate.settings import POSTERIOR, SAMPLING
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
 from tests.support.any_vehicle import judge_posterior, posterior_case
 from tests.support.vehicles import LOWER_CASE_FACES, small_cube
@@ -48,13 +50,17 @@ def telemetry() -> xr.Dataset:
 
 @pytest.mark.evidence("posterior", "modelled", "simulated telemetry of a cube without a wheel")
 def test_the_posterior_holds_the_truth_whatever_single_readings_say(telemetry):
-    """The file states neither brightness nor noise; noise is on dark panels too, and one reading is a converter's filler."""
+    """The file states no noise, which is on dark panels too; a reading and a sample are missing, one reading is a filler."""
     craft = small_cube()
     craft = replace(craft, telemetry=replace(craft.telemetry, noise=None))
     wild = telemetry.copy(deep=True)
     value, rng = wild["current_A"].values, np.random.default_rng(8)
     value[:] = np.where(value > 0, value, 0.02 * rng.standard_normal(value.shape))
-    value[4, 1] = 99999999.0
+    value[3, 2], value[5], value[4, 1] = np.nan, np.nan, 99999999.0
+    window = observe_window(assess(craft, wild))
+    assert len(window.obs) == 14
+    assert np.argwhere(~window.obs.terms[0].used).tolist() == [[3, 2], [4, 1]]
+    assert any("a reading beyond full Sun" in remark for remark in window.remarks)
     tree = posterior(craft, wild, PRIORS, workers=1, settings=FEW)
     assert tree.attrs["verdict_word"] == "unique" and distances(tree)[0] < 4
     assert np.exp(tree["posterior"]["log_scale"].values).mean() == pytest.approx(0.37, rel=0.05)

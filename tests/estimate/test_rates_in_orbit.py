@@ -82,12 +82,15 @@ def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
     assert counts == [2, 1]
 
 
-def test_a_pass_that_begins_in_the_dark_keeps_its_samples_close_where_the_sun_is_seen():
-    settings = RATES.passes
-    places = thinned(400, settings, 200)
-    steps = np.diff(places)
-    assert len(places) <= settings.kept and places[0] == 0 and places[-1] == 399
-    assert steps[np.searchsorted(places, 200)] == 1 and steps[0] > 5 and steps[-1] > 5
+@pytest.mark.parametrize(("count", "sunlit"), [(41, 0), (200, 0), (3000, 0), (400, 200)])
+def test_kept_samples_are_close_where_the_sun_is_first_seen_and_reach_both_ends(count, sunlit):
+    places = thinned(count, RATES.passes, sunlit)
+    steps, first = np.diff(places), np.searchsorted(places, sunlit)
+    assert len(places) <= RATES.passes.kept and places[0] == 0 and places[-1] == count - 1
+    assert steps[first] == 1
+    for away in (steps[first:], steps[:first][::-1]):
+        assert (away[1:] <= np.ceil(RATES.passes.growth * away[:-1]) + 1).all()
+    assert sunlit == 0 or (steps[0] > 5 and steps[-1] > 5)
 
 
 def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(case):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, SunspinError
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
@@ -88,9 +88,13 @@ def test_a_stated_strength_of_torques_is_used():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"max_rate_rad_s": -1.0}, "max_rate_rad_s must be positive"),
-        ({"acceleration_noise": 3.0}, "acceleration_noise must lie between"),
+        *(({"max_rate_rad_s": bad}, "max_rate_rad_s must be positive") for bad in (-1.0, np.nan)),
+        *(
+            ({"acceleration_noise": bad}, "acceleration_noise must lie between")
+            for bad in (-1.0, 0.0, 1e-30, 3.0, np.nan)
+        ),
         ({"source": "sun_sensor"}, "no Sun from sun_sensor"),
+        ({"source": "stars"}, "no Sun from stars"),
         ({"effort": 0}, "effort must be a positive number"),
         ({"gap_s": 1e-3}, "no pass has three samples"),
     ],
@@ -99,6 +103,20 @@ def test_options_out_of_range_are_refused(options, words):
     vehicle, telemetry, _ = two_passes()
     with pytest.raises(InputError, match=words):
         rates(vehicle, telemetry, **options)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.isel(time=slice(0, 2)), "fewer than three samples"),
+        (lambda data: data.drop_vars("power_W"), "no Sun from panels or Sun sensors"),
+        (lambda data: data.assign(power_W=0 * data["power_W"]), "fewer than three samples"),
+    ],
+)
+def test_telemetry_without_rates_is_refused(change, words):
+    vehicle, telemetry, _ = two_passes()
+    with pytest.raises(SunspinError, match=words):
+        rates(vehicle, change(telemetry))
 
 
 def test_settings_are_taken():

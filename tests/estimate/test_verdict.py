@@ -58,13 +58,27 @@ def test_one_failed_check_leaves_a_pass_undecided(change, why):
     assert found.constrained[0] == (np.ravel(change.get("sigma", [0.1]))[0] < 0.5)
 
 
-def test_single_outliers_fit_and_runs_of_them_do_not():
-    """Six of a hundred samples far off: strewn they are spikes, one after the other another motion."""
-    strewn, together = np.ones(100), np.ones(100)
-    strewn[[5, 21, 40, 58, 77, 93]] = 9.0
-    together[40:46] = 9.0
-    assert misfit(strewn).fits and not misfit(together).fits
-    assert misfit(strewn).share == misfit(together).share == pytest.approx(0.06)
+def far(count, *places):
+    """Return misfits (count) in sigmas, of which those at these places are far off."""
+    return np.where(np.isin(np.arange(count), places), 9.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "share", "fits"),
+    [
+        (far(100, 5, 21, 40, 58, 77, 93), 0.06, True),
+        (far(100, *range(40, 46)), 0.06, False),  # one after the other: another motion
+        (far(100, *range(0, 100, 3)), 0.34, False),
+        (far(10, *range(10)), 1.0, False),
+        # stop-and-go seen every second
+        (far(300, *(begin + k for begin in (20, 90, 150, 230) for k in range(18))), 0.24, False),
+        (far(4, 1), 0.25, True),
+        (far(4, 1, 3), 0.5, False),
+    ],
+    ids=["strewn", "run", "third", "all", "runs", "one of four", "two of four"],
+)
+def test_few_single_outliers_fit_and_runs_or_many_do_not(sigmas, share, fits):
+    assert misfit(sigmas).share == pytest.approx(share) and misfit(sigmas).fits is fits
 
 
 def test_the_probability_of_few_runs_is_that_over_all_arrangements():
@@ -75,31 +89,6 @@ def test_the_probability_of_few_runs_is_that_over_all_arrangements():
         runs.append(1 + np.count_nonzero(beyond[1:] != beyond[:-1]))
     expected = norm.cdf((2 - np.mean(runs)) / np.std(runs))
     assert misfit(np.repeat([1.0, 9.0], 5)).chance == pytest.approx(expected, rel=1e-12)
-
-
-def test_too_many_outliers_are_a_poor_fit_in_any_order():
-    far = np.ones(100)
-    far[::3] = 5.0
-    assert (
-        not misfit(far).fits
-        and misfit(np.full(10, 5.0)).share == 1.0
-        and not misfit(np.full(10, 5.0)).fits
-    )
-
-
-def test_a_quarter_of_outliers_in_runs_is_a_poor_fit():
-    """Stop-and-go seen every second: 24 % of samples beyond three sigma, one stretch after the other."""
-    far = np.ones(300)
-    for begin in (20, 90, 150, 230):
-        far[begin : begin + 18] = 6.0
-    assert misfit(far).share == pytest.approx(0.24) and not misfit(far).fits
-
-
-def test_one_outlier_among_four_samples_fits_and_two_do_not():
-    assert (
-        misfit(np.array([1.0, 9.0, 1.0, 1.0])).fits
-        and not misfit(np.array([1.0, 9.0, 1.0, 9.0])).fits
-    )
 
 
 def test_a_sensor_without_readings_is_no_poor_fit():
