@@ -14,7 +14,7 @@ from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.lander.priors import constant_torques
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.terms.powers import SunStates
-from tests.estimate.test_lander_model import (
+from tests.support.landers import (
     OMEGA,
     PHILAE,
     SUN,

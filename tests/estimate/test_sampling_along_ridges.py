@@ -186,29 +186,34 @@ def drawn(target: Bananas, fit: ShotFit, seed: int = 0, **changes) -> Draws:
     return sample(target, fit, np.random.default_rng(seed), replace(SAMPLING, **changes))
 
 
+def weights(draws: Draws) -> np.ndarray:
+    return np.exp(draws.log_weight - logsumexp(draws.log_weight))
+
+
 def shares(draws: Draws) -> np.ndarray:
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    return np.bincount(draws.region, weights=weight)
+    return np.bincount(draws.region, weights=weights(draws))
 
 
 def moments(draws: Draws) -> tuple[float, float]:
     """Mean and standard deviation of the unknown that bends the ridge."""
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    weight = weights(draws)
     mean = weight @ draws.shots.u[:, 0]
     return float(mean), float(np.sqrt(weight @ (draws.shots.u[:, 0] - mean) ** 2))
 
 
-def test_evidence_and_moments_of_a_bent_ridge():
-    # the ridge is 8 mrad/s long, and as wide as 0.2
+def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
+    """The ridge is 8 mrad/s long, and as wide as 0.2."""
     target = one()
     draws = drawn(target, target.fit([0]))
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
     assert draws.effective > 2500 and draws.tail < 0.3 and draws.outside == 0.0
     mean, sigma = moments(draws)
     assert mean == pytest.approx(0.0, abs=0.06) and sigma == pytest.approx(1.0, abs=0.05)
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    bright = weight @ draws.shots.u[:, 1]
+    bright = weights(draws) @ draws.shots.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
+    # a law that ignored the curve would propose rates ten sigmas beside the ridge
+    off = target.run(draws.shots)[:, 0]
+    assert np.sqrt(weights(draws) @ off**2) == pytest.approx(np.ones(5), abs=0.06)
 
 
 def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
@@ -282,15 +287,6 @@ def test_a_component_does_not_count_for_the_draw_on_which_it_stands():
     assert ridge.log_outer(y, 5.0) == pytest.approx(logsumexp(each, axis=1))
 
 
-def test_draws_stay_on_the_ridge():
-    """A law that ignored the curve would propose rates ten sigmas beside it."""
-    target = one()
-    draws = drawn(target, target.fit([0]))
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    off = target.run(draws.shots)[:, 0]
-    assert np.sqrt(weight @ off**2) == pytest.approx(np.ones(5), abs=0.06)
-
-
 @pytest.mark.parametrize("weight", [0.5, 0.8])
 def test_two_motions_keep_their_probabilities(weight):
     target = pair(weight)
@@ -323,8 +319,7 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     draws = drawn(target, target.fit([0], 0.3))
     assert draws.evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
     assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    assert weight[draws.shots.u[:, 0] < 0].sum() == 0.0
+    assert weights(draws)[draws.shots.u[:, 0] < 0].sum() == 0.0
 
 
 def test_walkers_leave_proposals_that_are_too_narrow():
@@ -403,9 +398,8 @@ def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
 
 def test_models_are_weighed_by_evidence_and_prior():
     mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], [0.0, np.log(0.5)], REACH_S)
-    weight = np.exp(mix.log_weight - logsumexp(mix.log_weight))
     expected = 1 / (1 + 0.5 * np.exp(-1.0))
-    assert weight[mix.of_model == 0].sum() == pytest.approx(expected)
+    assert weights(mix)[mix.of_model == 0].sum() == pytest.approx(expected)
     assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0 + np.log(0.5)))
 
 
