@@ -133,14 +133,8 @@ OBSERVED = {"kind": "rate", "t_s": 1.0, "value": 1.0, "sigma": 1.0}
         *(({"priors": {"time_s": x}}, "sigma of time_s") for x in (-1.0, np.nan, "two", True)),
         ({"phase": "descent"}, "no such phase"),
         ({"begin_s": 1e6}, "three samples"),
-        (
-            {"observations": [OBSERVED | {"kind": "smell"}]},
-            "an observation has kind",
-        ),
-        (
-            {"observations": [OBSERVED | {"t_s": 1e5}]},
-            "outside the window",
-        ),
+        ({"observations": [OBSERVED | {"kind": "smell"}]}, "an observation has kind"),
+        ({"observations": [OBSERVED | {"t_s": 1e5}]}, "outside the window"),
         (
             {"observations": [OBSERVED | {"kind": "field", "value": [0.0, 3.0, 4.0], "more": 1}]},
             "angle_rad",

@@ -19,13 +19,7 @@ from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitud
 from sunspin.estimate.posterior import searched
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
-from tests.estimate.plain_cells import (
-    LookThrough,
-    Settling,
-    corner_weights,
-    corners_of,
-    rotated,
-)
+from tests.estimate.plain_cells import LookThrough, Settling, corner_weights, corners_of, rotated
 from tests.support.landers import NOISE, OMEGA, PHILAE, SUN, lander_model, lander_telemetry, noisy
 
 GRID, SHOOTING = POSTERIOR.grid, POSTERIOR.shooting

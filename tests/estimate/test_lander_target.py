@@ -14,13 +14,7 @@ from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.lander.priors import constant_torques
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.terms.powers import SunStates
-from tests.support.landers import (
-    OMEGA,
-    PHILAE,
-    SUN,
-    lander_model,
-    nominal,
-)
+from tests.support.landers import OMEGA, PHILAE, SUN, lander_model, nominal
 
 
 def near(model, count: int = 3, size: float = 1e-3) -> Shots:

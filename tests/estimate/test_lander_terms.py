@@ -13,12 +13,7 @@ from sunspin.base.errors import InputError
 from sunspin.cases import load_case
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SPOILT
-from sunspin.estimate.terms.given import (
-    GivenAngle,
-    GivenDirection,
-    GivenRate,
-    GivenSpeed,
-)
+from sunspin.estimate.terms.given import GivenAngle, GivenDirection, GivenRate, GivenSpeed
 from sunspin.estimate.terms.powers import PanelPowers, SunStates, panel_turns, tilt_unknowns
 from sunspin.solve.rotations import components_after_rotation
 
