@@ -10,7 +10,6 @@ from sunspin.estimate.chain import (
     LEAST_TURN,
     Whitening,
     carried,
-    defects,
     equations,
     fit,
     shot,
@@ -20,7 +19,6 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.inertial import Gyro
 from sunspin.estimate.terms.torques import ConstantTorque
-from sunspin.solve.linear import invert_bordered, solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 
 INERTIA = np.diag([1.25, 1.0, 0.75])
@@ -100,20 +98,6 @@ def dense(system):
     return matrix, slope
 
 
-def test_step_covariance_and_determinant_are_those_of_a_dense_solve():
-    model, motions = problem()
-    system = equations(model, motions)
-    matrix, slope = dense(system)
-    (nodes, shared), _ = solve_bordered(system, np.zeros(1))
-    change = np.concatenate([nodes.ravel(), shared.ravel()])
-    # what is left of each equation beside its terms: the condition of the matrix would magnify the rounding of any solver
-    left = np.abs(matrix @ change + slope)
-    assert np.all(left < 1e-11 * (np.abs(matrix) @ np.abs(change) + np.abs(slope)))
-    inverse, covariance = invert_bordered(system), np.linalg.inv(matrix)
-    assert np.allclose(inverse.nodes[0, 2], covariance[12:18, 12:18], rtol=ROUNDING, atol=1e-12)
-    assert np.isclose(inverse.log_determinant[0], np.linalg.slogdet(matrix)[1], atol=ROUNDING)
-
-
 def test_variance_of_a_mean_is_that_of_the_dense_covariance():
     model, motions = problem()
     one = fit(model, motions, 20)
@@ -182,18 +166,6 @@ def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
     assert np.abs(by_chain.omega - by_shooting.omega).max() < 1e-5
     # the prior of the rate stands at the first sample in a chain, and at the sample that is shot
     assert np.isclose(by_chain.cost[0], by_shooting.cost[0], atol=0.02)
-
-
-def test_defects_of_a_free_motion_vanish_and_answer_to_the_inertia():
-    model, motions = problem(torque=False)
-    value, *_, by_u = defects(model, motions)
-    assert np.abs(value).max() < 1e-6
-    u = motions.u.copy()
-    u[0, 0] = 0.1
-    changed, *_ = defects(model, Track(motions.attitude, motions.omega, u))
-    assert np.allclose(
-        changed[0] / 0.1, by_u[0, ..., 0], rtol=0.02, atol=0.02 * np.abs(by_u[0, ..., 0]).max()
-    )
 
 
 @pytest.mark.parametrize("backward", [False, True])

@@ -58,20 +58,24 @@ def test_one_pass_of_a_file_can_be_asked_for():
         rates(vehicle, telemetry, pass_id=2)
 
 
+def compared(kind: str, number: int):
+    """Return the result of a simulated pass, and how it compares with the truth."""
+    simulated = make(kind, 0, number)
+    limit = simulated.max_rate_rad_s
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=limit)
+    return result, compare_with_truth(result, simulated)
+
+
 @pytest.mark.parametrize(
     "kind", ["right model", "steady torque", "step of the rate", "slow", "jitter"]
 )
 def test_simulated_passes_are_not_decided_and_wrong(kind):
-    simulated = make(kind, 0, 0)
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
-    row = compare_with_truth(result, simulated)
+    _, row = compared(kind, 0)
     assert row["listed"] and not (row["decided"] and row["wrong"])
 
 
 def test_a_step_of_the_rate_is_named_and_its_pass_decided():
-    simulated = make("step of the rate", 0, 9)
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
-    row = compare_with_truth(result, simulated)
+    result, row = compared("step of the rate", 9)
     assert "step of the rate" in str(result["model"].values[0])
     assert row["decided"] and row["pull"] < 3
 

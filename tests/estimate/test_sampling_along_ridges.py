@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
-from sunspin.estimate.lander.ridges import Bend, Chart, Equations, Law, Slopes, monomials, ridges_of
+from sunspin.estimate.lander.ridges import Bend, Chart, Equations, Law, Slopes, ridges_of
 from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
@@ -377,11 +377,6 @@ def test_volume_of_a_chart_is_that_of_rates_and_solid_angle():
         columns.append((step[0] - step[1]) / 2e-5)
     volume = np.log(abs(np.linalg.det(np.array(columns))))
     assert chart.log_volume(y, z)[0] == pytest.approx(volume, abs=1e-6)
-
-
-def test_monomials_are_one_the_coordinates_and_products_of_those_that_bend():
-    y = np.array([[2.0, 3.0, 5.0]])
-    assert monomials(y, np.array([0, 2])).tolist() == [[1, 2, 3, 5, 4, 10, 25]]
 
 
 def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:

@@ -12,7 +12,7 @@ from sunspin.telemetry.sun import reconstructible_patterns
 from tests.support.vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
-N_ROWS = 40
+N_ROWS = 16
 
 
 def grid_rows(n: int, seed: int):

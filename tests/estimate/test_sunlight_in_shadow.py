@@ -41,7 +41,7 @@ class Flight(Simulated):
 
 @pytest.mark.parametrize("late_s", [0.0, 10.0, -10.0])
 def test_right_elements_with_a_clock_off_by_seconds_do_not_contradict_the_light(late_s):
-    for seed in range(3):
+    for seed in range(2):
         flight = Flight(seed, step_s=5.0 if seed % 2 else 20.0)
         data = flight.telemetry(late_s, albedo=0.3)
         assert not flight.against(data).samples
