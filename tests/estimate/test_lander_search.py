@@ -12,7 +12,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_sheet, with_neighbours
-from sunspin.estimate.lander.fit import FINAL_ERROR, Problem
+from sunspin.estimate.lander.fit import FINAL_ERROR, Problem, in_tangents_at
 from sunspin.estimate.lander.grid import grid_starts, reference, settled_starts
 from sunspin.estimate.lander.motions import Shots, Trials
 from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitudes, without_sphere
@@ -222,6 +222,17 @@ def test_derivatives_of_the_differences_are_those_of_runs():
         change = (values[0] - values[1]) / (2 * size)
         off = np.abs(change - linear.jacobian[:, :, k])
         assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.02, coordinate
+
+
+def test_a_step_has_one_meaning_in_the_tangents_of_two_directions():
+    """Directions near each other: the derivative along it stays the same to first order."""
+    rng = np.random.default_rng(5)
+    sun = np.eye(3)
+    there = move_on_sphere(sun, 1e-4 * rng.standard_normal((3, 2)))
+    moves, step = rng.standard_normal((3, 5, 4, 3)), rng.standard_normal((3, 5))
+    after, turned = in_tangents_at(there, sun, moves, step)
+    before = np.einsum("kc,kcnw->knw", step, moves)
+    np.testing.assert_allclose(np.einsum("kc,kcnw->knw", turned, after), before, atol=1e-3)
 
 
 # ---- families --------------------------------------------------------------------------------------------------------------

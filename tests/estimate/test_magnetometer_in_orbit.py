@@ -27,6 +27,7 @@ from sunspin.estimate.orbit.invariants import (
     Scales,
     Sky,
     fit_magnetometer,
+    fit_sphere,
 )
 from sunspin.estimate.orbit.readings import Readings, read
 from sunspin.telemetry.assess import assess
@@ -76,6 +77,15 @@ def test_the_jacobian_of_strength_and_angle_is_that_of_their_residuals(of_readin
             slope = (sides[0][which][0] - sides[1][which][0]) / 2e-6
             atol = 1e-5 * np.abs(jacobian).max()
             np.testing.assert_allclose(jacobian[..., k], slope, rtol=1e-5, atol=atol)
+
+
+def test_the_sphere_through_exact_readings_has_their_zero_and_scale():
+    rng = np.random.default_rng(4)
+    strength = rng.uniform(2.0, 5.0, (1, 60))
+    field = strength[0][:, None] * unit(rng.normal(size=(60, 3)))
+    zero, scale = fit_sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
+    np.testing.assert_allclose(zero[0], [4.0, -2.0, 9.0], rtol=1e-5)
+    np.testing.assert_allclose(scale[0], 0.7, rtol=1e-5)
 
 
 def test_a_zero_that_is_exact_on_one_axis_has_a_sigma_that_can_be_inverted():
