@@ -21,7 +21,7 @@ from sunspin.estimate.verdict import COLUMNS_UNCHECKED
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Channel, TelemetryForm
 from sunspin.vehicle.file import parse_vehicle
-from tests.support.simulate import simulated_pass, uneven_times
+from tests.support.simulate import simulated_pass, telemetry_of, uneven_times
 from tests.support.vehicles import CUBE_NORMALS
 
 NAMES = ("px", "py", "pz", "mx", "my", "mz")
@@ -149,12 +149,9 @@ def test_unchecked_columns_exchanged_give_the_rate_that_is_printed(readings):
         pattern = re.escape(f"with {change['what']} it would be ") + r"\(([^)]*)\)"
         match = re.search(pattern, words)
         assert match is not None, words
-        exchanged = with_columns_exchanged(
-            text_of(),
-            change["what"]
-            .replace("the columns of panels", "exchange the columns of")
-            .replace("exchanged", "under [telemetry.columns]"),
-        )
+        advice = change["what"].replace("the columns of panels", "exchange the columns of")
+        advice = advice.replace("exchanged", "under [telemetry.columns]")
+        exchanged = with_columns_exchanged(text_of(), advice)
         mirrored = estimated(exchanged, path, column_tests=False)
         printed = [float(number) for number in match[1].split(",")]
         np.testing.assert_allclose(rate_in_the_middle(mirrored), printed, atol=0.01)
@@ -164,10 +161,8 @@ def test_more_effort_as_advised_tries_every_order_of_columns(readings):
     path, _ = readings
     text = text_of(("py", "px", *NAMES[2:]))
     cut = estimated(text, path, effort=1e-6)
-    match = re.search(
-        r"not every other order of columns was tried: give more effort \(`--effort ([\d.]+)`\)",
-        cut.attrs["verdict"],
-    )
+    asked = r"not every other order of columns was tried: give more effort \(`--effort ([\d.]+)`\)"
+    match = re.search(asked, cut.attrs["verdict"])
     assert match is not None and cut.attrs["column_tests_cut"] == 1
     done = estimated(text, path, effort=float(match[1]))
     assert done.attrs["column_tests_cut"] == 0 and "not every other" not in done.attrs["verdict"]
@@ -187,7 +182,10 @@ def test_the_opposite_sign_of_each_key_that_is_named_reverses_the_wheel(key):
         lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in values.items())
         text = f'{text_of()}[[wheel]]\nname = "w"\ninertia_kg_m2 = 3e-4\n{lines}\n'
         vehicle = parse_vehicle(text, "vehicle.toml")
-        data = telemetry_with_a_wheel(vehicle, values)
+        data = telemetry_of(vehicle, np.arange(3.0), np.ones((3, 6)))
+        if "speed_column" in values:  # which reads 80
+            speed = vehicle.wheels[0].speed_scale_rad_s * np.full((3, 1), 80.0)
+            data = data.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
         if change is not None:
             vehicle, data = change(vehicle).applied(vehicle, data)
         return next(iter(wheel_models(vehicle, data).values()))
@@ -207,17 +205,6 @@ def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both
     exchanged = tomllib.loads(with_columns_exchanged(text_of(), advice))["telemetry"]["columns"]
     assert (exchanged["px"], exchanged["my"]) == ("I_my", "I_px")
     assert "look at the signs of axis_B, speed_rad_s and speed_scale_rad_s of w" in advice
-
-
-def telemetry_with_a_wheel(vehicle, values):
-    """Return telemetry of three samples; a column of the wheel's speed, if the vehicle states one, reads 80."""
-    import xarray as xr
-
-    data = xr.Dataset({"power_W": (("time", "panel"), np.ones((3, 6)))}, {"time": np.arange(3.0)})
-    if "speed_column" in values:
-        speed = vehicle.wheels[0].speed_scale_rad_s * np.full((3, 1), 80.0)
-        data = data.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
-    return data
 
 
 @pytest.mark.parametrize("name", SENSORS)

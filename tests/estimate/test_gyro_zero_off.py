@@ -70,12 +70,21 @@ def test_an_axis_whose_zero_is_exact_has_an_unknown_as_the_others_have(simulated
     np.testing.assert_allclose(sigmas, abs(gyro.scale_rad_s) * np.array([3.0, 3.0, 0.003]))
 
 
+def estimated_zero(result):
+    """Return the zero of the gyro (3) and its sigma, rad/s."""
+    k = [result["estimate"].values.tolist().index(f"gyro_zero_{axis}") for axis in "xyz"]
+    return (result[f"estimate_{what}"].values[0, k] for what in ("value", "sigma"))
+
+
 def test_the_rates_are_right_and_the_gyro_is_named(simulated):
     result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=0.15)
     row = compare_with_truth(result, simulated)
     assert not row["decided"] and row["why"] == "POOR FIT (gyro)"
     assert row["pull"] < 3 and row["miss_deg_s"] < np.degrees(ZERO_OFF) / 10
     assert result["model"].values.tolist() == ["another zero offset of the gyro"]
+    value, sigma = estimated_zero(result)
+    off = (simulated.telemetry["gyro_B"].values - simulated.omega).mean(axis=0)
+    assert (np.abs(value - off) < 4 * sigma).all()
 
 
 def test_a_gyro_with_the_zero_of_the_file_is_believed(simulated):
@@ -101,6 +110,5 @@ def test_a_zero_that_is_off_within_its_stated_sigma_is_estimated():
     result = rates(vehicle, data, max_rate_rad_s=0.15)
     row = compare_with_truth(result, simulated)
     assert row["decided"] and not row["wrong"]
-    k = [result["estimate"].values.tolist().index(f"gyro_zero_{axis}") for axis in "xyz"]
-    value, sigma = (result[f"estimate_{what}"].values[0, k] for what in ("value", "sigma"))
+    value, sigma = estimated_zero(result)
     assert (np.abs(value - off) < 4 * sigma).all() and sigma.max() < 1e-3

@@ -64,10 +64,8 @@ def test_a_body_that_cannot_exist_is_drawn_in_until_it_can():
     moments = np.linalg.eigvalsh(model.bodies(u).inertia_kg_m2[0])
     assert moments[2] == pytest.approx(moments[0] + moments[1], rel=1e-6)
     assert 0 < drawn_in[0, at] < 7.0
-    assert np.isinf(model.log_prior_density(replace(nominal(model, 2), u=u))).tolist() == [
-        True,
-        False,
-    ]
+    density = model.log_prior_density(replace(nominal(model, 2), u=u))
+    assert np.isinf(density).tolist() == [True, False]
     # of a normal prior with 30 % some bodies cannot exist, and the rest is normalised
     assert -2.0 < model.log_possible < -0.01
 
@@ -133,10 +131,8 @@ def test_priors_say_what_they_are_and_where_from():
     assert said["friction"] == "0.05 (assumed)"
     assert said["rate"] == "uniform in a ball of 0.3 rad/s"
     assert model.max_rate == 0.3
-    known, _ = with_priors(
-        assessment, window, {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
-    )
-    assert not known.of_motion
+    exact = dict.fromkeys(("inertia", "friction", "wheel_speed"), 0.0)
+    assert not with_priors(assessment, window, exact)[0].of_motion
 
 
 def test_a_window_holds_all_readings_and_a_sample_for_each_observation():
@@ -159,11 +155,8 @@ def test_a_window_holds_all_readings_and_a_sample_for_each_observation():
 def test_steps_in_coordinates_lead_there_and_back():
     rng = np.random.default_rng(0)
     sun = rng.standard_normal((5, 3))
-    shots = Shots(
-        rng.standard_normal((5, 3)),
-        sun / np.linalg.norm(sun, axis=1, keepdims=True),
-        rng.standard_normal((5, 4)),
-    )
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    shots = Shots(rng.standard_normal((5, 3)), sun, rng.standard_normal((5, 4)))
     step = 0.5 * rng.standard_normal((5, 9))
     moved = shots.moved(step)
     np.testing.assert_allclose(moved.from_centre(shots), step, atol=1e-12)

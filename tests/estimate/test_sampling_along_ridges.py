@@ -43,9 +43,9 @@ class Bananas:
     reach_s: float = REACH_S
     standing = np.array([1])
     bending = np.array([0])
-    unknowns = (
-        Unknown("bend", "inertia", "1", 0.0, 1.0),
-        Unknown("brightness", "scale", "1", 0.0, 1.0),
+    unknowns = tuple(
+        Unknown(name, kind, "1", 0.0, 1.0)
+        for name, kind in (("bend", "inertia"), ("brightness", "scale"))
     )
 
     def _off(self, shots: Shots) -> np.ndarray:
@@ -82,9 +82,7 @@ class Bananas:
         off = self._off(shots)
         nearest = np.argmin((off**2).sum(axis=2), axis=1)
         every = np.arange(len(shots))
-        residual = (
-            np.concatenate([off[every, nearest], self._bright(shots.u)[:, None]], axis=1) / wider
-        )
+        residual = np.column_stack([off[every, nearest], self._bright(shots.u)]) / wider
         jacobian = np.zeros((len(shots), 6, 6))
         jacobian[:, range(3), range(3)] = 1 / RATE
         own = np.stack(tangent_basis(shots.sun), axis=1)
@@ -98,9 +96,8 @@ class Bananas:
         slope[:, 5] += shots.u[:, 1]
         cost = (residual**2).sum(axis=1) / 2 + (shots.u**2).sum(axis=1) / 2
         same = np.zeros((len(shots), 5, 1))
-        return Equations(
-            cost, slope, matrix, Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
-        )
+        slopes = Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
+        return Equations(cost, slope, matrix, slopes)
 
     def log_replicated(self, seen, u, rng) -> np.ndarray:
         """Log likelihood of six normal readings about the motions."""
@@ -151,10 +148,8 @@ class Tied(Bananas):
     @property
     def log_integral(self) -> float:
         """Log of the integral of the posterior: the tie is so narrow that the prior of friction is taken on the curve."""
-        tied, _ = quad(
-            lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2) / np.sqrt(2 * np.pi), -8, 8
-        )
-        return super().log_integral + float(np.log(TIED * tied))
+        tied, _ = quad(lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2), -8, 8)
+        return super().log_integral + float(np.log(TIED * tied / np.sqrt(2 * np.pi)))
 
     def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
         """The motion with friction on the curve."""
@@ -169,10 +164,9 @@ class Tied(Bananas):
         return replace(fit, motions=replace(fit.motions, u=u), curvature=whole + np.outer(tie, tie))
 
 
-def one(**changes) -> Bananas:
-    return Bananas(
-        np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1), **changes
-    )
+def one(of=Bananas, **changes) -> Bananas:
+    omega, sun = np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]])
+    return of(omega, sun, np.ones(1), **changes)
 
 
 def pair(weight: float) -> Bananas:
@@ -218,7 +212,7 @@ def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
 
 def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
     """Evidence by quadrature; laws that know no bend leave fewer effective draws."""
-    target = Tied(np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1))
+    target = one(Tied)
     few = {"draws": 1000, "rounds": 6, "wanted": 1e9}
     draws = drawn(target, target.fit([0]), **few)
     straight = drawn(target, target.fit([0]), thin=0.0, **few)
@@ -299,13 +293,9 @@ def test_a_motion_fitted_twice_counts_once():
     """Two ridges that are one share their draws, and are one region."""
     target = one()
     fits = [target.fit([0], bend) for bend in (0.0, 0.3)]
-    twice = ShotFit(
-        None,
-        Shots.joined([fit.motions for fit in fits]),
-        np.concatenate([fit.curvature for fit in fits]),
-        np.zeros(2),
-        np.ones(2),
-    )
+    motions = Shots.joined([fit.motions for fit in fits])
+    curvature = np.concatenate([fit.curvature for fit in fits])
+    twice = ShotFit(None, motions, curvature, np.zeros(2), np.ones(2))
     assert len(ridges_of(target, twice, None, SAMPLING)) == 1
     apart = replace(SAMPLING, on_ridge=0.0)
     assert len(ridges_of(target, twice, None, apart)) == 2
@@ -421,9 +411,7 @@ def test_readings_that_no_motion_explains_have_no_chance():
     for sigmas, low, high in ((1.0, 0.2, 0.8), (6.0, 0.0, 0.002)):
         omega = np.tile(fit.motions.omega + sigmas * RATE, (100, 1))
         u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
-        side = np.concatenate(
-            [np.zeros((1, 3)), sigmas * TURN * np.ones((1, 2)), np.zeros((1, 2))], 1
-        )
+        side = sigmas * TURN * np.array([[0.0, 0, 0, 1, 1, 0, 0]])
         sun = np.tile(fit.motions.moved(side).sun, (100, 1))
         checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
         assert low <= checked.p <= high
