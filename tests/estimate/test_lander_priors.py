@@ -12,7 +12,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
-from sunspin.estimate.lander.grid import reference
+from sunspin.estimate.lander.grid import choose_reference
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
@@ -158,7 +158,7 @@ def test_a_wheel_too_fast_for_the_window_is_refused_with_a_window_that_works():
     def searched(craft: Vehicle, count: int, span_s: float = 7200.0) -> None:
         """Look for the reference of samples over a time."""
         telemetry = samples(slow, count, span_s / (count - 1))
-        reference(model_of(craft, telemetry, **priors)[0], POSTERIOR.grid)
+        choose_reference(model_of(craft, telemetry, **priors)[0], POSTERIOR.grid)
 
     with pytest.raises(InputError, match="wheels at 5e\\+05 rad/s") as refused:
         searched(fast, 20)
@@ -177,7 +177,7 @@ def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit
     def place(limit: float):
         """Return the reference of the search under a largest rate."""
         model, _ = with_priors(assessment, window, {"max_rate_rad_s": limit})
-        return reference(model, POSTERIOR.grid, given_rate=True)
+        return choose_reference(model, POSTERIOR.grid, given_rate=True)
 
     with pytest.raises(InputError, match=r"asks for \S+ starts, and 4e\+07 at most") as refused:
         place(rate)

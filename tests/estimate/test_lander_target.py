@@ -34,27 +34,27 @@ def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
     step[:, 3:5] = 0.02
     there = shots.moved(step)
     then = target.linearised(there, first).slopes
-    back = np.einsum("kc,kcnw->knw", shots.from_centre(there)[:, :5], then.moves)
+    back = np.einsum("kc,kcnw->knw", shots.from_centre(there)[:, :5], then.seen_slopes)
     assert then.seen + back == pytest.approx(first.seen, abs=3e-5)
     other = Shots(shots.omega, shots.sun, shots.u + 0.5)
-    assert target.linearised(other, first).slopes.moves == pytest.approx(first.moves)
+    assert target.linearised(other, first).slopes.seen_slopes == pytest.approx(first.seen_slopes)
 
 
 def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_prior():
     model = lander_model(tilt=0.02)
     target, shots = LanderTarget(model), near(model)
     of = target.linearised(shots)
-    slope, curvature = target.standing_slopes(target.run(shots), shots.u, 1.0)
-    prior = shots.u[:, target.standing]
+    slope, curvature = target.reading_slopes(target.run(shots), shots.u, 1.0)
+    prior = shots.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
-    own = of.matrix[:, 5:, 5:] - np.eye(len(target.standing))
+    own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
     assert curvature == pytest.approx(own, rel=1e-3, abs=1e-2 * np.abs(own).max())
 
 
 def test_likelihood_is_that_of_the_model():
     model = lander_model()
     target, shots = LanderTarget(model), near(model)
-    expected = model.log_likelihood(shots, 1e-5)
+    expected = model.log_likelihood(model.carried(shots, 1e-5), shots.u)
     assert target.log_likelihood(target.run(shots), shots.u) == pytest.approx(expected, abs=1e-3)
 
 

@@ -78,7 +78,7 @@ def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
 
     as_given = assess(spinner.vehicle, spinner.telemetry)
     result = rates(spinner.vehicle, as_given, max_rate_rad_s=spinner.max_rate_rad_s)
-    checked = check_columns(result, as_given, None, fail, False, RATES, Budget(0.0))
+    checked = check_columns(result, as_given, None, fail, RATES, Budget(0.0))
     assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
     assert checked.attrs["column_tests_cut"] == 1
     assert "not every other order of columns was tried" in rates_words(checked)
@@ -123,7 +123,7 @@ def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():
     yes, no_words = ("pass_id", [True]), ("pass_id", [""])
     alone = result.isel(solution=[0]).assign(unique=yes, decided=yes, why_not_decided=no_words)
     assessment = assess(FOUR_SIDES, data)
-    checked = check_columns(alone, assessment, None, None, False, RATES, Budget(np.inf))
+    checked = check_columns(alone, assessment, None, None, RATES, Budget(np.inf))
     assert checked.attrs["symmetric_unlisted"] == 1
     assert not checked["unique"].values.any() and not checked["decided"].values.any()
 

@@ -10,8 +10,10 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
-from sunspin.estimate.lander.ridges import Bend, Chart, Equations, Law, Slopes, ridges_of
+from sunspin.estimate.lander.outer_law import Bend, OuterLaw
+from sunspin.estimate.lander.ridges import Chart, ridges_of
 from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
+from sunspin.estimate.lander.target import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
 from sunspin.solve.rotations import tangent_basis
@@ -41,8 +43,8 @@ class Bananas:
     lowest: float = -np.inf
     rate_max: float = 1.0
     reach_s: float = REACH_S
-    standing = np.array([1])
-    bending = np.array([0])
+    reading_unknowns = np.array([1])
+    motion_unknowns = np.array([0])
     unknowns = tuple(
         Unknown(name, kind, "1", 0.0, 1.0)
         for name, kind in (("bend", "inertia"), ("brightness", "scale"))
@@ -74,29 +76,31 @@ class Bananas:
         facing = np.any(shots.sun @ self.sun.T > 0, axis=1)
         return np.where(facing & (shots.u[:, 0] >= self.lowest), normal, -np.inf)
 
-    def standing_slopes(self, seen, u, wider):
-        pull = -self._bright(u) / READ / wider**2
-        return pull[:, None], np.full((len(u), 1, 1), (READ * wider) ** -2)
+    def reading_slopes(self, seen, u, noise_factor):
+        pull = -self._bright(u) / READ / noise_factor**2
+        return pull[:, None], np.full((len(u), 1, 1), (READ * noise_factor) ** -2)
 
-    def linearised(self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0):
+    def linearised(
+        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
+    ):
         off = self._off(shots)
         nearest = np.argmin((off**2).sum(axis=2), axis=1)
         every = np.arange(len(shots))
-        residual = np.column_stack([off[every, nearest], self._bright(shots.u)]) / wider
+        residual = np.column_stack([off[every, nearest], self._bright(shots.u)]) / noise_factor
         jacobian = np.zeros((len(shots), 6, 6))
         jacobian[:, range(3), range(3)] = 1 / RATE
         own = np.stack(tangent_basis(shots.sun), axis=1)
         across = np.stack(tangent_basis(self.sun), axis=1)[nearest]
         jacobian[:, 3:5, 3:5] = np.einsum("kai,kbi->kab", across, own) / TURN
         jacobian[:, 5, 5] = 1 / READ
-        jacobian /= wider
+        jacobian /= noise_factor
         matrix = np.swapaxes(jacobian, 1, 2) @ jacobian
         matrix[:, 5, 5] += 1
         slope = np.einsum("kri,kr->ki", jacobian, residual)
         slope[:, 5] += shots.u[:, 1]
         cost = (residual**2).sum(axis=1) / 2 + (shots.u**2).sum(axis=1) / 2
         same = np.zeros((len(shots), 5, 1))
-        slopes = Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
+        slopes = MotionSlopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
         return Equations(cost, slope, matrix, slopes)
 
     def log_replicated(self, seen, u, rng) -> np.ndarray:
@@ -136,7 +140,7 @@ TIED = 0.01
 class Tied(Bananas):
     """The same with a third unknown, the friction, that readings tie to the first one along a curve: u0 / 2 + u0^2 / 10."""
 
-    bending = np.array([0, 2])
+    motion_unknowns = np.array([0, 2])
     unknowns = (*Bananas.unknowns, Unknown("friction", "viscous", "1", 0.0, 1.0))
 
     def _tie(self, u: np.ndarray) -> np.ndarray:
@@ -253,12 +257,12 @@ def test_a_bent_law_draws_with_the_density_that_it_states():
     bend = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
     mean = bend.straight(y).mean(axis=0, keepdims=True)
     none = np.array([-1])
-    law = Law(np.ones(1), mean, np.cov(bend.straight(y).T)[None], none, bend)
+    law = OuterLaw(np.ones(1), mean, np.cov(bend.straight(y).T)[None], none, bend)
     points = law.draw(20_000, np.random.default_rng(1), 5.0)
     inside = law._replace(covariance=0.5 * law.covariance)
     ratio = np.exp(inside.log_densities(points, 8.0) - law.log_densities(points, 5.0))
     assert ratio.mean() == pytest.approx(1.0, abs=0.02)
-    wide = Law(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None], none)
+    wide = OuterLaw(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None], none)
     points = wide.draw(20_000, np.random.default_rng(2), 5.0)
     ratio = np.exp(law.log_densities(points, 5.0) - wide.log_densities(points, 5.0))
     assert ratio.mean() == pytest.approx(1.0, abs=0.1)
@@ -271,9 +275,9 @@ def test_a_component_does_not_count_for_the_draw_on_which_it_stands():
     d = ridge.chart.dimensions
     y = np.stack([np.zeros(d), np.full(d, 2.0)])
     spread = np.tile(0.01 * np.eye(d), (2, 1, 1))
-    wide = Law(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
-    local = Law(np.ones(2), y, spread, np.array([0, 1]))
-    ridge.laws = [(2, Law.joined([(0.5, wide), (0.5, local)]))]
+    wide = OuterLaw(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
+    local = OuterLaw(np.ones(2), y, spread, np.array([0, 1]))
+    ridge.laws = [(2, OuterLaw.joined([(0.5, wide), (0.5, local)]))]
     found = ridge.log_outer(y, 5.0, draws=True)
     each = ridge.laws[0][1].log_densities(y, 5.0)
     expected = [logsumexp(each[0, [0, 2]]), logsumexp(each[1, [0, 1]])]

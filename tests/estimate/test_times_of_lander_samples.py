@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.lander.fit import FINAL_ERROR, Fitting, Problem
+from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, Fitting
 from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.target import LanderTarget
@@ -86,7 +86,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     """Times at their best take up one reading of each sample: the noise of a fit stays within 2.5 sigmas of the true one."""
     model = late_model(2.0)
     free = np.ones(len(model.unknowns), dtype=bool)
-    fitting = Fitting(Problem(model, free, FINAL_ERROR), off(model, size=0.0))
+    fitting = Fitting(FitProblem(model, free, FINAL_ERROR), off(model, size=0.0))
     fitting.go(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.shots.u[0, model.places("noise")[0]]

@@ -8,7 +8,15 @@ import xarray as xr
 from scipy.stats import chi, foldnorm, ncx2, norm
 
 from sunspin.estimate.calibrate import rate_known
-from sunspin.estimate.verdict import Misfit, PassRow, answers, misfit, passes_table, upper_text
+from sunspin.estimate.verdict import (
+    AtOnce,
+    Misfit,
+    PassRow,
+    answers,
+    misfit,
+    passes_table,
+    upper_text,
+)
 
 SOUND = {"Sun": Misfit(40, 0.0, 1.0)}
 
@@ -27,7 +35,8 @@ def said(
     covariance = np.stack([np.diag(one**2) for one in sigma])
     first = np.arange(len(omega)) == 0
     shares = np.array(probability)
-    return answers(shares, omega, covariance, rate_sigma, misfits, explained, cure, first)
+    motions = AtOnce(shares, omega, covariance, first)
+    return answers(motions, rate_sigma, misfits, explained, cure)
 
 
 TWO = {"omega": np.eye(3)[[0, 0]], "sigma": np.full((2, 3), 0.1), "probability": (0.8, 0.2)}

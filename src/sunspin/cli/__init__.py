@@ -108,14 +108,16 @@ def main() -> None:
 def _lean_process() -> Generator[None]:
     """Spare a command what its libraries do for other programs.
 
-    If dask is installed, xarray imports it to know its arrays, and matplotlib imports 3-D axes. No command uses 3-D axes, and only
-    those with --scheduler use dask. Garbage is collected less often: imports make many objects and little garbage.
+    If dask is installed, xarray imports it to know its arrays, and matplotlib imports 3-D axes. Only `reproduce` draws on 3-D axes,
+    and only commands with --scheduler use dask. Garbage is collected less often: imports make many objects and little garbage.
     """
     threshold = gc.get_threshold()
     gc.set_threshold(GARBAGE, *threshold[1:])
     without_3d = ModuleType("mpl_toolkits.mplot3d")
     without_3d.__dict__["Axes3D"] = None  # as matplotlib itself has it if the import fails
-    unused: dict[str, ModuleType | None] = {"mpl_toolkits.mplot3d": without_3d}
+    unused: dict[str, ModuleType | None] = {}
+    if "reproduce" not in sys.argv:
+        unused["mpl_toolkits.mplot3d"] = without_3d
     # a program that has used xarray before keeps dask: xarray does not look for it again
     if "xarray" not in sys.modules and not any(arg.startswith("--scheduler") for arg in sys.argv):
         unused["dask"] = None  # for Python a module that is not there

@@ -78,19 +78,17 @@ def check_columns(
     assessment: Assessment,
     doubt: Reversed | None,
     again: Again | None,
-    in_orbit: bool,
     settings: RatesSettings,
     budget: Budget,
 ) -> xr.Dataset:
     """Return the result of `rates` with what the data say of columns, axes and signs.
 
-    `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. `in_orbit`:
-    elements make the Sun and the field known in space. Passes may lose `decided` and `unique`; `columns_checked` says what is known
-    of the columns. Attributes: `alike`, `columns_unseen`, `columns_doubt`, `columns_changes`, `column_tests_cut`,
-    `symmetric_unlisted`.
+    `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. Passes may
+    lose `decided` and `unique`; `columns_checked` says what is known of the columns. Attributes: `alike`, `columns_unseen`,
+    `columns_doubt`, `columns_changes`, `column_tests_cut`, `symmetric_unlisted`.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
-    observed = what_was_observed(vehicle, telemetry, result.attrs, in_orbit)
+    observed = what_was_observed(vehicle, telemetry, result.attrs)
     result = _with_unseen_changes(result, observed, telemetry)
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
@@ -110,12 +108,13 @@ def check_columns(
     return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
 
 
-def what_was_observed(
-    vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict, in_orbit: bool
-) -> Observed:
-    """Return what the telemetry has read, as far as it distinguishes changes; `attrs`: of a result, with what the wheels do."""
+def what_was_observed(vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict) -> Observed:
+    """Return what the telemetry has read, as far as it distinguishes changes.
+
+    `attrs`: of a result, which say what the wheels do, and if there is an orbit, in which Sun and field are known in space.
+    """
     momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
-    observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
+    observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit="orbit" in attrs)
     return replace(observed, panels=observed.panels and attrs["source"] == "panels")
 
 
@@ -234,7 +233,7 @@ def _with_other_columns(
     needs_calm = not len(unfitted) and not samples_fit_other_columns(vehicle, part)
     most_noise = attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
     trials = _trials_of(result, most_noise, again, settings, budget)
-    here = what_was_observed(vehicle, part, attrs, observed.in_orbit)
+    here = what_was_observed(vehicle, part, attrs)
     better = what_fits_better(here, part, trials)
     if better is None:
         return result
@@ -257,7 +256,7 @@ def _with_rivals(
         return result
     place = _longest(result, decided)
     part = samples_of(result, telemetry, place)
-    here = what_was_observed(observed.vehicle, part, result.attrs, observed.in_orbit)
+    here = what_was_observed(observed.vehicle, part, result.attrs)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
     trials = replace(trials, least=AS_GOOD)
     better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
