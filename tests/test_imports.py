@@ -109,26 +109,8 @@ def test_the_first_line_of_rates_comes_before_the_imports_that_take_longest(tmp_
     assert "click" in imported[0]
     assert not imported[0] & {"pandas", "xarray", "scipy", "numba", "pyarrow", "matplotlib"}
     assert "numba" in imported[1]
-    unused = "dask mpl_toolkits.mplot3d scipy.interpolate scipy.spatial scipy.optimize scipy.stats"
+    unused = "scipy.interpolate scipy.spatial scipy.optimize scipy.stats"
     assert not imported[1] & set(unused.split())
-
-
-def test_reproduce_has_the_axes_on_which_it_draws_spheres():
-    """Other commands do without 3-D axes, whose import takes long; the study draws Sun directions on a sphere."""
-    code = """
-import sys
-from unittest.mock import patch
-from sunspin.cli import cli, main
-def draw(**options):
-    from matplotlib.figure import Figure
-    from sunspin.philae.sun_directions import sphere_axes
-    print(sphere_axes(Figure(), 1, 0).name)
-sys.argv = ["sunspin", "reproduce"]
-with patch.object(cli, "main", draw):
-    main()
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout.strip()) == (0, "3d"), done.stderr
 
 
 @pytest.mark.parametrize("command", ["check", "sun"])
