@@ -84,13 +84,15 @@ class Named(NamedTuple):
 class Better:
     """The changes that fit better than the file as it is written, all those that the telemetry cannot distinguish.
 
-    `gain`: by how much their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better.
+    `gain`: by how much their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better;
+    `cost`: of the best motion with the best of them.
     """
 
     named: tuple[Named, ...]
     gain: float
     at_s: float = np.nan
     fits: bool = True
+    cost: float = np.nan
 
     def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
         """Return a sentence for the verdict; `clock`: function from a time of the telemetry (s) to its words."""
@@ -326,15 +328,17 @@ def _best_of_classes(
     ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > trials.least]
 
     named: list[Named] = []
-    best, at_s = -np.inf, np.nan
+    best, at_s, cost = -np.inf, np.nan, np.nan
     for k in ranked[:MOST_RUNS]:
         if gains[k] < best - CLEARLY:
             break
         result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
         if result is not None:
+            if not named:
+                cost = float(result["cost"].values[0, 0])
             best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
             named += with_equivalents(observed, classes[k], result, others)
-    return Better(tuple(named), best, at_s) if named else None
+    return Better(tuple(named), best, at_s, cost=cost) if named else None
 
 
 def with_equivalents(
