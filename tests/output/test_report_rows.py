@@ -18,7 +18,7 @@ from sunspin.output.report.rows import VERDICTS, interval_text, verdict_of
 from tests.support.browser import HOSTILE, Page
 
 FILES_OF_CANDIDATES = tuple(
-    "candidates outcomes-off outcomes-held strategies speed motion-best-fit".split()
+    "candidates outcomes-off outcomes-held strategies speed motion-smallest-emd".split()
 )
 
 

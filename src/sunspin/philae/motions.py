@@ -56,7 +56,7 @@ def compute(
         motions["Truth"] = propagate_landing(rebound, start, about, seed, read_truth(case))
     start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
     about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
-    motions["Best fit"] = propagate_landing(rebound, start, about, seed)
+    motions["Smallest EMD"] = propagate_landing(rebound, start, about, seed)
     by_speed = np.argsort(chosen.speed_touchdown)
     for name, rank in (("Slowest", 0), ("Middle", len(by_speed) // 2), ("Fastest", -1)):
         candidate = by_speed[rank]

@@ -118,7 +118,7 @@ def _drawings_of_acts(study: Study, synthetic: str) -> Iterator[Drawing]:
             f"simulated collisions of the same motions. Diamonds: the magnetometer, which was not used.{synthetic}",
         )
     if (motions := study.motions.result) is not None:
-        titles = ("Truth", "Best fit", "Descent")
+        titles = ("Truth", "Smallest EMD", "Descent")
         shown = [(title, motion) for title, motion in motions.items() if title in titles]
         yield Drawing(
             "signals",

@@ -26,7 +26,7 @@ MOST_PATH = 600
 GREY, INK = "#808890", "#70787f"
 """Colours of axes and of edges, legible on a light and on a dark page."""
 
-FIRST = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest candidate")
+FIRST = ("Truth", "Smallest EMD", "Slowest candidate", "Middle candidate", "Fastest candidate")
 """Titles of the motions of the Philae study, in the order in which they are shown."""
 
 
