@@ -498,6 +498,7 @@ def searched(
 
 def searched_by(carrier: Shooting, settings: PosteriorSettings) -> Trials:
     """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
+    carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.place, settings.grid, carrier.workers)
 
     def watch(window: slice, kept: Trials) -> None:

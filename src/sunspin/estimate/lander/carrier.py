@@ -24,7 +24,7 @@ from sunspin.estimate.lander.fit import (
     fit_first,
     in_pieces,
 )
-from sunspin.estimate.lander.grid import Place
+from sunspin.estimate.lander.grid import Place, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
 from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
 from sunspin.estimate.search import grown
@@ -36,8 +36,9 @@ MORE = "more trial solutions than the search can follow"
 TRIAL_ERROR = 1e-3
 """Error of directions (rad) in runs that only look whether a sample allows a motion."""
 
-FIT_S = 0.005
-"""s of one core for a motion that is fitted to five samples, with what follows."""
+FIT_S, START_S = 0.005, 1e-5
+"""s of one core for a motion that is fitted to five samples, with what follows, and for a cell of the grid of rates and a direction
+from which starts settle. Measured on Philae."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
@@ -233,6 +234,18 @@ class Shooting:
                 going,
                 samples,
                 took / 60,
+            )
+
+    def announce_starts(self) -> None:
+        """Tell whoever waits before a search for starts that takes long, with what would make it shorter."""
+        place = self.place
+        took = START_S * cell_count(place.limit, place.edge) * len(place.suns)
+        if took > LONG_S:
+            smaller = min(place.given, place.limit) * (LONG_S / took) ** (1 / 3)
+            logging.getLogger("sunspin").warning(
+                "sunspin: looking for starts takes about %.1f min; with --prior max_rate_rad_s=%.2g about one",
+                took / 60,
+                smaller,
             )
 
     def joined(self, motions: list[Trials]) -> Trials:
