@@ -18,7 +18,7 @@ SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 # a test that takes longer than its claim is worth is seen here
 SLOWEST := --durations=25 --durations-min=4
 
-.PHONY: help install reproduce test test-all test-slow docs bench studies scoreboard validate-real long other-pythons lint contracts style types lock clean
+.PHONY: help install reproduce test quick test-all test-slow docs bench studies scoreboard validate-real long bounds-checked other-pythons lint contracts style types lock clean
 
 help:
 	@echo "make install     sunspin with all that it needs into $(VENV)/; then: . $(VENV)/bin/activate"
@@ -64,24 +64,29 @@ style: $(READY)
 types: $(READY)
 	$(BIN)/ty check
 
-test long: export OPENBLAS_NUM_THREADS = 1
+quick long bounds-checked: export OPENBLAS_NUM_THREADS = 1
 # each worker, and each program that a test starts, would compile all sources and rewrite all tests anew: a fifth of the time
 unexport PYTHONDONTWRITEBYTECODE
 
 # before the tests, whose processes would each compile the integrators; the documents last: one of their pages shows what the tests have reached
-test: $(READY)
+test: quick
+	@$(MAKE) --no-print-directory docs
+
+quick: $(READY)
 	@$(MAKE) --no-print-directory -j2 --output-sync=target types contracts style
 	$(BIN)/python -m sunspin.dynamics
 	$(TESTS) $(SPREAD) $(SLOWEST)
-	@$(MAKE) --no-print-directory docs
 
-# other versions of Python wait for their packages while the long tests compute
-test-all: test
-	@$(MAKE) --no-print-directory -j2 --output-sync=target long other-pythons
+# what waits for packages or computes on one core goes beside the long tests; the documents are made once, of all that was shown
+test-all: quick
+	@$(MAKE) --no-print-directory -j2 --output-sync=target long other-pythons bounds-checked
 	@$(MAKE) --no-print-directory docs
 
 long: $(READY)
-	$(TESTS) $(SPREAD) -m "long and not slow"
+	$(TESTS) $(SPREAD) $(SLOWEST) -m "long and not slow"
+
+# kernels that check each index, compiled into a cache of their own
+bounds-checked: $(READY)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py tests/dynamics/test_split_kernel.py
 
 other-pythons: $(READY)

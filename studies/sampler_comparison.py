@@ -150,9 +150,9 @@ def log_posterior(model: LanderModel, state: Shots, inside: np.ndarray) -> np.nd
     support = np.flatnonzero(np.isfinite(prior) & inside)
     values = np.full(len(state), LOWEST)
     if len(support):
-        values[support] = prior[support] + model.log_likelihood(
-            state.take(support), DIRECTION_ERROR
-        )
+        some = state.take(support)
+        carried = model.carried(some, DIRECTION_ERROR)
+        values[support] = prior[support] + model.log_likelihood(carried, some.u)
     return np.where(np.isfinite(values), values, LOWEST)
 
 

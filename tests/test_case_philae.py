@@ -103,10 +103,8 @@ def test_phases_follow_each_other_without_gap():
     assert all(a.end_s == b.begin_s for a, b in zip(phases, phases[1:], strict=False))
     assert phases[-1].end_s == np.inf
     at = case.timeline.event("collision").t_s
-    assert (
-        case.timeline.phase_at(at) == "second_rebound"
-        and case.timeline.phase_at(at - 0.001) == "first_rebound"
-    )
+    assert case.timeline.phase_at(at) == "second_rebound"
+    assert case.timeline.phase_at(at - 0.001) == "first_rebound"
     assert case.timeline.phase_at(-1.0) is None
 
 

@@ -109,7 +109,7 @@ def test_the_first_line_of_rates_comes_before_the_imports_that_take_longest(tmp_
     assert "click" in imported[0]
     assert not imported[0] & {"pandas", "xarray", "scipy", "numba", "pyarrow", "matplotlib"}
     assert "numba" in imported[1]
-    unused = "dask mpl_toolkits.mplot3d scipy.interpolate scipy.spatial scipy.optimize scipy.stats"
+    unused = "scipy.interpolate scipy.spatial scipy.optimize scipy.stats"
     assert not imported[1] & set(unused.split())
 
 

@@ -192,10 +192,8 @@ def test_vehicle_parts_are_compared_and_hashed_by_content():
         one, two = ss.load_vehicle(name), ss.load_vehicle(name)
         assert one == two == pickle.loads(pickle.dumps(one)) and len({one, two}) == 1
         assert replace(one, name="other") != one
-    assert (
-        replace(PANEL, normal_B=[0, 1, 0]) != PANEL == ss.Panel("a", np.array([1.0, 0, 0]), 2)
-        and PANEL != 3
-    )
+    assert replace(PANEL, normal_B=[0, 1, 0]) != PANEL == ss.Panel("a", np.array([1.0, 0, 0]), 2)
+    assert PANEL != 3
 
 
 def test_every_vehicle_part_is_frozen():

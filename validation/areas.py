@@ -56,6 +56,9 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     wrong = row["wrong"] or row["empty"] or (row["mirrored"] and kind not in EXCHANGED)
     if row["decided"] and wrong:
         outcome = "wrong"
+    elif kind in EXCHANGED and row["named"]:
+        # the pass is then not decided, and the operator corrects the file: the true exchange must be named
+        outcome = "right" if row["named_rightly"] else "wrong"
     elif row["mirrored"]:
         outcome = "open"
     elif row["decided"]:

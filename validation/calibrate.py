@@ -275,7 +275,9 @@ def log_density(
     assessment = assess(vehicle, telemetry)
     model, _ = with_priors(assessment, observe_window(assessment), priors)
     shots = Shots(omega_B, sun_B, _in_sigmas(model.unknowns, values))
-    return model.log_likelihood(shots, DIRECTION_ERROR) + model.log_prior_density(shots)
+    return model.log_likelihood(
+        model.carried(shots, DIRECTION_ERROR), shots.u
+    ) + model.log_prior_density(shots)
 
 
 def _in_sigmas(unknowns: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -183,7 +183,7 @@ def shorten_work() -> list[Any]:
     return [
         mock.patch("sunspin.estimate.scan.volume.ensemble", run_if_small),
         mock.patch("sunspin.landing.outcomes.ensemble", run_if_small),
-        mock.patch("sunspin.estimate.posterior.searched_by", raise_accepted),
+        mock.patch("sunspin.estimate.posterior.search_under", raise_accepted),
         mock.patch("sunspin.philae.reproduction.compute", raise_accepted),
     ]
 

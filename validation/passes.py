@@ -6,6 +6,7 @@ light on a panel is gain times cosine.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -70,12 +71,16 @@ Push = Callable[[float, np.ndarray], np.ndarray]
 
 
 class SimulatedPass(NamedTuple):
-    """A vehicle, its telemetry, the true rates (n, 3) in rad/s, and the largest rate that is stated."""
+    """A vehicle, its telemetry, the true rates (n, 3) in rad/s, and the largest rate that is stated.
+
+    `exchanged`: names of the two panels whose columns are exchanged in the file, empty if none are.
+    """
 
     vehicle: Vehicle
     telemetry: xr.Dataset
     omega: np.ndarray
     max_rate_rad_s: float
+    exchanged: tuple[str, ...] = ()
 
 
 def unit(rng: np.random.Generator) -> np.ndarray:
@@ -272,8 +277,10 @@ def exchange_columns(simulated: SimulatedPass, rng: np.random.Generator) -> Simu
     a, b = rng.choice(len(FACES), 2, replace=False)
     power = simulated.telemetry["power_W"].values.copy()
     power[:, [a, b]] = power[:, [b, a]]
+    names = simulated.vehicle.panel_names
     return simulated._replace(
-        telemetry=simulated.telemetry.assign(power_W=(("time", "panel"), power))
+        telemetry=simulated.telemetry.assign(power_W=(("time", "panel"), power)),
+        exchanged=(names[min(a, b)], names[max(a, b)]),
     )
 
 
@@ -481,7 +488,8 @@ def compare_with_truth(result: Any, simulated: SimulatedPass) -> dict[str, Any]:
     """Return the comparison of the first pass of a result with the truth, at the sample nearest to its middle.
 
     "mirrored": the rate is not wrong if the signs of two of its components are changed. "empty": its sigma is too large for
-    the rate to be constrained by the data. "pull": largest normalised error of a component.
+    the rate to be constrained by the data. "pull": largest normalised error of a component. "named": the changes of columns that
+    the verdict names, and "named_rightly" whether the true one is among them.
     """
     t = result["time"].values[result["pass_of"].values == 0]
     middle_s = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
@@ -498,6 +506,8 @@ def compare_with_truth(result: Any, simulated: SimulatedPass) -> dict[str, Any]:
     )
     fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
     constrained = result["constrained_speed"].values[0]  # else an upper limit is the right answer
+    named = [change["what"] for change in json.loads(result.attrs.get("columns_changes", "[]"))]
+    true_change = f"the columns of panels {' and '.join(simulated.exchanged)} exchanged"
     return {
         "decided": bool(result["decided"].values[0]),
         "leads": bool(result["probability"].values[0, 0] >= DECIDED and fitted and constrained),
@@ -510,4 +520,6 @@ def compare_with_truth(result: Any, simulated: SimulatedPass) -> dict[str, Any]:
         "pull": float((miss / sigma).max()),
         "miss_deg_s": float(np.degrees(miss.max())),
         "why": str(result["why_not_decided"].values[0]),
+        "named": named,
+        "named_rightly": true_change in named,
     }

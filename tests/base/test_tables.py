@@ -138,10 +138,8 @@ def test_a_sun_sensor_near_its_switching_intensity_keeps_both_readings(tmp_path)
     )
     other = data["sun_sensor_other_B"].values
     np.testing.assert_allclose(other[1:3], [down, up], atol=1e-9)
-    assert (
-        np.isnan(other[[0, 3, 4]]).all()
-        and np.isnan(data["sun_sensor_other_cov_B"].values[0]).all()
-    )
+    assert np.isnan(other[[0, 3, 4]]).all()
+    assert np.isnan(data["sun_sensor_other_cov_B"].values[0]).all()
     sun, _ = SunDirections.read(data, "sun_sensor")
     seen = States(facing(np.tile(down, (1, 5, 1))), np.zeros((1, 5, 3)))
     (residual,) = sun.residuals(seen, np.zeros((1, 0)))

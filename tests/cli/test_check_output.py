@@ -66,11 +66,9 @@ def test_check_names_the_most_frequent_illumination_patterns_and_counts_the_othe
     (line,) = health_lines(
         {"impossible": seen, "explanations": [], "noise_probability": {"set 0": 0.0}}
     )
-    assert (
-        len(line) < 400
-        and f"set {count - 1} ({count})" in line
-        and "probability of at most 0" not in line
-    )
+    assert len(line) < 400
+    assert f"set {count - 1} ({count})" in line
+    assert "probability of at most 0" not in line
     assert (f"and {count - SETS} other sets" in line) == (count > SETS)
 
 

@@ -19,7 +19,6 @@ from sunspin.cli import values
 from sunspin.cli.common import COMMANDS
 from sunspin.output.folder import results_folder
 from tests.support.rows import heed_interrupts
-from validation.border import BEGUN
 
 START = ["--omega-deg-s=6,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -149,11 +148,9 @@ def test_check_counts_the_flagged_samples(sunspin, tmp_path):
     assert "1  flagged: negative" in sunspin("check", vehicle, telemetry)[1]
     telemetry.write_text("\n".join([*rows[:20], *rows[9:12], *rows[20:]]) + "\n")
     said = sunspin("check", vehicle, telemetry)[1]
-    assert (
-        "3  duplicate rows merged" in said
-        and "flagged: time_not_increasing" not in said
-        and "sampling interval: 14 s min" in said
-    )
+    assert "3  duplicate rows merged" in said
+    assert "flagged: time_not_increasing" not in said
+    assert "sampling interval: 14 s min" in said
     again = [rows[9].rsplit(",", 1)[0] + ",0.77"]
     telemetry.write_text("\n".join([*rows[:20], *again, *rows[20:]]) + "\n")
     assert "1  flagged: time_not_increasing" in sunspin("check", vehicle, telemetry)[1]
@@ -177,10 +174,8 @@ def test_check_prints_the_time_of_the_first_sample_and_the_epoch(sunspin, tmp_pa
     text = vehicle.read_text().replace('# epoch_utc = "2026-01-01', 'epoch_utc = "2025-12-31')
     vehicle.write_text(text)
     said = sunspin("check", vehicle, telemetry)[1]
-    assert (
-        "from 2026-01-01T00:00:00Z" in said
-        and "time zero: 2025-12-31T00:00:00Z, 86400 s before" in said
-    )
+    assert "from 2026-01-01T00:00:00Z" in said
+    assert "time zero: 2025-12-31T00:00:00Z, 86400 s before" in said
 
 
 def test_quiet_prints_nothing(sunspin, tmp_path):
@@ -220,21 +215,6 @@ def test_a_folder_with_other_results_is_refused_before_the_computation(
     refused(sunspin("scan", *files, "--out", tmp_path / "mine"), "not empty", "--out")
 
 
-def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
-    for duration in (10, 20):
-        assert (
-            sunspin(
-                "simulate", "philae", *START, f"--duration={duration}", "--out", tmp_path / "run"
-            )[0]
-            == 0
-        )
-    import xarray as xr
-
-    with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
-        assert data.sizes["time"] == 21
-    assert not [path.name for path in (tmp_path / "run").iterdir() if path.name.endswith(".part")]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -247,14 +227,6 @@ def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
 )
 def test_simulate_refuses_bad_motions_durations_and_steps(sunspin, arguments, words):
     refused(sunspin("simulate", "philae", *START, *arguments), *words)
-
-
-def test_the_last_output_time_of_simulate_is_its_duration(sunspin):
-    for duration, step in ((10, 3), (-10, 3), (0.3, 0.1), (0, 1)):
-        code, out, _ = sunspin(
-            "simulate", "philae", *START, f"--duration={duration}", f"--step={step}", "--json"
-        )
-        assert code == 0 and json.loads(out)["t_s"] == pytest.approx(duration, abs=1e-12)
 
 
 def test_a_closed_pipe_is_no_error():
@@ -382,25 +354,6 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
     assert count > 100 and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("home", ["", pytest.param("/proc", marks=pytest.mark.long)])
-def test_without_a_cache_folder_no_library_writes_to_the_output(home, tmp_path):
-    """A library that warned of its own cache on standard output would spoil what --json writes there."""
-    places = {"HOME": home, "XDG_CACHE_HOME": home}
-    command = [
-        sys.executable,
-        "-m",
-        "sunspin.cli",
-        "simulate",
-        "philae",
-        *START,
-        "--duration=10",
-        "--json",
-    ]
-    done = subprocess.run(command, env={**os.environ, **places}, capture_output=True, text=True)
-    errors = BEGUN.sub("", done.stderr)  # the first run says that it compiles
-    assert (done.returncode, errors) == (0, "") and json.loads(done.stdout)["t_s"] == 10
-
-
 @pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])
 def test_a_name_with_unprintable_characters_is_escaped(encoding, tmp_path):
     command = [sys.executable, "-m", "sunspin.cli", "init", str(tmp_path / "caf\u00e9\u2603")]
@@ -428,13 +381,3 @@ def test_a_folder_name_with_a_nul_character_is_refused():
         OutputError, match="results cannot be written here .no folder can have this name."
     ):
         results_folder("a\0b", "sun")
-
-
-@pytest.mark.parametrize("form", ["aem", "netcdf", "parquet"])
-def test_export_writes_to_a_folder_whose_name_is_not_utf8(form, sunspin, tmp_path, undrawn):
-    assert sunspin("simulate", "philae", *START, "--duration=5", "--out", tmp_path / "run")[0] == 0
-    place = tmp_path / os.fsdecode(b"caf\xe9")
-    code, _, err = sunspin(
-        "export", tmp_path / "run", "--format", form, "--epoch=2026-01-01T00:00:00Z", "--out", place
-    )
-    assert (code, err) == (0, "") and len(list(place.glob("[a-z]*"))) == 1

@@ -93,17 +93,7 @@ def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_th
 def test_rates_with_an_orbit_hold_its_positions_for_pointing(satellite, monkeypatch, undrawn):
     """Without a magnetometer the attitude about the Sun is free, and pointing says so; with one it would use the positions."""
     with_few_copies(monkeypatch, 3)
-    few = [
-        "--to",
-        "120",
-        "--no-column-tests",
-        "--effort",
-        "0.1",
-        "--tle",
-        "my.tle",
-        "--out",
-        "rates",
-    ]
+    few = "--to 120 --no-column-tests --effort 0.1 --tle my.tle --out rates".split()
     done = CliRunner().invoke(cli, ["rates", "vehicle.toml", "telemetry.csv", *few])
     assert done.exit_code == 0, done.output
     with xr.open_dataset("rates/rates.nc") as rates:

@@ -81,10 +81,8 @@ def test_the_error_of_the_spin_down_curve_does_not_depend_on_the_zero_of_time():
 
 def test_a_wheel_that_turns_backward_has_the_same_friction():
     t = np.arange(0.0, 1500.0, 50.0)
-    forward, backward = (
-        fit_spin_down(t, published_curve(t), J),
-        fit_spin_down(t, -published_curve(t), J),
-    )
+    forward = fit_spin_down(t, published_curve(t), J)
+    backward = fit_spin_down(t, -published_curve(t), J)
     assert backward.friction == forward.friction
 
 

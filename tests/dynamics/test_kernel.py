@@ -101,11 +101,9 @@ def test_steady_torques_turn_a_body_with_a_wheel_as_heyoka_says():
     rng = np.random.default_rng(11)
     for _ in range(3):
         vehicle = random_vehicle(rng, 1, dry=0.004, viscous=2e-4)
-        omega, speeds, torques = (
-            0.5 * rng.normal(size=3),
-            rng.uniform(-20, 20, 1),
-            1e-3 * rng.normal(size=(2, 3)),
-        )
+        omega = 0.5 * rng.normal(size=3)
+        speeds = rng.uniform(-20, 20, 1)
+        torques = 1e-3 * rng.normal(size=(2, 3))
         problem = problem_of(vehicle, omega, speeds, forces=Acting((Steady(torques),)))
         compare(vehicle, omega, speeds, TIMES, torques=Torques(*torques), problem=problem)
 

@@ -27,11 +27,9 @@ BODY = Vehicle(
     [[1.0, 0.02, 0.0], [0.02, 1.3, 0.01], [0.0, 0.01, 0.8]],
     wheels=[Wheel("w", [0.0, 0.6, 0.8], 0.02, 3.0, Friction(1e-4, 1e-4))],
 )
-OMEGA, SPEED, ATTITUDE = (
-    np.array([0.03, -0.02, 0.05]),
-    3.0,
-    Rotation.from_euler("xyz", [0.4, -0.3, 1.1]),
-)
+OMEGA = np.array([0.03, -0.02, 0.05])
+SPEED = 3.0
+ATTITUDE = Rotation.from_euler("xyz", [0.4, -0.3, 1.1])
 SUN = ATTITUDE.apply([0.0, 0.0, 1.0])
 
 
@@ -92,12 +90,7 @@ def test_the_kernel_under_torques_agrees_with_the_reference_through_the_wheel_st
     run = run_once([START_S, *(START_S + times)], wheel_mode=mode)
     assert list(run["event_what"].values) == (["stops"] if mode == "coast" else [])
     result = batch.run(
-        BODY,
-        rows_of(),
-        times,
-        error=wanted,
-        command=mode,
-        acting=acting(PULL, ORBIT, START_S),
+        BODY, rows_of(), times, error=wanted, command=mode, acting=acting(PULL, ORBIT, START_S)
     )
     assert result.outcome[0] == batch.Outcome.FINE
     for name in ("sun_B", "omega_B", "wheel_speed_rad_s", "momentum_B"):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.lander.allowed import Nodes, shortfall
+from sunspin.estimate.lander.allowed import cube_nodes, shortfall
 from sunspin.estimate.lander.cells import DARK_SLOPE
-from sunspin.estimate.lander.grid import MIDDLES, POINTS, Place
+from sunspin.estimate.lander.grid import MIDDLES, POINTS, Reference
 from sunspin.estimate.lander.rate_grid import RateGrid
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
@@ -33,7 +33,7 @@ def corner_weights(x: np.ndarray) -> np.ndarray:
 
 
 def corner_slopes(x: np.ndarray) -> np.ndarray:
-    """Return the derivatives (..., 8, 3) of :func:`corner_weights` by the place."""
+    """Return the derivatives (..., 8, 3) of :func:`corner_weights` by the reference."""
     sides = np.where(CORNERS, x[..., None, :], 1 - x[..., None, :])
     signs = np.where(CORNERS, 1.0, -1.0)
     others = sides[..., [1, 0, 0]] * sides[..., [2, 2, 1]]
@@ -66,21 +66,34 @@ class Settling(NamedTuple):
         return Settling(*(part[which] for part in self))
 
 
+def nearest_node(direction: np.ndarray, size: int) -> np.ndarray:
+    """Return the index (...) of the node of a cube nearest to each direction (..., 3)."""
+    shape, flat = direction.shape[:-1], direction.reshape(-1, 3)
+    axis = np.argmax(np.abs(flat), axis=1)
+    top, row, column = (
+        np.take_along_axis(flat, (axis[:, None] + k) % 3, axis=1)[:, 0] for k in range(3)
+    )
+    length = np.maximum(np.abs(top), 1e-300)
+    i, j = (np.rint((part / length + 1) * (size / 2)).astype(np.int64) for part in (row, column))
+    face = 2 * axis + (top < 0)
+    return (face * (size + 1) ** 2 + i * (size + 1) + j).reshape(shape)
+
+
 class LookThrough:
     """Readings of the reference and of the samples next to it, against the cells of a grid of rates."""
 
-    def __init__(self, grid: RateGrid, panels: PanelPowers, place: Place, s: GridSettings) -> None:
+    def __init__(
+        self, grid: RateGrid, panels: PanelPowers, reference: Reference, s: GridSettings
+    ) -> None:
         """Compare the readings of all nodes of the sphere with those of the samples."""
-        self.grid, self.place, self.s = grid, place, s
-        samples = np.array([place.sample, *place.others])
+        self.grid, self.reference, self.s = grid, reference, s
+        samples = np.array([reference.sample, *reference.others])
         self.panels = panels.take(samples)  # the reference first
         full = panels.response.power(panels.response.facing_B).diagonal()
         self.full = panels.brightness * full
-        self.nodes = Nodes(s.nodes)
-        others = panels.take(place.others)
-        seen = np.broadcast_to(
-            self.nodes.directions[:, None], (len(self.nodes.directions), len(place.others), 3)
-        )
+        self.nodes = cube_nodes(s.nodes)
+        others = panels.take(reference.others)
+        seen = np.broadcast_to(self.nodes[:, None], (len(self.nodes), len(reference.others), 3))
         near, far = s.near_rad + s.node_rad, s.far_rad + s.node_rad
         self.short_near, self.short_far = (
             shortfall(others, seen, angle, s).T.copy() for angle in (near, far)
@@ -93,13 +106,13 @@ class LookThrough:
     def settled_starts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the starts of cells (by index): rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
         s, turn = self.s, corners_of(self.grid, cells)
-        tangents = np.stack(tangent_basis(self.place.suns), axis=1)
+        tangents = np.stack(tangent_basis(self.reference.suns), axis=1)
         # the middle of each eighth of a cell, for each direction: does any direction near it agree?
         middles = self._interpolated(turn[:, None], corner_weights(MIDDLES))
         cell, eighth, sun = self._agreeing(middles)
         at = corner_weights(POINTS)[eighth]  # (S, 8 points, 8 corners)
         points = self._interpolated(turn[cell][:, None], at)
-        directions = rotated(points, self.place.suns[sun][:, None, None])
+        directions = rotated(points, self.reference.suns[sun][:, None, None])
         worst, total = self._against(directions, self.short_near)
         total[worst > s.limit] = np.inf
         best = np.argmin(total, axis=1)
@@ -107,7 +120,7 @@ class LookThrough:
         cell, eighth, sun, best = cell[some], eighth[some], sun[some], best[some]
         starts = Settling(
             turn[cell],
-            self.place.suns[sun],
+            self.reference.suns[sun],
             tangents[sun],
             POINTS[eighth, best],
             np.zeros((len(cell), 2)),
@@ -130,7 +143,7 @@ class LookThrough:
     def _agreeing(self, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return cells, eighths and directions, by index, whose middles (n, 8, m, 4) the readings do not contradict."""
         found = []
-        for k, sun in enumerate(self.place.suns):
+        for k, sun in enumerate(self.reference.suns):
             worst, _ = self._against(rotated(middles, sun), self.short_far)
             cell, eighth = np.nonzero(worst <= self.s.limit)
             found.append(np.stack([cell, eighth, np.full(len(cell), k)]))
@@ -139,7 +152,7 @@ class LookThrough:
 
     def _against(self, directions: np.ndarray, short: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much readings contradict all directions near (n, p, m, 3), worst sample (n, p), and the misfit (n, p)."""
-        node = self.nodes.nearest(directions)
+        node = nearest_node(directions, self.s.nodes)
         m = np.arange(len(short))
         return short[m, node].max(axis=2), self.misfit[m, node].sum(axis=2)
 

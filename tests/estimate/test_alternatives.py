@@ -74,22 +74,6 @@ def readings(suns, sigma, apart_s):
     return Observations(apart_s * np.arange(len(suns)), np.zeros((len(suns), 3)), (term,))
 
 
-def test_ways_of_a_swinging_body_are_those_of_drawn_ones():
-    """Three readings of a body that wanders by 0.4 rad between two: the mean likelihood is that over 100,000 drawn ways."""
-    rng, wander, apart_s = np.random.default_rng(4), 0.1, 16.0
-    obs = readings([[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8]], 0.2, apart_s)
-    log = log_mean_likelihood(obs, np.array([wander]))[0]
-    count = 100_000
-    attitude = Rotation.random(count, rng=rng)
-    ways = [attitude]
-    for _ in range(2):
-        turn = Rotation.from_rotvec(wander * np.sqrt(apart_s) * rng.normal(size=(count, 3)))
-        ways.append(turn * ways[-1])
-    sun = np.stack([one.as_matrix()[..., 2] for one in ways], axis=1)
-    cost = costs(obs, Track.free(facing(sun), np.zeros((count, 3, 3)))).sum(axis=1)
-    assert np.isclose(np.log(np.exp(-cost).mean()), log, atol=0.15)
-
-
 def test_a_body_that_wanders_far_has_readings_that_do_not_know_each_other():
     obs = readings([[0, 0, 1], [1, 0, 0]], 0.2, 10.0)
     far = log_mean_likelihood(obs, np.array([10.0]))[0]

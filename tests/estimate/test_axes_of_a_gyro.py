@@ -1,7 +1,5 @@
 """Gyro axes on a body whose strong wheel rotates the rate between samples. All telemetry is synthetic."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,19 +9,13 @@ from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Gyro, Sensors
+from tests.support.simulate import telemetry_of
+from tests.support.vehicles import unit_vector
 
 AXIS = np.array([0.2, 0.9, 0.4]) / np.linalg.norm([0.2, 0.9, 0.4])
 
 
-class Odd(NamedTuple):
-    """An irregular body, its telemetry and the true rates (n, 3)."""
-
-    vehicle: Vehicle
-    telemetry: xr.Dataset
-    omega: np.ndarray
-
-
-def odd(i: int, speed_rad_s: float) -> Odd:
+def odd(i: int, speed_rad_s: float) -> tuple[Vehicle, xr.Dataset]:
     """Twelve panels somehow, a wheel that turns a rate round by 12 rad in an interval of 12 s at 300 rad/s, a gyro."""
     rng = np.random.default_rng(i)
     normals = rng.normal(size=(12, 3))
@@ -43,30 +35,14 @@ def odd(i: int, speed_rad_s: float) -> Odd:
         wheels=(Wheel("w", AXIS, 0.004, speed_rad_s),),
         sensors=Sensors(gyro=gyro),
     )
-    t, omega, sun = np.arange(40) * 12.0, rng.normal(size=3), rng.normal(size=3)
-    run = ss.propagate(
-        craft,
-        np.radians(3.0) * omega / np.linalg.norm(omega),
-        sun / np.linalg.norm(sun),
-        [speed_rad_s],
-        t,
-    )
-    power = np.maximum(
-        ss.panel_power(craft, run["sun_B"].values) + 0.02 * rng.normal(size=(40, 12)), 0.0
-    )
+    t, omega, sun = np.arange(40) * 12.0, unit_vector(rng), unit_vector(rng)
+    run = ss.propagate(craft, np.radians(3.0) * omega, sun, [speed_rad_s], t)
+    power = ss.panel_power(craft, run["sun_B"].values) + 0.02 * rng.normal(size=(40, 12))
     rate = run["omega_B"].values
-    read = (
-        rate * (1 + 0.01 * rng.normal())
-        + 1e-3 * rng.normal(size=3)
-        + 1e-3 * rng.normal(size=rate.shape)
-    )
-    data = {
-        "power_W": (("time", "panel"), power),
-        "gyro_B": (("time", "axis"), read),
-        "flag": ("time", np.zeros(40, np.uint8)),
-    }
-    attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    return Odd(craft, xr.Dataset(data, {"time": t, "panel": list(craft.panel_names)}, attrs), rate)
+    read = rate * (1 + 0.01 * rng.normal()) + 1e-3 * rng.normal(size=3)
+    read = read + 1e-3 * rng.normal(size=rate.shape)
+    gyro = {"gyro_B": (("time", "axis"), read)}
+    return craft, telemetry_of(craft, t, np.maximum(power, 0.0), **gyro)
 
 
 @pytest.mark.parametrize(("count", "named"), [(1, 2), pytest.param(6, 12, marks=pytest.mark.long)])
@@ -81,12 +57,12 @@ def test_a_reversed_gyro_axis_is_named_even_if_a_wheel_rotates_the_rate_between_
     """Three axes of each satellite reversed; the right reading is never accused, and no other is named."""
     told = []
     for i in range(count):
-        made = odd(i, 300.0 if i % 2 else 100.0)
-        assert wrong_gyro_axes(assess(made.vehicle, made.telemetry)) is None
+        vehicle, telemetry = odd(i, 300.0 if i % 2 else 100.0)
+        assert wrong_gyro_axes(assess(vehicle, telemetry)) is None
         for k in range(3):
-            read = made.telemetry["gyro_B"].values * (1 - 2 * np.eye(3)[k])
+            read = telemetry["gyro_B"].values * (1 - 2 * np.eye(3)[k])
             signs = ", ".join(f"{'-' if j == k else '+'}{axis}" for j, axis in enumerate("xyz"))
-            misread = made.telemetry.assign(gyro_B=(("time", "axis"), read))
-            found = wrong_gyro_axes(assess(made.vehicle, misread))
+            misread = telemetry.assign(gyro_B=(("time", "axis"), read))
+            found = wrong_gyro_axes(assess(vehicle, misread))
             told.append(None if found is None else f"({signs})" in found)
     assert False not in told and told.count(True) >= named

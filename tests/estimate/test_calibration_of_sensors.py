@@ -153,9 +153,8 @@ def test_a_gyro_is_calibrated_by_rates_estimated_without_it():
         off.append((fit.values - [0.01, -0.02, 0.005, 1.04]) / sigma)
     assert 1 / 1.5 < np.sqrt(np.mean(np.square(off))) < 1.5 and fit.passes == 8
     result["decided"][2:] = False
-    assert fit_gyro(gyro, data, result) is None, (
-        "two passes do not show how far their rates are off"
-    )
+    # two passes do not show how far their rates are off
+    assert fit_gyro(gyro, data, result) is None
 
 
 def test_written_keys_of_a_gyro_with_reversed_columns_read_as_the_fit():
@@ -203,10 +202,8 @@ def test_the_calibrated_copy_keeps_order_and_comments_of_the_vehicle_file():
         'scale_T = {value = 2e-09, sigma = 1e-11, source = "s"}',
         'scale_rad_s = {value = 1.1, sigma = 0.01, source = "s"}',
     ]
-    assert (
-        text.index("scale_T") < text.index("# noise = 5")
-        and tomllib.loads(text)["gyro"]["scale_rad_s"]["value"] == 1.1
-    )
+    assert text.index("scale_T") < text.index("# noise = 5")
+    assert tomllib.loads(text)["gyro"]["scale_rad_s"]["value"] == 1.1
     with pytest.raises(ss.VehicleError, match=r"the vehicle file has no table \[panel\.-X\]"):
         rewrite_values(FILE, [NewValue(("panel", "-X"), "gain_W", 1.0, 0.1, "s")])
 
@@ -216,21 +213,13 @@ def test_calibrate_sensors_writes_a_copy_and_never_overwrites_a_file(tmp_path, m
     runner = CliRunner()
     runner.invoke(cli, ["init", "."])
     before = (tmp_path / "vehicle.toml").read_text("utf-8")
-    done = runner.invoke(
-        cli,
-        ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", "new.toml"],
-        catch_exceptions=False,
-    )
+    words = ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out"]
+    done = runner.invoke(cli, [*words, "new.toml"], catch_exceptions=False)
     assert done.exit_code == 0 and (tmp_path / "vehicle.toml").read_text("utf-8") == before
     new = (tmp_path / "new.toml").read_text("utf-8")
     assert {line for line in before.splitlines() if line.startswith("#")} <= set(new.splitlines())
     for out in ("new.toml", "vehicle.toml"):
-        with pytest.raises(
-            SunspinError, match=f"{out}: this file is there already; choose another --out"
-        ):
-            runner.invoke(
-                cli,
-                ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", out],
-                catch_exceptions=False,
-            )
+        refusal = f"{out}: this file is there already; choose another --out"
+        with pytest.raises(SunspinError, match=refusal):
+            runner.invoke(cli, [*words, out], catch_exceptions=False)
     assert (tmp_path / "new.toml").read_text("utf-8") == new

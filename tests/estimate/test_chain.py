@@ -10,7 +10,6 @@ from sunspin.estimate.chain import (
     LEAST_TURN,
     Whitening,
     carried,
-    defects,
     equations,
     fit,
     shot,
@@ -20,7 +19,6 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.inertial import Gyro
 from sunspin.estimate.terms.torques import ConstantTorque
-from sunspin.solve.linear import invert_bordered, solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 
 INERTIA = np.diag([1.25, 1.0, 0.75])
@@ -61,9 +59,8 @@ def moved(motions, nodes, u):
 def test_slope_is_that_of_differences():
     model, motions = problem()
     rng = np.random.default_rng(2)
-    motions = moved(
-        motions, 1e-3 * rng.normal(size=(1, 5, 6)), 0.2 * rng.normal(size=motions.u.shape)
-    )
+    nodes, u = 1e-3 * rng.normal(size=(1, 5, 6)), 0.2 * rng.normal(size=motions.u.shape)
+    motions = moved(motions, nodes, u)
     system, h = equations(model, motions), 1e-6
     for sample, place in ((0, 1), (2, 0), (2, 4), (4, 5)):
         nodes = np.zeros((1, 5, 6))
@@ -75,12 +72,10 @@ def test_slope_is_that_of_differences():
     for j in range(motions.u.shape[1]):
         u = np.zeros(motions.u.shape)
         u[0, j] = 1e-4
-        ends = [
-            equations(model, moved(motions, np.zeros((1, 5, 6)), sign * u)).cost for sign in (1, -1)
-        ]
-        assert np.allclose(
-            (ends[0] - ends[1]) / 2e-4, system.border_slope[:, j], rtol=5e-3, atol=0.2
-        )
+        still = np.zeros((1, 5, 6))
+        ends = [equations(model, moved(motions, still, sign * u)).cost for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / 2e-4
+        assert np.allclose(slope, system.border_slope[:, j], rtol=5e-3, atol=0.2)
 
 
 def dense(system):
@@ -100,35 +95,21 @@ def dense(system):
     return matrix, slope
 
 
-def test_step_covariance_and_determinant_are_those_of_a_dense_solve():
-    model, motions = problem()
-    system = equations(model, motions)
-    matrix, slope = dense(system)
-    (nodes, shared), _ = solve_bordered(system, np.zeros(1))
-    change = np.concatenate([nodes.ravel(), shared.ravel()])
-    # what is left of each equation beside its terms: the condition of the matrix would magnify the rounding of any solver
-    left = np.abs(matrix @ change + slope)
-    assert np.all(left < 1e-11 * (np.abs(matrix) @ np.abs(change) + np.abs(slope)))
-    inverse, covariance = invert_bordered(system), np.linalg.inv(matrix)
-    assert np.allclose(inverse.nodes[0, 2], covariance[12:18, 12:18], rtol=ROUNDING, atol=1e-12)
-    assert np.isclose(inverse.log_determinant[0], np.linalg.slogdet(matrix)[1], atol=ROUNDING)
-
-
 def test_variance_of_a_mean_is_that_of_the_dense_covariance():
     model, motions = problem()
     one = fit(model, motions, 20)
     weights = np.zeros((1, 5, 3, 6))
     weights[..., 3:] = np.eye(3) / 5
     matrix, _ = dense(equations(model, one.motions))
-    rows = np.concatenate(
-        [weights[0].transpose(1, 0, 2).reshape(3, -1), np.zeros((3, motions.u.shape[1]))], axis=1
-    )
+    of_nodes = weights[0].transpose(1, 0, 2).reshape(3, -1)
+    rows = np.concatenate([of_nodes, np.zeros((3, motions.u.shape[1]))], axis=1)
     expected = np.diag(rows @ np.linalg.inv(matrix) @ rows.T)
     assert np.allclose(variance_of(one, weights)[0], expected, rtol=ROUNDING)
 
 
 def test_whitening_gives_the_covariance_of_white_acceleration():
-    dt, q = np.array([3.0, 20.0]), 2e-4
+    # a millisecond, in which torques alone would tell the turn too well
+    dt, q = np.array([1e-3, 3.0, 20.0]), 2e-4
     white = Whitening.of(Noise(q), dt)
     for k, t in enumerate(dt):
         eye = np.eye(3)
@@ -152,16 +133,13 @@ def test_evidence_is_that_of_an_integral_over_the_unknown():
     zero = np.linspace(-5, 5, 21)
     logs = []
     for u in zero:  # the gyro's zero about x held at u sigmas
-        held = replace(
-            gyro, rate_B=gyro.rate_B - [2e-3 * u, 0, 0], zero_sigma=np.array([0, 2e-3, 2e-3])
-        )
+        rate_B, zero_sigma = gyro.rate_B - [2e-3 * u, 0, 0], np.array([0, 2e-3, 2e-3])
+        held = replace(gyro, rate_B=rate_B, zero_sigma=zero_sigma)
         other = replace(model, obs=replace(model.obs, terms=(model.obs.terms[0], held)))
         start = Track(motions.attitude, motions.omega, np.zeros((1, 2)))
         logs.append(fit(other, start, 30, 1e-10).log_evidence[0] - u**2 / 2)
-    integral = np.log(
-        np.trapezoid(np.exp(np.array(logs) - max(logs)), zero) / np.sqrt(2 * np.pi)
-    ) + max(logs)
-    assert np.isclose(integral, whole.log_evidence[0], atol=0.15)
+    integral = np.trapezoid(np.exp(np.array(logs) - max(logs)), zero) / np.sqrt(2 * np.pi)
+    assert np.isclose(np.log(integral) + max(logs), whole.log_evidence[0], atol=0.15)
 
 
 def test_evidence_does_not_hang_on_rounding():
@@ -183,18 +161,6 @@ def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
     assert np.isclose(by_chain.cost[0], by_shooting.cost[0], atol=0.02)
 
 
-def test_defects_of_a_free_motion_vanish_and_answer_to_the_inertia():
-    model, motions = problem(torque=False)
-    value, *_, by_u = defects(model, motions)
-    assert np.abs(value).max() < 1e-6
-    u = motions.u.copy()
-    u[0, 0] = 0.1
-    changed, *_ = defects(model, Track(motions.attitude, motions.omega, u))
-    assert np.allclose(
-        changed[0] / 0.1, by_u[0, ..., 0], rtol=0.02, atol=0.02 * np.abs(by_u[0, ..., 0]).max()
-    )
-
-
 @pytest.mark.parametrize("backward", [False, True])
 def test_step_keeps_the_angular_momentum_in_space(backward):
     dt = np.array([7.0, 30.0]) * (-1 if backward else 1)
@@ -208,10 +174,10 @@ def test_step_keeps_the_angular_momentum_in_space(backward):
 def test_motions_of_several_bodies_are_those_of_each_alone():
     inertia = np.stack([INERTIA, np.eye(3), np.diag([0.8, 1.0, 1.2])])
     omega = np.random.default_rng(4).normal(size=(3, 4, 3)) * 0.05
-    dt, momentum = np.array([3.0, 5.0, 8.0, 20.0]), np.zeros((4, 3))
-    together = step(inertia, omega, dt, (momentum, momentum), True, ERRORS)
+    dt, momenta = np.array([3.0, 5.0, 8.0, 20.0]), (np.zeros((4, 3)), np.full((4, 3), 0.02))
+    together = step(inertia, omega, dt, momenta, True, ERRORS)
     for k in range(3):
-        alone = step(inertia[k], omega[k : k + 1], dt, (momentum, momentum), True, ERRORS)
+        alone = step(inertia[k], omega[k : k + 1], dt, momenta, True, ERRORS)
         for one, other in zip(together, alone, strict=True):
             assert np.array_equal(one[k], other[0])
 
@@ -225,6 +191,5 @@ def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
     assert np.allclose(even.turned, nearly.turned, atol=1e-3)  # the steps' own error
     assert np.allclose(even.omega, nearly.omega, atol=1e-9)
     by_start = even.by_start - nearly.by_start
-    assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2) and np.allclose(
-        by_start[..., 3:, :], 0.0, atol=1e-6
-    )
+    assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2)
+    assert np.allclose(by_start[..., 3:, :], 0.0, atol=1e-6)

@@ -17,10 +17,11 @@ from sunspin.estimate.equivalence import exchange, wheel_changes
 from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.observe import wheel_models
 from sunspin.estimate.rates import rates
+from sunspin.estimate.verdict import COLUMNS_UNCHECKED
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Channel, TelemetryForm
 from sunspin.vehicle.file import parse_vehicle
-from tests.support.simulate import simulated_pass, uneven_times
+from tests.support.simulate import simulated_pass, telemetry_of, uneven_times
 from tests.support.vehicles import CUBE_NORMALS
 
 NAMES = ("px", "py", "pz", "mx", "my", "mz")
@@ -83,6 +84,10 @@ def rate_in_the_middle(result) -> np.ndarray:
     return np.degrees([result[f"omega_{axis}"].values[0, 0] for axis in "xyz"])
 
 
+def pair_exchanged(a: str, b: str) -> str:
+    return f"the columns of panels {a} and {b} exchanged"
+
+
 def with_columns_exchanged(text: str, advice: str) -> str:
     """Return a vehicle file in which the columns are exchanged that an advice names."""
     match = re.search(
@@ -103,6 +108,8 @@ def test_columns_exchanged_as_advised_give_the_named_rate(readings):
     doubted = estimated(text, path)
     advice = re.search(r"CHECK THE COLUMNS; if it is so, (.*)", doubted.attrs["verdict"])
     assert advice is not None and not doubted["decided"].values.any()
+    assert doubted["columns_checked"].values.tolist() == ["doubtful"]
+    assert "columns, signs or axes" in str(doubted["why_not_decided"].values[0])
     (named,) = json.loads(doubted.attrs["columns_changes"])
     assert named["do"] == advice[1]
     mended = estimated(with_columns_exchanged(text, advice[1]), path)
@@ -133,16 +140,18 @@ def test_unchecked_columns_exchanged_give_the_rate_that_is_printed(readings):
     path, _ = readings
     result = estimated(text_of(), path)
     words = "\n".join(rates_summary(result).lines)
-    for change in json.loads(result.attrs["columns_unseen"]):
+    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
+    unseen = json.loads(result.attrs["columns_unseen"])
+    pairs = (("px", "mx"), ("py", "my"), ("pz", "mz"))
+    assert [one["what"] for one in unseen] == [pair_exchanged(*pair) for pair in pairs]
+    for change in unseen:
         pattern = re.escape(f"with {change['what']} it would be ") + r"\(([^)]*)\)"
         match = re.search(pattern, words)
         assert match is not None, words
-        exchanged = with_columns_exchanged(
-            text_of(),
-            change["what"]
-            .replace("the columns of panels", "exchange the columns of")
-            .replace("exchanged", "under [telemetry.columns]"),
-        )
+        advice = change["what"].replace("the columns of panels", "exchange the columns of")
+        advice = advice.replace("exchanged", "under [telemetry.columns]")
+        exchanged = with_columns_exchanged(text_of(), advice)
         mirrored = estimated(exchanged, path, column_tests=False)
         printed = [float(number) for number in match[1].split(",")]
         np.testing.assert_allclose(rate_in_the_middle(mirrored), printed, atol=0.01)
@@ -152,10 +161,8 @@ def test_more_effort_as_advised_tries_every_order_of_columns(readings):
     path, _ = readings
     text = text_of(("py", "px", *NAMES[2:]))
     cut = estimated(text, path, effort=1e-6)
-    match = re.search(
-        r"not every other order of columns was tried: give more effort \(`--effort ([\d.]+)`\)",
-        cut.attrs["verdict"],
-    )
+    asked = r"not every other order of columns was tried: give more effort \(`--effort ([\d.]+)`\)"
+    match = re.search(asked, cut.attrs["verdict"])
     assert match is not None and cut.attrs["column_tests_cut"] == 1
     done = estimated(text, path, effort=float(match[1]))
     assert done.attrs["column_tests_cut"] == 0 and "not every other" not in done.attrs["verdict"]
@@ -175,7 +182,10 @@ def test_the_opposite_sign_of_each_key_that_is_named_reverses_the_wheel(key):
         lines = "\n".join(f"{name} = {json.dumps(value)}" for name, value in values.items())
         text = f'{text_of()}[[wheel]]\nname = "w"\ninertia_kg_m2 = 3e-4\n{lines}\n'
         vehicle = parse_vehicle(text, "vehicle.toml")
-        data = telemetry_with_a_wheel(vehicle, values)
+        data = telemetry_of(vehicle, np.arange(3.0), np.ones((3, 6)))
+        if "speed_column" in values:  # which reads 80
+            speed = vehicle.wheels[0].speed_scale_rad_s * np.full((3, 1), 80.0)
+            data = data.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
         if change is not None:
             vehicle, data = change(vehicle).applied(vehicle, data)
         return next(iter(wheel_models(vehicle, data).values()))
@@ -197,17 +207,6 @@ def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both
     assert "look at the signs of axis_B, speed_rad_s and speed_scale_rad_s of w" in advice
 
 
-def telemetry_with_a_wheel(vehicle, values):
-    """Return telemetry of three samples; a column of the wheel's speed, if the vehicle states one, reads 80."""
-    import xarray as xr
-
-    data = xr.Dataset({"power_W": (("time", "panel"), np.ones((3, 6)))}, {"time": np.arange(3.0)})
-    if "speed_column" in values:
-        speed = vehicle.wheels[0].speed_scale_rad_s * np.full((3, 1), 80.0)
-        data = data.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
-    return data
-
-
 @pytest.mark.parametrize("name", SENSORS)
 def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
     match = re.search(r"`--without (\w+)`", Culprit(SENSORS[name]).words())
@@ -224,10 +223,10 @@ speed_rad_s = 40.0
 
 
 def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path):
-    """A reversed wheel and two exchanges look the same; the advice is to find out which is right before the file is changed."""
+    """Mirrors along x and z reverse the wheel too; the advice is to find out which is right before the file is changed."""
     rng = np.random.default_rng(2)
     right = parse_vehicle(text_of() + WHEEL.format(sign=""), "right")
-    data, _ = simulated_pass(
+    data, run = simulated_pass(
         right, [0.02, 0.03, -0.01], np.arange(20) * 10.0, rng, albedo=0.0, speed=[40.0]
     )
     path = written(tmp_path / "telemetry.csv", data)
@@ -235,7 +234,15 @@ def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path
     limit = {"max_rate_rad_s": 0.06, "column_tests": False}
     doubted = estimated(wrong, path, **limit)
     named = json.loads(doubted.attrs["columns_changes"])
-    assert len(named) == 3 and "find out which one is right" in doubted.attrs["verdict"]
+    assert not doubted["decided"].values.any() and doubted["columns_checked"].values == "doubtful"
+    assert "the sign of a wheel" in doubted["why_not_decided"].values[0]
+    rate = {change["what"]: change["omega_deg_s"] for change in named}
+    wheel, mirrored = "wheel w turning the other way", pair_exchanged("px", "mx")
+    assert set(rate) == {wheel, mirrored, pair_exchanged("pz", "mz")}
+    assert "find out which one is right" in doubted.attrs["verdict"]
+    truth = np.degrees(run["omega_B"].values[9:11])
+    assert np.abs(truth - rate[wheel]).max(axis=1).min() < 0.5
+    np.testing.assert_allclose(rate[mirrored], rate[wheel] * np.array([1, -1, -1]), atol=1e-6)
     for change in named:
         mended = (
             text_of() + WHEEL.format(sign="")

@@ -19,6 +19,7 @@ from sunspin.estimate.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from tests.support.simulate import pulls
 from tests.support.vehicles import LOWER_CASE_FACES
 
 WHEEL = Wheel("wheel", [0, 0, 1], 4e-5, 400.0, Friction(3e-8, 2e-10))
@@ -167,22 +168,18 @@ def test_revolutions_between_kept_samples_contradict_the_magnetometer_there(tumb
 def test_a_dense_pass_reports_all_samples_and_their_mean(tumble, reached):
     telemetry, run, _, _ = tumble
     found = ss.rates(CRAFT, telemetry, max_rate_rad_s=0.09, acceleration_noise=NOISE)
-    assert found.sizes["time"] == telemetry.sizes["time"]
-    off = found["omega_B"].values - run["omega_B"].values
-    sigma = np.sqrt(np.einsum("nii->ni", found["omega_cov_B"].values))
-    assert np.abs(off / sigma).max() < 4.5 and np.sqrt(np.mean((off / sigma) ** 2)) < 1.6
+    assert found.sizes["time"] == telemetry.sizes["time"] == found["misfit"].values[0, 0, 0]
+    assert found.attrs["samples_searched"] == len(tumble[3]) and found["fits"].values.all()
+    off = pulls(found, run)
+    assert np.abs(off).max() < 4.5 and np.sqrt(np.mean(off**2)) < 1.6
     mean = run["omega_B"].values.mean(axis=0)
     between = ss.propagate(CRAFT, RATE, SUN, 400.0, found["curve_time"].values)["omega_B"].values
-    assert (
-        np.abs(
-            (found["curve_omega_B"].values - between) / found["curve_omega_sigma_B"].values
-        ).max()
-        < 4.5
-    )
+    off = (found["curve_omega_B"].values - between) / found["curve_omega_sigma_B"].values
+    assert np.abs(off).max() < 4.5
     pull = np.abs(found["omega_mean_B"].values[0, 0] - mean) / found["omega_sigma_B"].values[0, 0]
     reached("distance of the mean rate", pull, "sigmas", limit=4.0)
     assert pull.max() < 4.0 and found["omega_sigma_B"].values[0, 0].max() < 2e-3
-    kept = thinned(len(off), RATES.passes)  # control: the mean over what is kept is another
+    kept = tumble[3]  # control: the mean over what is kept is another
     other = np.abs(run["omega_B"].values[kept].mean(axis=0) - mean)
     assert (other / found["omega_sigma_B"].values[0, 0]).max() > 20
 
@@ -191,9 +188,3 @@ def test_wheels_too_fast_for_the_sampling_are_refused(tumble):
     wheel = replace(WHEEL, speed_rad_s=1e12)
     with pytest.raises(InputError, match="more than can be followed"):
         ss.rates(replace(CRAFT, wheels=(wheel,)), tumble[0], acceleration_noise=NOISE)
-
-
-@pytest.mark.parametrize("noise", [0.0, -1e-5, 1e-30, 1e30, np.nan])
-def test_an_acceleration_noise_that_no_satellite_has_is_refused(tumble, noise):
-    with pytest.raises(InputError, match="acceleration_noise must lie between"):
-        ss.rates(CRAFT, tumble[0], acceleration_noise=noise)

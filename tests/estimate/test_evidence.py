@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from sunspin.estimate.chain import Fit, fit
+from sunspin.estimate.chain import fit
 from sunspin.estimate.evidence import PassFits, ladder, over_shares, share_noise
 from sunspin.estimate.settings import LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
@@ -41,18 +41,12 @@ def test_a_fit_without_unknown_sizes_is_unchanged():
     assert over_shares(one, 3.0) is one
 
 
-def test_a_stated_strength_is_one_rung():
-    model, motions = problem(noise=1e-4)
-    fits = ladder(model, motions, replace(LADDER, rungs=(1e-6,)), SEARCH, 1e-4)
-    assert [one.model.noise.acceleration for one in fits] == [1e-6]
-
-
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
     model, motions = problem()
     fits = ladder(model, motions, LADDER, SEARCH, 1e-4)
     logs = {one.model.noise.acceleration: one.log_evidence[0] for one in fits}
     assert logs[5e-6] > logs[1e-3]
-    assert sorted(logs) == list(logs)[-1:] + sorted(logs)[1:] or len(logs) == len(fits)
+    assert len(logs) == len(fits)
     best = fits[int(np.argmax([one.log_evidence[0] for one in fits]))]
     for one in fits:
         sigma = np.sqrt(np.einsum("nii->ni", one.motions.covariance[0, :, 3:, 3:]))
@@ -71,13 +65,7 @@ def passes_of(logs):
     passes = []
     for row in logs:
         fits = tuple(
-            Fit(
-                replace(model, noise=replace(model.noise, acceleration=rung)),
-                one.motions,
-                np.array([log]),
-                one.u_covariance,
-                one.states_by_u,
-            )
+            replace(one, model=model.under(rung), log_evidence=np.array([log]))
             for rung, log in zip(LADDER.rungs, row, strict=True)
         )
         passes.append(PassFits(model, fits, LADDER.rungs, np.full(7, -np.log(7))))
@@ -140,12 +128,13 @@ def test_a_motion_that_ends_on_its_way_under_the_first_torques_is_followed_down_
     poor = replace(motions, omega=motions.omega + off)
     hurried = replace(LADDER, first_steps=1, steps=3)
     first = fit(model.under(5e-6), poor, 1)
-    found = {
-        one.model.noise.acceleration: one for one in ladder(model, motions, LADDER, SEARCH, 5e-6)
-    }
-    again = {
-        one.model.noise.acceleration: one for one in ladder(model, poor, hurried, SEARCH, 5e-6)
-    }
-    best = found[5e-6].log_evidence.max()
+    best, again = (
+        max(
+            one.log_evidence.max()
+            for one in ladder(model, begin, settings, SEARCH, 5e-6)
+            if one.model.noise.acceleration == 5e-6
+        )
+        for begin, settings in ((motions, LADDER), (poor, hurried))
+    )
     assert first.log_evidence[0] < best - LADDER.hopeless
-    assert np.isclose(again[5e-6].log_evidence.max(), best, atol=0.1)
+    assert np.isclose(again, best, atol=0.1)

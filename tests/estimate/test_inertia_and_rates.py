@@ -37,10 +37,9 @@ def spin():
     moments only."""
     t = np.arange(0.0, 500.0, 5.0)
     rate = np.radians([7.0, -6.0, 8.0])
-    telemetry = ss.twin(
-        CUBE, {"omega_B": rate, "sun_B": [0.6, -0.48, 0.64], "t_s": t, "scale": 1.0}, seed=4
-    )
-    return telemetry, ss.propagate(CUBE, rate, [0.6, -0.48, 0.64], None, t)["omega_B"].values
+    sun = [0.6, -0.48, 0.64]
+    telemetry = ss.twin(CUBE, {"omega_B": rate, "sun_B": sun, "t_s": t, "scale": 1.0}, seed=4)
+    return telemetry, ss.propagate(CUBE, rate, sun, None, t)["omega_B"].values
 
 
 def pulls(vehicle: Vehicle, spin) -> np.ndarray:

@@ -6,47 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.integrate import quad
 
 import sunspin as ss
-from sunspin.base.errors import InputError
-from sunspin.cases import load_case
-from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.window import observe_window
 from sunspin.telemetry.assess import assess
-from tests.support.philae import with_panels_as_drawn
-
-PHILAE = with_panels_as_drawn(load_case("philae").vehicle)
-OMEGA, SUN = np.array([0.05, -0.08, 0.04]), np.array([0.6, 0.0, 0.8])
-
-
-def lander_telemetry(t_s: np.ndarray, noise: float = 0.0) -> xr.Dataset:
-    """Return telemetry of Philae's panels, in a motion that begins with `OMEGA`, `SUN` and the wheel as in its file."""
-    wheels = [wheel.speed_rad_s for wheel in PHILAE.wheels]
-    run = ss.propagate(PHILAE, OMEGA, SUN, wheels, t_s)
-    power = 2.5 * ss.panel_power(PHILAE, run["sun_B"].values)
-    power = np.maximum(power + noise * np.random.default_rng(0).standard_normal(power.shape), 0.0)
-    return xr.Dataset(
-        {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t_s), np.uint8))},
-        {"time": t_s, "panel": list(PHILAE.panel_names)},
-        {"epoch_utc": "2014-11-12T15:34:04Z", "synthetic": 1, "quantity": "power_W"},
-    )
-
-
-def lander_model(t_s=None, **priors) -> LanderModel:
-    """Return the model of Philae with its readings at times (n)."""
-    t_s = 100.0 * np.arange(8) if t_s is None else t_s
-    assessment = assess(PHILAE, lander_telemetry(t_s))
-    return with_priors(assessment, observe_window(assessment), priors)[0]
-
-
-def nominal(model: LanderModel, count: int = 1) -> Shots:
-    """Return the motion of the telemetry, so many times over."""
-    u = np.zeros((count, len(model.unknowns)))
-    return Shots(np.tile(OMEGA, (count, 1)), np.tile(SUN, (count, 1)), u)
+from tests.support.landers import OMEGA, PHILAE, SUN, lander_model, lander_telemetry, nominal
 
 
 def test_a_motion_is_that_of_propagate_from_any_reference():
@@ -97,10 +64,8 @@ def test_a_body_that_cannot_exist_is_drawn_in_until_it_can():
     moments = np.linalg.eigvalsh(model.bodies(u).inertia_kg_m2[0])
     assert moments[2] == pytest.approx(moments[0] + moments[1], rel=1e-6)
     assert 0 < drawn_in[0, at] < 7.0
-    assert np.isinf(model.log_prior_density(replace(nominal(model, 2), u=u))).tolist() == [
-        True,
-        False,
-    ]
+    density = model.log_prior_density(replace(nominal(model, 2), u=u))
+    assert np.isinf(density).tolist() == [True, False]
     # of a normal prior with 30 % some bodies cannot exist, and the rest is normalised
     assert -2.0 < model.log_possible < -0.01
 
@@ -166,17 +131,8 @@ def test_priors_say_what_they_are_and_where_from():
     assert said["friction"] == "0.05 (assumed)"
     assert said["rate"] == "uniform in a ball of 0.3 rad/s"
     assert model.max_rate == 0.3
-    known, _ = with_priors(
-        assessment, window, {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
-    )
-    assert not known.of_motion
-    for wrong, text in (
-        ({"inertai": 1.0}, "priors know"),
-        ({"noise": -1.0}, "noise"),
-        ({"gain": True}, "gain"),
-    ):
-        with pytest.raises(InputError, match=text):
-            with_priors(assessment, window, wrong)
+    exact = dict.fromkeys(("inertia", "friction", "wheel_speed"), 0.0)
+    assert not with_priors(assessment, window, exact)[0].of_motion
 
 
 def test_a_window_holds_all_readings_and_a_sample_for_each_observation():
@@ -194,20 +150,13 @@ def test_a_window_holds_all_readings_and_a_sample_for_each_observation():
     assert np.flatnonzero(rate.present()).tolist() == [2]
     assert np.flatnonzero(gyro.present()).tolist() == [3]
     assert panels.brightness == pytest.approx(2.5, rel=0.05)
-    with pytest.raises(InputError, match="three samples with a lit panel"):
-        observe_window(assessment, begin_s=100.0, end_s=200.0)
-    with pytest.raises(InputError, match="no such phase"):
-        observe_window(assessment, phase="descent")
 
 
 def test_steps_in_coordinates_lead_there_and_back():
     rng = np.random.default_rng(0)
     sun = rng.standard_normal((5, 3))
-    shots = Shots(
-        rng.standard_normal((5, 3)),
-        sun / np.linalg.norm(sun, axis=1, keepdims=True),
-        rng.standard_normal((5, 4)),
-    )
+    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    shots = Shots(rng.standard_normal((5, 3)), sun, rng.standard_normal((5, 4)))
     step = 0.5 * rng.standard_normal((5, 9))
     moved = shots.moved(step)
     np.testing.assert_allclose(moved.from_centre(shots), step, atol=1e-12)

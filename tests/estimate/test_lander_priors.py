@@ -12,7 +12,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
-from sunspin.estimate.lander.grid import reference
+from sunspin.estimate.lander.grid import choose_reference
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
@@ -42,22 +42,6 @@ def model_of(craft: Vehicle, telemetry: xr.Dataset, **priors) -> tuple[LanderMod
 
 
 # ---- readings and brightness -----------------------------------------------------------------------------------------------
-
-
-def test_missing_readings_and_fillers_are_left_out_and_the_noise_is_that_of_dark_panels():
-    """A missing reading, a missing sample, and a converter's filler of 2e8 times full Sun; the file states no noise."""
-    craft = small_cube()
-    craft = replace(craft, telemetry=replace(craft.telemetry, noise=None))
-    telemetry = samples(craft)
-    value, rng = telemetry["current_A"].values, np.random.default_rng(8)
-    value[:] = np.where(value > 0, value, 0.02 * rng.standard_normal(value.shape))
-    value[3, 2], value[5], value[4, 1] = np.nan, np.nan, 99999999.0
-    window = observe_window(assess(craft, telemetry))
-    panels = window.obs.terms[0]
-    assert len(window.obs) == 14
-    assert np.argwhere(~panels.used).tolist() == [[3, 2], [4, 1]]
-    assert any("a reading beyond full Sun" in remark for remark in window.remarks)
-    assert panels.sigma == pytest.approx(0.02, rel=0.4) and panels.largest < 1
 
 
 @pytest.mark.parametrize("lit", [20, 7])
@@ -135,24 +119,28 @@ def test_a_common_misalignment_of_the_file_turns_its_panels():
 # ---- refusals --------------------------------------------------------------------------------------------------------------
 
 
+OBSERVED = {"kind": "rate", "t_s": 1.0, "value": 1.0, "sigma": 1.0}
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
         ({"priors": {"inertai": 0.1}}, "priors know"),
         ({"priors": {"wheel_off_s": 40.0}}, r"\(found wheel_off_s\); leave it out"),
+        ({"priors": {"gain": True}}, "gain"),
+        ({"begin_s": 100.0, "end_s": 120.0}, "three samples with a lit panel"),
         ({"priors": {"inertia": -1}}, r"zero \(known\) or positive"),
         *(({"priors": {"time_s": x}}, "sigma of time_s") for x in (-1.0, np.nan, "two", True)),
         ({"phase": "descent"}, "no such phase"),
         ({"begin_s": 1e6}, "three samples"),
+        ({"observations": [OBSERVED | {"kind": "smell"}]}, "an observation has kind"),
+        ({"observations": [OBSERVED | {"t_s": 1e5}]}, "outside the window"),
         (
-            {"observations": [{"kind": "smell", "t_s": 1, "value": 1, "sigma": 1}]},
-            "an observation has kind",
-        ),
-        (
-            {"observations": [{"kind": "rate", "t_s": 1e5, "value": 1, "sigma": 1}]},
-            "outside the window",
+            {"observations": [OBSERVED | {"kind": "field", "value": [0.0, 3.0, 4.0], "more": 1}]},
+            "angle_rad",
         ),
         ({"seed": -1}, "seed must be a whole number"),
+        ({"draws": 0}, "draws must be a whole number"),
     ],
 )
 def test_bad_input_of_the_posterior_is_named(arguments, part):
@@ -170,7 +158,7 @@ def test_a_wheel_too_fast_for_the_window_is_refused_with_a_window_that_works():
     def searched(craft: Vehicle, count: int, span_s: float = 7200.0) -> None:
         """Look for the reference of samples over a time."""
         telemetry = samples(slow, count, span_s / (count - 1))
-        reference(model_of(craft, telemetry, **priors)[0], POSTERIOR.grid)
+        choose_reference(model_of(craft, telemetry, **priors)[0], POSTERIOR.grid)
 
     with pytest.raises(InputError, match="wheels at 5e\\+05 rad/s") as refused:
         searched(fast, 20)
@@ -189,7 +177,7 @@ def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit
     def place(limit: float):
         """Return the reference of the search under a largest rate."""
         model, _ = with_priors(assessment, window, {"max_rate_rad_s": limit})
-        return reference(model, POSTERIOR.grid, given_rate=True)
+        return choose_reference(model, POSTERIOR.grid, given_rate=True)
 
     with pytest.raises(InputError, match=r"asks for \S+ starts, and 4e\+07 at most") as refused:
         place(rate)

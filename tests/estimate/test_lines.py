@@ -132,9 +132,8 @@ def test_the_dataset_of_lines_holds_their_points_and_distances():
 def test_line_deviation_by_hand(sign):
     """The z axis against a line that leaves it at atan(3/4): 0.3 away at height 0.4, whichever way the line points."""
     z_axis = (np.zeros(3), sign * np.array([0, 0, 2.0]))
-    deviation = line_deviation(
-        z_axis, (np.array([0.3, 0, 0.4]), np.array([0.6, 0, 0.8])), low=0.0, high=0.4
-    )
+    other = (np.array([0.3, 0, 0.4]), np.array([0.6, 0, 0.8]))
+    deviation = line_deviation(z_axis, other, low=0.0, high=0.4)
     assert deviation["angle_rad"] == pytest.approx(np.arctan(0.75))
     assert deviation["max"] == pytest.approx(0.3)
     assert deviation["mean"] == pytest.approx(0.15)

@@ -102,9 +102,8 @@ def test_a_zero_that_is_exact_on_one_axis_has_a_sigma_that_can_be_inverted():
 
 def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_attitudes():
     """In two bodies that are rotated differently: the strength and the angle to the Sun are all that the fit needs."""
-    case = check_case(1, 1)
-    orbit = orbit_of(case[2], case[1], case[3])
-    t_s = case[1]["time"].values
+    vehicle, data, elements, about = check_case(1, 1)
+    orbit, t_s = orbit_of(elements, data, about), data["time"].values
     matrix, zero = np.eye(3) + 0.08 * np.random.default_rng(5).normal(size=(3, 3)), [0.5, -0.3, 0.9]
     sky = Sky.along(orbit, t_s, np.zeros(1))
     for seed in (1, 2):
@@ -116,11 +115,11 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         in_T = scales.in_T(state.unknown)[0]
         np.testing.assert_allclose(in_T[MATRIX].reshape(3, 3), 4e-5 * matrix, atol=4e-8)
         # the fit with attitudes, from a start that is far off
-        vehicle = replace(case[0], sensors=replace(case[0].sensors, magnetometer=None))
-        prior = priors(vehicle, readings, orbit)
+        bare = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=None))
+        prior = priors(bare, readings, orbit)
         prior[12] = prior[13] = 1e-3  # the place is known
         start = Begin(4e-5 * np.eye(3), np.zeros(3))
-        fitted = fit_along(orbit, vehicle, readings, start, prior)
+        fitted = fit_along(orbit, bare, readings, start, prior)
         np.testing.assert_allclose(fitted.matrix_T, 4e-5 * matrix, atol=4e-8)
         np.testing.assert_allclose(fitted.zero, zero, atol=1e-3)
         assert fitted.strength[1] < 1e-8 and fitted.angle[1] < 1e-3
@@ -177,9 +176,8 @@ def test_noise_of_the_magnetometer_shrinks_its_matrix_less_by_the_distance_of_re
 
 
 def test_the_field_between_offsets_is_that_of_the_orbit():
-    case = check_case(1, 1)
-    orbit = orbit_of(case[2], case[1], case[3] | {"sigma_s": 9.0})
-    t_s = case[1]["time"].values[:40]
+    _, data, elements, about = check_case(1, 1)
+    orbit, t_s = orbit_of(elements, data, about | {"sigma_s": 9.0}), data["time"].values[:40]
     table = Sky.along(orbit, t_s, np.arange(-60.0, 61.0, 20.0))
     field, slope = table.field_at(33.0)
     near = Sky.along(orbit, t_s, np.array([32.0, 33.0, 34.0])).field

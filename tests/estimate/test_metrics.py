@@ -65,9 +65,7 @@ def test_direction_error_by_hand():
     assert ss.direction_error(x, y) == 0.5
     angle = np.radians(6.1)
     tilted = np.array([[np.cos(angle), np.sin(angle), 0]])
-    assert ss.direction_error(x, tilted) == pytest.approx(
-        0.0028, abs=5e-5
-    )  # E = 0.0028 is 6.1 degrees
+    assert ss.direction_error(x, tilted) == pytest.approx(0.0028, abs=5e-5)
 
 
 def test_direction_error_leaves_out_samples_without_a_direction():

@@ -12,17 +12,17 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.base.errors import SunspinError
+from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import posterior
-from sunspin.estimate.settings import POSTERIOR, SAMPLING
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
 from tests.support.any_vehicle import judge_posterior, posterior_case
+from tests.support.landers import FEW, sigmas_off
 from tests.support.vehicles import LOWER_CASE_FACES, small_cube
 from validation.calibrate import NEAR_SIGMAS
 
 RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)
 PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0, "inertia": 0.0}
-FEW = replace(POSTERIOR, sampling=replace(SAMPLING, draws=800, wanted=700.0, walkers=50))
-"""Fewer draws than usual."""
 
 
 def samples(craft: Vehicle, count: int = 15, interval_s: float = 20.0) -> xr.Dataset:
@@ -30,14 +30,6 @@ def samples(craft: Vehicle, count: int = 15, interval_s: float = 20.0) -> xr.Dat
     off = np.random.default_rng(0).uniform(-3, 3, count - 1)
     t_s = interval_s * np.arange(count) + np.append(0.0, off)
     return ss.twin(craft, {"omega_B": RATE, "sun_B": SUN, "t_s": t_s, "scale": 0.37}, seed=1)
-
-
-def distances(tree: xr.DataTree, rate: np.ndarray = RATE) -> np.ndarray:
-    """Return how many sigmas each solution is from a rate."""
-    solutions = tree["solutions"]
-    off = rate - solutions["omega_B"].values
-    inverse = np.linalg.inv(solutions["omega_cov_B"].values)
-    return np.sqrt(np.einsum("ki,kij,kj->k", off, inverse, off))
 
 
 @pytest.fixture(scope="module")
@@ -48,15 +40,19 @@ def telemetry() -> xr.Dataset:
 
 @pytest.mark.evidence("posterior", "modelled", "simulated telemetry of a cube without a wheel")
 def test_the_posterior_holds_the_truth_whatever_single_readings_say(telemetry):
-    """The file states neither brightness nor noise; noise is on dark panels too, and one reading is a converter's filler."""
+    """The file states no noise, which is on dark panels too; a reading and a sample are missing, one reading is a filler."""
     craft = small_cube()
     craft = replace(craft, telemetry=replace(craft.telemetry, noise=None))
     wild = telemetry.copy(deep=True)
     value, rng = wild["current_A"].values, np.random.default_rng(8)
     value[:] = np.where(value > 0, value, 0.02 * rng.standard_normal(value.shape))
-    value[4, 1] = 99999999.0
+    value[3, 2], value[5], value[4, 1] = np.nan, np.nan, 99999999.0
+    window = observe_window(assess(craft, wild))
+    assert len(window.obs) == 14
+    assert np.argwhere(~window.obs.terms[0].used).tolist() == [[3, 2], [4, 1]]
+    assert any("a reading beyond full Sun" in remark for remark in window.remarks)
     tree = posterior(craft, wild, PRIORS, workers=1, settings=FEW)
-    assert tree.attrs["verdict_word"] == "unique" and distances(tree)[0] < 4
+    assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, RATE)[0] < 4
     assert np.exp(tree["posterior"]["log_scale"].values).mean() == pytest.approx(0.37, rel=0.05)
 
 
@@ -72,7 +68,7 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
     tree = posterior(craft, samples(craft, 20, 15.0), PRIORS, workers=1, settings=FEW)
     probability = tree["solutions"]["probability"].values
     for rate in (RATE, RATE * [-1, -1, 1]):
-        near = distances(tree, rate) < NEAR_SIGMAS
+        near = sigmas_off(tree, rate) < NEAR_SIGMAS
         assert probability[near].sum() == pytest.approx(0.5, abs=0.1)
     assert tree.attrs["verdict_word"] == "aliases"
 
@@ -124,7 +120,7 @@ def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(telemetry):
     end_s = float(begins[1]) - 1.0
     lit = posterior(small_cube(), shadow, PRIORS, end_s=end_s, workers=1, settings=FEW)
     assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"]
-    assert distances(lit).min() < 4
+    assert sigmas_off(lit, RATE).min() < 4
 
 
 @pytest.mark.long

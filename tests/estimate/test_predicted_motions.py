@@ -57,9 +57,7 @@ def own_vehicle(vehicle: Vehicle, tree: xr.DataTree, draw: int) -> Vehicle:
 
 
 @pytest.mark.evidence(
-    "posterior",
-    "verified",
-    "the reference propagator, through the wheel stop and backward",
+    "posterior", "verified", "the reference propagator, through the wheel stop and backward"
 )
 def test_predicted_draws_agree_with_the_reference_through_the_wheel_stop_and_backward(craft):
     """Each with its own inertia, friction and wheel speed; the wheel stops at about 2500 s."""

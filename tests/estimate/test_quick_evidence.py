@@ -5,7 +5,6 @@ import xarray as xr
 
 from sunspin.estimate import wheels
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.carry import step
 from sunspin.estimate.evidence import PassFits, leading
 from sunspin.estimate.model import Body, Model, Noise
 from sunspin.estimate.observe import Pass, observe
@@ -48,14 +47,3 @@ def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search(monkeypatch):
     assert (
         wheels.doubted_signs(assess(CUBE, telemetry), model.obs, "none", compared, fitter) is None
     )
-
-
-def test_one_inertia_for_all_motions_carries_them_as_one_of_each_does():
-    rng = np.random.default_rng(1)
-    omega, dt = 0.1 * rng.normal(size=(5, 4, 3)), np.array([7.0, 11.0, 20.0, 31.0])
-    inertia, errors = np.diag([0.8, 1.0, 1.2]), 0.1 * np.eye(3)[:, :, None] * np.eye(3)[:, None]
-    momenta = 0.02 * rng.normal(size=(2, 4, 3))
-    shared = step(inertia, omega, dt, tuple(momenta), True, errors)
-    each = step(np.repeat(inertia[None], 5, axis=0), omega, dt, tuple(momenta), True, errors)
-    for one, other in zip(shared, each, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-14)

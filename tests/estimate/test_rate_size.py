@@ -9,7 +9,7 @@ import sunspin as ss
 from sunspin.estimate.model import States
 from sunspin.estimate.rates import rates
 from sunspin.estimate.terms.rate_size import RateSize as SizeTerm
-from sunspin.estimate.terms.term import facing, student
+from sunspin.estimate.terms.term import student
 from sunspin.vehicle.sensors import RateSize, Sensors
 from validation.passes import FACES, observe, spin
 
@@ -73,29 +73,6 @@ def test_an_uncertain_scale_is_estimated():
     # the reading less its error is the size: 1.1 size (1 - u) = size
     assert abs(value - (1 - 1 / 1.1)) < 4 * sigma and sigma < 0.03
     assert result["decided"].values[0]
-
-
-@pytest.mark.parametrize("scale_sigma", [0.0, 0.2])
-def test_derivatives_of_a_size_are_those_of_differences(scale_sigma):
-    rng = np.random.default_rng(0)
-    k, n, step = 3, 6, 1e-6
-    size = np.where(np.arange(n) == 2, np.nan, rng.random(n))
-    term = SizeTerm(size, 0.05, scale_sigma)
-    omega, u = rng.normal(size=(k, n, 3)), rng.normal(size=(k, len(term.unknowns())))
-    attitude = facing(np.tile([0.0, 0.0, 1.0], (k, n, 1)))
-
-    def value(omega, u):
-        return next(term.residuals(States(attitude, omega), u)).value
-
-    residual = next(term.residuals(States(attitude, omega), u))
-    assert residual.by_turn is None and residual.value.shape == (k, n, 1)
-    assert not residual.value[:, 2].any()
-    for axis, along in enumerate(np.eye(3)):
-        by = (value(omega + step * along, u) - value(omega - step * along, u)) / (2 * step)
-        assert np.allclose(residual.by_rate[..., axis], by, atol=1e-6)
-    if scale_sigma:
-        by = (value(omega, u + step) - value(omega, u - step)) / (2 * step)
-        assert np.allclose(residual.by_u[..., 0], by, atol=1e-6)
 
 
 def test_a_body_at_rest_has_a_residual_and_no_slope():

@@ -27,7 +27,8 @@ from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Clock, Disturbance, Magnetometer, Sensors
 from tests.support.orbit_cases import one_pass, orbit_of, pass_against_truth, rates_case
-from tests.support.simulate import cube_with_late_sensor, cube_with_sensor
+from tests.support.simulate import cube_with_late_sensor, cube_with_sensor, pulls
+from tests.support.vehicles import small_cube
 from validation import spinners
 
 
@@ -82,12 +83,15 @@ def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
     assert counts == [2, 1]
 
 
-def test_a_pass_that_begins_in_the_dark_keeps_its_samples_close_where_the_sun_is_seen():
-    settings = RATES.passes
-    places = thinned(400, settings, 200)
-    steps = np.diff(places)
-    assert len(places) <= settings.kept and places[0] == 0 and places[-1] == 399
-    assert steps[np.searchsorted(places, 200)] == 1 and steps[0] > 5 and steps[-1] > 5
+@pytest.mark.parametrize(("count", "sunlit"), [(41, 0), (200, 0), (3000, 0), (400, 200)])
+def test_kept_samples_are_close_where_the_sun_is_first_seen_and_reach_both_ends(count, sunlit):
+    places = thinned(count, RATES.passes, sunlit)
+    steps, first = np.diff(places), np.searchsorted(places, sunlit)
+    assert len(places) <= RATES.passes.kept and places[0] == 0 and places[-1] == count - 1
+    assert steps[first] == 1
+    for away in (steps[first:], steps[:first][::-1]):
+        assert (away[1:] <= np.ceil(RATES.passes.growth * away[:-1]) + 1).all()
+    assert sunlit == 0 or (steps[0] > 5 and steps[-1] > 5)
 
 
 def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(case):
@@ -223,29 +227,14 @@ def test_a_late_gyro_of_which_the_file_says_nothing_does_not_fit():
 @pytest.mark.long
 @pytest.mark.evidence("rates", "modelled", "a simulated spinner with a large unknown zero")
 def test_a_spinner_with_a_large_zero_has_the_true_rate(tmp_path):
-    spin = spinners.Case(
-        5,
-        2,
-        -6.0,
-        1,
-        1.0,
-        ("+X", "-Y"),
-        spinners.AS_MOUNTED,
-        (0.9, -0.6, 0.4),
-        True,
-        1.3,
-        True,
-        0.1,
-        2.0,
-        150,
-    )
-    truth = spinners.make(spin, tmp_path)
+    body, zero = (5, 2, -6.0, 1, 1.0, ("+X", "-Y")), (0.9, -0.6, 0.4)
+    rest = (True, 1.3, True, 0.1, 2.0, 150)
+    truth = spinners.make(spinners.Case(*body, spinners.AS_MOUNTED, zero, *rest), tmp_path)
     craft = ss.load_vehicle(tmp_path / "vehicle.toml")
     result = rates(craft, ss.read_telemetry(tmp_path / "telemetry.csv", craft))
     rate, sigma, at_s = middle_rate(result)
-    true = np.radians(
-        np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - at_s).argmin()]
-    )
+    at = np.abs(np.array(truth["t_s"]) - at_s).argmin()
+    true = np.radians(truth["rates_deg_s"][at])
     assert np.abs((rate - true) / sigma).max() < 4 and result["fits"].values[0]
 
 
@@ -256,40 +245,21 @@ ORBIT = circular(1.1e-3, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
 @pytest.mark.evidence("rates", "modelled", "a simulated CubeSat that gravity turns")
 def test_gravity_determines_the_turn_about_the_sun():
     inertia = np.array([[0.042, 0.0005, 0.0], [0.0005, 0.041, -0.001], [0.0, -0.001, 0.009]])
-    cube = Vehicle(
-        "cube",
-        inertia,
-        telemetry=TelemetryForm(quantity="current_A", noise=0.01),
-        panels=[
-            Panel(f"{sign}{axis}", x, 1.0)
-            for axis, e in zip("xyz", np.eye(3), strict=True)
-            for sign, x in (("+", e), ("-", -e))
-        ],
-    )
+    cube = replace(small_cube(0.01), inertia_kg_m2=inertia)
     rng, attitude = np.random.default_rng(3), Rotation.random(random_state=4)
     t_s = np.concatenate([[0.0], np.cumsum(60 * rng.uniform(0.7, 1.3, 29))])
-    run = ss.propagate(
-        cube,
-        np.array([0.004, -0.003, 0.006]),
-        attitude.apply([0, 0, 1]),
-        None,
-        t_s,
-        environment=ORBIT,
-        torques=("gravity_gradient",),
-        B_from_N=attitude.as_quat(),
-    )
+    gravity = {"environment": ORBIT, "torques": ("gravity_gradient",)}
+    start, sun = np.array([0.004, -0.003, 0.006]), attitude.apply([0, 0, 1])
+    run = ss.propagate(cube, start, sun, None, t_s, B_from_N=attitude.as_quat(), **gravity)
     power = ss.panel_power(cube, run["sun_B"].values)
     power = np.maximum(power + 0.01 * rng.normal(size=power.shape), 0)
     data = telemetry_dataset(cube, t_s, power, run["sun_B"].values, "2026-01-01T00:00:00Z", {})
-    options = {"acceleration_noise": 1e-7, "max_rate_rad_s": 0.03, "environment": ORBIT}
-    free = rates(cube, data, **options)
-    pulled = rates(cube, data, torques=("gravity_gradient",), **options)
-    off = [
-        each["omega_B"].values - run["omega_B"].sel(time=each["time"]).values
-        for each in (free, pulled)
-    ]
-    errors = np.mean(off[1] ** 2 / np.einsum("nii->ni", pulled["omega_cov_B"].values))
-    assert np.sqrt(errors) < 1.5 and np.abs(off[1]).mean() < np.abs(off[0]).mean() / 2
+    options = {"acceleration_noise": 1e-7, "max_rate_rad_s": 0.03}
+    free = rates(cube, data, environment=ORBIT, **options)
+    pulled = rates(cube, data, **gravity, **options)
+    true_rate = run["omega_B"].sel(time=free["time"]).values
+    off = [np.abs(each["omega_B"].values - true_rate).mean() for each in (free, pulled)]
+    assert np.sqrt(np.mean(pulls(pulled, run) ** 2)) < 1.5 and off[1] < off[0] / 2
     found = Rotation.from_quat(pulled["B_from_N"].values)
     true = Rotation.from_quat(run["B_from_N"].values)
     assert np.degrees((found * true.inv()).magnitude()).max() < 20.0

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sunspin.base.errors import InputError
-from sunspin.estimate.observe import thinned
+from sunspin.base.errors import InputError, SunspinError
 from sunspin.estimate.rates import rates
-from sunspin.estimate.settings import RATES, PassSettings
-from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
+from sunspin.estimate.settings import RATES
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls, simulated_pass, uneven_times
 from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
 from validation.passes import observe as observe_passes
 
@@ -37,9 +36,7 @@ def test_two_passes_cover_the_truth_whatever_the_workers():
     )
     xr.testing.assert_allclose(alone, together, rtol=1e-9, atol=1e-9)
     assert alone["decided"].values.all() and alone["fits"].values.all()
-    truth = run["omega_B"].sel(time=alone["time"]).values
-    sigma = np.sqrt(np.einsum("nii->ni", alone["omega_cov_B"].values))
-    pull = (alone["omega_B"].values - truth) / sigma
+    pull = pulls(alone, run)
     assert np.abs(pull).max() < 5 and np.sqrt((pull**2).mean()) < 2
 
 
@@ -61,56 +58,26 @@ def test_one_pass_of_a_file_can_be_asked_for():
         rates(vehicle, telemetry, pass_id=2)
 
 
+def compared(kind: str, number: int):
+    """Return the result of a simulated pass, and how it compares with the truth."""
+    simulated = make(kind, 0, number)
+    limit = simulated.max_rate_rad_s
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=limit)
+    return result, compare_with_truth(result, simulated)
+
+
 @pytest.mark.parametrize(
     "kind", ["right model", "steady torque", "step of the rate", "slow", "jitter"]
 )
 def test_simulated_passes_are_not_decided_and_wrong(kind):
-    simulated = make(kind, 0, 0)
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
-    row = compare_with_truth(result, simulated)
+    _, row = compared(kind, 0)
     assert row["listed"] and not (row["decided"] and row["wrong"])
 
 
 def test_a_step_of_the_rate_is_named_and_its_pass_decided():
-    simulated = make("step of the rate", 0, 9)
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=simulated.max_rate_rad_s)
-    row = compare_with_truth(result, simulated)
+    result, row = compared("step of the rate", 9)
     assert "step of the rate" in str(result["model"].values[0])
     assert row["decided"] and row["pull"] < 3
-
-
-def test_a_long_pass_is_searched_thinned_and_filled():
-    """Eighty samples: forty are searched, all have a rate, and the residuals of all are as their noise says."""
-    rng = np.random.default_rng(5)
-    telemetry, run = simulated_pass(
-        CUBE_WITHOUT_NOISE_STATED,
-        [0.02, 0.03, -0.04],
-        uneven_times(rng, 80, 8.0, 0.2),
-        rng,
-        albedo=0.0,
-    )
-    result = rates(CUBE_WITHOUT_NOISE_STATED, telemetry, max_rate_rad_s=0.15)
-    assert result.attrs["samples_searched"] == 40 and result.sizes["time"] == 80
-    assert result["fits"].values.all() and result["misfit"].values[0, 0, 0] == 80
-    truth = run["omega_B"].sel(time=result["time"]).values
-    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
-    assert (np.abs(result["omega_B"].values - truth) / sigma).max() < 5
-
-
-def test_kept_samples_begin_dense_and_reach_both_ends():
-    s = PassSettings()
-    for count in (41, 200, 3000):
-        kept = thinned(count, s)
-        steps = np.diff(kept)
-        assert len(kept) <= s.kept and kept[0] == 0 and kept[-1] == count - 1
-        assert steps[0] == 1 and (steps[1:] <= np.ceil(s.growth * steps[:-1]) + 1).all()
-
-
-def test_a_search_that_was_cut_short_is_not_decided():
-    vehicle, telemetry, _ = two_passes()
-    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, effort=1e-6, pass_id=0)
-    assert not result["search_complete"].values[0] and not result["decided"].values[0]
-    assert "SEARCH STOPPED" in result.attrs["verdict"]
 
 
 def test_a_stated_strength_of_torques_is_used():
@@ -123,9 +90,13 @@ def test_a_stated_strength_of_torques_is_used():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"max_rate_rad_s": -1.0}, "max_rate_rad_s must be positive"),
-        ({"acceleration_noise": 3.0}, "acceleration_noise must lie between"),
+        *(({"max_rate_rad_s": bad}, "max_rate_rad_s must be positive") for bad in (-1.0, np.nan)),
+        *(
+            ({"acceleration_noise": bad}, "acceleration_noise must lie between")
+            for bad in (-1.0, 0.0, 1e-30, 3.0, np.nan)
+        ),
         ({"source": "sun_sensor"}, "no Sun from sun_sensor"),
+        ({"source": "stars"}, "no Sun from stars"),
         ({"effort": 0}, "effort must be a positive number"),
         ({"gap_s": 1e-3}, "no pass has three samples"),
     ],
@@ -134,6 +105,20 @@ def test_options_out_of_range_are_refused(options, words):
     vehicle, telemetry, _ = two_passes()
     with pytest.raises(InputError, match=words):
         rates(vehicle, telemetry, **options)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.isel(time=slice(0, 2)), "fewer than three samples"),
+        (lambda data: data.drop_vars("power_W"), "no Sun from panels or Sun sensors"),
+        (lambda data: data.assign(power_W=0 * data["power_W"]), "fewer than three samples"),
+    ],
+)
+def test_telemetry_without_rates_is_refused(change, words):
+    vehicle, telemetry, _ = two_passes()
+    with pytest.raises(SunspinError, match=words):
+        rates(vehicle, change(telemetry))
 
 
 def test_settings_are_taken():

@@ -1,4 +1,4 @@
-"""Exchanged columns of a file that fits: the samples, each by itself, cannot tell them apart, but the motion can."""
+"""Exchanged columns of a file that fits, which the motion distinguishes; and motions that look the same, which stay open."""
 
 import json
 
@@ -7,17 +7,21 @@ import pytest
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.column_tests import silent_columns
-from sunspin.estimate.columns import check_columns
+from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time
 from sunspin.estimate.equivalence import AS_WRITTEN, exchange
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.verdict import COLUMNS_UNCHECKED, rates_words
 from sunspin.telemetry.assess import assess
+from tests.support.simulate import FOUR_SIDES, simulated_pass, uneven_times
 from validation.exchanges import draw_satellite, files
 from validation.passes import make
 
 CASE = "exchanged, six panels", 0, 12
 """A body that turns about z with the Sun near -z; the columns of -x and -y are exchanged."""
+
+HIDDEN = 7, 1
+"""A satellite with a wheel and five panels, three of them lit; with +Z and -X exchanged its file fits a motion 74 sigma off."""
 
 
 @pytest.fixture(scope="module")
@@ -25,88 +29,118 @@ def spinner():
     return make(*CASE)
 
 
-def fail(*_):
-    """Stand for a whole estimate, for which no budget is left."""
-    raise AssertionError("estimated without a budget")
-
-
 def estimate(simulated, telemetry):
     limit = simulated.max_rate_rad_s
     return rates(simulated.vehicle, telemetry, max_rate_rad_s=limit, column_tests=True)
 
 
-def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
-    result = estimate(spinner, spinner.telemetry)
+def of_satellite(number, order):
+    """Return a drawn satellite, and the result of its file with the columns in another order."""
+    craft = draw_satellite(*number)
+    vehicle, data = files(craft, np.array(order), craft.momenta)
+    return craft, rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
+
+
+def fits_and_names(result) -> dict:
+    """Return by name the changes that a result names, which fits and is not decided."""
     assert result["fits"].values.all() and not result["decided"].values.any()
     assert "columns, signs or axes" in str(result["why_not_decided"].values[0])
-    changes = json.loads(result.attrs["columns_changes"])
-    named = {change["what"]: change for change in changes}
-    right = named["the columns of panels -x and -y exchanged"]
+    return {change["what"]: change for change in json.loads(result.attrs["columns_changes"])}
+
+
+def is_not_accused(result) -> bool:
+    return bool(result["decided"].values.all()) and "columns_doubt" not in result.attrs
+
+
+def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
+    named = fits_and_names(estimate(spinner, spinner.telemetry))
+    right = named.pop("the columns of panels -x and -y exchanged")
     at = np.argmin(np.abs(spinner.telemetry["time"].values - right["at_s"]))
     np.testing.assert_allclose(right["omega_deg_s"], np.degrees(spinner.omega[at]), atol=0.3)
     # the mirror of that motion, with the columns that look the same, is all else that is named
-    assert set(named) - {right["what"]} == {"the columns of panels +x and +y exchanged"}
-
-
-def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
-    """A file that fits, so that nothing but its dark columns is tried."""
-    as_given = assess(spinner.vehicle, spinner.telemetry)
-    result = rates(spinner.vehicle, as_given, max_rate_rad_s=spinner.max_rate_rad_s)
-    checked = check_columns(result, as_given, None, fail, False, RATES, Budget(0.0))
-    assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
-    assert checked.attrs["column_tests_cut"] == 1
-    assert "not every other order of columns was tried" in rates_words(checked)
+    assert set(named) == {"the columns of panels +x and +y exchanged"}
 
 
 def test_a_right_file_with_dark_columns_is_not_accused(spinner):
     power = spinner.telemetry["power_W"].values[:, [0, 1, 2, 4, 3, 5]]
     result = estimate(spinner, spinner.telemetry.assign(power_W=(("time", "panel"), power)))
-    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    assert is_not_accused(result)
     omega = [result[f"omega_{axis}"].values[0, 0] for axis in "xyz"]
     at = len(spinner.omega) // 2
     assert np.degrees(np.linalg.norm(omega - spinner.omega[at])) < 0.5
 
 
-HIDDEN = 7, 1
-"""A satellite with a wheel and five panels, three of them lit; with +Z and -X exchanged its file fits a motion 74 sigma off."""
+def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
+    """A file that fits, so that nothing but its dark columns is tried."""
+
+    def fail(*_):
+        raise AssertionError("estimated without a budget")
+
+    as_given = assess(spinner.vehicle, spinner.telemetry)
+    result = rates(spinner.vehicle, as_given, max_rate_rad_s=spinner.max_rate_rad_s)
+    checked = check_columns(result, as_given, None, fail, RATES, Budget(0.0))
+    assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
+    assert checked.attrs["column_tests_cut"] == 1
+    assert "not every other order of columns was tried" in rates_words(checked)
 
 
 def test_exchanged_lit_columns_are_named_with_the_true_rate_though_the_file_fits():
-    craft = draw_satellite(*HIDDEN)
-    vehicle, data = files(craft, np.array([0, 2, 1, 3, 4]), craft.momenta)
-    result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
-    assert result["fits"].values.all() and not result["decided"].values.any()
-    named = {change["what"]: change for change in json.loads(result.attrs["columns_changes"])}
-    right = named["the columns of panels +Z and -X exchanged"]
+    craft, result = of_satellite(HIDDEN, [0, 2, 1, 3, 4])
+    right = fits_and_names(result)["the columns of panels +Z and -X exchanged"]
     at = np.argmin(np.abs(craft.t_s - right["at_s"]))
     np.testing.assert_allclose(right["omega_deg_s"], np.degrees(craft.omega[at]), atol=0.1)
 
 
 def test_the_right_file_of_that_satellite_is_not_accused():
-    craft = draw_satellite(*HIDDEN)
-    result = rates(
-        *files(craft, np.arange(5), craft.momenta), max_rate_rad_s=0.09, column_tests=True
-    )
-    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    assert is_not_accused(of_satellite(HIDDEN, range(5))[1])
 
 
 def test_a_right_file_whose_columns_without_a_signal_are_left_out_is_not_accused():
     """Two columns read next to nothing. One of them would be left out if they were exchanged, and both are in the right file."""
-    craft = draw_satellite(7, 0)
+    craft, result = of_satellite((7, 0), range(8))
     vehicle, data = files(craft, np.arange(8), craft.momenta)
-    exchanged = exchange(vehicle, 3, 6)
     assert silent_columns(vehicle, data, AS_WRITTEN) == {3, 6}
-    assert silent_columns(vehicle, data, exchanged) == {3}
-    result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
-    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    assert silent_columns(vehicle, data, exchange(vehicle, 3, 6)) == {3}
+    assert is_not_accused(result)
 
 
 def test_a_pass_is_not_decided_if_other_columns_fit_a_little_better():
     """With +Y and -X exchanged a cube without a wheel fits a motion 42 sigma off, worse by 6 in log evidence."""
-    craft = draw_satellite(7, 58)
-    vehicle, data = files(craft, np.array([2, 1, 0, 3, 4]), craft.momenta)
-    result = rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
+    _, result = of_satellite((7, 58), [2, 1, 0, 3, 4])
     assert not result["decided"].values.any()
     assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
     words = "the data fit as well with the columns of panels +Y and -X exchanged"
     assert words in result.attrs["verdict"] and "CHECK" not in result.attrs["verdict"]
+
+
+def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tests():
+    """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels."""
+    simulated = make("columns exchanged", 7, 4)
+    most = simulated.max_rate_rad_s
+    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=most)
+    assert result["fits"].values.all()
+    assert not result["decided"].values.any()
+    assert SAMPLES_DENY in str(result["why_not_decided"].values[0])
+    assert "estimate with column tests" in result.attrs["columns_doubt"]
+
+
+def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():
+    """Panels on four sides list both images; with one of them taken away the pass must not become unique."""
+    rng, omega = np.random.default_rng(4), np.array([0.02, -0.03, 0.04])
+    t_s = uneven_times(rng, 24, 12.0, 0.2)
+    data, _ = simulated_pass(FOUR_SIDES, omega, t_s, rng, albedo=0.0)
+    result = rates(FOUR_SIDES, data, max_rate_rad_s=0.15)
+    assert result.sizes["solution"] >= 2 and result.attrs["symmetric_unlisted"] == 0
+    yes, no_words = ("pass_id", [True]), ("pass_id", [""])
+    alone = result.isel(solution=[0]).assign(unique=yes, decided=yes, why_not_decided=no_words)
+    assessment = assess(FOUR_SIDES, data)
+    checked = check_columns(alone, assessment, None, None, RATES, Budget(np.inf))
+    assert checked.attrs["symmetric_unlisted"] == 1
+    assert not checked["unique"].values.any() and not checked["decided"].values.any()
+
+
+def test_times_are_clocks_on_the_day_of_the_epoch():
+    epoch = "2026-01-01T00:00:00Z"
+    assert clock_time(None, 61.4) == "61 s"
+    assert clock_time(epoch, 61.0) == "00:01:01"
+    assert clock_time(epoch, 86461.0).startswith("2026-01-02T00:01:01")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimate.chain import LEAST_TURN, Whitening, fit
+from sunspin.estimate.chain import fit
 from sunspin.estimate.evidence import over_shares
 from sunspin.estimate.model import Body, Model, Noise, Track
 from sunspin.estimate.observe import observe
@@ -18,18 +18,6 @@ from validation.passes import compare_with_truth, make
 def simulated():
     """Return a pass with a gyro whose time tags are off; some stand a millisecond apart."""
     return make("time tags", 7, 0)
-
-
-def test_the_covariance_of_a_short_interval_is_that_of_torques_and_of_the_least_turn():
-    dt, q = np.array([1e-3, 10.0]), 1e-4
-    white = Whitening.of(Noise(q), dt)
-    inverse = np.linalg.inv(white.matrix)
-    covariance = inverse @ np.swapaxes(inverse, -1, -2)
-    np.testing.assert_allclose(covariance[:, 0, 0], q**2 * dt**3 / 3 + LEAST_TURN**2)
-    np.testing.assert_allclose(covariance[:, 0, 3], q**2 * dt**2 / 2)
-    np.testing.assert_allclose(covariance[:, 3, 3], q**2 * dt)
-    size = np.linalg.slogdet(covariance)[1].sum() / 2
-    assert np.isclose(white.log_determinant, size)
 
 
 def test_states_and_unknowns_of_a_fit_keep_positive_variances(simulated):

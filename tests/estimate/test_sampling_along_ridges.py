@@ -10,16 +10,10 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
-from sunspin.estimate.lander.ridges import (
-    Bend,
-    Chart,
-    Equations,
-    Law,
-    Slopes,
-    monomials,
-    ridges_of,
-)
+from sunspin.estimate.lander.outer_law import Bend, OuterLaw
+from sunspin.estimate.lander.ridges import Chart, ridges_of
 from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
+from sunspin.estimate.lander.target import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
 from sunspin.solve.rotations import tangent_basis
@@ -49,11 +43,11 @@ class Bananas:
     lowest: float = -np.inf
     rate_max: float = 1.0
     reach_s: float = REACH_S
-    standing = np.array([1])
-    bending = np.array([0])
-    unknowns = (
-        Unknown("bend", "inertia", "1", 0.0, 1.0),
-        Unknown("brightness", "scale", "1", 0.0, 1.0),
+    reading_unknowns = np.array([1])
+    motion_unknowns = np.array([0])
+    unknowns = tuple(
+        Unknown(name, kind, "1", 0.0, 1.0)
+        for name, kind in (("bend", "inertia"), ("brightness", "scale"))
     )
 
     def _off(self, shots: Shots) -> np.ndarray:
@@ -82,33 +76,32 @@ class Bananas:
         facing = np.any(shots.sun @ self.sun.T > 0, axis=1)
         return np.where(facing & (shots.u[:, 0] >= self.lowest), normal, -np.inf)
 
-    def standing_slopes(self, seen, u, wider):
-        pull = -self._bright(u) / READ / wider**2
-        return pull[:, None], np.full((len(u), 1, 1), (READ * wider) ** -2)
+    def reading_slopes(self, seen, u, noise_factor):
+        pull = -self._bright(u) / READ / noise_factor**2
+        return pull[:, None], np.full((len(u), 1, 1), (READ * noise_factor) ** -2)
 
-    def linearised(self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0):
+    def linearised(
+        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
+    ):
         off = self._off(shots)
         nearest = np.argmin((off**2).sum(axis=2), axis=1)
         every = np.arange(len(shots))
-        residual = (
-            np.concatenate([off[every, nearest], self._bright(shots.u)[:, None]], axis=1) / wider
-        )
+        residual = np.column_stack([off[every, nearest], self._bright(shots.u)]) / noise_factor
         jacobian = np.zeros((len(shots), 6, 6))
         jacobian[:, range(3), range(3)] = 1 / RATE
         own = np.stack(tangent_basis(shots.sun), axis=1)
         across = np.stack(tangent_basis(self.sun), axis=1)[nearest]
         jacobian[:, 3:5, 3:5] = np.einsum("kai,kbi->kab", across, own) / TURN
         jacobian[:, 5, 5] = 1 / READ
-        jacobian /= wider
+        jacobian /= noise_factor
         matrix = np.swapaxes(jacobian, 1, 2) @ jacobian
         matrix[:, 5, 5] += 1
         slope = np.einsum("kri,kr->ki", jacobian, residual)
         slope[:, 5] += shots.u[:, 1]
         cost = (residual**2).sum(axis=1) / 2 + (shots.u**2).sum(axis=1) / 2
         same = np.zeros((len(shots), 5, 1))
-        return Equations(
-            cost, slope, matrix, Slopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
-        )
+        slopes = MotionSlopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
+        return Equations(cost, slope, matrix, slopes)
 
     def log_replicated(self, seen, u, rng) -> np.ndarray:
         """Log likelihood of six normal readings about the motions."""
@@ -147,7 +140,7 @@ TIED = 0.01
 class Tied(Bananas):
     """The same with a third unknown, the friction, that readings tie to the first one along a curve: u0 / 2 + u0^2 / 10."""
 
-    bending = np.array([0, 2])
+    motion_unknowns = np.array([0, 2])
     unknowns = (*Bananas.unknowns, Unknown("friction", "viscous", "1", 0.0, 1.0))
 
     def _tie(self, u: np.ndarray) -> np.ndarray:
@@ -159,10 +152,8 @@ class Tied(Bananas):
     @property
     def log_integral(self) -> float:
         """Log of the integral of the posterior: the tie is so narrow that the prior of friction is taken on the curve."""
-        tied, _ = quad(
-            lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2) / np.sqrt(2 * np.pi), -8, 8
-        )
-        return super().log_integral + float(np.log(TIED * tied))
+        tied, _ = quad(lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2), -8, 8)
+        return super().log_integral + float(np.log(TIED * tied / np.sqrt(2 * np.pi)))
 
     def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
         """The motion with friction on the curve."""
@@ -177,10 +168,9 @@ class Tied(Bananas):
         return replace(fit, motions=replace(fit.motions, u=u), curvature=whole + np.outer(tie, tie))
 
 
-def one(**changes) -> Bananas:
-    return Bananas(
-        np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1), **changes
-    )
+def one(of=Bananas, **changes) -> Bananas:
+    omega, sun = np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]])
+    return of(omega, sun, np.ones(1), **changes)
 
 
 def pair(weight: float) -> Bananas:
@@ -194,34 +184,39 @@ def drawn(target: Bananas, fit: ShotFit, seed: int = 0, **changes) -> Draws:
     return sample(target, fit, np.random.default_rng(seed), replace(SAMPLING, **changes))
 
 
+def weights(draws: Draws) -> np.ndarray:
+    return np.exp(draws.log_weight - logsumexp(draws.log_weight))
+
+
 def shares(draws: Draws) -> np.ndarray:
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    return np.bincount(draws.region, weights=weight)
+    return np.bincount(draws.region, weights=weights(draws))
 
 
 def moments(draws: Draws) -> tuple[float, float]:
     """Mean and standard deviation of the unknown that bends the ridge."""
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+    weight = weights(draws)
     mean = weight @ draws.shots.u[:, 0]
     return float(mean), float(np.sqrt(weight @ (draws.shots.u[:, 0] - mean) ** 2))
 
 
-def test_evidence_and_moments_of_a_bent_ridge():
-    # the ridge is 8 mrad/s long, and as wide as 0.2
+def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
+    """The ridge is 8 mrad/s long, and as wide as 0.2."""
     target = one()
     draws = drawn(target, target.fit([0]))
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
     assert draws.effective > 0.625 * len(draws) and draws.tail < 0.3 and draws.outside == 0.0
     mean, sigma = moments(draws)
     assert mean == pytest.approx(0.0, abs=0.06) and sigma == pytest.approx(1.0, abs=0.05)
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    bright = weight @ draws.shots.u[:, 1]
+    bright = weights(draws) @ draws.shots.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
+    # a law that ignored the curve would propose rates ten sigmas beside the ridge
+    off = target.run(draws.shots)[:, 0]
+    assert np.sqrt(weights(draws) @ off**2) == pytest.approx(np.ones(5), abs=0.06)
 
 
 def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
     """Evidence by quadrature; laws that know no bend leave fewer effective draws."""
-    target = Tied(np.array([[0.1, 0.05, -0.02]]), np.array([[0.0, 0.6, 0.8]]), np.ones(1))
+    target = one(Tied)
     few = {"draws": 1000, "rounds": 6, "wanted": 1e9}
     draws = drawn(target, target.fit([0]), **few)
     straight = drawn(target, target.fit([0]), thin=0.0, **few)
@@ -262,12 +257,12 @@ def test_a_bent_law_draws_with_the_density_that_it_states():
     bend = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
     mean = bend.straight(y).mean(axis=0, keepdims=True)
     none = np.array([-1])
-    law = Law(np.ones(1), mean, np.cov(bend.straight(y).T)[None], none, bend)
+    law = OuterLaw(np.ones(1), mean, np.cov(bend.straight(y).T)[None], none, bend)
     points = law.draw(20_000, np.random.default_rng(1), 5.0)
     inside = law._replace(covariance=0.5 * law.covariance)
     ratio = np.exp(inside.log_densities(points, 8.0) - law.log_densities(points, 5.0))
     assert ratio.mean() == pytest.approx(1.0, abs=0.02)
-    wide = Law(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None], none)
+    wide = OuterLaw(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None], none)
     points = wide.draw(20_000, np.random.default_rng(2), 5.0)
     ratio = np.exp(law.log_densities(points, 5.0) - wide.log_densities(points, 5.0))
     assert ratio.mean() == pytest.approx(1.0, abs=0.1)
@@ -280,23 +275,14 @@ def test_a_component_does_not_count_for_the_draw_on_which_it_stands():
     d = ridge.chart.dimensions
     y = np.stack([np.zeros(d), np.full(d, 2.0)])
     spread = np.tile(0.01 * np.eye(d), (2, 1, 1))
-    wide = Law(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
-    local = Law(np.ones(2), y, spread, np.array([0, 1]))
-    ridge.laws = [(2, Law.joined([(0.5, wide), (0.5, local)]))]
+    wide = OuterLaw(np.ones(1), np.zeros((1, d)), np.eye(d)[None], np.array([-1]))
+    local = OuterLaw(np.ones(2), y, spread, np.array([0, 1]))
+    ridge.laws = [(2, OuterLaw.joined([(0.5, wide), (0.5, local)]))]
     found = ridge.log_outer(y, 5.0, draws=True)
     each = ridge.laws[0][1].log_densities(y, 5.0)
     expected = [logsumexp(each[0, [0, 2]]), logsumexp(each[1, [0, 1]])]
     assert found == pytest.approx(expected)
     assert ridge.log_outer(y, 5.0) == pytest.approx(logsumexp(each, axis=1))
-
-
-def test_draws_stay_on_the_ridge():
-    """A law that ignored the curve would propose rates ten sigmas beside it."""
-    target = one()
-    draws = drawn(target, target.fit([0]))
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    off = target.run(draws.shots)[:, 0]
-    assert np.sqrt(weight @ off**2) == pytest.approx(np.ones(5), abs=0.06)
 
 
 @pytest.mark.parametrize("weight", [0.5, 0.8])
@@ -311,13 +297,9 @@ def test_a_motion_fitted_twice_counts_once():
     """Two ridges that are one share their draws, and are one region."""
     target = one()
     fits = [target.fit([0], bend) for bend in (0.0, 0.3)]
-    twice = ShotFit(
-        None,
-        Shots.joined([fit.motions for fit in fits]),
-        np.concatenate([fit.curvature for fit in fits]),
-        np.zeros(2),
-        np.ones(2),
-    )
+    motions = Shots.joined([fit.motions for fit in fits])
+    curvature = np.concatenate([fit.curvature for fit in fits])
+    twice = ShotFit(None, motions, curvature, np.zeros(2), np.ones(2))
     assert len(ridges_of(target, twice, None, SAMPLING)) == 1
     apart = replace(SAMPLING, on_ridge=0.0)
     assert len(ridges_of(target, twice, None, apart)) == 2
@@ -331,8 +313,7 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     draws = drawn(target, target.fit([0], 0.3))
     assert draws.evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
     assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
-    weight = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-    assert weight[draws.shots.u[:, 0] < 0].sum() == 0.0
+    assert weights(draws)[draws.shots.u[:, 0] < 0].sum() == 0.0
 
 
 def test_walkers_leave_proposals_that_are_too_narrow():
@@ -392,11 +373,6 @@ def test_volume_of_a_chart_is_that_of_rates_and_solid_angle():
     assert chart.log_volume(y, z)[0] == pytest.approx(volume, abs=1e-6)
 
 
-def test_monomials_are_one_the_coordinates_and_products_of_those_that_bend():
-    y = np.array([[2.0, 3.0, 5.0]])
-    assert monomials(y, np.array([0, 2])).tolist() == [[1, 2, 3, 5, 4, 10, 25]]
-
-
 def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
     """Draws of equal weight, spread over regions whose rates x stand at these values."""
     rng = np.random.default_rng(len(region_at))
@@ -411,9 +387,8 @@ def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
 
 def test_models_are_weighed_by_evidence_and_prior():
     mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], [0.0, np.log(0.5)], REACH_S)
-    weight = np.exp(mix.log_weight - logsumexp(mix.log_weight))
     expected = 1 / (1 + 0.5 * np.exp(-1.0))
-    assert weight[mix.of_model == 0].sum() == pytest.approx(expected)
+    assert weights(mix)[mix.of_model == 0].sum() == pytest.approx(expected)
     assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0 + np.log(0.5)))
 
 
@@ -440,9 +415,7 @@ def test_readings_that_no_motion_explains_have_no_chance():
     for sigmas, low, high in ((1.0, 0.2, 0.8), (6.0, 0.0, 0.002)):
         omega = np.tile(fit.motions.omega + sigmas * RATE, (100, 1))
         u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
-        side = np.concatenate(
-            [np.zeros((1, 3)), sigmas * TURN * np.ones((1, 2)), np.zeros((1, 2))], 1
-        )
+        side = sigmas * TURN * np.array([[0.0, 0, 0, 1, 1, 0, 0]])
         sun = np.tile(fit.motions.moved(side).sun, (100, 1))
         checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
         assert low <= checked.p <= high

@@ -12,7 +12,8 @@ from sunspin.telemetry.sun import reconstructible_patterns
 from tests.support.vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
-N_ROWS = 40
+N_ROWS = 16
+AXES = ("omega_x", "omega_y", "omega_z")
 
 
 def grid_rows(n: int, seed: int):
@@ -61,13 +62,10 @@ def test_the_scan_mask_allows_what_the_panels_allow():
 @pytest.mark.evidence("scan", "verified", "one and three threads, and single motions")
 def test_workers_do_not_change_a_scan():
     axes = [np.linspace(-0.4, 0.9, 30), np.linspace(-0.4, 0.9, 30), np.linspace(-0.2, 0.2, 11)]
-    runs = [
-        ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)
-    ]
+    begin, end = (PHILAE, [0.2, 0.5, 0.9], FIRST_SUN), (865.0, 300.0)
+    runs = [ss.scan(*begin, *axes, *end, workers=workers) for workers in (1, 3)]
     np.testing.assert_allclose(runs[0], runs[1], rtol=1e-9)
-    alone = ss.scan(
-        PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, axes[0][7], axes[1][3], axes[2][5], 865.0, 300.0
-    )
+    alone = ss.scan(*begin, axes[0][7], axes[1][3], axes[2][5], *end)
     assert alone.item() == pytest.approx(runs[0].values[7, 3, 5], rel=1e-9)
 
 
@@ -91,25 +89,15 @@ def test_a_motion_without_an_allowed_direction_has_the_largest_emd():
 
 @pytest.mark.evidence("near_minimum", "verified", "a volume of a few points, by hand")
 def test_the_near_minimum_set_by_hand():
-    volume = xr.DataArray(
-        [[[1.0, 1.05], [2.0, 1.11]]],
-        dims=("omega_x", "omega_y", "omega_z"),
-        coords={"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]},
-    )
+    coords = {"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]}
+    volume = xr.DataArray([[[1.0, 1.05], [2.0, 1.11]]], coords, AXES)
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
 
 
 def test_rows_that_failed_are_never_in_the_near_minimum_set():
-    volume = xr.DataArray(
-        [[[0.0, 1.0, 1.05]]],
-        dims=("omega_x", "omega_y", "omega_z"),
-        coords={
-            "omega_x": [0.5],
-            "omega_y": [0.1],
-            "omega_z": [-0.1, 0.0, 0.1],
-            "outcome": (("omega_x", "omega_y", "omega_z"), [[[3, 0, 0]]]),
-        },
-    )
+    coords = {"omega_x": [0.5], "omega_y": [0.1], "omega_z": [-0.1, 0.0, 0.1]}
+    volume = xr.DataArray([[[0.0, 1.0, 1.05]]], coords, AXES)
+    volume = volume.assign_coords(outcome=(AXES, [[[3, 0, 0]]]))
     np.testing.assert_array_equal(near_minimum(volume, 1.1)[:, 2], [0.0, 0.1])
     with pytest.raises(ss.InputError, match="outcome"):
         near_minimum(volume.assign_coords(outcome=volume["outcome"] * 0 + 3))
@@ -128,15 +116,8 @@ def test_rows_that_failed_are_never_in_the_near_minimum_set():
     ],
 )
 def test_bad_arguments_of_a_scan_are_named(change, message):
-    arguments = {
-        "target_z": [0.5],
-        "sun_B": FIRST_SUN,
-        "omega_x": [0.1],
-        "omega_y": [0.1],
-        "omega_z": [0.1],
-        "wheel_speed_rad_s": 865.0,
-        "duration_s": 60.0,
-    } | change
+    arguments = {name: [0.1] for name in AXES} | {"target_z": [0.5], "sun_B": FIRST_SUN}
+    arguments |= {"wheel_speed_rad_s": 865.0, "duration_s": 60.0} | change
     with pytest.raises(ss.InputError, match=message):
         ss.scan(PHILAE, **arguments)
 
@@ -146,17 +127,9 @@ def test_a_scan_store_is_resumed_with_another_mass_and_refused_with_another_whee
 
     def run(*changes):
         craft = ss.load_vehicle("philae", changes)
-        return ss.scan(
-            craft,
-            [0.2, 0.8],
-            FIRST_SUN,
-            [0.1],
-            [0.2],
-            [0.0, 0.1],
-            865.0,
-            60.0,
-            store=tmp_path / "rows",
-        )
+        axes = [0.1], [0.2], [0.0, 0.1]
+        target, store = [0.2, 0.8], tmp_path / "rows"
+        return ss.scan(craft, target, FIRST_SUN, *axes, 865.0, 60.0, store=store)
 
     first = run()
     assert run("body.mass_kg=90", "leg[2].tip_B_m[0]+=0.1").values.tolist() == first.values.tolist()

@@ -9,16 +9,11 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
-from sunspin.estimate.synthetic import (
-    EARTH_LIGHT,
-    GAIN_ERROR,
-    LEAST_SUNLIT,
-    NOISE,
-    simulate_pass,
-)
+from sunspin.estimate.synthetic import EARTH_LIGHT, GAIN_ERROR, LEAST_SUNLIT, NOISE, simulate_pass
 from sunspin.telemetry.synthetic import generator
 from tests.support.orbits import EPOCH, place_and_speed, two_line_elements
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED as CUBE
+from tests.support.vehicles import small_cube
 
 SPEED = 0.03
 TWELVE = np.arange(12) * 10.0
@@ -64,11 +59,9 @@ def test_readings_follow_the_true_sun_within_gains_noise_and_earth_light():
 
 def test_readings_of_a_converter_are_multiples_of_its_step():
     read = simulate(1, bits=5).telemetry
-    values = read[CUBE.telemetry.quantity].values
     full = ss.panel_power(CUBE, CUBE.panel_normals_B).max()
-    steps = values / (1.2 * full / 31)
-    assert np.allclose(steps, np.round(steps), atol=1e-9)
-    assert len(np.unique(values)) > 3
+    steps = read[CUBE.telemetry.quantity].values / (1.2 * full / 31)
+    assert np.allclose(steps, np.round(steps), atol=1e-9) and len(np.unique(np.round(steps))) > 3
 
 
 def test_pass_in_orbit_has_no_sun_in_the_shadow_of_the_earth():
@@ -97,14 +90,25 @@ def test_passes_lie_within_a_short_table_of_positions(tmp_path):
         simulate(0, t_s=np.arange(300) * 60.0, orbit=orbit)
 
 
+def test_simulated_telemetry_takes_misalignments_or_their_sigma():
+    sun = np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)
+    truth = {"omega_B": [0.05, -0.08, 0.11], "sun_B": sun, "t_s": 2 * TWELVE, "scale": 0.5}
+    craft = small_cube(0.005)
+    drawn = ss.twin(craft, truth | {"tilt_B_rad": 0.04}, seed=3)
+    tilt = drawn.attrs["truth_tilt_B_rad"].reshape(6, 3)
+    again = ss.twin(craft, truth | {"tilt_B_rad": tilt}, seed=3)
+    np.testing.assert_array_equal(again["current_A"].values, drawn["current_A"].values)
+    assert "truth_tilt_B_rad" not in ss.twin(craft, truth, seed=3).attrs
+    for wrong in (-0.1, np.zeros((5, 3)) + 0.1, np.full((6, 3), np.nan)):
+        with pytest.raises(InputError, match="tilt_B_rad of a twin"):
+            ss.twin(craft, truth | {"tilt_B_rad": wrong})
+
+
 def test_noise_is_its_part_of_full_sun_also_if_gains_are_relative():
     """The noise of a file is in ampere and relative gains have no unit, so full Sun follows from the noise."""
     panels = tuple(replace(panel, gain=1.0) for panel in CUBE.panels)
     form = replace(CUBE.telemetry, noise=0.01)
     relative = replace(CUBE, panels=panels, gain_unit=None, telemetry=form)
-    largest = []
-    for seed in range(10):
-        one = simulate(seed, relative).telemetry
-        largest.append(one[form.quantity].values.max())
-    full = 0.01 / NOISE
+    readings = [simulate(seed, relative).telemetry[form.quantity].values for seed in range(10)]
+    largest, full = [each.max() for each in readings], 0.01 / NOISE
     assert 0.6 * full < np.median(largest) < 1.3 * full

@@ -21,18 +21,16 @@ def samples(seed, jitter=6.0, noise=0.03, n=90, coefficients=CUBIC, axis=(0, 0, 
 
 def test_the_spin_phase_is_the_integral_of_the_rate_and_the_sun_moves_backward():
     assert phase([0.1, 0.02], [3.0]) == pytest.approx(0.1 * 3 + 0.02 * 9 / 2)
-    np.testing.assert_allclose(
-        rotated_sun([1, 0, 0], [0, 0, 1], np.array([np.pi / 2])), [[0, -1, 0]], atol=1e-15
-    )
+    quarter = rotated_sun([1, 0, 0], [0, 0, 1], np.array([np.pi / 2]))
+    np.testing.assert_allclose(quarter, [[0, -1, 0]], atol=1e-15)
 
 
 def test_a_constant_spin_agrees_with_the_equations_of_motion():
     craft = ss.Vehicle("plate", inertia_kg_m2=np.diag([2.0, 2.0, 3.0]))
     t = np.linspace(0, 500, 11)
     run = ss.propagate(craft, [0, 0, 0.0122], SUN, None, t)
-    np.testing.assert_allclose(
-        rotated_sun(SUN, [0, 0, 1], phase([0.0122], t)), run["sun_B"].values, atol=1e-10
-    )
+    ours = rotated_sun(SUN, [0, 0, 1], phase([0.0122], t))
+    np.testing.assert_allclose(ours, run["sun_B"].values, atol=1e-10)
 
 
 def test_a_spin_without_noise_is_recovered_to_rounding():
@@ -48,9 +46,8 @@ def test_the_spin_fit_finds_the_minimum_of_a_dense_search():
     t, seen = samples(2)
     fit = fit_spin(t, seen)
     rates = np.arange(fit.scan_rate[0], fit.scan_rate[-1], 1e-5)
-    direct = errors_of_rates(
-        np.column_stack([rates, np.tile(fit.coefficients[1:], (rates.size, 1))]), t, seen
-    )
+    each = np.column_stack([rates, np.tile(fit.coefficients[1:], (rates.size, 1))])
+    direct = errors_of_rates(each, t, seen)
     assert fit.E <= direct.min() + 1e-12
     assert abs(rates[np.argmin(direct)] - fit.coefficients[0]) < 2e-5
 

@@ -41,7 +41,7 @@ class Flight(Simulated):
 
 @pytest.mark.parametrize("late_s", [0.0, 10.0, -10.0])
 def test_right_elements_with_a_clock_off_by_seconds_do_not_contradict_the_light(late_s):
-    for seed in range(3):
+    for seed in range(2):
         flight = Flight(seed, step_s=5.0 if seed % 2 else 20.0)
         data = flight.telemetry(late_s, albedo=0.3)
         assert not flight.against(data).samples
@@ -168,9 +168,8 @@ def test_check_reports_elements_that_do_not_fit_and_rates_ignore_them(satellite)
     files = ("vehicle.toml", "telemetry.csv")
     done = run("check", *files, "--tle", "my.tle")
     assert "Orbit of MYCUBE (105544): elements not consistent with the telemetry" in done.output
-    contradicted = re.search(
-        r"the elements do not fit: (\d+) of \d+ samples deep in the Earth's shadow", done.output
-    )
+    words = r"the elements do not fit: (\d+) of \d+ samples deep in the Earth's shadow"
+    contradicted = re.search(words, done.output)
     assert contradicted is not None and int(contradicted[1]) > 20
     few = ("--to", "120", "--no-column-tests", "--effort", "0.1")
     done = run("rates", *files, *few, "--tle", "my.tle", "--json")

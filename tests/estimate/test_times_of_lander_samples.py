@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.lander.fit import FINAL_ERROR, Fitting, Problem
+from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, Fitting
 from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.target import LanderTarget
@@ -16,22 +16,29 @@ from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import posterior
 from sunspin.estimate.terms.powers import SunStates
 from sunspin.telemetry.assess import assess
-from tests.estimate import test_posterior_of_a_box as of_box
-from tests.estimate.test_lander_model import OMEGA, PHILAE, SUN, lander_telemetry
-
-NOISE = 12.0
-"""Of the readings: 2 % of full Sun on the largest panel."""
+from tests.support.landers import (
+    BOX_OMEGA,
+    BOX_PRIORS,
+    BOX_T_S,
+    FEW,
+    NOISE,
+    OMEGA,
+    PHILAE,
+    SUN,
+    box,
+    box_telemetry,
+    lander_model,
+    lander_telemetry,
+    sigmas_off,
+)
 
 TIME_S = 0.5
 """Sigma of the times: the body turns by 0.05 rad in it."""
 
 
 def late_model(time_s=TIME_S, noise=NOISE):
-    """Return the model of Philae with readings of noise 2 % of full Sun, and errors of its times."""
-    telemetry = lander_telemetry(20.0 * np.arange(8), noise)
-    vehicle = replace(PHILAE, telemetry=replace(PHILAE.telemetry, noise=NOISE))
-    assessment = assess(vehicle, telemetry)
-    return with_priors(assessment, observe_window(assessment), {"time_s": time_s})[0]
+    """Return the model of Philae with samples 20 s apart, and errors of their times."""
+    return lander_model(20.0 * np.arange(8), noise, time_s=time_s)
 
 
 def off(model, count=1, size=2e-3):
@@ -79,7 +86,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     """Times at their best take up one reading of each sample: the noise of a fit stays within 2.5 sigmas of the true one."""
     model = late_model(2.0)
     free = np.ones(len(model.unknowns), dtype=bool)
-    fitting = Fitting(Problem(model, free, FINAL_ERROR), off(model, size=0.0))
+    fitting = Fitting(FitProblem(model, free, FINAL_ERROR), off(model, size=0.0))
     fitting.go(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.shots.u[0, model.places("noise")[0]]
@@ -130,20 +137,17 @@ def test_curvature_is_less_by_what_the_times_take_up():
 
 def test_the_posterior_takes_samples_that_are_off_in_time():
     """Times off by 2 s, a tenth of a radian: taken for exact they look like noise; stated, the truth is within its sigmas."""
-    craft = of_box.box()
-    rng = np.random.default_rng(5)
-    telemetry = of_box.telemetry_of(craft)
-    late = telemetry.assign_coords(
-        time=of_box.T_S + np.r_[0.0, 2.0 * rng.standard_normal(len(of_box.T_S) - 1)]
+    craft, telemetry, rng = box(), box_telemetry(), np.random.default_rng(5)
+    off_s = np.append(0.0, 2.0 * rng.standard_normal(len(BOX_T_S) - 1))
+    late = telemetry.assign_coords(time=BOX_T_S + off_s)
+    stated, exact = (
+        posterior(craft, late, BOX_PRIORS | more, workers=1, settings=FEW)
+        for more in ({"time_s": 2.0}, {})
     )
-    stated = posterior(craft, late, of_box.PRIORS | {"time_s": 2.0}, workers=1, settings=of_box.FEW)
-    exact = posterior(craft, late, of_box.PRIORS, workers=1, settings=of_box.FEW)
     assert exact.attrs["noise_sigmas"] > 2 > abs(stated.attrs["noise_sigmas"])
     assert stated.attrs["log_evidence"] > exact.attrs["log_evidence"] + 3
     assert stated.attrs["time_sigma_s"] == 2.0
-    solutions = stated["solutions"].to_dataset()
-    error = solutions["omega_B"].values[0] - of_box.OMEGA
-    assert np.sqrt(error @ np.linalg.solve(solutions["omega_cov_B"].values[0], error)) < 3.5
+    assert sigmas_off(stated, BOX_OMEGA)[0] < 3.5
 
 
 def test_throttled_panels_with_errors_of_times_are_refused():

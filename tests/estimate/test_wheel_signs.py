@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import xarray as xr
 
 import sunspin as ss
@@ -14,7 +13,7 @@ from sunspin.estimate.model import Body
 from sunspin.estimate.observe import COASTING, HELD, cut, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
-from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls, simulated_pass
 
 TWO = replace(
     CUBE_WITHOUT_NOISE_STATED,
@@ -81,44 +80,9 @@ def test_each_wheel_and_all_are_reversed_unless_they_hardly_turn_the_rate_or_wra
 def test_a_wheel_of_the_right_sign_is_not_accused():
     data, run = seen()
     result = rates(one_wheel(40.0), data, max_rate_rad_s=0.06)
-    truth = run["omega_B"].sel(time=result["time"]).values
-    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
-    assert result["decided"].values.all()
-    assert np.abs((result["omega_B"].values - truth) / sigma).max() < 5.0
+    assert result["decided"].values.all() and np.abs(pulls(result, run)).max() < 5.0
     assert "columns_doubt" not in result.attrs
     # a mirror across the wheel's axis is not seen: the columns +y and -y may be exchanged, no others
     unseen = [one["what"] for one in json.loads(result.attrs["columns_unseen"])]
     assert unseen == ["the columns of panels +y and -y exchanged"]
     assert result["columns_checked"].values[0] == "unchecked"
-
-
-def test_a_wheel_speed_of_the_wrong_sign_is_named_and_leaves_the_pass_undecided():
-    """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
-    data, run = seen()
-    result = rates(one_wheel(-40.0), data, max_rate_rad_s=0.06)
-    assert not result["decided"].values.any()
-    assert result["columns_checked"].values[0] == "doubtful"
-    assert "the sign of a wheel" in result["why_not_decided"].values[0]
-    # a mirror along x or z reverses the wheel: these columns exchanged look the same, and none of the three is recommended
-    named = {one["what"]: one["omega_deg_s"] for one in json.loads(result.attrs["columns_changes"])}
-    wheel = "wheel reaction-y turning the other way"
-    mirrored = {f"the columns of panels +{a} and -{a} exchanged" for a in "xz"}
-    assert set(named) == {wheel, *mirrored}
-    assert "before you change the file" in result.attrs["verdict"]
-    x, y, z = named[wheel]
-    exchanged = named["the columns of panels +x and -x exchanged"]
-    np.testing.assert_allclose(exchanged, [x, -y, -z], atol=1e-6)
-    truth = np.degrees(run["omega_B"].values[9:11])
-    assert np.abs(truth - [x, y, z]).max(axis=1).min() < 0.5
-
-
-@pytest.mark.parametrize(("stated", "read", "decided"), [(0.0, False, False), (0.0, True, True)])
-def test_a_wheel_of_unstated_speed_leaves_every_pass_undecided(stated, read, decided):
-    rng = np.random.default_rng(5)
-    times = uneven_times(rng, 12, 10.0, 0.3)
-    data, _ = simulated_pass(CUBE_WITHOUT_NOISE_STATED, [0.01, 0.012, -0.01], times, rng)
-    if read:
-        data = data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((12, 1))))
-    result = rates(one_wheel(stated), data, max_rate_rad_s=0.05)
-    assert bool(result["decided"].values[0]) is decided
-    assert ("WHEEL SPEED UNKNOWN" in result.attrs["verdict"]) is not decided

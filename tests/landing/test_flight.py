@@ -26,11 +26,9 @@ def rows(n=6, seed=0) -> Rows:
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_a_chain_of_kernel_runs_agrees_with_the_reference_schedule(name):
     """Rates, Sun, wheel speed and any other fixed direction, also after the brake has stopped the wheel."""
-    vehicle, start, times = (
-        ss.load_vehicle("philae"),
-        rows(),
-        np.array([100.0, 500.0, 1000.0, 1400.0]),
-    )
+    vehicle = ss.load_vehicle("philae")
+    start = rows()
+    times = np.array([100.0, 500.0, 1000.0, 1400.0])
     track = fly(vehicle, start, SCHEDULES[name], 0.0, times)
     fixed = np.tile([0.6, -0.48, 0.64], (6, 1))
     momentum = fly(vehicle, start, SCHEDULES[name], 0.0, np.array([1e-3])).momentum_B[:, 0]

@@ -150,15 +150,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             "simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate")
         )
         sunspin(
-            "outcomes",
-            "philae",
-            "--runs",
-            "20",
-            "--strategy",
-            "off",
-            "--strategy",
-            "held",
-            "--out",
+            *"outcomes philae --runs 20 --strategy off --strategy held --out".split(),
             str(root / "outcomes"),
         )
         for name in RUNS:

@@ -64,11 +64,9 @@ def test_error_bars_of_a_probability_stay_between_zero_and_one():
     rng = np.random.default_rng(0)
     value, error = rng.uniform(size=200).round(1), rng.uniform(size=200)
     low, high = clip_errors(value, error)
-    assert (
-        np.all(value - low >= -1e-12)
-        and np.all(value + high <= 1 + 1e-12)
-        and np.all(np.stack([low, high]) >= 0)
-    )
+    assert np.all(value - low >= -1e-12)
+    assert np.all(value + high <= 1 + 1e-12)
+    assert np.all(np.stack([low, high]) >= 0)
 
 
 def test_the_figure_of_sun_directions_draws_the_connecting_lines():
@@ -83,7 +81,5 @@ def test_the_figure_of_sun_directions_draws_the_connecting_lines():
     pieces = connected_stretches(sun["time"].values / 3600, sun)
     assert len(drawn) == 3 * len(pieces) and len(pieces) >= 3
     for k, piece in enumerate(pieces):
-        assert (
-            np.array_equal(drawn[3 * k], sun["time"].values[piece] / 3600)
-            and len(set(sun["phase"].values[piece])) == 1
-        )
+        assert np.array_equal(drawn[3 * k], sun["time"].values[piece] / 3600)
+        assert len(set(sun["phase"].values[piece])) == 1

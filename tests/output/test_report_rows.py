@@ -73,10 +73,8 @@ def test_only_an_informative_test_agrees_or_differs(given, verdict):
     "report", "verified", "the counts of summary.json, recounted from the rows that the page shows"
 )
 def test_entries_and_filters_have_the_counts_of_the_summary(study):
-    summary, page = (
-        json.loads((study / "summary.json").read_text("utf-8")),
-        Page(study / "report.html"),
-    )
+    summary = json.loads((study / "summary.json").read_text("utf-8"))
+    page = Page(study / "report.html")
     shown = {
         attrs["data-row"]: attrs["data-verdict"]
         for tag, attrs in page.tags
@@ -126,15 +124,11 @@ def test_an_entry_shows_its_interval_the_possible_range_and_its_source(tmp_path)
         row(id="c", low=None, high=2.0, chain="none", agrees=False),
     ]
     text = page_of(tmp_path / "a", figures=rows).text
-    assert (
-        "interval: 0.0912 to 1.44 possible before: 0.00712 to 1.45" in text
-        and "from the scan's 90 % set" in text
-    )
-    assert (
-        "interval: 1 to 2; 3 to 4" in text
-        and "from the motions of mine.csv" in text
-        and "✓ agrees within 0.5" in text
-    )
+    assert "interval: 0.0912 to 1.44 possible before: 0.00712 to 1.45" in text
+    assert "from the scan's 90 % set" in text
+    assert "interval: 1 to 2; 3 to 4" in text
+    assert "from the motions of mine.csv" in text
+    assert "✓ agrees within 0.5" in text
     assert text.count("interval:") == 2 and "no telemetry" in text and "○ uninformative" in text
     assert interval_text([1, 2], 3) == "(1, 2) to 3" and interval_text("x", None) == ""
 
@@ -171,10 +165,8 @@ def test_a_damaged_summary_still_gives_a_page(tmp_path, figures):
 
 
 def test_the_first_screen_of_a_study_has_headline_and_score(study):
-    summary, page = (
-        json.loads((study / "summary.json").read_text("utf-8")),
-        Page(study / "report.html"),
-    )
+    summary = json.loads((study / "summary.json").read_text("utf-8"))
+    page = Page(study / "report.html")
     first = page.part("summary")
     assert "No conclusion." not in first
     for line in (*summary["headline"], *summary["score"]):
@@ -188,10 +180,8 @@ def test_the_first_screen_of_a_study_has_headline_and_score(study):
     "report", "verified", "telemetry without information: each panel's readings in random order"
 )
 def test_a_page_without_conclusions_gives_the_reason_and_no_result(no_conclusion):
-    summary, page = (
-        json.loads((no_conclusion / "summary.json").read_text("utf-8")),
-        Page(no_conclusion / "report.html"),
-    )
+    summary = json.loads((no_conclusion / "summary.json").read_text("utf-8"))
+    page = Page(no_conclusion / "report.html")
     first = page.part("summary")
     assert {"candidates", "touchdown", "collision", "strategies", "motions"} <= set(
         summary["missing"]

@@ -150,10 +150,8 @@ def test_rates_name_a_panel_that_was_left_out():
     result = rates()
     assert result.attrs["panels_left_out"] == "" and "left out" not in str(result.sunspin.summary())
     said = result.assign_attrs(panels_left_out="+X, -Y").sunspin.summary()
-    assert said["panels_left_out"] == [
-        "+X",
-        "-Y",
-    ] and "panel +X, -Y: no signal in any sample" in str(said)
+    assert said["panels_left_out"] == ["+X", "-Y"]
+    assert "panel +X, -Y: no signal in any sample" in str(said)
 
 
 def test_rates_are_printed_in_degrees_a_second(user_runs):
@@ -178,11 +176,9 @@ def test_outcomes_of_strategies_are_printed_side_by_side(user_runs):
     printed = json.loads((user_runs["outcomes"] / "summary.json").read_text("utf-8"))
     assert table.sunspin.summary()["strategies"] == printed["strategies"]
     runs = xr.load_dataset(user_runs["outcomes"] / "outcomes-held.nc")
-    assert (
-        runs.attrs["kind"] == "outcomes"
-        and runs.attrs["seed"] == 0
-        and "wheels held: 20 runs" in str(runs.sunspin.summary())
-    )
+    assert runs.attrs["kind"] == "outcomes"
+    assert runs.attrs["seed"] == 0
+    assert "wheels held: 20 runs" in str(runs.sunspin.summary())
 
 
 def test_simulated_telemetry_is_saved_as_telemetry():
@@ -200,22 +196,18 @@ def test_panel_health_keeps_its_panel_names():
     assert isinstance(health, xr.Dataset) and health["lost"].values.tolist() == [
         [True, *5 * [False]]
     ]
-    assert (
-        health["explanations"] == [("1",)]
-        and len(health["allowed"]) == 16
-        and all(n > 0 for n in health["impossible"].values())
-    )
+    assert health["explanations"] == [("1",)]
+    assert len(health["allowed"]) == 16
+    assert all(n > 0 for n in health["impossible"].values())
     assert list(health["noise"]) == list(health["impossible"]) and all(
         v.log10_together < 0 for v in health["noise"].values()
     )
     directions = ss.panel_health(vehicle(), ss.sun_directions(vehicle(), telemetry()))
     assert directions["noise"] == {} and np.isnan(directions["largest"]).all()
     none = ss.panel_health(vehicle(), ss.panel_power(vehicle(), [[0.0, 0.6, 0.8]]))
-    assert (
-        none["impossible"] == {}
-        and none["explanations"] == []
-        and "all illumination patterns" in str(none.sunspin.summary())
-    )
+    assert none["impossible"] == {}
+    assert none["explanations"] == []
+    assert "all illumination patterns" in str(none.sunspin.summary())
     assert isinstance(none.sunspin.plot(), Figure)
 
 

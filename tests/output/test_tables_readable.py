@@ -42,10 +42,8 @@ def test_the_tables_of_sun_are_read_by_numpy_and_pandas(tmp_path, undrawn):
     vehicle, telemetry = ss.load_example("cubesat")
     folder = ss.sun_directions(vehicle, telemetry).sunspin.save(tmp_path / "sun")
     cells, frame = columns(folder / "sun.csv")
-    assert (
-        np.allclose(cells["sun_x_B"], frame["sun_x_B"], rtol=1e-12, equal_nan=True)
-        and len(frame) == 40
-    )
+    assert np.allclose(cells["sun_x_B"], frame["sun_x_B"], rtol=1e-12, equal_nan=True)
+    assert len(frame) == 40
     last = (folder / "sun.csv").read_text("utf-8").splitlines()[-2:]
     assert last[0] == "# synthetic telemetry" and last[1].startswith("# time_s from 2026")
 

@@ -112,12 +112,10 @@ def test_the_sign_of_friction_in_the_paper_is_the_opposite_of_ours(rows):
 
 def test_two_errors_of_the_appendix_cancel():
     """Each of the two steps fails for a wheel that is not the same about every axis; their sum holds."""
-    inertia, axis, omega, speed = (
-        np.diag([3.2e-3, 3.2e-3, 5.8e-3]),
-        np.array([0.0, 0.0, 1.0]),
-        np.array([0.3, -0.2, 0.4]),
-        865.0,
-    )
+    inertia = np.diag([3.2e-3, 3.2e-3, 5.8e-3])
+    axis = np.array([0.0, 0.0, 1.0])
+    omega = np.array([0.3, -0.2, 0.4])
+    speed = 865.0
     whole = omega + speed * axis
     first = np.cross(whole, inertia @ whole), np.cross(omega, inertia @ omega)
     second = inertia @ np.cross(omega, speed * axis), np.cross(omega, inertia @ (speed * axis))

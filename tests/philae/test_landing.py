@@ -105,15 +105,11 @@ def test_collision_weights_prefer_runs_near_the_landing_kernel(collision):
     )
     assert 0.02 < read_explained_share(found).value < 0.25
     said = found.sunspin.summary()
-    assert (
-        said["facts"] == facts
-        and said["explained"] == read_explained_share(found)
-        and said["table"] == read_weightings(found)
-    )
-    assert (
-        str(said).count("\n") == found.sizes["weighting"]
-        and found["unit"].sel(quantity="rate_after").item() == "rad s-1"
-    )
+    assert said["facts"] == facts
+    assert said["explained"] == read_explained_share(found)
+    assert said["table"] == read_weightings(found)
+    assert str(said).count("\n") == found.sizes["weighting"]
+    assert found["unit"].sel(quantity="rate_after").item() == "rad s-1"
 
 
 def test_entries_of_the_landing_agree_or_differ_as_recorded(collision, strategies):
@@ -125,12 +121,10 @@ def test_entries_of_the_landing_agree_or_differ_as_recorded(collision, strategie
     assert "0.775" in rows["leg_tip_speed"].note and "1.02" in rows["leg_tip_speed"].note
     assert rows["rz_density_area"].holds
     off = rows["rz_often_negative"]
-    assert (
-        0.36 < off.low < off.high < 0.42
-        and off.prior_low > off.high
-        and off.informative
-        and off.agrees
-    )
+    assert 0.36 < off.low < off.high < 0.42
+    assert off.prior_low > off.high
+    assert off.informative
+    assert off.agrees
     assert (
         rows["rz_rare_wheel_held"].informative and rows["rz_rare_wheel_held"].agrees
     )  # 3 to 4 % of the time

@@ -65,10 +65,8 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(qui
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
     sheets = list(pictures.list_drawings(found))
     names = {sheet.name for sheet in sheets}
-    assert (
-        "fig10_11_descent" not in names
-        and {"fig03_measured", "fig09_lines", "fig12_touchdown"} <= names
-    )
+    assert "fig10_11_descent" not in names
+    assert {"fig03_measured", "fig09_lines", "fig12_touchdown"} <= names
     assert all(sheet.alt and sheet.caption for sheet in sheets)
     for sheet in sheets:  # synthetic readings were not measured
         figure = sheet.make()
@@ -158,10 +156,8 @@ def test_every_numbered_figure_of_the_paper_has_an_entry(tmp_path):
     assert [row.id for row in rows] == [f"figure_{number}" for number in range(1, 14)]
     shown = {row.id: row.ours for row in rows}
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
-    assert (
-        shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png"
-        and shown["figure_3"] == "fig03_measured.png"
-    )
+    assert shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png"
+    assert shown["figure_3"] == "fig03_measured.png"
     assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith(
         "not drawn: a picture"
     )

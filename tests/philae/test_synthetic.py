@@ -25,7 +25,22 @@ published = {key: figure.value for key, figure in case.published.items()}
 
 @pytest.fixture(scope="module")
 def made():
+    """The landing of the built-in telemetry: it takes most of a minute, and the tests beside each other share it."""
     return make_landing(case, truth["seed"], truth["draw"])
+
+
+@pytest.fixture
+def synthesise(made, monkeypatch):
+    """Run the command, for which every draw is that landing: (exit code, the draw that it asked for)."""
+
+    def run(draw, out):
+        asked = []
+        monkeypatch.setattr(
+            selection, "make_landing", lambda _, *drawn: asked.append(drawn) or made
+        )
+        return main(["--seed", str(truth["seed"]), "--draw", str(draw), str(out)]), asked
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -52,16 +67,38 @@ def test_the_built_in_telemetry_follows_from_its_seed_and_draw(made):
         )
 
 
+def test_synthesise_writes_the_built_in_telemetry_and_overwrites_nothing_unasked(
+    synthesise, tmp_path, capsys
+):
+    out = tmp_path / "telemetry.csv"
+    assert synthesise(truth["draw"], out) == (0, [(truth["seed"], truth["draw"])])
+    again = ss.read_telemetry(out, vehicle)
+    np.testing.assert_allclose(
+        again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6
+    )
+    written = out.read_bytes()
+    assert f"draw {truth['draw']} of first rebounds, selected because" in written.decode()
+    assert synthesise(truth["draw"], out) == (2, [])
+    assert "the file exists" in capsys.readouterr().err
+    assert out.read_bytes() == written
+
+
+def test_a_draw_that_was_not_selected_does_not_say_so(synthesise, tmp_path):
+    out, other = tmp_path / "telemetry.csv", truth["draw"] - 1
+    assert synthesise(other, out) == (0, [(truth["seed"], other)])
+    text = out.read_text("utf-8")
+    assert f"draw {other} of first rebounds, not compared with what the paper prints" in text
+    assert "selected because" not in text
+
+
 @pytest.mark.evidence("twin", "verified", "a telemetry file simulated with panels as drawn")
 def test_the_telemetry_of_panels_as_drawn_follows_from_its_seed():
     again = philae_twin(AS_DRAWN_TRUTH["seed"], tilt_rad=0.0, turned_rad=0.0, rest_seen=False)
     np.testing.assert_allclose(
         AS_DRAWN.telemetry["power_W"].values, again["power_W"].values, rtol=0, atol=0.51e-6
     )
-    assert (
-        "truth_tilt_B_rad" not in again.attrs
-        and "--seed 16 telemetry.csv" in AS_DRAWN_FILE.read_text("utf-8")
-    )
+    assert "truth_tilt_B_rad" not in again.attrs
+    assert "--seed 16 telemetry.csv" in AS_DRAWN_FILE.read_text("utf-8")
     free = is_reconstructed(SUN_AS_DRAWN["status"]) & np.isin(
         former_phase, ["descent", "first_rebound", "second_rebound"]
     )
@@ -214,31 +251,6 @@ def test_a_truth_without_valid_rates_and_sun_is_refused(change, text):
         ss.twin(case, {"omega_B": [0, 0, 0], "t_s": [0.0]})
     with pytest.raises(ss.InputError, match="needs a truth"):
         ss.twin(vehicle)
-
-
-def test_synthesise_writes_the_built_in_telemetry_and_overwrites_nothing_unasked(tmp_path, capsys):
-    out = tmp_path / "telemetry.csv"
-    known = ["--seed", str(truth["seed"]), "--draw", str(truth["draw"])]
-    assert main([*known, str(out)]) == 0
-    again = ss.read_telemetry(out, vehicle)
-    np.testing.assert_allclose(
-        again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6
-    )
-    written = out.read_bytes()
-    assert f"draw {truth['draw']} of first rebounds, selected because" in written.decode()
-    assert main([*known, str(out)]) == 2
-    assert "the file exists" in capsys.readouterr().err
-    assert out.read_bytes() == written
-
-
-def test_a_draw_that_was_not_selected_does_not_say_so(tmp_path):
-    """Another draw of the same descent: made at once, without the search."""
-    other = truth["draw"] - 1
-    out = tmp_path / "telemetry.csv"
-    assert main(["--seed", str(truth["seed"]), "--draw", str(other), str(out)]) == 0
-    text = out.read_text("utf-8")
-    assert f"draw {other} of first rebounds, not compared with what the paper prints" in text
-    assert "selected because" not in text
 
 
 def test_an_existing_file_is_refused_before_the_search(tmp_path, monkeypatch, capsys):

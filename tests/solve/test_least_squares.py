@@ -90,7 +90,7 @@ def solved(function, starts, steps=400, tolerance=0.0, **options):
             [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
             [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2],
             3.0750560385e-4,
-        ),
+        )
     ],
 )
 def test_the_solver_reaches_the_certified_values_of_nist(
@@ -162,20 +162,16 @@ class Chain(NamedTuple):
         value, bend = self.value(*state)
         a, b, c = (bend[..., None] * part for part in (self.first, self.second, self.shared))
         k, n = state[0].shape[:2]
-        diagonal, slope, border = (
-            np.zeros((k, n, 2, 2)),
-            np.zeros((k, n, 2)),
-            np.zeros((k, n, 2, 3)),
-        )
+        diagonal = np.zeros((k, n, 2, 2))
+        slope = np.zeros((k, n, 2))
+        border = np.zeros((k, n, 2, 3))
         for place, part in ((slice(None, -1), a), (slice(1, None), b)):
             diagonal[:, place] += np.einsum("knmi,knmj->knij", part, part)
             slope[:, place] += np.einsum("knmi,knm->kni", part, value)
             border[:, place] += np.einsum("knmi,knmj->knij", part, c)
         cost = (value**2).sum(axis=(1, 2)) / 2 + (state[1] ** 2).sum(axis=1) / 2
-        upper, corner = (
-            np.einsum("knmi,knmj->knij", a, b),
-            np.einsum("knmi,knmj->kij", c, c) + np.eye(3),
-        )
+        upper = np.einsum("knmi,knmj->knij", a, b)
+        corner = np.einsum("knmi,knmj->kij", c, c) + np.eye(3)
         downhill = np.einsum("knmi,knm->ki", c, value) + state[1]
         return BorderedSystem(
             cost, diagonal, upper, slope, np.ones((k, 2)), border, corner, downhill
@@ -315,10 +311,8 @@ def test_extreme_eigenvalues_agree_with_lapack():
 def test_symmetric_inverses_agree_with_lapack():
     """Bodies whose moments differ by up to a thousand, in any axes; and a product with the inverse undoes the matrix."""
     rng = np.random.default_rng(6)
-    axes, moments = (
-        np.linalg.qr(rng.normal(size=(2, 500, 3, 3)))[0],
-        10.0 ** rng.uniform(-1.5, 1.5, (2, 500, 3)),
-    )
+    axes = np.linalg.qr(rng.normal(size=(2, 500, 3, 3)))[0]
+    moments = 10.0 ** rng.uniform(-1.5, 1.5, (2, 500, 3))
     matrix = axes * moments[:, :, None] @ axes.swapaxes(-1, -2)
     inverse = symmetric_inverse(matrix)
     whole = inverse[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]

@@ -115,11 +115,9 @@ def sensor_readings(kind: str, run: xr.Dataset, rng: np.random.Generator) -> dic
 def rates_case(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, Any]]:
     """Draw case `i` of a seed: the vehicle as its file states it, telemetry, the true motion, and whether the inertia is stated."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
-    tensor, rate, noise = (
-        random_inertia(rng),
-        np.radians(10 ** rng.uniform(-0.5, 0.8)),
-        10 ** rng.uniform(-2.3, -1.3),
-    )
+    tensor = random_inertia(rng)
+    rate = np.radians(10 ** rng.uniform(-0.5, 0.8))
+    noise = 10 ** rng.uniform(-2.3, -1.3)
     kind = str(rng.choice(["six", "six", "five", "sides", "anywhere"]))
     sensor = str(rng.choice(["none", "none", *list(SENSORS)[1:]]))
     faults = [fault for fault in FAULTS if rng.random() < 0.25]

@@ -84,10 +84,8 @@ def calibration_case(seed: int, i: int, off: float = 1.0, gyro: bool = True) -> 
     sun_B, field_B = body.apply(sun), body.apply(field)
     rate_B = spin[which]
     errors = {name: off * size for name, size in SIZES.items()}
-    matrix, zero = (
-        np.eye(3) + errors["matrix"] * rng.normal(size=(3, 3)),
-        errors["zero"] * rng.normal(size=3),
-    )
+    matrix = np.eye(3) + errors["matrix"] * rng.normal(size=(3, 3))
+    zero = errors["zero"] * rng.normal(size=3)
     reading = field_B @ matrix.T + zero + FIELD_SIGMA_NT * rng.normal(size=field_B.shape)
     gain = np.exp(errors["gain"] * rng.normal(size=6))
     power = np.maximum(
@@ -118,10 +116,8 @@ def calibration_case(seed: int, i: int, off: float = 1.0, gyro: bool = True) -> 
         "stretch": (polar(true_matrix)[1] / scale).ravel(),
         "magnetometer.scale_T": np.array([1e-9 * scale]),
     }
-    gyro_zero, gyro_scale = (
-        errors["gyro_zero"] * rng.normal(size=3),
-        1 + errors["gyro_scale"] * rng.normal(),
-    )
+    gyro_zero = errors["gyro_zero"] * rng.normal(size=3)
+    gyro_scale = 1 + errors["gyro_scale"] * rng.normal()
     rates = gyro_scale * rate_B + gyro_zero + GYRO_SIGMA * rng.normal(size=(len(t), 3))
     truth |= {"gyro.zero": gyro_zero, "gyro.scale_rad_s": np.array([1 / gyro_scale])}
     suite = Sensors(

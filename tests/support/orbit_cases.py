@@ -109,11 +109,7 @@ def check_case(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, tuple[str, str],
     matrix = np.eye(3) + 0.03 * rng.normal(size=(3, 3))
     reading = field_B @ matrix.T + 4000 * rng.normal(size=3) + 600 * rng.normal(size=field.shape)
     vehicle = Vehicle(
-        "in orbit",
-        gain_unit="W",
-        panels=PANELS,
-        telemetry=TelemetryForm(noise=0.01),
-        sensors=FIELD,
+        "in orbit", gain_unit="W", panels=PANELS, telemetry=TelemetryForm(noise=0.01), sensors=FIELD
     )
     data = telemetry_of(vehicle, t, power, field_B=(("time", "axis"), reading))
     return (
@@ -165,11 +161,9 @@ def rates_case(
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     elements, sigma = two_line_elements(rng), float(10 ** rng.uniform(0.3, 1.3))
-    ahead, interval, passes = (
-        sigma * rng.normal(),
-        float(rng.uniform(*every_s)),
-        int(rng.integers(4, 8)),
-    )
+    ahead = sigma * rng.normal()
+    interval = float(rng.uniform(*every_s))
+    passes = int(rng.integers(4, 8))
     ground, body = Ground.drawn(rng, patches), drawn_body(rng)
     speed = np.radians(10 ** rng.uniform(*power))
     starts = np.sort(rng.choice(12, passes, replace=False)) * 5600.0 + rng.uniform(0, 2500, passes)

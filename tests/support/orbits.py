@@ -153,10 +153,8 @@ class Ground(NamedTuple):
     @classmethod
     def drawn(cls, rng: np.random.Generator, patches: int = 20_000) -> Ground:
         """Draw albedos of 0.3, more or less by half, in clouds of 500 km and seas of 3000 km."""
-        z, turn = (
-            1 - (2 * np.arange(patches) + 1) / patches,
-            np.pi * (3 - np.sqrt(5)) * np.arange(patches),
-        )
+        z = 1 - (2 * np.arange(patches) + 1) / patches
+        turn = np.pi * (3 - np.sqrt(5)) * np.arange(patches)
         up = np.column_stack(
             [np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z]
         )

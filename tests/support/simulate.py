@@ -200,6 +200,12 @@ def fast_body(
     return LONG_BODY, xr.Dataset(variables, {"time": t}, attrs), run
 
 
+def pulls(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
+    """Return the errors (n, 3) of the best solution's rates in their own sigmas."""
+    off = result["omega_B"].values - run["omega_B"].sel(time=result["time"]).values
+    return off / np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+
+
 def has_true_mean_rate(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
     """Return for each solution of the first pass whether its mean rate is the true one, within five sigma or 0.1 deg/s."""
     at = result["time"].values[result["pass_of"].values == 0]

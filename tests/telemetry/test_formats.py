@@ -248,10 +248,8 @@ def test_suggested_keys_read_a_sensor_as_suggested():
     """For each of the 48 ways: the keys that the sentence names, in the vehicle file, give the readings that were meant."""
     base = tomllib.loads(REVERSED)
     base["gyro"]["zero"] = {"value": [2, 1, 3], "sigma": [0.1, 0.2, 0.3]}
-    raw, header = (
-        np.random.default_rng(2).uniform(0, 255, (5, 6)),
-        ["gx", "gy", "gz", "mx", "my", "mz"],
-    )
+    raw = np.random.default_rng(2).uniform(0, 255, (5, 6))
+    header = ["gx", "gy", "gz", "mx", "my", "mz"]
     plain = VEHICLE.format(telemetry='time_column = "t"')
     for table in ("gyro", "magnetometer"):
         old = parse_vehicle(
@@ -301,11 +299,8 @@ def test_telemetry_of_a_results_folder_is_read_unchanged(stored):
     vehicle, data, path = stored
     again = ss.read_telemetry(path, vehicle)
     xr.testing.assert_identical(again.drop_attrs(), data.drop_attrs())
-    assert dict(again.attrs) == dict(data.attrs) and again["gyro_B"].values[1].tolist() == [
-        0.0,
-        0.03,
-        0.01,
-    ]
+    assert dict(again.attrs) == dict(data.attrs)
+    assert again["gyro_B"].values[1].tolist() == [0.0, 0.03, 0.01]
     xr.testing.assert_identical(
         restore_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data
     )

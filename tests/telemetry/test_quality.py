@@ -52,10 +52,8 @@ def test_a_dead_panel_is_named_and_left_out():
     assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
     assert np.isinf(quality["sigma"].values[:, 2]).all()
     assert quality["missed"].values.tolist() == [False, False, True, False, False, False]
-    assert (
-        Panels.read(assess(CUBE, telemetry(value)))[0].left_out == ("p2",)
-        and not Panels.read(assess(CUBE, telemetry(clean(60)[0])))[0].left_out
-    )
+    assert Panels.read(assess(CUBE, telemetry(value)))[0].left_out == ("p2",)
+    assert not Panels.read(assess(CUBE, telemetry(clean(60)[0])))[0].left_out
 
 
 def test_a_panel_that_was_never_in_the_sun_is_not_called_dead():

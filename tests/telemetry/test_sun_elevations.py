@@ -71,10 +71,8 @@ def test_angles_become_the_readings_of_flat_panels(tmp_path, keys, scaled):
     vehicle = parse_vehicle(VEHICLE.replace('quantity = "elevation_deg"', keys), "test")
     data = ss.read_telemetry(write(tmp_path / "angles.csv", scaled(suns())), vehicle)
     np.testing.assert_allclose(data["power_W"], ss.panel_power(vehicle, suns()), atol=1e-6)
-    assert (
-        data["power_W"].attrs["units"] == "1"
-        and data.attrs["quantity"] == vehicle.telemetry.quantity
-    )
+    assert data["power_W"].attrs["units"] == "1"
+    assert data.attrs["quantity"] == vehicle.telemetry.quantity
     assert (data["flag"] == 0).all()
 
 

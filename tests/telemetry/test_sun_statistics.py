@@ -26,11 +26,9 @@ def distances(assumed=PHILAE, noise=NOISE, offset=0.0, seed=0):
     )  # grazing panels are no longer linear
     found = ss.sun_directions(assumed, power, noise=noise, lit_threshold=3 * NOISE)
     use = is_reconstructed(found["status"]) & enough
-    truth, told, covariance = (
-        sun[clear][use],
-        found["sun_B"].values[use],
-        found["sun_cov_B"].values[use],
-    )
+    truth = sun[clear][use]
+    told = found["sun_B"].values[use]
+    covariance = found["sun_cov_B"].values[use]
     basis = np.linalg.svd(told[:, None, :])[2][:, 1:]
     tangent = np.einsum("nai,nij,nbj->nab", basis, covariance, basis)
     error = np.einsum("nai,ni->na", basis, truth - told)

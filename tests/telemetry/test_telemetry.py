@@ -143,11 +143,9 @@ def test_rows_are_sorted_and_repeats_merged_where_bad_rows_are_flagged(tmp_path)
     data = read(tmp_path, text, craft)
     np.testing.assert_array_equal(data["time"].values, [0, 10, 20, 30, 900])
     np.testing.assert_array_equal(data["power_W"].values[:, 0], [1, 2, 3, 4, 7])
-    assert (
-        not data["flag"].values.any()
-        and data.attrs["rows_merged"] == 2
-        and data.attrs["rows_sorted"] == 6
-    )
+    assert not data["flag"].values.any()
+    assert data.attrs["rows_merged"] == 2
+    assert data.attrs["rows_sorted"] == 6
 
 
 def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
@@ -156,10 +154,8 @@ def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
         "time,a,b\n2026-01-01T00:01:00Z,2,1\n2026-01-01T00:00:00Z,1,1\n",
         vehicle(bad_rows="flag"),
     )
-    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data["time"].values.tolist() == [
-        0.0,
-        60.0,
-    ]
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
+    assert data["time"].values.tolist() == [0.0, 60.0]
 
 
 def test_times_without_a_zone_next_to_local_ones_are_refused(tmp_path):

@@ -113,11 +113,9 @@ def test_a_wrong_unit_of_currents_or_of_voltages_is_named(tmp_path, key, factor)
     )
     assert judged(text, path) == []
     (found,) = judged(changed(text, "telemetry", key, factor), path)
-    assert (
-        found.key == "scale or voltage_scale"
-        and found.value is None
-        and "check scale or voltage_scale" in str(found)
-    )
+    assert found.key == "scale or voltage_scale"
+    assert found.value is None
+    assert "check scale or voltage_scale" in str(found)
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
@@ -257,18 +255,14 @@ def test_a_sun_sensor_in_degrees_is_named(tmp_path, seed, reach_deg):
     )
     assert judged(right, path) == []
     (found,) = judged(right.replace(f"x_scale = {np.pi / 180}", "x_scale = 1.0"), path)
-    assert (
-        found.key == "x_scale"
-        and found.value == pytest.approx(np.pi / 180)
-        and "degrees read as radians" in str(found)
-    )
+    assert found.key == "x_scale"
+    assert found.value == pytest.approx(np.pi / 180)
+    assert "degrees read as radians" in str(found)
 
 
 def test_the_line_to_change_is_found_for_a_key():
     text = 'name = "v"\n[telemetry]\n# scale = 3\nscale = 2 # x\n[telemetry.columns]\nscale = "b"\n[[wheel]]\nname = "w"\n'
     assert find_line(text, "telemetry", "scale") == (4, "scale = 2 # x")
     assert find_line(text, "telemetry", "noise") == (2, "[telemetry]")
-    assert (
-        find_line(text, "[wheel]", "name") == (8, 'name = "w"')
-        and find_line(text, "gyro", "zero") is None
-    )
+    assert find_line(text, "[wheel]", "name") == (8, 'name = "w"')
+    assert find_line(text, "gyro", "zero") is None

@@ -23,8 +23,8 @@ def test_a_row_of_a_study_is_computed_once_and_a_failed_one_is_not_kept(tmp_path
         load_or_make(folder / "0.json", make)
         == load_or_make(folder / "0.json", make)
         == {"x": 0.1 + 0.2}
-        and len(made) == 1
     )
+    assert len(made) == 1
     with pytest.raises(InputError, match="no such motion"):
         load_or_make(folder / "1.json", fails)
     assert [path.name for path in folder.iterdir()] == ["0.json"]

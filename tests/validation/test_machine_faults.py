@@ -47,12 +47,7 @@ def test_a_full_disk_is_reported_and_leaves_no_partial_results(tmp_path):
 @pytest.mark.long
 def test_a_full_disk_is_reported_for_a_store(tmp_path):
     given = [
-        "outcomes",
-        "philae",
-        "--runs=64",
-        "--workers=1",
-        "--strategy=off",
-        "--store",
+        *"outcomes philae --runs=64 --workers=1 --strategy=off --store".split(),
         tmp_path / "rows",
     ]
     said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path), "nothing")

@@ -132,8 +132,20 @@ def test_a_decided_mirror_solution_is_wrong_unless_columns_are_exchanged(
 ):
     row = {"decided": True, "wrong": False, "mirrored": True, "empty": False, "leads": True}
     row |= {"listed": False, "pull": 9.0, "off_deg_s": [1.0], "sigma_deg_s": [0.1], "why": ""}
+    row |= {"named": [], "named_rightly": False}
     monkeypatch.setattr("validation.passes.judge", lambda *_: row)
     assert _pass(kind, 0, 0)["outcome"] == outcome
+
+
+@pytest.mark.parametrize(("rightly", "outcome"), [(True, "right"), (False, "wrong")])
+def test_a_named_exchange_of_columns_is_right_only_if_it_is_the_true_one(
+    monkeypatch, rightly, outcome
+):
+    row = {"decided": False, "wrong": False, "mirrored": True, "empty": False, "leads": True}
+    row |= {"listed": True, "pull": 0.5, "off_deg_s": [0.1], "sigma_deg_s": [0.1], "why": ""}
+    row |= {"named": ["the columns of panels +x and +y exchanged"], "named_rightly": rightly}
+    monkeypatch.setattr("validation.passes.judge", lambda *_: row)
+    assert _pass("exchanged, six panels", 0, 0)["outcome"] == outcome
 
 
 def test_a_changed_working_tree_has_another_state_than_its_commit(monkeypatch):

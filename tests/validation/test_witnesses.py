@@ -72,11 +72,9 @@ def test_the_page_states_what_the_witnesses_give():
 
 def test_a_moment_of_inertia_off_by_a_millionth_changes_the_phase():
     """A part in a million of one moment is 1e-4 rad after 200 turns: invariants alone would not tell."""
-    moments, omega, t = (
-        np.array([0.7, 1.0, 1.6]),
-        np.array([0.2, 0.3, 1.0]),
-        np.linspace(0, 1300, 50),
-    )
+    moments = np.array([0.7, 1.0, 1.6])
+    omega = np.array([0.2, 0.3, 1.0])
+    t = np.linspace(0, 1300, 50)
     wrong = ss.propagate(
         Vehicle("wrong", np.diag(moments * [1, 1, 1 + 1e-6])), omega, SUN, None, t
     )["omega_B"].values

@@ -13,8 +13,6 @@ import threading
 import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
-from types import ModuleType
-from typing import Any
 
 import click
 
@@ -56,7 +54,7 @@ def main() -> None:
         warnings.simplefilter("ignore")
     _catch_signals()
     try:
-        with _lean_process():
+        with _seldom_collecting():
             code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
         sys.exit(code if isinstance(code, int) else 0)
@@ -105,30 +103,14 @@ def main() -> None:
 
 
 @contextmanager
-def _lean_process() -> Generator[None]:
-    """Spare a command what its libraries do for other programs.
-
-    If dask is installed, xarray imports it to know its arrays, and matplotlib imports 3-D axes. No command uses 3-D axes, and only
-    those with --scheduler use dask. Garbage is collected less often: imports make many objects and little garbage.
-    """
+def _seldom_collecting() -> Generator[None]:
+    """Collect garbage less often: imports make many objects and little garbage."""
     threshold = gc.get_threshold()
     gc.set_threshold(GARBAGE, *threshold[1:])
-    without_3d = ModuleType("mpl_toolkits.mplot3d")
-    without_3d.__dict__["Axes3D"] = None  # as matplotlib itself has it if the import fails
-    unused: dict[str, ModuleType | None] = {"mpl_toolkits.mplot3d": without_3d}
-    # a program that has used xarray before keeps dask: xarray does not look for it again
-    if "xarray" not in sys.modules and not any(arg.startswith("--scheduler") for arg in sys.argv):
-        unused["dask"] = None  # for Python a module that is not there
-    modules: dict[str, Any] = sys.modules
-    hidden = {name: module for name, module in unused.items() if name not in modules}
-    modules.update(hidden)
     try:
         yield
     finally:
         gc.set_threshold(*threshold)
-        for name, module in hidden.items():
-            if modules.get(name, ...) is module:
-                del modules[name]
 
 
 def _prepare_streams() -> None:

@@ -254,10 +254,12 @@ def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     momentum = model.obs.momentum
     inertia = model.body.inertia_at(motions.u[:, model.of_body])
     back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
-    made = step(inertia, motions.omega, back, (momentum, momentum))
-    turning = np.cross(made.omega @ inertia + momentum, made.omega)
+    stepped = step(inertia, motions.omega, back, (momentum, momentum))
+    turning = np.cross(stepped.omega @ inertia + momentum, stepped.omega)
     acceleration = turning @ np.linalg.inv(inertia)
-    return Earlier(States(made.turned @ motions.attitude, made.omega), made.turned, acceleration)
+    return Earlier(
+        States(stepped.turned @ motions.attitude, stepped.omega), stepped.turned, acceleration
+    )
 
 
 def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
@@ -268,14 +270,14 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
     body, dt = model.body, np.diff(model.obs.t_s)
     momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
     inertia = body.inertia_at(motions.u[:, model.of_body])
-    made = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
+    stepped = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
     relative = motions.attitude[:, 1:] @ np.swapaxes(motions.attitude[:, :-1], -1, -2)
     value = np.concatenate(
-        [rotation_between(made.turned, relative), motions.omega[:, 1:] - made.omega], axis=-1
+        [rotation_between(stepped.turned, relative), motions.omega[:, 1:] - stepped.omega], axis=-1
     )
-    assert made.by_start is not None and made.by_inertia is not None
-    by_start, by_u = made.by_start, np.zeros((*value.shape, motions.u.shape[1]))
-    by_u[..., model.of_body] = made.by_inertia
+    assert stepped.by_start is not None and stepped.by_inertia is not None
+    by_start, by_u = stepped.by_start, np.zeros((*value.shape, motions.u.shape[1]))
+    by_u[..., model.of_body] = stepped.by_inertia
     for term, place in zip(model.obs.terms, model.of_terms, strict=True):
         push = term.added_by_unknowns(motions, dt)
         if push is not None:
@@ -318,10 +320,17 @@ def _free_turn(obs: Observations, sun_B: np.ndarray) -> np.ndarray:
     return sun_B[:, :, None] * sun_B[:, None, :] / TURN_PRIOR**2
 
 
-def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) -> Fit:
+def fit(
+    model: Model,
+    motions: Track,
+    steps: int,
+    tolerance: float = TOLERANCE,
+    along_equations: bool = False,
+) -> Fit:
     """Fit states at all samples and the unknowns by Levenberg and Marquardt's method; return the motions with their evidence.
 
-    Unknowns that `motions` lack, as those of a term that was added last, begin at their centres.
+    Unknowns that `motions` lack, as those of a term that was added last, begin at their centres. `along_equations`: a step leaves
+    the equations of motion by no more than its linear theory says (:func:`bent_step`).
     """
     limits = np.array([unknown.limit for unknown in model.unknowns])
     longest = RATE_LIMIT * model.rate_sigma
@@ -331,6 +340,9 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
         nodes, shared = change
         u = u if shared is None else np.clip(u + shared, -limits, limits)
         u[:, model.of_body] = model.body.possible(u[:, model.of_body])
+        if along_equations:
+            bent = bent_step(model, Track(*state), nodes, u)
+            return bent.attitude, limit_length(bent.omega, longest), u
         return (
             rotate_attitude(attitude, nodes[..., TURN]),
             limit_length(omega + nodes[..., RATE], longest),
@@ -356,6 +368,50 @@ def fit(model: Model, motions: Track, steps: int, tolerance: float = TOLERANCE) 
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
+
+
+def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) -> Track:
+    """Return motions after a step `nodes` (K, n, 6) of turns and rates, and with unknowns u (K, m), along the equations of motion.
+
+    A step is straight in the states of all samples, and the equations of motion bend: under weak torques what a straight step
+    leaves them by costs much, so that a chain creeps along a valley of inertia and rates. Here the state of the middle sample moves
+    as the step says. All others follow from it by the equations of motion, and by the defects that linear theory predicts after
+    the step: it is the step of single shooting, of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
+    """
+    obs, body = model.obs, model.body
+    n, dt = len(obs), np.diff(obs.t_s)
+    value, by_first, by_second, by_u = defects(model, motions)
+    predicted = value + np.einsum("knij,knj->kni", by_first, nodes[:, :-1])
+    predicted += np.einsum("knij,knj->kni", by_second, nodes[:, 1:])
+    predicted += np.einsum("knij,kj->kni", by_u, u - motions.u)
+    # what is added to a free motion in each interval: the defect, undone from its whitening, and torques
+    added = np.linalg.solve(Whitening.of(model.noise, dt).matrix, predicted[..., None])[..., 0]
+    for term, place in model.placed_terms:
+        push, known = term.added_by_unknowns(motions, dt), term.added_by_torque(motions, dt)
+        if push is not None:
+            added += np.einsum("knim,km->kni", push, u[:, place])
+        if known is not None:
+            added += known
+
+    inertia = body.inertia_at(u[:, model.of_body])
+    attitude = rotate_attitude(motions.attitude, nodes[..., TURN])
+    omega = motions.omega + nodes[..., RATE]
+    for start in range(n // 2, n - 1):
+        end = start + 1
+        momenta = obs.momentum[[start]], obs.momentum[[end]]
+        made = step(inertia, omega[:, [start]], dt[[start]], momenta)
+        free = made.turned[:, 0] @ attitude[:, start]
+        attitude[:, end] = rotate_attitude(free, added[:, start, TURN])
+        omega[:, end] = made.omega[:, 0] + added[:, start, RATE]
+    for start in range(n // 2, 0, -1):
+        end = start - 1
+        momenta = obs.momentum[[start]], obs.momentum[[end]]
+        before = omega[:, [start]] - added[:, [end], RATE]
+        made = step(inertia, before, -dt[[end]], momenta)
+        free = rotate_attitude(attitude[:, start], -added[:, end, TURN])
+        attitude[:, end] = made.turned[:, 0] @ free
+        omega[:, end] = made.omega[:, 0]
+    return Track(attitude, omega, u)
 
 
 def log_left_out(model: Model) -> float:
@@ -401,9 +457,9 @@ def _carry_on(
 ) -> None:
     """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
     for start, end in _ways(first, last, attitudes.shape[1]):
-        made = _step_between(model, rates, start, end)
-        attitudes[:, end] = made.turned @ attitudes[:, start]
-        rates[:, end] = made.omega
+        stepped = _step_between(model, rates, start, end)
+        attitudes[:, end] = stepped.turned @ attitudes[:, start]
+        rates[:, end] = stepped.omega
 
 
 def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
@@ -448,11 +504,11 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, sample, n):
-            made = _step_between(model, track.omega, start, end, derivatives=True)
-            track.attitude[:, end] = made.turned @ track.attitude[:, start]
-            track.omega[:, end] = made.omega
-            assert made.by_start is not None
-            by_state[:, end] = made.by_start @ by_state[:, start]
+            stepped = _step_between(model, track.omega, start, end, derivatives=True)
+            track.attitude[:, end] = stepped.turned @ track.attitude[:, start]
+            track.omega[:, end] = stepped.omega
+            assert stepped.by_start is not None
+            by_state[:, end] = stepped.by_start @ by_state[:, start]
         previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:
@@ -514,17 +570,8 @@ class Chain:
         return Track.joined(motions)
 
     def fit(self, motions: Track, window: slice) -> Track:
-        """Return motions fitted to a window; in a short one those that still fit badly are shot first, as the chain creeps."""
-        model = self.model.seeing(window)
-        fitted = fit(model, motions, steps=4).motions
-        half_s = np.abs(model.obs.t_s - model.obs.t_s[len(model.obs) // 2]).max()
-        short = model.noise.acceleration * np.sqrt(half_s**3 / 3) <= self.s.stiff_rad
-        poor = np.flatnonzero(fitted.cost > self.s.poor * model.obs.cost_limit)
-        if not (short and len(poor)):
-            return fitted
-        moved = fit(model, shot(model, len(model.obs) // 2, fitted.take(poor), 8), 4).motions
-        good = fitted.take(np.setdiff1d(np.arange(len(fitted)), poor))
-        return Track.joined([good, moved]) if len(good) else moved
+        """Return motions fitted to a window."""
+        return fit(self.model.seeing(window), motions, steps=4).motions
 
     def kept(self, motions: Track, window: slice) -> Track:
         """Return motions without copies and without improbable ones, best first."""
@@ -555,7 +602,7 @@ def along_the_valley(
     valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
     far from the best.
     """
-    limit = s.poor * model.obs.cost_limit
+    limit = s.valley_fits * model.obs.cost_limit
     limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
     motions = motions.take(np.flatnonzero(motions.cost < limit))
     covariance = np.nan_to_num(motions.covariance[:, middle])

@@ -112,6 +112,15 @@ def _fitted(
     What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
     """
     one = fit(model, motions, steps, s.tolerance)
+    # under weak torques a chain creeps: a motion whose cost rises may stand on a slope, and then goes down along the equations
+    span_s = float(np.ptp(model.obs.t_s))
+    stiff = model.noise.acceleration * np.sqrt((span_s / 2) ** 3 / 3) <= s.stiff_rad
+    if stiff and len(motions.cost) == len(one):
+        rises = one.motions.cost > motions.cost + s.creeping
+        if rises.any():
+            begin = one.motions.take(np.flatnonzero(rises))
+            lower = fit(model, begin, steps, s.tolerance, along_equations=True)
+            one = _joined([one.take(np.flatnonzero(~rises)), lower])
     shared = over_shares(one, s.beyond_fit)
     which = _distinct(shared, s, of_search)
     return one.take(which), shared.take(which)

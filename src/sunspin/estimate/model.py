@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sunspin.estimate.settings import INERTIA, INERTIA_SIGMAS, UNKNOWN_MOMENT, UNKNOWN_PRODUCT
+from sunspin.estimate.settings import (
+    INERTIA,
+    INERTIA_SIGMAS,
+    UNKNOWN_MOMENT,
+    UNKNOWN_PRODUCT,
+    UNKNOWN_SHARES,
+)
 from sunspin.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -126,10 +132,11 @@ class Body:
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the errors of the inertia."""
+        """Return the errors of the inertia; without an inertia they have one of two sizes, which evidence chooses."""
         sizes = np.linalg.norm(self.errors, axis=(1, 2))
+        shares = UNKNOWN_SHARES if self.sphere else (1.0,)
         return tuple(
-            Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(size), i, INERTIA_SIGMAS)
+            Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(size), i, INERTIA_SIGMAS, shares)
             for i, size in enumerate(sizes)
         )
 

@@ -1,4 +1,7 @@
-"""Every motion of a lander that panel readings allow, with its probability, or the word that none fits (docs/posterior.md)."""
+"""Every motion of a lander that panel readings allow, with its probability, or the word that none fits (docs/posterior.md).
+
+From top to bottom: search under the nominal model, fits of its motions under constant torques, draws of all models, verdict.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from sunspin.base.provenance import provenance, with_units
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import columns_seen
 from sunspin.estimate.lander.carrier import Shooting
-from sunspin.estimate.lander.grid import Place, grid_starts, reference
+from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots, Trials
@@ -65,8 +68,24 @@ ADVISED_SIGMAS = (0.1, 0.03, 0.01, 3e-3, 1e-3)
 NO_TORQUES = "solutions with a constant torque were not searched, as this would take longer than the search without"
 
 
+class NominalSearch(NamedTuple):
+    """A search under the nominal model.
+
+    `window`: what was seen; `reference`: the sample at which motions are states, and the search began; `motions`: with which the
+    search ended, and `fit`: these fitted to all samples with all unknowns; `prior_words`: the priors and their sources in words.
+    """
+
+    assessment: Assessment
+    window: Window
+    reference: Reference
+    carrier: Shooting
+    motions: Trials
+    fit: ShotFit
+    prior_words: dict[str, str]
+
+
 class Drawn(NamedTuple):
-    """Models with the motions about which they were drawn, and their draws; the nominal model first. `doubts` in words."""
+    """Draws of each model, the nominal one first, with the fitted motions about which they were proposed; `doubts` in words."""
 
     fits: list[ShotFit]
     draws: list[Draws]
@@ -141,10 +160,12 @@ def posterior(
         Priors, observations or a window that make no sense; too few samples.
     """
     _require_whole(seed, draws)
+    # a stream of random numbers for each of three models, and again after a second search; for the draws of the result; for checks
     streams = [np.random.default_rng(one) for one in np.random.SeedSequence(seed).spawn(8)]
+    of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
     say = progress if callable(progress) else _written if progress else _unsaid
     say("searching every motion that the readings allow")
-    nominal = searched(
+    nominal = search_nominal(
         vehicle,
         telemetry,
         priors,
@@ -158,17 +179,20 @@ def posterior(
     )
     budget = Budget(settings.motions)
     budget.spend(nominal.carrier.fitted)
-    doubts, mix = under_all_models(nominal, priors, streams, budget, say)
-    picked = resampled(mix.draws.log_weight, draws, streams[6])
-    checked, outliers = mix.checked(picked, streams[7], settings.sampling)
-    place, model = nominal.place, nominal.fit.model
-    searched_rad_s = min(place.limit, model.max_rate)
+    doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
+    picked = resampled(mix.draws.log_weight, draws, of_result)
+    checked, outliers = mix.checked(picked, of_checks, settings.sampling)
+    reference, model = nominal.reference, nominal.fit.model
+    searched_rad_s = min(reference.limit, model.max_rate)
     prior_sigma = searched_rad_s / np.sqrt(5)  # of a component, uniform in the ball
     tree = tree_of(mix, picked, nominal.carrier.trace, prior_sigma)
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
-    doubts = [*likeliest.notes, *doubts, *_limits(mix, picked, searched_rad_s)]
+    doubts = [*likeliest.notes, *doubts]
+    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
+    if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
+        doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
     if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
         cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
         doubts.append(f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0; {cure}")
@@ -195,26 +219,81 @@ def posterior(
     return with_units(tree)
 
 
-def under_all_models(
-    nominal: Searched,
+def search_nominal(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    priors: Mapping[str, Any] | None = None,
+    *,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+    wheel_mode: str | Sequence[str] = "coast",
+    workers: int | None = None,
+    settings: PosteriorSettings = POSTERIOR,
+) -> NominalSearch:
+    """Return every motion that the readings of a stretch allow under the nominal model, fitted to all samples.
+
+    Arguments as in :func:`sunspin.posterior`.
+    """
+    assessment = assess(vehicle, telemetry)
+    window = observe_window(assessment, begin_s, end_s, phase, observations)
+    stated, prior_words = with_priors(assessment, window, priors, wheel_mode)
+    reference = choose_reference(stated, settings.grid, bool((priors or {}).get("max_rate_rad_s")))
+    carrier = Shooting(reference.about(stated), reference, settings, workers)
+    motions = search_under(carrier)
+    return NominalSearch(
+        assessment,
+        window,
+        reference,
+        carrier,
+        motions,
+        carrier.fit_all_samples(motions),
+        prior_words,
+    )
+
+
+def search_under(carrier: Shooting) -> Trials:
+    """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
+    settings = carrier.settings
+    carrier.announce_starts()
+    starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
+
+    def watch(window: slice, kept: Trials) -> None:
+        """Note what is left of a window, and show it to whoever watches."""
+        carrier.note_window(window, kept)
+        if settings.search.watch is not None:
+            settings.search.watch(window, kept)
+
+    watched = replace(settings.search, watch=watch)
+    return search(carrier, starts, watched, Budget(settings.motions))
+
+
+def draw_all_models(
+    nominal: NominalSearch,
     priors: Mapping[str, Any] | None,
     streams: Sequence[np.random.Generator],
     budget: Budget,
     say: Callable[[str], None],
 ) -> tuple[list[str], Mixture]:
-    """Return doubts in words, and draws of the nominal model and of those with a constant torque, from a stream each (6)."""
+    """Return doubts in words, and draws of the nominal model and of those with a constant torque, each with its evidence.
+
+    `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows.
+    """
     settings, reach_s = nominal.carrier.settings, LanderTarget(nominal.fit.model).reach_s
 
     # Other models begin with the motions of the nominal one. A torque of a few degrees over the samples is taken up by inertia and
     # friction, so readings that fit do not exclude it: what it leaves in doubt is in the draws.
-    torques = under_torques(nominal, priors)
+    torques = torque_carriers(nominal, priors)
     say(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
-    fits = [nominal.fit, *(refitted(other, nominal) for other in torques)]
-    drawn = sampled(fits, nominal, streams[:3], budget)
+    fits = [nominal.fit, *(refit(other, nominal) for other in torques)]
+    drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
-    if not (torques and nominal.carrier.complete) or explains(drawn, mix, reach_s, settings):
+    if not (torques and nominal.carrier.complete) or nominal_explains(
+        drawn, mix, reach_s, settings
+    ):
         return drawn.doubts, mix
 
     # Where no motion of the nominal model fits, a torque may hide the true one: search under each from the first samples on. If
@@ -222,14 +301,48 @@ def under_all_models(
     if nominal.carrier.fitted > settings.long_search or budget.exhausted():
         return [*drawn.doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
-    more = [with_motions(other, nominal, settings) for other in torques]
-    again = sampled([nominal.fit, *more], nominal, streams[3:6], budget, drawn.draws[0])
+    under_torques = [search_and_refit(other, nominal) for other in torques]
+    again = draw_models(
+        [nominal.fit, *under_torques], nominal, streams[3:6], budget, drawn.draws[0]
+    )
     return again.doubts, again.mixture(reach_s, settings)
 
 
-def sampled(
+def torque_carriers(nominal: NominalSearch, priors: Mapping[str, Any] | None) -> list[Shooting]:
+    """Return what fits and searches under models with a constant torque, in body axes and in space, the same readings."""
+    carrier = nominal.carrier
+    return [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
+
+
+def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
+    """Return the motions of the nominal model fitted under that of a carrier, whose further unknowns begin at their centres.
+
+    All motions with which the search ended are fitted, also those far worse than the best: under another model they may fit.
+    """
+    fit = carrier.fit_all_samples(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
+    # what the search left out, this model misses too
+    notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
+    return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
+
+
+def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
+    """Return the motions of the nominal model, and those of a search under a torque from the first samples on, fitted under it."""
+    motions = search_under(carrier)
+    shots = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
+    starts = np.concatenate([nominal.motions.starts, motions.starts])
+    return carrier.fit_all_samples(Trials(shots, starts))
+
+
+def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:
+    """Return the motions of the nominal model as those of a model that has its unknowns and more, these at their centres."""
+    names = [unknown.name for unknown in model.unknowns]
+    places = np.array([names.index(one.name) for one in nominal.carrier.model.unknowns])
+    return nominal.motions.shots.with_unknowns(places, len(names))
+
+
+def draw_models(
     fits: Sequence[ShotFit],
-    nominal: Searched,
+    nominal: NominalSearch,
     streams: Sequence[np.random.Generator],
     budget: Budget,
     before: Draws | None = None,
@@ -239,8 +352,9 @@ def sampled(
     The likeliest model gets all draws and walkers, the others fewer. `before`: draws of the nominal model that there are already.
     """
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
-    mass = np.array([_log_mass(fit) for fit in fits])
-    chosen = [h for h in range(len(fits)) if h == 0 or mass[h] > mass.max() - settings.hopeless]
+    evidence = np.array([logsumexp(fit.log_evidence) for fit in fits])  # log, by Laplace's method
+    promising = evidence > evidence.max() - settings.hopeless
+    chosen = [h for h in range(len(fits)) if h == 0 or promising[h]]
     # the budget is divided before the first draw, so that results do not depend on which model is ready first
     most = (budget.most - budget.used) / (len(chosen) + 1) / count
     limit = nominal.carrier.cost_limit(slice(0, count))
@@ -250,7 +364,7 @@ def sampled(
         fit, s, own = fits[h], settings.sampling, Budget(most)
         if h == 0 and before is not None:
             return before, own
-        part = 1.0 if mass[h] == mass.max() else settings.others_draws
+        part = 1.0 if evidence[h] == evidence.max() else settings.others_draws
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
         s = replace(
@@ -259,9 +373,9 @@ def sampled(
             wanted=part * s.wanted,
             walkers=int(np.ceil(part * s.walkers)),
         )
-        # with which part of its sigma the prior held each unknown in the fit
-        under = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-        return sample(LanderTarget(fit.model), fit, streams[h], s, own, under), own
+        # the part of its sigma with which the prior held each unknown in the fit: its weight is the inverse square of that
+        fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
+        return sample(LanderTarget(fit.model), fit, streams[h], s, own, fitted_share), own
 
     drawn = Drawn([], [], [])
     with ThreadPoolExecutor(nominal.carrier.workers) as pool:
@@ -275,14 +389,16 @@ def sampled(
             drawn.draws.append(draws)
         elif h == 0:
             raise _nothing_drawn(fit.model)
-        elif mass[h] > logsumexp(mass) + np.log(COUNTS):
+        elif evidence[h] > logsumexp(evidence) + np.log(COUNTS):
             drawn.doubts.append(
                 f"{fit.model.what} may explain the readings too, but no motion that it allows could be drawn"
             )
     return drawn
 
 
-def explains(drawn: Drawn, mix: Mixture, reach_s: float, settings: PosteriorSettings) -> bool:
+def nominal_explains(
+    drawn: Drawn, mix: Mixture, reach_s: float, settings: PosteriorSettings
+) -> bool:
     """Return whether the nominal model explains the readings: they are likely under it, and no other is far likelier."""
     rng = np.random.default_rng(0)
     alone = Drawn(drawn.fits[:1], drawn.draws[:1], []).mixture(reach_s, settings)
@@ -293,19 +409,6 @@ def explains(drawn: Drawn, mix: Mixture, reach_s: float, settings: PosteriorSett
         and abs(checked.noise_sigmas) < settings.explains_noise
         and mix.probability[0] > settings.explains_probability
     )
-
-
-def with_motions(other: Shooting, nominal: Searched, settings: PosteriorSettings) -> ShotFit:
-    """Return the motions of the nominal model, and those of a search under a torque, fitted under that torque."""
-    motions = searched_by(other, settings)
-    both = Shots.joined([_renamed(other.model, nominal), motions.shots])
-    starts = np.concatenate([nominal.motions.starts, motions.starts])
-    return other.curved(Trials(both, starts))
-
-
-def _log_mass(fit: ShotFit) -> float:
-    """Return the log evidence of a model by Laplace's method."""
-    return float(logsumexp(fit.log_evidence))
 
 
 def _nothing_drawn(model: LanderModel) -> InputError:
@@ -355,10 +458,10 @@ def _require_whole(seed: Any, draws: Any) -> None:
 
 
 def _about(
-    nominal: Searched, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
+    nominal: NominalSearch, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
 ) -> dict[str, Any]:
     """Return the attributes that say of what, and under which priors, a posterior is."""
-    window, place, model = nominal.window, nominal.place, nominal.fit.model
+    window, reference, model = nominal.window, nominal.reference, nominal.fit.model
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
     mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
     t_s = window.start_s + window.obs.t_s[model.panels.present()]
@@ -370,26 +473,18 @@ def _about(
         "noise": float(np.median(model.panels.sigma)),
         "noise_from": window.noise_from,
         "samples": len(t_s),
-        "reference_sample": place.sample,
-        "priors": json.dumps(nominal.said),
+        "reference_sample": reference.sample,
+        "priors": json.dumps(nominal.prior_words),
         "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(mode),
-        "max_rate_rad_s": place.given,
-        "searched_rate_rad_s": float(place.limit),
+        "max_rate_rad_s": reference.given,
+        "searched_rate_rad_s": float(reference.limit),
         "time_sigma_s": model.panels.time_s,
     }
 
 
-def _limits(mix: Mixture, picked: np.ndarray, searched_rad_s: float) -> list[str]:
-    """Return a doubt if the rates at the reference reach the limit of the search."""
-    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
-    if np.mean(speed > EDGE * searched_rad_s) <= AT_EDGE:
-        return []
-    return ["the rates reach the limit of the search; raise max_rate_rad_s"]
-
-
 def _findings(
-    tree: xr.DataTree, mix: Mixture, nominal: Searched, checked: Checked, outliers: np.ndarray
+    tree: xr.DataTree, mix: Mixture, nominal: NominalSearch, checked: Checked, outliers: np.ndarray
 ) -> Findings:
     """Return what the verdict is made of; `outliers` (n, p): probabilities of readings."""
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
@@ -423,7 +518,11 @@ def _findings(
 
 
 def _judged(
-    tree: xr.DataTree, mix: Mixture, findings: Findings, nominal: Searched, outliers: np.ndarray
+    tree: xr.DataTree,
+    mix: Mixture,
+    findings: Findings,
+    nominal: NominalSearch,
+    outliers: np.ndarray,
 ) -> dict[str, Any]:
     """Return the attributes of the verdict."""
     word, text = posterior_words(findings)
@@ -452,88 +551,3 @@ def _judged(
         "spoilt_readings": float(outliers.sum()),
         "hypotheses": json.dumps({what: round(share, 4) for what, share in shares.items()}),
     }
-
-
-class Searched(NamedTuple):
-    """A search under the nominal model.
-
-    `assessment` of the telemetry; `window`: what was seen; `place`: the reference; `motions`: what the search ended with; `fit`:
-    these fitted to all samples with all unknowns; `said`: the priors and their sources in words.
-    """
-
-    assessment: Assessment
-    window: Window
-    place: Place
-    carrier: Shooting
-    motions: Trials
-    fit: ShotFit
-    said: dict[str, str]
-
-
-def searched(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
-    priors: Mapping[str, Any] | None = None,
-    *,
-    begin_s: float | None = None,
-    end_s: float | None = None,
-    phase: str | None = None,
-    observations: Sequence[Mapping[str, Any]] = (),
-    wheel_mode: str | Sequence[str] = "coast",
-    workers: int | None = None,
-    settings: PosteriorSettings = POSTERIOR,
-) -> Searched:
-    """Return every motion that the readings of a stretch allow under the nominal model, fitted to all samples.
-
-    Arguments as in :func:`sunspin.posterior`.
-    """
-    assessment = assess(vehicle, telemetry)
-    window = observe_window(assessment, begin_s, end_s, phase, observations)
-    stated, said = with_priors(assessment, window, priors, wheel_mode)
-    place = reference(stated, settings.grid, bool((priors or {}).get("max_rate_rad_s")))
-    carrier = Shooting(place.about(stated), place, settings, workers)
-    motions = searched_by(carrier, settings)
-    return Searched(assessment, window, place, carrier, motions, carrier.curved(motions), said)
-
-
-def searched_by(carrier: Shooting, settings: PosteriorSettings) -> Trials:
-    """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
-    carrier.announce_starts()
-    starts = grid_starts(carrier.model, carrier.place, settings.grid, carrier.workers)
-
-    def watch(window: slice, kept: Trials) -> None:
-        """Note what is left of a window, and show it to whoever watches."""
-        carrier.note_window(window, kept)
-        if settings.search.watch is not None:
-            settings.search.watch(window, kept)
-
-    watched = replace(settings.search, watch=watch)
-    return search(carrier, starts, watched, Budget(settings.motions))
-
-
-def under_torques(nominal: Searched, priors: Mapping[str, Any] | None) -> list[Shooting]:
-    """Return carriers of the models with a constant torque, in body axes and in space, of the same readings.
-
-    Their motions are those of the nominal model, fitted by :func:`refitted`. If none of these fits, a torque may hide the true one,
-    and :func:`searched_by` looks for it under the torque from the first samples on.
-    """
-    carrier = nominal.carrier
-    return [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
-
-
-def refitted(carrier: Shooting, nominal: Searched) -> ShotFit:
-    """Return the motions of the nominal model fitted under that of a carrier, whose further unknowns begin at their centres.
-
-    All begin with which the search ended, also those far worse than the best: under another model they may fit.
-    """
-    fit = carrier.curved(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
-    # what the search left out, this model misses too
-    notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
-    return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
-
-
-def _renamed(model: LanderModel, nominal: Searched) -> Shots:
-    """Return the motions of the nominal model as those of a model that has its unknowns and more, these at their centres."""
-    names = [unknown.name for unknown in model.unknowns]
-    places = np.array([names.index(one.name) for one in nominal.carrier.model.unknowns])
-    return nominal.motions.shots.with_unknowns(places, len(names))

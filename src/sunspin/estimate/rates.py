@@ -266,8 +266,7 @@ def rates(
         }
     )
     again_if_asked = again if column_tests else None
-    in_orbit = isinstance(local, SunAlongZ)
-    result = check_columns(result, assessment, doubt, again_if_asked, in_orbit, settings, budget)
+    result = check_columns(result, assessment, doubt, again_if_asked, settings, budget)
     return with_units(result.assign_attrs(verdict=rates_words(result)))
 
 

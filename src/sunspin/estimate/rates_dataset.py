@@ -27,11 +27,13 @@ from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
     OTHER_SENSORS,
+    AtOnce,
     PassRow,
     answers,
     misfit,
     padded,
     passes_table,
+    spread_of,
 )
 from sunspin.solve.rotations import (
     matrix_from_quaternion,
@@ -80,7 +82,7 @@ def dataset(
     pass_of = np.repeat(np.arange(len(passes)), [len(one.samples) for one in passes])
     quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
     each = ("pass_id", "solution")
-    spread = [spread_of(one.mean, one.mean_sigma, one.probability) for one in solved]
+    spread = [spread_of(one.mean, one.mean_sigma**2, one.probability) for one in solved]
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), omega),
@@ -243,15 +245,6 @@ def in_space(
     return result.assign(from_J2000).assign_attrs(frame_N=J2000)
 
 
-def spread_of(mean: np.ndarray, sigma: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Return one sigma (3) of a rate about the best of K solutions, all of them counted.
-
-    `mean`, `sigma` (K, 3) and `probability` (K): those of the solutions. It is the root mean square of the difference from mean[0].
-    """
-    share = (probability / probability.sum())[:, None]
-    return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
-
-
 def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return one sigma (n) in rad of directions of the Sun (n, 3) from covariances (n, 3, 3) of the attitude.
 
@@ -290,16 +283,9 @@ def believed(
             misfits[k, sensors.index(name)] = by_sensor[name]
             residual[sensors.index(name), of_pass] = part[0]
         omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
-        four_answers, speed = answers(
-            one.probability,
-            omega,
-            covariance,
-            rate_sigma,
-            by_sensor,
-            bool(one.track.cost[0] <= one.cost_limit),
-            cure,
-            either_side(one.track),
-        )
+        motions = AtOnce(one.probability, omega, covariance, either_side(one.track))
+        explained = bool(one.track.cost[0] <= one.cost_limit)
+        four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, cure)
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # exchanged columns give a motion of the same size, so that a size confirms none
         # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion

@@ -98,6 +98,9 @@ class SearchSettings:
     valley_most: int = 16
     """Further candidates for one window, at most: with 64 no more of 100 slow bodies were found."""
 
+    valley_fits: float = 0.4
+    """Candidates that cost more than this share of the limit get no further ones: they do not fit."""
+
     valley_leading: float = 6.0
     """Candidates that cost more than the best by this get no further ones."""
 
@@ -112,12 +115,6 @@ class SearchSettings:
 
     good_enough: float = 0.8
     """A candidate fits for the search if it costs less than this share of the limit."""
-
-    poor: float = 0.4
-    """Candidates that cost more than this share of the limit are fitted by shooting, if the window is short."""
-
-    stiff_rad: float = 0.1
-    """A window is short if unknown torques turn the body by less than this in half of it: there the chain creeps."""
 
     watch: Callable[[Any, Any], None] | None = None
     """Called with each window and its candidates: to see which stage dropped a motion."""
@@ -145,6 +142,13 @@ class LadderSettings:
     tolerance: float = 1e-3
     """Predicted gain in cost below which a fit ends: 0.045 sigma. With a tenth of it fits of few samples take 1.4 times the steps,
     as many of them overshoot. No evidence changes by more than 0.012."""
+
+    creeping: float = 1.0
+    """A motion whose cost rises by more than this from one rung to the next may only creep: it is fitted further by steps along the
+    equations of motion. Fitting all motions so took twice the time of passes with few samples."""
+
+    stiff_rad: float = 0.1
+    """Torques are weak for such a fit if they turn the body by less than this in half of the pass."""
 
     hopeless: float = 18.0
     """Log evidence by which a motion, or a rung, is too improbable to go on with."""
@@ -283,13 +287,13 @@ class SamplingSettings:
     inner_width: float = 1.1
     """Factor on the sigmas of the stiff coordinates given the others."""
 
-    standing_noise: tuple[float, ...] = (1.0,)
+    reading_noise: tuple[float, ...] = (1.0,)
     """Factors on the noise in the steps to the best gains, brightness and misalignments given a motion."""
 
-    standing_draws: int = 8
+    reading_draws: int = 8
     """Sets of these that are drawn for each motion. With one, a set far out in its law once left 416 effective draws of 16,000."""
 
-    standing_step: float = 2.0
+    reading_step: float = 2.0
     """Such a step is no longer than this, in sigmas of the prior."""
 
     defence: float = 0.15
@@ -455,6 +459,11 @@ exactly, they would make any answer too sure."""
 UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
 """The same, of the mean moment, without an inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
 
+UNKNOWN_SHARES = (1.0, 0.4)
+"""Parts of these sigmas, equally likely: for long bodies, and for 1U CubeSats, whose moments differ by 5 to 10 %. An alias that
+turns slower needs a body farther from a sphere. With the wide sigmas alone a wrong alias was decided in 6 of 13 sparse passes of
+fast bodies without an inertia, with both in 3; of 61 other cases none changed its outcome."""
+
 INERTIA_SIGMAS = 4.0
 """No trial inertia or gain is farther from the vehicle file than this, in its sigmas."""
 
@@ -609,7 +618,7 @@ class ShootingSettings:
     """How the motions of a lander are fitted, compared and carried on."""
 
     held: int = 5
-    """With fewer samples than this inertia, friction and wheel stay at their centres: few samples tell nothing of them."""
+    """With fewer samples than this inertia, friction and wheel are held at their centres: few samples determine none of them."""
 
     first_levels: tuple[tuple[float, int], ...] = ((3.0, 2), (1.0, 2))
     """Factor on the noise, and steps, one after the other: of the fit to the first window. Wide noise draws in what is far."""
@@ -646,8 +655,8 @@ class ShootingSettings:
     box_sun_rad: float = 0.3
     """The same of the direction at the reference: where few panels are lit it is as uncertain as the rate."""
 
-    sheet_chi2: float = 2.0
-    """Squared distance in sigmas below which two motions lie on one sheet while the window grows, and are copies."""
+    ridge_chi2: float = 2.0
+    """Squared distance in sigmas below which two motions lie on one ridge while the window grows, and are copies."""
 
     same_chi2: float = 9.0
     """The same, in sigmas of either, of motions fitted to all samples."""
@@ -674,7 +683,7 @@ class ShootingSettings:
     """By how much a motion may be wrong about the sample added next, before it is fitted to it."""
 
     most_boxes: int = 100_000
-    """Motions carried on, at most, before those on one sheet are joined."""
+    """Motions carried on, at most, before those on one ridge are joined."""
 
     most: int = 20_000
     """The same after that."""

@@ -210,38 +210,30 @@ class Answers(NamedTuple):
         return "; ".join(reasons)
 
 
+class AtOnce(NamedTuple):
+    """K solutions at one instant, the most probable first.
+
+    `probability` (K); `omega` (K, 3) in rad/s with `covariance` (K, 3, 3); `one_rate` (K): which are the first one, or differ from
+    it in the sign of the Sun's direction alone.
+    """
+
+    probability: np.ndarray
+    omega: np.ndarray
+    covariance: np.ndarray
+    one_rate: np.ndarray
+
+
 def answers(
-    probability: np.ndarray,
-    omega: np.ndarray,
-    covariance: np.ndarray,
-    rate_sigma: float,
-    misfits: Mapping[str, Misfit],
-    explained: bool,
-    cure: str,
-    one_rate: np.ndarray,
+    motions: AtOnce, rate_sigma: float, misfits: Mapping[str, Misfit], explained: bool, cure: str
 ) -> tuple[Answers, np.ndarray]:
     """Return the answers for the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
 
-    Parameters
-    ----------
-    probability : (K)
-    omega, covariance : (K, 3) rad/s, (K, 3, 3)
-    rate_sigma : float, rad/s
-        Sigma of a component before the data.
-    misfits
-        By sensor.
-    explained : bool
-        Whether all readings together cost as little as those of a motion of this kind.
-    cure
-        What the search may have left out, in words; empty if nothing.
-    one_rate : (K)
-        Which solutions are the first one, or differ from it in the sign of the Sun's direction alone.
+    `rate_sigma` (rad/s): sigma of a component before the data; `misfits`: by sensor. `explained`: whether all readings together
+    cost as little as those of a motion of this kind. `cure`: what the search may have left out, in words; empty if nothing.
     """
+    probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
-    # one sigma about the first solution, all solutions counted
-    share = (probability / probability.sum())[:, None]
-    variance = np.einsum("kii->ki", covariance) + (omega - omega[0]) ** 2
-    sigma = np.sqrt((share * variance).sum(axis=0))
+    sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
     x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     four_answers = Answers(
@@ -254,6 +246,15 @@ def answers(
         speed=speed_of(omega[0], drawn, probability),
     )
     return four_answers, np.quantile(drawn, SPEEDS, axis=1).T
+
+
+def spread_of(omega: np.ndarray, variance: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Return one sigma (3) of a rate about the first of K solutions, all of them counted by their `probability` (K).
+
+    It is the root mean square of the difference from omega[0]; `omega`, `variance` (K, 3): of each solution.
+    """
+    share = (probability / probability.sum())[:, None]
+    return np.sqrt((share * (variance + (omega - omega[0]) ** 2)).sum(axis=0))
 
 
 class PassRow(NamedTuple):

@@ -65,34 +65,18 @@ def shortfall(
     return least
 
 
-class Nodes:
-    """Directions on the faces of a cube, by which readings are compared with any direction once and for all."""
+def cube_nodes(size: int) -> np.ndarray:
+    """Return directions (6 (size + 1)^2, 3) by which readings are compared with any direction once and for all: nodes on a cube.
 
-    def __init__(self, size: int) -> None:
-        """Place (size + 1)^2 nodes on each of the faces +x, -x, +y, -y, +z, -z, along the next two axes."""
-        self.size = size
-        side = np.linspace(-1, 1, size + 1)
-        row, column = np.meshgrid(side, side, indexing="ij")
-        faces = []
-        for axis, sign in product(range(3), (1.0, -1.0)):
-            face = np.empty((size + 1, size + 1, 3))
-            face[..., axis], face[..., (axis + 1) % 3] = sign, row
-            face[..., (axis + 2) % 3] = column
-            faces.append(face.reshape(-1, 3))
-        every = np.concatenate(faces)
-        self.directions = every / np.linalg.norm(every, axis=1, keepdims=True)
-
-    def nearest(self, direction: np.ndarray) -> np.ndarray:
-        """Return the index (...) of the node nearest to each direction (..., 3)."""
-        shape, flat = direction.shape[:-1], direction.reshape(-1, 3)
-        axis = np.argmax(np.abs(flat), axis=1)
-        top, row, column = (
-            np.take_along_axis(flat, (axis[:, None] + k) % 3, axis=1)[:, 0] for k in range(3)
-        )
-        length = np.maximum(np.abs(top), 1e-300)
-        i, j = (
-            np.rint((part / length + 1) * (self.size / 2)).astype(np.int64)
-            for part in (row, column)
-        )
-        face = 2 * axis + (top < 0)
-        return (face * (self.size + 1) ** 2 + i * (self.size + 1) + j).reshape(shape)
+    They stand in (size + 1) rows and columns on each of the faces +x, -x, +y, -y, +z, -z, along the next two axes.
+    """
+    side = np.linspace(-1, 1, size + 1)
+    row, column = np.meshgrid(side, side, indexing="ij")
+    faces = []
+    for axis, sign in product(range(3), (1.0, -1.0)):
+        face = np.empty((size + 1, size + 1, 3))
+        face[..., axis], face[..., (axis + 1) % 3] = sign, row
+        face[..., (axis + 2) % 3] = column
+        faces.append(face.reshape(-1, 3))
+    nodes = np.concatenate(faces)
+    return nodes / np.linalg.norm(nodes, axis=1, keepdims=True)

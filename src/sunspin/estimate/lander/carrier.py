@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,27 +15,28 @@ from sunspin.estimate.lander.allowed import shortfall
 from sunspin.estimate.lander.families import (
     distinct_fits,
     one_each_box,
-    one_each_sheet,
+    one_each_ridge,
     with_neighbours,
 )
 from sunspin.estimate.lander.fit import (
     FINAL_ERROR,
-    Problem,
+    FitProblem,
     fit_finally,
     fit_first,
     in_pieces,
 )
-from sunspin.estimate.lander.grid import Place, cell_count
+from sunspin.estimate.lander.grid import Reference, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
 from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
+from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
 from sunspin.estimate.terms.powers import TILT
 
 MORE = "more trial solutions than the search can follow"
 
-TRIAL_ERROR = 1e-3
-"""Error of directions (rad) in runs that only look whether a sample allows a motion."""
+RUNS_AT_ONCE = 8192
+"""Motions of which one sample is looked at together."""
 
 FIT_S, START_S = 0.005, 1e-5
 """s of one core for a motion that is fitted to five samples, with what follows, and for a cell of the grid of rates and a direction
@@ -42,6 +44,14 @@ from which starts settle. Measured on Philae."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
+
+
+class Stage(NamedTuple):
+    """A window of a search: its number of `samples`, of motions `fitted` to it, and of those `kept`."""
+
+    samples: int
+    fitted: int
+    kept: int
 
 
 class Shooting:
@@ -53,34 +63,32 @@ class Shooting:
     def __init__(
         self,
         model: LanderModel,
-        place: Place,
+        reference: Reference,
         s: PosteriorSettings,
         workers: int | None = None,
         torque_size: int | None = None,
     ) -> None:
-        """Begin a search under a model whose reference is at `place`.
+        """Begin a search under a model that counts time from `reference`.
 
-        The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, which hide the true motion on
-        their sheets. `torque_size`: index of the sigma of a constant torque, if one acts.
+        The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, and the true motion is taken for
+        a copy of theirs. `torque_size`: index of the sigma of a constant torque, if one acts.
         """
-        self.model, self.place = model, place
+        self.model, self.reference = model, reference
         self.sizes: Sizes = {"inertia": 0}
         if torque_size is not None:
             self.sizes = {"inertia": 0, "steady_torque": torque_size}
         self.s, self.growth, self.workers = s.shooting, s.search.growth, worker_count(workers)
         self.settings = s
         self.t_s = model.obs.t_s
-        self.notes: list[str] = list(place.notes)
-        self.complete = not place.notes
+        self.notes: list[str] = list(reference.notes)
+        self.complete = not reference.notes
         self.fitted = 0  # motions times samples
-        self.trace: list[
-            tuple[int, int, int]
-        ] = []  # samples of a window, motions fitted to it, and kept
-        self._asked = 0
+        self.trace: list[Stage] = []
+        self._last_fitted = 0
 
     def of(self, model: LanderModel) -> Shooting:
         """Return the same for a model of the same readings under a constant torque."""
-        return Shooting(model, self.place, self.settings, self.workers, self.s.searched_under)
+        return Shooting(model, self.reference, self.settings, self.workers, self.s.searched_under)
 
     def _note(self, text: str, complete: bool) -> None:
         """Note once what the verdict has to say."""
@@ -93,30 +101,31 @@ class Shooting:
     def fit(self, motions: Trials, window: slice) -> Trials:
         """Return motions fitted to the samples of a window, those that fit by far too badly only to half.
 
-        If body and wheel are free, copies are joined first, as a fit to the end takes as long as all before. Derivatives are
-        computed again: a motion answers to a further sample by a long way along its sheet, and noise would take up the misfit.
+        If body and wheel are free, the others are fitted again without copies and with new derivatives: a further sample moves a
+        motion far along its ridge, and otherwise the noise would take up the misfit. That takes as long as all before.
         """
         s = self.s
         problem, held = self._problem(window)
-        first = not len(motions.normal) and not len(motions.neighbours_s)
+        first = not len(motions.curvature) and not len(motions.neighbours_s)
         levels = s.first_levels if first else s.levels
         limit = self.cost_limit(window)
+        # a cost that the wider noise of the first level leaves only to motions that do not fit
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
         fitted = self._fitted(
             problem, motions, partial(fit_first, hopeless=hopeless, held=held), levels
         )
         if not held and window.stop - window.start > s.held:
             fitted = self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
-        self._asked = len(motions)
+        self._last_fitted = len(motions)
         return fitted
 
     def note_window(self, window: slice, kept: Trials) -> None:
         """Add a window to the trace: how many motions were fitted to it, and are kept."""
-        self.trace.append((window.stop - window.start, self._asked, len(kept)))
+        self.trace.append(Stage(window.stop - window.start, self._last_fitted, len(kept)))
 
     def _fitted(
         self,
-        problem: Problem,
+        problem: FitProblem,
         motions: Trials,
         fit: Callable[..., tuple[Shots, np.ndarray]],
         levels: Sequence[tuple[float, int]],
@@ -124,11 +133,11 @@ class Shooting:
         """Return motions fitted by a function of a problem, motions and levels."""
         self.fitted += len(motions) * len(problem.model.obs)
         one = partial(fit, problem, levels=levels)
-        shots, normal = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
+        shots, curvature = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
         neighbours_s = motions.neighbours_s if len(motions.neighbours_s) else np.zeros(len(shots))
-        return Trials(shots, motions.starts, normal, neighbours_s)
+        return Trials(shots, motions.starts, curvature, neighbours_s)
 
-    def _problem(self, window: slice) -> tuple[Problem, bool]:
+    def _problem(self, window: slice) -> tuple[FitProblem, bool]:
         """Return the fit to a window, and whether body and wheel are held at their centres.
 
         Each panel's own tilts are left alone and counted as noise: they would be as many as readings. The rotation of all panels
@@ -141,11 +150,12 @@ class Shooting:
         free = np.ones(len(model.unknowns), dtype=bool)
         free[model.places(TILT)] = False
         free[: len(model.of_motion)] = not held
-        return Problem(model, free, sizes=self.sizes), held
+        return FitProblem(model, free, sizes=self.sizes), held
 
     def kept(self, motions: Trials, window: slice) -> Trials:
         """Return motions without copies and without those that the readings rule out, best first."""
         s = self.s
+        # within what noise may do, and not far less probable than the best; if none is, the best some
         limit, best = self.cost_limit(window), float(np.min(motions.cost, initial=np.inf))
         possible = motions.cost <= min(limit, best + s.drop + s.slack)
         size = f"({window.stop - window.start} samples)"
@@ -154,6 +164,7 @@ class Shooting:
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
             self._note(f"no motion is within the noise {size}", complete=True)
+        # copies: near in rate and direction until the end of the next window; if there is a curvature that says so, on one ridge
         wider = grown(self.t_s, window, self.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
         motions = self._at_most(
@@ -161,7 +172,7 @@ class Shooting:
         )
         if window.stop - window.start < s.held:
             return motions
-        return self._at_most(one_each_sheet(motions, s), s.most, size)
+        return self._at_most(one_each_ridge(motions, s), s.most, size)
 
     def _at_most(self, motions: Trials, most: int, where: str) -> Trials:
         """Return at most so many motions (best first), evenly by how well they fit: all of a line fits well, and its ends count."""
@@ -180,7 +191,7 @@ class Shooting:
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
             motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
-            motions = replace(motions, normal=motions.normal[:0])
+            motions = replace(motions, curvature=motions.curvature[:0])
         allowed = np.ones(len(motions), dtype=bool)
         for sample in (window.start - 1, window.stop):
             if wider.start <= sample < wider.stop:
@@ -202,13 +213,13 @@ class Shooting:
         model = self.model.seeing(slice(sample, sample + 1))
         bare = replace(model, obs=replace(model.obs, terms=(model.panels,)))
         allowed = np.zeros(len(shots), dtype=bool)
-        for start in range(0, len(shots), 8192):
-            rows = slice(start, start + 8192)
+        for start in range(0, len(shots), RUNS_AT_ONCE):
+            rows = slice(start, start + RUNS_AT_ONCE)
             carried = bare.carried(shots.take(rows), TRIAL_ERROR)
             sun = np.nan_to_num(carried.seen.sun_B)
             short = shortfall(bare.panels, sun, self.s.look_rad, g).sum(axis=1)
             allowed[rows] = (short <= g.limit) & carried.fine
-        slow = self.model.first_speed(shots.take(allowed), TRIAL_ERROR) <= self.place.fastest
+        slow = self.model.first_speed(shots.take(allowed), TRIAL_ERROR) <= self.reference.fastest
         allowed[allowed] = slow
         return allowed
 
@@ -217,7 +228,7 @@ class Shooting:
         took = FIT_S * min(going, most) * samples / self.s.held
         log = logging.getLogger("sunspin")
         if going > most:
-            smaller = self.place.given * (most / going) ** (1 / 3)
+            smaller = self.reference.given * (most / going) ** (1 / 3)
             log.warning(
                 "sunspin: %d motions may fit %d samples; %d of them are followed, which takes about %.1f min, and the search will "
                 "not be complete; with --prior max_rate_rad_s=%.2g about all of them would be followed",
@@ -238,10 +249,10 @@ class Shooting:
 
     def announce_starts(self) -> None:
         """Tell whoever waits before a search for starts that takes long, with what would make it shorter."""
-        place = self.place
-        took = START_S * cell_count(place.limit, place.edge) * len(place.suns)
+        reference = self.reference
+        took = START_S * cell_count(reference.limit, reference.edge) * len(reference.suns)
         if took > LONG_S:
-            smaller = min(place.given, place.limit) * (LONG_S / took) ** (1 / 3)
+            smaller = min(reference.given, reference.limit) * (LONG_S / took) ** (1 / 3)
             logging.getLogger("sunspin").warning(
                 "sunspin: looking for starts takes about %.1f min; with --prior max_rate_rad_s=%.2g about one",
                 took / 60,
@@ -262,19 +273,20 @@ class Shooting:
         count = _explained(model)
         sigma = sum(model.unknowns[i].sigma for i in model.places("noise"))
         noisy = min(s.noise_sigmas * sigma, s.noise_most)
+        # (3 sigmas)^2 of half a chi-square of `count` numbers are 9 count / 2
         chance = float(np.sqrt((noisy * count) ** 2 + 4.5 * count + s.slack**2))
         held = window.stop - window.start < s.held
         return 0.5 * count + chance + (s.slack_held if held else 0.0)
 
     # ---- all samples -------------------------------------------------------------------------------------------------------
 
-    def curved(self, motions: Trials) -> ShotFit:
+    def fit_all_samples(self, motions: Trials) -> ShotFit:
         """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
 
         Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
         as the prior of a small one holds it.
         """
-        fit = self._curved(motions.shots, motions.starts)
+        fit = self._fit_all_samples(motions.shots, motions.starts)
         images = self.model.panels.response.symmetries
         if len(images) == 1:
             return fit
@@ -283,9 +295,9 @@ class Shooting:
         imaged = [
             Shots(np.linalg.det(x) * (shots.omega @ x.T), shots.sun @ x.T, shots.u) for x in images
         ]
-        return self._curved(Shots.joined(imaged), np.tile(fit.starts, len(images)))
+        return self._fit_all_samples(Shots.joined(imaged), np.tile(fit.starts, len(images)))
 
-    def _curved(self, shots: Shots, starts: np.ndarray) -> ShotFit:
+    def _fit_all_samples(self, shots: Shots, starts: np.ndarray) -> ShotFit:
         """Return motions fitted to all samples."""
         free = np.ones(len(self.model.unknowns), dtype=bool)
         begins: list[Sizes] = [{"inertia": 0}, {"inertia": 1}]
@@ -294,26 +306,26 @@ class Shooting:
             begins = [{"inertia": 0, "steady_torque": i} for i in self.s.torque_levels if i < count]
         elif not self.model.places("inertia"):
             begins = [ALL_SIZES]
-        parts, normals = [], []
+        parts, curvatures = [], []
         for sizes in begins:
-            problem = Problem(self.model, free, FINAL_ERROR, sizes)
+            problem = FitProblem(self.model, free, FINAL_ERROR, sizes)
             fit = partial(fit_finally, problem, levels=self.s.last_levels)
-            fitted, normal = in_pieces(fit, shots, problem.rows_at_once, self.workers)
+            fitted, curvature = in_pieces(fit, shots, problem.rows_at_once, self.workers)
             if sizes:
-                # and on from there with all sizes by how likely they are
+                # from there on all sizes count, by how likely they are
                 weighed = replace(problem, sizes=ALL_SIZES)
                 fit = partial(fit_finally, weighed, levels=((1.0, 4),))
-                fitted, normal = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
+                fitted, curvature = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
             parts.append(fitted)
-            normals.append(normal)
-        every, curvature = Shots.joined(parts), np.concatenate(normals)
+            curvatures.append(curvature)
+        every, curvature = Shots.joined(parts), np.concatenate(curvatures)
         evidence = log_evidence(self.model, every.cost, curvature)
         whole = ShotFit(self.model, every, curvature, evidence, np.tile(starts, len(begins)))
         kept = distinct_fits(whole, self.s)
         if len(kept) > self.s.most_fitted:
-            self._note(f"more than {self.s.most_fitted} modes", complete=True)
+            self._note(f"more than {self.s.most_fitted} solutions", complete=True)
             kept = kept.take(slice(self.s.most_fitted))
-        once = -(-kept.starts // len(begins))
+        once = -(-kept.starts // len(begins))  # a start is counted by the fit from each size
         return replace(kept, starts=once, complete=self.complete, notes=tuple(self.notes))
 
 

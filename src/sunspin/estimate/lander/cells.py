@@ -1,7 +1,8 @@
-"""The compiled part of the search for starts: cells of a grid of rates, looked through, and settled by least squares.
+"""The compiled part of the search for starts: cells of a grid of rates are looked through, and starts in them settled.
 
-Quaternions, of any length, are interpolated between the attitudes at the eight corners of a cell. A start is a place x (3) in a
-cell, in parts of its edge. To it belongs a step (2) of the direction at the reference, in the plane of its tangents.
+A cell is a cube of rates at the reference, at whose eight corners the attitudes at m other samples are known; between them
+quaternions are interpolated. A start is a rate, by its place x (3) in a cell in parts of the edge, and a direction to the Sun at
+the reference, by one of a list and a step (2) from it in the plane of its tangents. Read :func:`search_cells` at the end first.
 `tests/estimate/plain_cells.py` does the same in NumPy.
 """
 
@@ -31,19 +32,21 @@ FARTHEST_PLACE, KEPT_PLACE = 0.2, 0.5
 """A place goes no farther than this out of its cell. A start is kept no farther than this from the middle of its eighth: beyond,
 that of a neighbour ends at the same motion. Both in parts of the edge."""
 
-START = 8
-"""Numbers of a start: cell, direction, place (3), step (2), misfit."""
+START_SIZE = 8
+OF_CELL, OF_SUN, OF_PLACE, OF_STEP, OF_MISFIT = 0, 1, slice(2, 5), slice(5, 7), 7
+"""Where the numbers of a start stand: index of its cell, index of its direction, place (3), step (2), misfit."""
 
-CELL, SUN, PLACE, STEP, MISFIT = 0, 1, slice(2, 5), slice(5, 7), 7
-"""Where they stand."""
+COORDINATES = 5
+"""Of a start in least squares: place (3), then step (2)."""
 
 
-class Light(NamedTuple):
-    """Panels as compiled code takes them, in the order of their inputs.
+class PanelTable(NamedTuple):
+    """Panels and what they read, as compiled code takes them: p inputs, each of one panel or several.
 
-    `first` (p + 1): those of input j are `first[j]` to `first[j + 1]`; `rows` (n_panel, 3): normal times power in full Sun;
+    `first` (p + 1): the panels of input j are `first[j]` to `first[j + 1]`; `rows` (n_panel, 3): normal times power in full Sun;
     `largest` (p): the input reads the largest of its panels, not their sum; `facing` (p, 3), `full` (p): direction and power of
-    its largest reading. `power`, `used` (1 + m, p): readings, the reference first; `sigma` (p); `throttled`.
+    its largest reading. `power`, `used` (1 + m, p): readings, those of the reference first; `sigma` (p); `throttled` as in
+    :class:`PanelPowers`.
     """
 
     first: np.ndarray
@@ -57,7 +60,7 @@ class Light(NamedTuple):
     throttled: bool
 
     @classmethod
-    def of(cls, panels: PanelPowers) -> Light:
+    def of(cls, panels: PanelPowers) -> PanelTable:
         """Return the panels and readings of some samples."""
         response = panels.response
         count = len(response.gains)
@@ -82,9 +85,10 @@ class Light(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What the samples next to the reference say to each node of a sphere (float32, (m, n)), and how nodes are found.
+    """What the readings of m samples say of each of n directions, the nodes (float32, (m, n)), so that no reading is asked again.
 
-    `near`, `far`: by how much the readings contradict all directions near it; `misfit`: how badly the node itself fits them.
+    `near`, `far`: by how much they contradict all directions within `near_rad` or `far_rad` (:class:`GridSettings`) of the node;
+    `misfit`: how badly the node itself fits.
     """
 
     near: np.ndarray
@@ -104,15 +108,15 @@ class Limits(NamedTuple):
     faster: float
 
 
-class Looked(NamedTuple):
+class Cells(NamedTuple):
     """Cells that are looked through.
 
-    `cells` (c): lowest corners in a cube of points; `away` (8): from there to all corners; `row_of`: rows of points in `turn`
-    (rows, m, 4); `suns` (s, 3, 3): directions at the reference, each with two tangents; `middles`, `points`: places in a cell,
-    (8, 3) and (8, 8, 3).
+    `lowest` (c): index of the lowest corner of each in the cube of a :class:`RateGrid`, `away` (8): what is added for each corner;
+    `row_of`, `turn` as there. `suns` (s, 3, 3): directions at the reference, each with two tangents. `middles` (8, 3), `points` (8,
+    8, 3): middles of the eighths of a cell, and places in each eighth.
     """
 
-    cells: np.ndarray
+    lowest: np.ndarray
     away: np.ndarray
     row_of: np.ndarray
     turn: np.ndarray
@@ -121,12 +125,13 @@ class Looked(NamedTuple):
     points: np.ndarray
 
 
-class Room(NamedTuple):
-    """Room for the numbers of one start.
+class Workspace(NamedTuple):
+    """Arrays that compiled code fills again for each start.
 
-    `q` (4, 4): attitude and its changes. `here` (3, 3): direction at the reference and its changes; `sun` (3), `slope` (5, 3): the
-    same at a sample. `light` (p), `change` (p, 5): power and its changes. `follows` (5): changes of a factor. `normal`, `gradient`:
-    the normal equations, solved by `move` (5).
+    `q` (4, 4): quaternion of the attitude at a sample and its changes by the place. `here` (3, 3): direction at the reference and
+    its changes by the step; `sun` (3), `slope` (5, 3): direction at a sample and its changes by place and step. `light` (p),
+    `change` (p, 5): power of each input and its changes; `follows` (5): the part by which a throttled sample's factor falls.
+    `normal` (5, 5), `gradient` (5): normal equations, solved by `move` (5).
     """
 
     q: np.ndarray
@@ -145,14 +150,14 @@ class Room(NamedTuple):
 
 
 @compiled
-def load_corners(looked, cell, corners):
-    """Write the attitudes at the corners of a cell (8, m, 4), with signs alike so that they can be interpolated."""
+def load_corners(cells, cell, corners):
+    """Write the quaternions at the corners of a cell (8, m, 4), with the sign of q or -q that is nearer to that of the first."""
     for c in range(8):
-        row = looked.row_of[cell + looked.away[c]]
+        row = cells.row_of[cell + cells.away[c]]
         for m in range(corners.shape[1]):
             alike = 0.0
             for k in range(4):
-                corners[c, m, k] = looked.turn[row, m, k]
+                corners[c, m, k] = cells.turn[row, m, k]
                 alike += corners[c, m, k] * corners[0, m, k]
             if alike < 0:
                 for k in range(4):
@@ -161,9 +166,9 @@ def load_corners(looked, cell, corners):
 
 @compiled
 def interpolate(corners, m, x, q):
-    """Write into q[0] the quaternion of sample m at place x, and into q[1:] its derivatives by x.
+    """Write into q[0] the quaternion of sample m at place x, and into q[1:] its derivatives by x: trilinear, over z, y and x.
 
-    One axis after the other: z, then y, then x.
+    Corner 4 a + 2 b + c is that at the end a of x, b of y and c of z.
     """
     for k in range(4):
         for a in range(2):  # the sides of the cell at x = 0 and x = 1
@@ -196,7 +201,7 @@ def rotate(q, vector, out):
 
 @compiled
 def turned_by(q, change, vector, out):
-    """Write the change of a rotated vector with its quaternion q (4): a turn by twice the vector part of change q* / q q*."""
+    """Write the change of a rotated vector if its quaternion q (4) changes: a turn by twice the vector part of change q* / q q*."""
     x, y, z, w = q[0], q[1], q[2], q[3]
     half = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
     a = half * (w * change[0] - change[3] * x - change[1] * z + change[2] * y)
@@ -211,7 +216,7 @@ def turned_by(q, change, vector, out):
 
 @compiled
 def nearest_node(size, x, y, z):
-    """Return the index of the node nearest to a direction, in the order of :class:`sunspin.estimate.lander.allowed.Nodes`."""
+    """Return the index of the node nearest to a direction, in the order of :func:`sunspin.estimate.lander.allowed.cube_nodes`."""
     along = (abs(x), abs(y), abs(z))
     if along[0] >= along[1] and along[0] >= along[2]:
         axis, top, row, column = 0, x, y, z
@@ -230,32 +235,30 @@ def nearest_node(size, x, y, z):
 
 
 @compiled
-def contradiction(turns, sun, short, misfit, limits, out):
-    """Return by how much the worst sample contradicts all directions near a point, and the misfit of the point itself.
+def contradiction(turns, sun, short, limits, out):
+    """Return by how much the worst sample contradicts all directions near `sun` rotated by the quaternions `turns` (m, 4).
 
-    `turns` (m, 4); samples after one beyond the limit are not asked.
+    `short`: `near` or `far` of the tables. Samples after one beyond the limit are not asked.
     """
-    worst, total = 0.0, 0.0
+    worst = 0.0
     for m in range(len(turns)):
         rotate(turns[m], sun, out)
-        node = nearest_node(limits.nodes, out[0], out[1], out[2])
-        worst = max(worst, short[m, node])
+        worst = max(worst, short[m, nearest_node(limits.nodes, out[0], out[1], out[2])])
         if worst > limits.limit:
             break
-        total += misfit[m, node]
-    return worst, total
+    return worst
 
 
 @compiled
-def best_point(corners, places, sun, tables, limits, room):
-    """Return which of the points at `places` (8, 3) fits best, and its misfit: infinite if the readings contradict all."""
+def best_point(corners, places, sun, tables, limits, work):
+    """Return the index of the best of the `places` (8, 3), and its misfit: infinite if the readings contradict all."""
     least, best = np.inf, 0
     for point in range(8):
         worst, total = 0.0, 0.0
         for m in range(corners.shape[1]):
-            interpolate(corners, m, places[point], room.q)
-            rotate(room.q[0], sun, room.sun)
-            node = nearest_node(limits.nodes, room.sun[0], room.sun[1], room.sun[2])
+            interpolate(corners, m, places[point], work.q)
+            rotate(work.q[0], sun, work.sun)
+            node = nearest_node(limits.nodes, work.sun[0], work.sun[1], work.sun[2])
             worst = max(worst, tables.near[m, node])
             if worst > limits.limit:
                 break
@@ -269,98 +272,100 @@ def best_point(corners, places, sun, tables, limits, room):
 
 
 @compiled
-def see(light, m, sun, slope, room):
-    """Write the power of each input in sample m for a direction `sun` (3), and its change by what moves that by `slope` (5, 3).
+def see(panels, m, sun, slope, work):
+    """Write the power of each input in sample m for a direction `sun` (3), and its changes if that changes by `slope` (5, 3).
 
-    Changes of what counts for nothing are not written: of inputs that are dark, and should be.
+    Changes of inputs that are dark, as they should be, are not written: these add nothing.
     """
-    for j in range(len(light.full)):
+    for j in range(len(panels.full)):
         power, a, b, c = 0.0, 0.0, 0.0, 0.0
-        for k in range(light.first[j], light.first[j + 1]):
-            row = light.rows[k]
+        for k in range(panels.first[j], panels.first[j + 1]):
+            row = panels.rows[k]
             here = row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2]
-            if here > 0 and light.largest[j]:
+            if here > 0 and panels.largest[j]:
                 if here > power:
                     power, a, b, c = here, row[0], row[1], row[2]
             elif here > 0:
                 power, a, b, c = power + here, a + row[0], b + row[1], c + row[2]
-        room.light[j] = power
-        if power <= 0 and not (light.used[m, j] and light.power[m, j] > 0):
+        work.light[j] = power
+        if power <= 0 and not (panels.used[m, j] and panels.power[m, j] > 0):
             continue
         if power <= 0:
-            row = light.facing[j]
+            row = panels.facing[j]
             if row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2] > -DARK_SLOPE:
-                a, b, c = light.full[j] * row[0], light.full[j] * row[1], light.full[j] * row[2]
-        for i in range(5):
-            room.change[j, i] = a * slope[i, 0] + b * slope[i, 1] + c * slope[i, 2]
+                a, b, c = panels.full[j] * row[0], panels.full[j] * row[1], panels.full[j] * row[2]
+        for i in range(COORDINATES):
+            work.change[j, i] = a * slope[i, 0] + b * slope[i, 1] + c * slope[i, 2]
 
 
 @compiled
-def best_factor(light, m, room):
+def best_factor(panels, m, work):
     """Return the factor that fits the readings of a throttled sample best, and write how it follows the five coordinates.
 
-    As `PanelPowers.best_factor`, with the weights that it ends with held in the derivative.
+    As :meth:`PanelPowers.best_factor`; in the derivative the last weights are held.
     """
-    least, factor, size = light.sigma.min(), 1.0, 0.0
+    least, factor, size = panels.sigma.min(), 1.0, 0.0
     for again in range(ROUNDS + 1):
         along, size = 0.0, 0.0
-        room.follows[:] = 0.0
-        for j in range(len(light.full)):
-            if not light.used[m, j]:
+        work.follows[:] = 0.0
+        for j in range(len(panels.full)):
+            if not panels.used[m, j]:
                 continue
-            weight = (least / light.sigma[j]) ** 2
+            weight = (least / panels.sigma[j]) ** 2
             if again:
-                off = (light.power[m, j] - factor * room.light[j]) / (HALF_WEIGHT * light.sigma[j])
+                off = (panels.power[m, j] - factor * work.light[j]) / (
+                    HALF_WEIGHT * panels.sigma[j]
+                )
                 weight /= 1.0 + off * off
-            size += weight * room.light[j] ** 2
-            along += weight * max(light.power[m, j], 0.0) * room.light[j]
-            if room.light[j] > 0:
-                for i in range(5):
-                    room.follows[i] += weight * room.light[j] * room.change[j, i]
+            size += weight * work.light[j] ** 2
+            along += weight * max(panels.power[m, j], 0.0) * work.light[j]
+            if work.light[j] > 0:
+                for i in range(COORDINATES):
+                    work.follows[i] += weight * work.light[j] * work.change[j, i]
         factor = along / size if size > 0 else 1.0
-    for i in range(5):
-        room.follows[i] = room.follows[i] / size if size > 0 else 0.0
+    for i in range(COORDINATES):
+        work.follows[i] = work.follows[i] / size if size > 0 else 0.0
     return factor
 
 
 @compiled
-def add_sample(light, m, limits, room):
-    """Add the readings of sample m, as seen, to the normal equations; return their misfit."""
+def add_sample(panels, m, limits, work):
+    """Add sample m, whose powers :func:`see` has written, to the normal equations; return the misfit of its readings."""
     misfit, factor = 0.0, 1.0
-    if light.throttled:
-        factor = best_factor(light, m, room)
-    for j in range(len(light.full)):
-        power, read = factor * room.light[j], light.power[m, j]
-        if not light.used[m, j] or not (power > 0 or read > 0):
+    if panels.throttled:
+        factor = best_factor(panels, m, work)
+    for j in range(len(panels.full)):
+        power, read = factor * work.light[j], panels.power[m, j]
+        if not panels.used[m, j] or not (power > 0 or read > 0):
             continue
         # errors of interpolated attitudes blur a reading in proportion to the power in full Sun
-        precision = 1.0 / (light.sigma[j] ** 2 + (limits.blur * factor * light.full[j]) ** 2)
+        precision = 1.0 / (panels.sigma[j] ** 2 + (limits.blur * factor * panels.full[j]) ** 2)
         square = precision * (power - read) ** 2
         misfit += min(square, limits.cap)
         weight = precision / (1.0 + square / SOFT_SIGMAS**2)
-        if light.throttled:
-            for i in range(5):
-                room.change[j, i] = factor * (room.change[j, i] - room.light[j] * room.follows[i])
-        for i in range(5):
-            pull = weight * room.change[j, i]
-            room.gradient[i] += pull * (power - read)
+        if panels.throttled:
+            for i in range(COORDINATES):
+                work.change[j, i] = factor * (work.change[j, i] - work.light[j] * work.follows[i])
+        for i in range(COORDINATES):
+            pull = weight * work.change[j, i]
+            work.gradient[i] += pull * (power - read)
             for k in range(i + 1):
-                room.normal[i, k] += pull * room.change[j, k]
+                work.normal[i, k] += pull * work.change[j, k]
     return misfit
 
 
 @compiled
 def solve(normal, gradient, move):
-    """Write the damped step that solves normal equations (5, 5), whose lower half becomes its Cholesky factor."""
-    for i in range(5):
+    """Write the damped step that solves normal equations: Cholesky's factor replaces the lower half of `normal` (5, 5)."""
+    for i in range(COORDINATES):
         normal[i, i] += DAMPING * normal[i, i] + LEAST_DAMPING
-    for i in range(5):
+    for i in range(COORDINATES):
         for j in range(i + 1):
             value = normal[i, j]
             for k in range(j):
                 value -= normal[i, k] * normal[j, k]
             normal[i, j] = np.sqrt(value) if i == j else value / normal[j, j]
-    for i in range(5):
+    for i in range(COORDINATES):
         value = -gradient[i]
         for k in range(i):
             value -= normal[i, k] * move[k]
@@ -372,13 +377,13 @@ def solve(normal, gradient, move):
 
 
 @compiled
-def equations(corners, x, step, frame, light, limits, room):
-    """Write the normal equations of a start for place and direction, and return its misfit."""
-    for i in range(5):
-        room.gradient[i] = 0.0
+def equations(corners, x, step, frame, panels, limits, work):
+    """Write the normal equations of a start at place x, `step` off a direction with two tangents, `frame`; return its misfit."""
+    for i in range(COORDINATES):
+        work.gradient[i] = 0.0
         for k in range(i + 1):
-            room.normal[i, k] = 0.0
-    here = room.here  # the direction at the reference, and its two changes
+            work.normal[i, k] = 0.0
+    here = work.here  # the direction at the reference, and its two changes
     for k in range(3):
         here[0, k] = frame[0, k] + step[0] * frame[1, k] + step[1] * frame[2, k]
     length = np.sqrt(here[0, 0] ** 2 + here[0, 1] ** 2 + here[0, 2] ** 2)
@@ -392,37 +397,37 @@ def equations(corners, x, step, frame, light, limits, room):
     for m in range(1 + corners.shape[1]):
         if m == 0:  # the reference, whose direction does not depend on the rate
             for k in range(3):
-                room.slope[0, k], room.slope[1, k], room.slope[2, k] = 0.0, 0.0, 0.0
-                room.slope[3, k], room.slope[4, k] = here[1, k], here[2, k]
-            see(light, m, here[0], room.slope, room)
+                work.slope[0, k], work.slope[1, k], work.slope[2, k] = 0.0, 0.0, 0.0
+                work.slope[3, k], work.slope[4, k] = here[1, k], here[2, k]
+            see(panels, m, here[0], work.slope, work)
         else:
-            interpolate(corners, m - 1, x, room.q)
-            rotate(room.q[0], here[0], room.sun)
+            interpolate(corners, m - 1, x, work.q)
+            rotate(work.q[0], here[0], work.sun)
             for i in range(3):
-                turned_by(room.q[0], room.q[1 + i], room.sun, room.slope[i])
+                turned_by(work.q[0], work.q[1 + i], work.sun, work.slope[i])
             for i in range(2):
-                rotate(room.q[0], here[1 + i], room.slope[3 + i])
-            see(light, m, room.sun, room.slope, room)
-        misfit += add_sample(light, m, limits, room)
+                rotate(work.q[0], here[1 + i], work.slope[3 + i])
+            see(panels, m, work.sun, work.slope, work)
+        misfit += add_sample(panels, m, limits, work)
     return misfit
 
 
 @compiled
-def settle(corners, x, step, frame, light, limits, room):
-    """Move place x and `step` of a start to the nearest solution, and return its misfit.
+def settle(corners, x, step, frame, panels, limits, work):
+    """Move place x and `step` of a start to the nearest solution by Gauss-Newton, and return its misfit.
 
-    It ends early if the misfit does not fall fast enough to become small.
+    It ends early if the steps that are left, each gaining `faster` times what the last one has, would leave the misfit too large.
     """
     misfit = np.inf
     for left in range(limits.steps, -1, -1):
-        before, misfit = misfit, equations(corners, x, step, frame, light, limits, room)
+        before, misfit = misfit, equations(corners, x, step, frame, panels, limits, work)
         gained = max(before - misfit, 0.0)
         if left == 0 or (
             left < limits.steps - 1 and misfit - left * limits.faster * gained > limits.settled
         ):
             break
-        move = room.move
-        solve(room.normal, room.gradient, move)
+        move = work.move
+        solve(work.normal, work.gradient, move)
         place = max(abs(move[0]), abs(move[1]), abs(move[2])) / LONGEST_PLACE
         turn = max(abs(move[3]), abs(move[4])) / LONGEST_TURN
         size = max(place, turn, 1.0)
@@ -437,17 +442,13 @@ def _entry(sources: int) -> Any:
     """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the search for starts of a posterior, once (some 10 s)")
-    def look_through(looked, tables, light, limits):
-        """Return the starts (n, START) that settle in cells.
-
-        An eighth of a cell is left out if no direction near its middle agrees with the readings. Of its eight points the best is
-        settled, unless the readings contradict all.
-        """
+    def search_cells(cells, tables, panels, limits):
+        """Return the starts (n, START_SIZE) that settle in cells: of each eighth of a cell and each direction one at most."""
         _ = sources
-        count, found = 0, np.empty((256, START))
-        p, others = len(light.full), looked.turn.shape[1]
+        count, starts = 0, np.empty((256, START_SIZE))
+        p, others = len(panels.full), cells.turn.shape[1]
         corners = np.empty((8, others, 4))
-        room = Room(
+        work = Workspace(
             np.empty((4, 4)),
             np.empty((3, 3)),
             np.empty(3),
@@ -460,38 +461,39 @@ def _entry(sources: int) -> Any:
             np.empty(5),
         )
         turns, step = np.empty((others, 4)), np.empty(2)
-        for cell in looked.cells:
-            load_corners(looked, cell, corners)
+        for cell in cells.lowest:
+            load_corners(cells, cell, corners)
             for eighth in range(8):
-                middle = looked.middles[eighth]
+                middle = cells.middles[eighth]
                 for m in range(others):
-                    interpolate(corners, m, middle, room.q)
-                    turns[m] = room.q[0]
-                for s in range(len(looked.suns)):
-                    frame = looked.suns[s]
-                    worst, _total = contradiction(
-                        turns, frame[0], tables.far, tables.misfit, limits, room.sun
-                    )
-                    if worst > limits.limit:
+                    interpolate(corners, m, middle, work.q)
+                    turns[m] = work.q[0]
+                for s in range(len(cells.suns)):
+                    # does any direction near the middle agree with the readings?
+                    frame = cells.suns[s]
+                    far = contradiction(turns, frame[0], tables.far, limits, work.sun)
+                    if far > limits.limit:
                         continue
-                    points = looked.points[eighth]
-                    best, least = best_point(corners, points, frame[0], tables, limits, room)
+                    # which point of the eighth fits best, if any?
+                    points = cells.points[eighth]
+                    best, least = best_point(corners, points, frame[0], tables, limits, work)
                     if least == np.inf:
                         continue
+                    # does it settle in this eighth?
                     x = points[best].copy()
                     step[:] = 0.0
-                    misfit = settle(corners, x, step, frame, light, limits, room)
+                    misfit = settle(corners, x, step, frame, panels, limits, work)
                     if misfit > limits.settled or np.abs(x - middle).max() >= KEPT_PLACE:
                         continue
-                    if count == len(found):
-                        found = np.concatenate((found, np.empty_like(found)))
-                    found[count, CELL], found[count, SUN] = cell, s
-                    found[count, PLACE], found[count, STEP] = x, step
-                    found[count, MISFIT] = misfit
+                    if count == len(starts):
+                        starts = np.concatenate((starts, np.empty_like(starts)))
+                    starts[count, OF_CELL], starts[count, OF_SUN] = cell, s
+                    starts[count, OF_PLACE], starts[count, OF_STEP] = x, step
+                    starts[count, OF_MISFIT] = misfit
                     count += 1
-        return found[:count]
+        return starts[:count]
 
-    return look_through
+    return search_cells
 
 
-look_through = _entry(digest(__file__))
+search_cells = _entry(digest(__file__))

@@ -1,7 +1,7 @@
 """Motions of a lander that are copies of each other, or of one family: found alike, joined, and with neighbours between them.
 
-The readings of a few samples leave families: motions along a line or a sheet that fit alike. The fits of neighbouring starts stay a
-step apart along it, and as the window grows that step grows: without others between them the true motion would be lost.
+The readings of a few samples leave families: motions along a line or a surface that fit alike. The fits of neighbouring starts stay
+a step apart along it, and as the window grows that step grows: without others between them the true motion would be lost.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, ShotFit, Shots, Trials
 from sunspin.estimate.settings import ShootingSettings
 from sunspin.solve.rotations import move_on_sphere
 
@@ -31,16 +31,16 @@ def one_each_box(trials: Trials, reach_s: float, s: ShootingSettings) -> Trials:
     starts = np.bincount(inverse.ravel(), weights=trials.starts[order]).astype(np.int64)
     rank = np.argsort(first, kind="stable")
     kept = trials.take(order[first[rank]])
-    return Trials(kept.shots, starts[rank], kept.normal, kept.neighbours_s)
+    return Trials(kept.shots, starts[rank], kept.curvature, kept.neighbours_s)
 
 
-def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
-    """Return motions (best first) without those on the sheet of a better one, whose starts count for it.
+def one_each_ridge(trials: Trials, s: ShootingSettings) -> Trials:
+    """Return motions (best first) without those on the ridge of a better one, whose starts count for it.
 
-    Inertia, friction and wheel, uncertain, make a sheet of each motion, which boxes of rate and direction cut into many.
+    Uncertain inertia, friction and wheel make a ridge of each motion, which boxes of rate and direction cut into many.
     """
-    shots, normal = trials.shots, trials.normal
-    reach = _reach(normal, s.sheet_chi2)
+    shots, curvature = trials.shots, trials.curvature
+    reach = _reach(curvature, s.ridge_chi2)
     kept, starts, left = [], [], np.arange(len(trials))
     while len(left):
         best = left[0]
@@ -50,15 +50,15 @@ def one_each_sheet(trials: Trials, s: ShootingSettings) -> Trials:
         near[0] = True
         candidates = left[near]
         off = shots.take(candidates).from_centre(shots.take(slice(best, best + 1)))
-        distance = np.minimum(_square(off, normal[best]), _square(off, normal[candidates]))
-        copies = distance < s.sheet_chi2
+        distance = np.minimum(_square(off, curvature[best]), _square(off, curvature[candidates]))
+        copies = distance < s.ridge_chi2
         copies[0] = True
         kept.append(best)
         starts.append(int(trials.starts[candidates[copies]].sum()))
         near[near] = copies
         left = left[~near]
     joined = trials.take(np.array(kept, dtype=int))
-    return Trials(joined.shots, np.array(starts), joined.normal, joined.neighbours_s)
+    return Trials(joined.shots, np.array(starts), joined.curvature, joined.neighbours_s)
 
 
 def distinct_fits(fit: ShotFit, s: ShootingSettings) -> ShotFit:
@@ -90,31 +90,33 @@ def _square(off: np.ndarray, metric: np.ndarray) -> np.ndarray:
     return np.sum((off[:, None, :] @ metric)[:, 0] * off, axis=1)
 
 
-def _reach(normal: np.ndarray, chi2: float) -> np.ndarray:
-    """Return bounds (K, 3) of how far the rates of motions on one sheet are apart, by curvatures (K, D, D); inf: unbounded."""
-    size = np.sqrt(np.einsum("kdd->kd", normal)).clip(1e-12)
-    values, vectors = np.linalg.eigh(normal / (size[:, :, None] * size[:, None, :]))
-    across = np.sum(vectors[:, :3] ** 2 / values[:, None].clip(1e-300), axis=2)
-    return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, :3], np.inf)
+def _reach(curvature: np.ndarray, chi2: float) -> np.ndarray:
+    """Return bounds (K, 3) of how far the rates of motions on one ridge are apart, by curvatures (K, D, D); inf: unbounded."""
+    size = np.sqrt(np.einsum("kdd->kd", curvature)).clip(1e-12)
+    values, vectors = np.linalg.eigh(curvature / (size[:, :, None] * size[:, None, :]))
+    across = np.sum(vectors[:, RATE] ** 2 / values[:, None].clip(1e-300), axis=2)
+    return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, RATE], np.inf)
 
 
 def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings) -> Trials:
     """Return motions, and after them neighbours of those that are one of a family at a time `reach_s` from the reference.
 
-    A family is free in a combination of rate and direction by more than a share of a radian then. Its neighbours differ along the
+    A family is uncertain in some combination of rate and direction by more than `family_rad` then. Its neighbours differ along the
     loosest combinations, alone and together. Unknowns stay: what differs by these alone is found from either.
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
-    spread = np.linalg.inv(trials.normal[:, :5, :5] + least) * size[:, None] * size
-    values, vectors = np.linalg.eigh(spread)
-    loosest = slice(None, -s.family_directions - 1, -1)
+    information = trials.curvature[:, :STATE_SIZE, :STATE_SIZE] + least
+    values, vectors = np.linalg.eigh(np.linalg.inv(information) * size[:, None] * size)
+    loosest = slice(None, -s.family_directions - 1, -1)  # eigenvalues rise
     width, along = np.sqrt(values[:, loosest].clip(0)), vectors[:, :, loosest]
+    # again only if the window has grown enough since neighbours were last placed
     due = s.again_from * trials.neighbours_s < reach_s
     free = (width > s.family_rad) & due[:, None]
-    set_s = np.where(free.any(axis=1), reach_s, trials.neighbours_s)
+    placed_s = np.where(free.any(axis=1), reach_s, trials.neighbours_s)
 
     parts, parents = [trials.shots], [np.arange(len(trials))]
+    # a neighbour for each choice of signs of the directions, 0: not along it
     for signs in product((0, 1, -1), repeat=s.family_directions):
         which = np.flatnonzero(signs)
         rows = np.flatnonzero(free[:, which].all(axis=1)) if len(which) else which
@@ -122,8 +124,8 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
             continue
         step = s.neighbour_rad * along[rows] @ np.array(signs, dtype=np.float64) / size
         own = trials.shots.take(rows)
-        sun = move_on_sphere(own.sun, step[:, 3:])
-        parts.append(Shots(own.omega + step[:, :3], sun, own.u, own.cost))
+        sun = move_on_sphere(own.sun, step[:, SUN])
+        parts.append(Shots(own.omega + step[:, RATE], sun, own.u, own.cost))
         parents.append(rows)
 
     every, parent = Shots.joined(parts), np.concatenate(parents)
@@ -131,4 +133,4 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
     kept = np.union1d(first, np.arange(len(trials)))
     own = kept < len(trials)
     starts = np.where(own, trials.starts[parent[kept]], 1)
-    return Trials(every.take(kept), starts, neighbours_s=set_s[parent[kept]])
+    return Trials(every.take(kept), starts, neighbours_s=placed_s[parent[kept]])

@@ -1,7 +1,13 @@
 """Fits of a lander's motions: one state at the reference, from which the equations of motion reach every sample.
 
-Derivatives of the motion are found once, by differences of runs, and then corrected by what each step shows, which takes one run
-(Broyden 1965, Math. Comp. 19, 577). The noise is no unknown of a step: it is put at its best for the differences that are left.
+The cost of a motion is minus the log of its posterior density: that of each reading (:meth:`PanelPowers.law`) and the prior of the
+unknowns. Damped least squares lowers it for K motions at once. Derivatives of the motion are found once, by differences of runs,
+and then corrected by what each step shows, which takes one run (Broyden 1965, Math. Comp. 19, 577). The noise is no unknown of a
+step: it is put at its best for the differences that are left.
+
+A motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit; c of these change the motion, the
+others only what sensors read of it. What is seen of a motion (n, w) are its directions to the Sun at n samples, and its rates if
+they are needed; R differences from readings follow.
 """
 
 from __future__ import annotations
@@ -15,11 +21,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.estimate.lander.model import LanderModel, Sizes
-from sunspin.estimate.lander.motions import RATE, SUN, Shots
-from sunspin.estimate.terms.powers import SunStates
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, UNKNOWNS, Shots
+from sunspin.estimate.terms.powers import LARGEST_LOG_NOISE, SunStates
 from sunspin.solve.least_squares import least_squares, limit_length, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
+
+SEEN_SUN, SEEN_RATE = slice(0, 3), slice(3, None)
+"""Where direction to the Sun and rate (rad/s) stand in what is seen of a sample."""
 
 RATE_STEP = 3e-4
 """Step of the differences in rates, as a turn (rad) over the window; the second order that it leaves is a part in a thousand."""
@@ -46,16 +55,21 @@ NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
 """Derivatives, and motions, that one thread holds in memory at once."""
 
 
-class Point(NamedTuple):
-    """Motions on their way: state, derivatives `moves` (K, c, n, w) of what is seen, and how they came there.
+def states_of(seen: np.ndarray) -> SunStates:
+    """Return what is seen (K, n, w) as directions to the Sun and rates."""
+    return SunStates.of(seen[..., SEEN_SUN], seen[..., SEEN_RATE])
 
-    `before` (K, n, w): what was seen where the last step began; `step` (K, c): that step, zero if nothing is learnt of it.
+
+class Point(NamedTuple):
+    """Motions in a fit: states, derivatives `seen_slopes` (K, c, n, w) of what is seen, and the step that led there.
+
+    `before` (K, n, w): what was seen where that step began; `step` (K, c), zero if derivatives are not to be corrected by it.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
-    moves: np.ndarray
+    seen_slopes: np.ndarray
     before: np.ndarray
     step: np.ndarray
 
@@ -68,21 +82,22 @@ class Point(NamedTuple):
 class Linear(NamedTuple):
     """Differences `value` (K, R) in stated sigmas and derivatives `jacobian` (K, R, F) by the free coordinates.
 
-    `fine` (K): the motion could be computed; `moves` and `seen` as in :class:`Point`.
+    `fine` (K): the motion could be computed; `seen_slopes` and `seen` as in :class:`Point`.
     """
 
     value: np.ndarray
     jacobian: np.ndarray
     fine: np.ndarray
-    moves: np.ndarray
+    seen_slopes: np.ndarray
     seen: np.ndarray
 
 
 @dataclass(frozen=True)
-class Problem:
-    """A fit of motions to the samples of a model with some coordinates free.
+class FitProblem:
+    """What is fitted: motions to the samples of a model, with some coordinates free.
 
-    `free_unknowns` (m): which unknowns are free; the noise never is. `sizes`: sigmas that are taken of unknowns with several.
+    `free_unknowns` (m): which unknowns are free; the noise never is. `error_rad`: of runs. `sizes`: which sigma is taken of
+    unknowns with several (:meth:`LanderModel.prior_cost`).
     """
 
     model: LanderModel
@@ -92,24 +107,24 @@ class Problem:
 
     @cached_property
     def fitted(self) -> np.ndarray:
-        """Return the unknowns (f) that steps change: the free ones but for the noise."""
+        """Return the indices of the unknowns that steps change: the free ones but for the noise."""
         noise = self.model.places("noise")
         return np.setdiff1d(np.flatnonzero(self.free_unknowns), noise)
 
     @cached_property
     def moving(self) -> np.ndarray:
-        """Return those of them on which the motion depends, so that a derivative needs a run."""
+        """Return the indices of those on which the motion depends, so that a derivative needs a run; they come first."""
         return self.fitted[self.fitted < len(self.model.of_motion)]
 
     @cached_property
     def coordinates(self) -> np.ndarray:
-        """Return the free coordinates (F) among all (D): rate, direction, and the fitted unknowns."""
-        return np.concatenate([np.arange(5), 5 + self.fitted])
+        """Return the indices (F) of the free coordinates among all (D): the state, and the fitted unknowns."""
+        return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.fitted])
 
     @property
     def of_motion(self) -> np.ndarray:
-        """Return the coordinates (c) on which the motion depends."""
-        return np.concatenate([np.arange(5), 5 + self.moving])
+        """Return the indices (c) of the free coordinates on which the motion depends."""
+        return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.moving])
 
     @cached_property
     def reach_s(self) -> float:
@@ -127,8 +142,7 @@ class Problem:
     def seen(self, shots: Shots, error_rad: float) -> tuple[np.ndarray, np.ndarray]:
         """Return what sensors see of motions (K, n, w), and which could be computed (K).
 
-        There are w = 3 numbers of the direction to the Sun. Three of the rate follow if times of samples may be off, or other
-        sensors than panels are read.
+        w = 3, or 6 with the rates: if times of samples may be off, or other sensors than panels are read.
         """
         seen, fine = self.model.carried(shots, error_rad)
         every = np.concatenate([seen.sun_B, seen.omega], axis=2)
@@ -146,11 +160,11 @@ class Problem:
         so that a tangent is carried like the Sun, and the other one is across both.
         """
         count = len(shots)
-        rate = RATE_STEP / self.reach_s
+        rate_step = RATE_STEP / self.reach_s
         tangent, _ = tangent_basis(shots.sun)
-        # runs: the motion, three other rates, a tangent in place of the Sun, and each unknown of the motion changed
+        # runs: the motion (0), three other rates (1 to 3), a tangent in place of the Sun (4), and each unknown changed (5 on)
         runs = [shots]
-        runs += [replace(shots, omega=shots.omega + rate * axis) for axis in np.eye(3)]
+        runs += [replace(shots, omega=shots.omega + rate_step * axis) for axis in np.eye(3)]
         runs.append(replace(shots, sun=tangent))
         steps = self._unknown_steps()
         for i, step in zip(self.moving, steps, strict=True):
@@ -161,15 +175,15 @@ class Problem:
         seen, fine = self.seen(Shots.joined(bare), self.difference_error)
         seen = seen.reshape(len(runs), count, *seen.shape[1:])
         base = seen[0]
-        moves = np.zeros((5 + len(self.moving), *base.shape))
-        moves[RATE] = (seen[1:4] - base) / rate
-        sun, carried = base[..., :3], seen[4, ..., :3]
-        moves[3, ..., :3], moves[4, ..., :3] = carried, cross(sun, carried)
-        moves[5:] = (seen[5:] - base) / steps[:, None, None, None]
-        return base, np.nan_to_num(np.moveaxis(moves, 0, 1))
+        seen_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
+        seen_slopes[RATE] = (seen[1:4] - base) / rate_step
+        sun, carried = base[..., SEEN_SUN], seen[4, ..., SEEN_SUN]
+        seen_slopes[SUN, ..., SEEN_SUN] = np.stack([carried, cross(sun, carried)])
+        seen_slopes[UNKNOWNS] = (seen[5:] - base) / steps[:, None, None, None]
+        return base, np.nan_to_num(np.moveaxis(seen_slopes, 0, 1))
 
     def _unknown_steps(self) -> np.ndarray:
-        """Return the steps (f) of the differences in the unknowns of the motion, in sigmas."""
+        """Return the steps of the differences in the unknowns of the motion, in sigmas."""
         usual = min(UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.reach_s, 1.0), LARGEST_UNKNOWN_STEP)
         steps = np.full(len(self.moving), usual)
         for k, i in enumerate(self.moving):
@@ -179,23 +193,24 @@ class Problem:
                 steps[k] = RATE_STEP / turn
         return steps
 
-    def differences(self, shots: Shots, seen: np.ndarray, moves: np.ndarray) -> Linear:
-        """Return differences and derivatives of motions of which is `seen` (K, n, w), with derivatives `moves` (K, c, n, w).
+    def differences(self, shots: Shots, seen: np.ndarray, seen_slopes: np.ndarray) -> Linear:
+        """Return differences of readings and their derivatives, by the chain rule from those of what is seen (K, n, w).
 
-        Without any (c = 0) the derivatives are those by unknowns on which the motion does not depend.
+        With c = 0 `seen_slopes` only derivatives by unknowns on which the motion does not depend are returned.
         """
         model, count = self.model, len(shots)
         fine = np.all(np.isfinite(seen), axis=(1, 2))
         seen = np.where(fine[:, None, None], seen, 0.0)
-        sun, omega = seen[..., :3], seen[..., 3:]
+        states = states_of(seen)
         # a change d of the Sun is the turn d x sun of the body, but for the turn about the Sun
-        turn = np.moveaxis(cross(moves[..., :3], sun[:, None]), 1, -1)
-        of_rate = np.moveaxis(moves[..., 3:], 1, -1)
+        turn = np.moveaxis(cross(seen_slopes[..., SEEN_SUN], states.sun[:, None]), 1, -1)
+        of_rate = np.moveaxis(seen_slopes[..., SEEN_RATE], 1, -1)
+        # of the panels' own unknowns those that are fitted; the first `moving` columns are of coordinates that change the motion
         own = self.fitted[len(self.moving) :] - len(model.of_motion)
-        moving = moves.shape[1]
+        moving = seen_slopes.shape[1]
         values, columns = [], []
         for term in (model.panels, *model.given):
-            for residual in term.residuals(SunStates.of(sun, omega), shots.u[:, model.of_panels]):
+            for residual in term.residuals(states, shots.u[:, model.of_panels]):
                 jacobian = np.zeros((*residual.value.shape, moving + len(own)))
                 if moving and residual.by_turn is not None:
                     jacobian[..., :moving] += residual.by_turn @ turn
@@ -209,7 +224,7 @@ class Problem:
         fine = fine & np.all(np.isfinite(value), axis=1)
         value = np.where(fine[:, None], value, 0.0)
         jacobian = np.where(np.isfinite(jacobian) & fine[:, None, None], jacobian, 0.0)
-        return Linear(value, jacobian, fine, moves, seen)
+        return Linear(value, jacobian, fine, seen_slopes, seen)
 
     def of_panels(self, value: np.ndarray) -> np.ndarray:
         """Return the differences (K, n, p) of the panels among all (K, R)."""
@@ -217,23 +232,23 @@ class Problem:
         return value[:, : shape[0] * shape[1]].reshape(-1, *shape)
 
     def weigh(
-        self, value: np.ndarray, u: np.ndarray, factor: float
+        self, value: np.ndarray, u: np.ndarray, noise_factor: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return cost (K) and weights (K, R) of differences under `factor` times the noise."""
-        law = self.model.panels.law(u[:, self.model.of_panels], factor)
+        """Return cost (K) and weights (K, R) of differences under `noise_factor` times the noise; only panels have outliers."""
+        law = self.model.panels.law(u[:, self.model.of_panels], noise_factor)
         by_sample, weight = law(self.of_panels(value))
         others = value[:, weight[0].size :]
         cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
         return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
 
-    def system(self, u: np.ndarray, linear: Linear, factor: float) -> DenseSystem:
-        """Return the normal equations of a step, priors included."""
-        cost, weight = self.weigh(linear.value, u, factor)
+    def system(self, u: np.ndarray, linear: Linear, noise_factor: float) -> DenseSystem:
+        """Return the normal equations of a step in the free coordinates (F), priors of unknowns included."""
+        cost, weight = self.weigh(linear.value, u, noise_factor)
         prior, precision = self.model.prior_cost(u, self.sizes)
         normal, gradient = _normal(linear.value, linear.jacobian, weight)
-        places = np.arange(5, len(self.coordinates))
+        places = np.arange(STATE_SIZE, len(self.coordinates))
         normal[:, places, places] += precision[:, self.fitted]
-        gradient[:, 5:] += precision[:, self.fitted] * u[:, self.fitted]
+        gradient[:, UNKNOWNS] += precision[:, self.fitted] * u[:, self.fitted]
         scale = np.einsum("kff->kf", normal).copy()
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal[:, np.arange(scale.shape[1]), np.arange(scale.shape[1])] += floor[:, None]
@@ -249,50 +264,50 @@ def _normal(
     return weighted @ jacobian, (weighted @ value[..., None])[..., 0]
 
 
-def corrected(moves: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return derivatives (K, c, n, w) that give the change (K, n, w) of what is seen along a step (K, c) as it was.
+def corrected(seen_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return derivatives (K, c, n, w) corrected so that a step (K, c) gives the change (K, n, w) of what is seen that it gave.
 
-    Of all such corrections it is the smallest, parts of the step being counted by how far they move what is seen.
+    Broyden's update: of all such corrections the smallest, each coordinate being counted by how far it moves what is seen.
     """
-    flat = moves.reshape(*moves.shape[:2], -1)
+    flat = seen_slopes.reshape(*seen_slopes.shape[:2], -1)
     size = step * np.sum(flat**2, axis=2)
     length = np.sum(size * step, axis=1, keepdims=True)
     share = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
     left = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
-    return moves + (share[:, :, None] * left).reshape(moves.shape)
+    return seen_slopes + (share[:, :, None] * left).reshape(seen_slopes.shape)
 
 
 def in_tangents_at(
-    there: np.ndarray, sun: np.ndarray, moves: np.ndarray, step: np.ndarray
+    there: np.ndarray, sun: np.ndarray, seen_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives and a step, given in the tangents at directions `sun` (K, 3), in those at directions `there` (K, 3)."""
     across = np.stack(tangent_basis(there), axis=1)
     turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)
-    moves, step = moves.copy(), step.copy()
-    moves[:, SUN] = np.einsum("kab,kbnw->kanw", turn, moves[:, SUN])
+    seen_slopes, step = seen_slopes.copy(), step.copy()
+    seen_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, seen_slopes[:, SUN])
     step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
-    return moves, step
+    return seen_slopes, step
 
 
 class Fitting:
-    """A batch of motions being fitted; the result of each depends on itself alone."""
+    """A batch of motions being fitted under a noise; the result of each depends on itself alone."""
 
-    def __init__(self, problem: Problem, shots: Shots) -> None:
+    def __init__(self, problem: FitProblem, shots: Shots) -> None:
         """Begin at motions whose bodies can exist, with the stated noise.
 
         A noise that was small for fewer readings would let the wide levels draw in less than they should.
         """
         u = problem.model.limited(shots.u, INSIDE)
         u[:, problem.model.places("noise")] = 0.0
-        self.problem, self.factor = problem, 1.0
+        self.problem, self.noise_factor = problem, 1.0
         self.shots = Shots(shots.omega, shots.sun, u)
         self.refresh()
 
     def refresh(self) -> None:
         """Compute the derivatives where the motions are now."""
-        seen, moves = self.problem.derivatives(self.shots)
-        linear = self.problem.differences(self.shots, seen, moves)
-        self.system = self.problem.system(self.shots.u, linear, self.factor)
+        seen, seen_slopes = self.problem.derivatives(self.shots)
+        linear = self.problem.differences(self.shots, seen, seen_slopes)
+        self.system = self.problem.system(self.shots.u, linear, self.noise_factor)
 
     @property
     def linear(self) -> Linear:
@@ -304,15 +319,15 @@ class Fitting:
         """Return the cost (K) under the present noise."""
         return self.system.cost
 
-    def go(self, factor: float, steps: int) -> None:
-        """Take steps under `factor` times the noise."""
-        self.factor = factor
+    def go(self, noise_factor: float, steps: int) -> None:
+        """Take steps under `noise_factor` times the noise."""
+        self.noise_factor = noise_factor
         self._weigh_again()
         self.steps(steps)
 
     def _weigh_again(self) -> None:
         """Weigh the same differences under another noise."""
-        self.system = self.problem.system(self.shots.u, self.linear, self.factor)
+        self.system = self.problem.system(self.shots.u, self.linear, self.noise_factor)
 
     def take(self, rows: np.ndarray) -> None:
         """Go on with some of the motions."""
@@ -338,16 +353,16 @@ class Fitting:
         """Return derivatives and what is seen where a system was set up, no step having been taken from there."""
         linear = Linear(*system.extras)
         step = np.zeros((len(linear.seen), len(self.problem.of_motion)))
-        return linear.moves, linear.seen, step
+        return linear.seen_slopes, linear.seen, step
 
     def _linearised(self, point: Point) -> DenseSystem:
         """Return the system after a step, with derivatives corrected by it."""
         seen, fine = self.problem.seen(point.shots, self.problem.difference_error)
         change = np.where(fine[:, None, None], seen - point.before, 0.0)
         step = np.where(fine[:, None], point.step, 0.0)
-        moves = corrected(point.moves, step, change)
-        linear = self.problem.differences(point.shots, seen, moves)
-        return self.problem.system(point.u, linear, self.factor)
+        seen_slopes = corrected(point.seen_slopes, step, change)
+        linear = self.problem.differences(point.shots, seen, seen_slopes)
+        return self.problem.system(point.u, linear, self.noise_factor)
 
     def _moved(self, point: Point, step: np.ndarray) -> Point:
         """Return the motions after steps (K, F), with derivatives in the tangents of the new directions."""
@@ -355,9 +370,9 @@ class Fitting:
         whole[:, self.problem.coordinates] = step
         sun = move_on_sphere(point.sun, whole[:, SUN])
         own = whole[:, self.problem.of_motion]
-        moves, own = in_tangents_at(sun, point.sun, point.moves, own)
-        omega, u = point.omega + whole[:, RATE], point.u + whole[:, 5:]
-        return Point(omega, sun, u, moves, point.before, own)
+        seen_slopes, own = in_tangents_at(sun, point.sun, point.seen_slopes, own)
+        omega, u = point.omega + whole[:, RATE], point.u + whole[:, UNKNOWNS]
+        return Point(omega, sun, u, seen_slopes, point.before, own)
 
     def _length_ratio(self, point: Point, step: np.ndarray) -> np.ndarray:
         """Return the lengths (K) of steps (K, F) over the longest one allowed."""
@@ -368,8 +383,10 @@ class Fitting:
         )
         torque = np.isin(fitted, problem.model.places("steady_torque"))
         sigma = np.array([problem.model.unknowns[i].sigma for i in fitted[torque]])
-        pushed = np.linalg.norm(step[:, 5:][:, torque] * sigma, axis=1) * problem.reach_s**2 / 2
-        unknowns = np.abs(step[:, 5:]).max(axis=1, initial=0.0)
+        pushed = (
+            np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1) * problem.reach_s**2 / 2
+        )
+        unknowns = np.abs(step[:, UNKNOWNS]).max(axis=1, initial=0.0)
         return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, unknowns)
 
     def _limited(self, point: Point) -> Point:
@@ -387,14 +404,12 @@ class Fitting:
         """
         panels, own = self.problem.model.panels, self.problem.model.of_panels
         answered = self._answered() if few else np.zeros(len(self.shots))
-        least = 0.0 if few and held else -5.0
+        least = 0.0 if few and held else -LARGEST_LOG_NOISE
         u = self.shots.u.copy()
         value = self.problem.of_panels(self.linear.value)
         if panels.time_s:
             # times at their best leave less than the noise
-            seen = self.linear.seen
-            states = SunStates.of(seen[..., :3], seen[..., 3:])
-            answered = answered + panels.taken_by_times(states, u[:, own])
+            answered = answered + panels.taken_by_times(states_of(self.linear.seen), u[:, own])
         u[:, own] = panels.best_noise(value, u[:, own], answered, least)
         self.shots = replace(self.shots, u=u)
         self._weigh_again()
@@ -402,10 +417,10 @@ class Fitting:
     def _answered(self) -> np.ndarray:
         """Return how many readings (K) the fitted numbers answer for: the trace of their share in the curvature."""
         linear, u = self.linear, self.shots.u
-        weight = self.problem.weigh(linear.value, u, self.factor)[1]
+        weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
         prior = np.zeros(read.shape[:2])
-        prior[:, 5:] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
+        prior[:, UNKNOWNS] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
             :, self.problem.fitted
         ]
         size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)  # in these units none is large
@@ -416,15 +431,17 @@ class Fitting:
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss and Newton; of what is not free those of the prior."""
         problem, linear, u = self.problem, self.linear, self.shots.u
-        weight = problem.weigh(linear.value, u, self.factor)[1]
+        weight = problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
         whole = np.zeros((len(u), problem.model.dimension, problem.model.dimension))
         whole[:, problem.coordinates[:, None], problem.coordinates] = read
-        every = np.arange(5, problem.model.dimension)
+        every = np.arange(STATE_SIZE, problem.model.dimension)
         whole[:, every, every] += problem.model.prior_cost(u, problem.sizes)[1]
         for i in problem.model.places("noise"):
             own, value = u[:, problem.model.of_panels], problem.of_panels(linear.value)
-            whole[:, 5 + i, 5 + i] += problem.model.panels.noise_curvature(value, own)
+            whole[:, STATE_SIZE + i, STATE_SIZE + i] += problem.model.panels.noise_curvature(
+                value, own
+            )
         return whole
 
 
@@ -433,24 +450,24 @@ Levels = Sequence[tuple[float, int]]
 
 
 def fit_first(
-    problem: Problem, shots: Shots, levels: Levels, hopeless: float = np.inf, held: bool = False
+    problem: FitProblem, shots: Shots, levels: Levels, hopeless: float = np.inf, held: bool = False
 ) -> tuple[Shots, np.ndarray]:
     """Return motions fitted to a few samples, with costs, and their curvature (K, D, D).
 
-    D: two of the direction, three of the rate, then the unknowns. Those that cost more than `hopeless` after the first level stay
-    as they are then, with no curvature and the cost under the noise factor of that level. `held`: body and wheel are not free.
+    Those that cost more than `hopeless` after the first level stay as they are then, with no curvature and the cost under the noise
+    of that level. `held`: body and wheel are not free.
     """
     fitting = Fitting(problem, shots)
-    (factor, steps), *others = levels
-    fitting.go(factor, steps)
+    (noise_factor, steps), *others = levels
+    fitting.go(noise_factor, steps)
     result = replace(fitting.shots, cost=fitting.cost.copy())
     normal = np.zeros((len(shots), problem.model.dimension, problem.model.dimension))
     going = np.flatnonzero(fitting.cost <= hopeless)
     if not len(going):
         return result, normal
     fitting.take(going)
-    for factor, steps in others:
-        fitting.go(factor, steps)
+    for noise_factor, steps in others:
+        fitting.go(noise_factor, steps)
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
         getattr(result, name)[going] = getattr(fitting.shots, name)
@@ -458,13 +475,13 @@ def fit_first(
     return result, normal
 
 
-def fit_finally(problem: Problem, shots: Shots, levels: Levels) -> tuple[Shots, np.ndarray]:
+def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shots, np.ndarray]:
     """Return motions fitted to all samples, with costs, and their curvature (K, D, D); new derivatives at each level."""
     fitting = Fitting(problem, shots)
-    for k, (factor, steps) in enumerate(levels):
+    for k, (noise_factor, steps) in enumerate(levels):
         if k:
             fitting.refresh()
-        fitting.go(factor, steps)
+        fitting.go(noise_factor, steps)
     fitting.fit_noise()
     for _ in range(2):
         fitting.refresh()

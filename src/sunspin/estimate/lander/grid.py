@@ -16,18 +16,18 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics import batch
-from sunspin.estimate.lander.allowed import Nodes, possible_directions, shortfall
+from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.cells import (
-    CELL,
-    MISFIT,
-    PLACE,
-    STEP,
-    SUN,
-    Light,
+    OF_CELL,
+    OF_MISFIT,
+    OF_PLACE,
+    OF_STEP,
+    OF_SUN,
+    Cells,
     Limits,
-    Looked,
+    PanelTable,
     Tables,
-    look_through,
+    search_cells,
 )
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import Shots, Trials
@@ -47,13 +47,13 @@ POINTS = 0.5 * CORNERS[:, None] + 0.25 * (0.5 + CORNERS)
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where the search begins.
+class Reference:
+    """The sample at which a motion is a state, and where the search begins.
 
-    `sample`: the reference, `after_s` after the first sample; `window`: it and its neighbours `tried`, which are in `others` (m);
-    `edge`: step of the grid (rad/s); `suns` (c, 3): directions to the Sun at the reference; `limit` (rad/s): rates searched there;
-    `max_rate`: ball of rates at the reference that holds what comes of the prior's, `given`, at the first sample, at which no
-    motion is faster than `fastest`.
+    `sample`: its index, `after_s` after the first one; `window`: it and its two neighbours, the `others` (m) in it. The search
+    tries the directions `suns` (c, 3) with rates on a grid, `edge` apart, up to `limit`. The prior's ball of rates, up to `given`,
+    is that at the first sample, at which no motion is faster than `fastest`; `max_rate`: ball at the reference that holds what
+    comes of it. Rates are in rad/s.
     """
 
     sample: int
@@ -82,51 +82,53 @@ class Place:
 # ---- the reference ---------------------------------------------------------------------------------------------------------
 
 
-def reference(model: LanderModel, s: GridSettings, given_rate: bool = False) -> Place:
+def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = False) -> Reference:
     """Return the reference from which the search is the shortest, of those samples at which no wheel can have stopped.
 
-    `given_rate`: the largest rate is the caller's, and refused if it asks for more starts than can be tried.
+    `given_rate`: the largest rate is the caller's, and refused if it needs more starts than can be tried.
     """
-    place, asked = _shortest(model, s)
-    if given_rate and asked > s.most_starts:
-        smaller, enough = model, place
-        starts = asked
+    reference, needed = _shortest(model, s)
+    if given_rate and needed > s.most_starts:
+        smaller, enough = model, reference
+        starts = needed
         while starts > s.most_starts:
             # with a smaller ball another reference may be the best one
             limit = 0.99 * largest_ball(s.most_starts / len(enough.suns), enough.edge)
             smaller = replace(smaller, max_rate=float(f"{limit:.3g}"))
             enough, starts = _shortest(smaller, s)
-        what = f"max_rate_rad_s asks for {asked:.2g} starts, and {s.most_starts:.0e} at most can be tried in an hour"
+        what = f"max_rate_rad_s asks for {needed:.2g} starts, and {s.most_starts:.0e} at most can be tried in an hour"
         raise InputError(
             what,
             got=f"{model.max_rate:g}",
             do=f"with these samples give {smaller.max_rate:.3g} at most",
         )
-    ends = place.about(model).obs.t_s
-    _require_computable(place.about(model), ends, min(place.limit, place.max_rate))
-    return place
+    ends = reference.about(model).obs.t_s
+    _require_computable(reference.about(model), ends, min(reference.limit, reference.max_rate))
+    return reference
 
 
-def _shortest(model: LanderModel, s: GridSettings) -> tuple[Place, float]:
-    """Return the place with the shortest search, and how many starts it has.
+def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
+    """Return the reference with the shortest search, and how many starts it has in the ball of the prior.
 
-    Starts take time, and so do motions that fit the first few samples. These are about as many as the directions that they allow,
-    times the volume of rates in units of the inverse of the time that they reach. It is half as long from the middle of a file.
+    Starts take time, and so do motions that fit the first few samples. These are about as many as the directions that the samples
+    allow, times the volume of rates in units of 1 / (time to the farthest of them)^3: from the middle of a file it is half as far.
     """
     t_s, panels = model.obs.t_s, model.panels
     read = np.flatnonzero(panels.present())
     lit = np.flatnonzero(panels.lit.any(axis=1))
+    # Samples that may be the reference, evenly some of them: lit, wheels still run there, and have handed over little.
     choices = [k for k in lit if _wheels_run(model, t_s[k], s)] or [lit[0]]
     slow = [k for k in choices if model.spun_up(t_s[k]) <= s.most_spun * model.max_rate]
     choices = slow or choices[:1]
     even = np.linspace(0, len(choices) - 1, s.choices).round().astype(int)
     suns: dict[int, np.ndarray] = {}
-    best: tuple[float, Place, float] | None = None
+    shortest_s, best, starts = np.inf, None, 0.0
     for sample in (choices[i] for i in np.unique(even)):
         near = read[np.argsort(np.abs(t_s[read] - t_s[sample]), kind="stable")[: s.few]]
         for k in (*near, sample):
             if k not in suns:
                 suns[k] = possible_directions(panels, k, s)
+        # the reference and the samples before and after it; at an end of the file both are on one side
         at = int(np.searchsorted(read, sample))
         first = min(max(at - 1, 0), max(len(read) - 3, 0))
         tried = read[first : first + 3]
@@ -137,28 +139,28 @@ def _shortest(model: LanderModel, s: GridSettings) -> tuple[Place, float]:
             edge = min(edge, s.shared_edge * model.max_rate)
         ball, fastest = _balls(model, after, s)
         reach = float(np.abs(t_s[near] - after).max())
-        took = s.start_cost * len(suns[sample]) * cell_count(ball, edge)
         allowed = np.prod([len(suns[k]) for k in near], dtype=float)
-        took += s.window_cost * (fastest * reach) ** 3 * allowed
-        if best is not None and took >= best[0]:
+        takes_s = s.start_cost * len(suns[sample]) * cell_count(ball, edge)
+        takes_s += s.window_cost * (fastest * reach) ** 3 * allowed
+        if best is not None and takes_s >= shortest_s:
             continue
         limit = min(model.max_rate, largest_ball(s.most_cells / len(suns[sample]), edge))
-        place = Place(
-            int(sample),
-            after,
-            slice(int(tried[0]), int(tried[-1]) + 1),
-            others,
-            edge,
-            suns[sample],
+        shortest_s, starts = takes_s, cell_count(model.max_rate, edge) * len(suns[sample])
+        best = Reference(
+            sample=int(sample),
+            after_s=after,
+            window=slice(int(tried[0]), int(tried[-1]) + 1),
+            others=others,
+            edge=edge,
+            suns=suns[sample],
             # the whole ball that comes of the prior's, unless even the prior's cannot be searched
-            limit if limit < model.max_rate else ball,
-            ball,
-            fastest,
-            model.max_rate,
+            limit=limit if limit < model.max_rate else ball,
+            max_rate=ball,
+            fastest=fastest,
+            given=model.max_rate,
         )
-        best = took, place, cell_count(model.max_rate, edge) * len(suns[sample])
     assert best is not None
-    return best[1], best[2]
+    return best, starts
 
 
 def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
@@ -227,20 +229,20 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 
 
 def grid_starts(
-    model: LanderModel, place: Place, s: GridSettings, workers: int = 1
+    model: LanderModel, reference: Reference, s: GridSettings, workers: int = 1
 ) -> Iterator[tuple[slice, Trials]]:
     """Yield the window about the reference, with motions near each one that its readings allow, best first.
 
-    `model`: with its reference at `place`. Torques hardly move a body in three samples, and inertia, friction and wheel are those
-    of the nominal body. If no start settles, rest and rotations about the axes are tried, so that the verdict can say by how much
+    `model` counts time from `reference`. Torques hardly move a body in three samples, and inertia, friction and wheel are those of
+    the nominal body. If no start settles, rest and rotations about the axes are tried, so that the verdict can say by how much
     no motion fits.
     """
-    bare = replace(model, frame="", max_rate=place.limit)
-    reached = Reached.of(bare, place.limit, place.fastest)
-    grid = RateGrid.of(bare, bare.obs.t_s[place.others], reached, place.edge, s, workers)
-    omega, sun, misfit = settled_starts(grid, bare.panels, place, s, workers)
+    bare = replace(model, frame="", max_rate=reference.limit)
+    reached = Reached.of(bare, reference.limit, reference.fastest)
+    grid = RateGrid.of(bare, bare.obs.t_s[reference.others], reached, reference.edge, s, workers)
+    omega, sun, misfit = settled_starts(grid, bare.panels, reference, s, workers)
     size = np.linalg.norm(omega, axis=1, keepdims=True)
-    omega = omega * np.minimum(1.0, place.limit / np.maximum(size, 1e-12))
+    omega = omega * np.minimum(1.0, reference.limit / np.maximum(size, 1e-12))
     # of starts in one box of rate and direction the best
     order = np.argsort(misfit, kind="stable")
     reach_s = float(np.abs(grid.times_s).max())
@@ -251,17 +253,17 @@ def grid_starts(
     rank = np.argsort(first)
     best = order[first[rank]]
     shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
-    slow = bare.first_speed(shots, TRIAL_ERROR) <= place.fastest
+    slow = bare.first_speed(shots, TRIAL_ERROR) <= reference.fastest
     starts = Trials(shots.take(slow), count[rank][slow])
-    yield place.window, starts if len(starts) else _anything(model, place)
+    yield reference.window, starts if len(starts) else _anything(model, reference)
 
 
 def settled_starts(
-    grid: RateGrid, panels: PanelPowers, place: Place, s: GridSettings, workers: int = 1
+    grid: RateGrid, panels: PanelPowers, reference: Reference, s: GridSettings, workers: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the starts that settle in the cells of a grid: rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
-    nodes, others = Nodes(s.nodes), panels.take(place.others)
-    seen = np.repeat(nodes.directions[:, None], len(place.others), axis=1)
+    nodes, others = cube_nodes(s.nodes), panels.take(reference.others)
+    seen = np.repeat(nodes[:, None], len(reference.others), axis=1)
     near, far = (
         shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
     )
@@ -270,30 +272,32 @@ def settled_starts(
     square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
-    light = Light.of(panels.take(np.array([place.sample, *place.others])))
+    table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
     limits = Limits(s.nodes, s.limit, s.blur_rad, s.cap, s.settled, s.steps, s.faster)
-    suns = np.stack([place.suns, *tangent_basis(place.suns)], axis=1)
+    suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
 
-    def look(cells: np.ndarray) -> np.ndarray:
-        """Return the starts of some cells."""
-        looked = Looked(cells, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
-        return look_through(looked, tables, light, limits)
+    def starts_in(lowest: np.ndarray) -> np.ndarray:
+        """Return the starts of some cells, given by their lowest corners."""
+        cells = Cells(lowest, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
+        return search_cells(cells, tables, table, limits)
 
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))
     with ThreadPoolExecutor(workers) as pool:
-        found = np.concatenate(list(pool.map(look, pieces)))
-    omega = grid.rates(found[:, CELL].astype(np.int64)) + found[:, PLACE] * grid.edge
+        starts = np.concatenate(list(pool.map(starts_in, pieces)))
+    omega = grid.rates(starts[:, OF_CELL].astype(np.int64)) + starts[:, OF_PLACE] * grid.edge
     # the direction lies in the plane of its tangents, before it is a unit vector
-    length = np.linalg.norm(found[:, STEP], axis=1, keepdims=True)
+    length = np.linalg.norm(starts[:, OF_STEP], axis=1, keepdims=True)
     angle = np.divide(np.arctan(length), length, out=np.ones_like(length), where=length > 0)
-    sun = move_on_sphere(place.suns[found[:, SUN].astype(np.int64)], found[:, STEP] * angle)
-    return omega, sun, found[:, MISFIT]
+    sun = move_on_sphere(
+        reference.suns[starts[:, OF_SUN].astype(np.int64)], starts[:, OF_STEP] * angle
+    )
+    return omega, sun, starts[:, OF_MISFIT]
 
 
-def _anything(model: LanderModel, place: Place) -> Trials:
+def _anything(model: LanderModel, reference: Reference) -> Trials:
     """Return starts if there is no hope: rest, and rotations about the axes."""
     axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
-    sun = np.tile(place.suns[0], (len(omega), 1))
+    sun = np.tile(reference.suns[0], (len(omega), 1))
     shots = Shots(omega, sun, np.zeros((len(omega), len(model.unknowns))))
     return Trials(shots, np.ones(len(omega), dtype=np.int64))

@@ -54,13 +54,13 @@ PRIOR_DRAWS = 20_000
 
 
 Sizes = Mapping[str, int]
-"""Kinds of unknowns whose sigma is one of several -> index of the one that is taken."""
+"""Kind of unknowns whose sigma is one of several (:attr:`Unknown.shares`) -> index of the one that is taken."""
 
 ALL_SIZES: Sizes = {}
-"""All of them count, by how likely they are."""
+"""All sigmas count, by how likely they are."""
 
 
-class Carried(NamedTuple):
+class CarriedStates(NamedTuple):
     """K motions at n samples: directions to the Sun and rates (K, n, 3); `fine` (K): the motion could be computed."""
 
     seen: SunStates
@@ -115,7 +115,7 @@ class LanderModel:
         return 5 + len(self.unknowns)
 
     def places(self, *kinds: str) -> list[int]:
-        """Return where the unknowns of some kinds stand."""
+        """Return the indices of the unknowns of some kinds."""
         return [i for i, unknown in enumerate(self.unknowns) if unknown.kind in kinds]
 
     def values(self, u: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ class LanderModel:
         return centre + u * np.array([unknown.sigma for unknown in self.unknowns])
 
     def _deviation(self, u: np.ndarray, kind: str, count: int) -> np.ndarray:
-        """Return by how much (K, count) the unknowns of a kind are off their centres, by index; zero for those that are known."""
+        """Return how far off their centres (K, count) the numbers of a kind are, by :attr:`Unknown.index`; zero for known ones."""
         off = np.zeros((len(u), count))
         for i in self.places(kind):
             off[:, self.unknowns[i].index] = self.unknowns[i].sigma * u[:, i]
@@ -292,8 +292,8 @@ class LanderModel:
     def spun_up(self, after_s: float) -> float:
         """Return the rate (rad/s) that wheels running down hand over until then, about the axis of the least moment."""
         none = np.zeros((1, len(self.unknowns)))
-        there = replace(self, after_s=after_s).wheel_speeds(none)
-        lost = np.abs(there - replace(self, after_s=0.0).wheel_speeds(none))[0]
+        then = replace(self, after_s=after_s).wheel_speeds(none)
+        lost = np.abs(then - replace(self, after_s=0.0).wheel_speeds(none))[0]
         momentum = lost @ np.array([wheel.inertia_kg_m2 for wheel in self.vehicle.wheels])
         return float(momentum / np.linalg.eigvalsh(self.vehicle.require_inertia())[0])
 
@@ -324,7 +324,7 @@ class LanderModel:
             leave_long=True,  # one draw far out in the priors must not end them all
         )
 
-    def carried(self, shots: Shots, error_rad: float) -> Carried:
+    def carried(self, shots: Shots, error_rad: float) -> CarriedStates:
         """Return motions at all samples, forward and backward from the reference; directions err by `error_rad` at most."""
         t_s, rows = self.obs.t_s, self.rows(shots)
         sun, omega = (np.empty((len(shots), len(t_s), 3)) for _ in range(2))
@@ -337,7 +337,7 @@ class LanderModel:
                 fine &= moved.outcome == batch.Outcome.FINE
         fine &= np.isfinite(sun).all(axis=(1, 2)) & np.isfinite(omega).all(axis=(1, 2))
         sun[~fine], omega[~fine] = np.nan, np.nan
-        return Carried(SunStates.of(sun, omega), fine)
+        return CarriedStates(SunStates.of(sun, omega), fine)
 
     def first_speed(self, shots: Shots, error_rad: float) -> np.ndarray:
         """Return angular speeds (K) at the first sample, rad/s; infinite for motions that cannot be computed."""
@@ -347,12 +347,14 @@ class LanderModel:
         speed = np.linalg.norm(back.omega_B[:, 0], axis=1)
         return np.where(np.isfinite(speed), speed, np.inf)
 
-    def log_likelihood(self, shots: Shots, error_rad: float) -> np.ndarray:
-        """Return the log likelihood (K) of all readings, up to a constant of the other observations."""
-        carried = self.carried(shots, error_rad)
+    def log_likelihood(self, carried: CarriedStates, u: np.ndarray) -> np.ndarray:
+        """Return the log likelihood (K) of all readings, up to a constant of the other observations.
+
+        It is minus infinity for motions that could not be computed.
+        """
         with np.errstate(invalid="ignore"):
-            total = self.panels.log_density(carried.seen, shots.u[:, self.of_panels])
+            total = self.panels.log_density(carried.seen, u[:, self.of_panels])
             for term in self.given:
-                for residual in term.residuals(carried.seen, shots.u[:, :0]):
+                for residual in term.residuals(carried.seen, u[:, :0]):
                     total = total - residual.law(residual.value)[0].sum(axis=1)
         return np.where(carried.fine & np.isfinite(total), total, -np.inf)

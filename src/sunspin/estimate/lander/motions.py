@@ -17,7 +17,10 @@ from sunspin.solve.rotations import move_on_sphere, tangent_basis
 if TYPE_CHECKING:
     from sunspin.estimate.lander.model import LanderModel
 
-RATE, SUN, UNKNOWNS = slice(0, 3), slice(3, 5), slice(5, None)
+STATE_SIZE = 5
+"""Coordinates of the state at the reference, which come first: rate and direction to the Sun."""
+
+RATE, SUN, UNKNOWNS = slice(0, 3), slice(3, STATE_SIZE), slice(STATE_SIZE, None)
 """Where rate (rad/s), direction to the Sun (rad, along two tangents) and unknowns (sigmas) stand among the coordinates."""
 
 
@@ -85,13 +88,13 @@ class Shots:
 class Trials:
     """Motions on their way through a search, and what it keeps of each.
 
-    `starts` (K): how many starts came together in it; `normal` (K, D, D): curvature of its cost after a fit, else (0, 0, 0);
+    `starts` (K): how many starts came together in it; `curvature` (K, D, D): curvature of its cost after a fit, else (0, 0, 0);
     `neighbours_s` (K): end of the window for which neighbours of it were last placed, or for which it was placed; 0 for none.
     """
 
     shots: Shots
     starts: np.ndarray
-    normal: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    curvature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     neighbours_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
@@ -105,7 +108,7 @@ class Trials:
 
     def take(self, which: Any) -> Trials:
         """Return some of the motions."""
-        rest = (x[which] if len(x) else x for x in (self.normal, self.neighbours_s))
+        rest = (x[which] if len(x) else x for x in (self.curvature, self.neighbours_s))
         return Trials(self.shots.take(which), self.starts[which], *rest)
 
     @staticmethod
@@ -113,7 +116,7 @@ class Trials:
         """Return the motions of several searches."""
         arrays = (
             np.concatenate([getattr(part, name) for part in parts])
-            for name in ("starts", "normal", "neighbours_s")
+            for name in ("starts", "curvature", "neighbours_s")
         )
         return Trials(Shots.joined([part.shots for part in parts]), *arrays)
 

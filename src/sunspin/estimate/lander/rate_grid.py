@@ -24,7 +24,7 @@ from sunspin.estimate.settings import GridSettings
 from sunspin.solve.rotations import cross, tangent_basis
 
 TRIAL_ERROR = 1e-3
-"""Error of a direction (rad) on the grid."""
+"""Error of directions (rad) in runs of the grid, and in those that only look whether a sample allows a motion."""
 
 RUNS_AT_ONCE, POINTS_AT_ONCE = 16_384, 200_000
 """Motions that are run together by a thread, and points that it fills."""
@@ -233,8 +233,8 @@ def attitudes(model: LanderModel, omega: np.ndarray, times: np.ndarray) -> np.nd
         h, r = moved.momentum_B[:, 0], moved.sun_B[:, 0]
         with np.errstate(invalid="ignore"):
             h = h / np.linalg.norm(h, axis=1, keepdims=True)
-            there = np.stack([h, r, cross(h, r)], axis=2)
-            matrix = there @ np.swapaxes(frame, 1, 2)
+            after = np.stack([h, r, cross(h, r)], axis=2)
+            matrix = after @ np.swapaxes(frame, 1, 2)
         matrix[~np.isfinite(matrix).all(axis=(1, 2))] = np.eye(3)
         turn[:, i] = Rotation.from_matrix(matrix).as_quat()
     return turn

@@ -16,20 +16,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.spatial import KDTree
+from scipy.special import logsumexp
 
-from sunspin.estimate.lander.motions import SUN, UNKNOWNS, ShotFit, Shots
-from sunspin.estimate.model import Unknown
+from sunspin.estimate.lander.motions import STATE_SIZE, SUN, UNKNOWNS, ShotFit, Shots
+from sunspin.estimate.lander.outer_law import (
+    OuterLaw,
+    monomials,
+    student_draws,
+    student_log_density,
+)
+from sunspin.estimate.lander.target import LanderTarget, MotionSlopes
 from sunspin.estimate.settings import SamplingSettings
 from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
-from sunspin.solve.weights import effective_draws
-
-FIVE = 5
-"""Directions of rate and Sun together."""
 
 LOOSEST_RAD = 3.0
 """No stiff direction is drawn wider than with this sigma (rad): beyond it a direction has come round."""
@@ -45,244 +48,45 @@ SETTLED_GAIN = 4.0
 taken by a last step that is not tried. With 1.0 a draw of Philae takes 3.5 runs instead of 2.8, and draws are not better."""
 
 
-class Slopes(NamedTuple):
-    """Derivatives at K motions, from which those at motions near by begin.
-
-    `shots`: the motions; `moves` (K, 5, ...): change of what sensors see per unit of rate and direction; `seen` (K, ...): that.
-    """
-
-    omega: np.ndarray
-    sun: np.ndarray
-    u: np.ndarray
-    moves: np.ndarray
-    seen: np.ndarray
-
-
-class Equations(NamedTuple):
-    """Normal equations of K motions in their five directions, and in the unknowns on which the readings alone depend.
-
-    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, q) and `matrix` (K, q, q).
-    """
-
-    cost: np.ndarray
-    slope: np.ndarray
-    matrix: np.ndarray
-    slopes: Slopes
-
-
-class Target(Protocol):
-    """A posterior that is sampled: of one model, with K motions evaluated at once.
-
-    Its unknowns have a standard normal prior.
-    """
-
-    @property
-    def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the unknowns (m)."""
-        ...
-
-    @property
-    def standing(self) -> np.ndarray:
-        """Return the places of unknowns that change the readings only."""
-        ...
-
-    @property
-    def bending(self) -> np.ndarray:
-        """Return the places of unknowns that change the motion."""
-        ...
-
-    @property
-    def reach_s(self) -> float:
-        """Return the time from the reference to the farthest sample."""
-        ...
-
-    @property
-    def rate_max(self) -> float:
-        """Return the largest rate (rad/s)."""
-        ...
-
-    def linearised(
-        self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0
-    ) -> Equations:
-        """Return the equations under `wider` times the noise.
-
-        Derivatives begin with the `slopes` of motions near by, if given, and are corrected by what a step in rate and direction
-        alone has changed.
-        """
-        ...
-
-    def run(self, shots: Shots) -> Any:
-        """Return what sensors see of the motions."""
-        ...
-
-    def standing_slopes(
-        self, seen: Any, u: np.ndarray, wider: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the standing unknowns, under `wider` noise."""
-        ...
-
-    def log_likelihood(self, seen: Any, u: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (K)."""
-        ...
-
-    def log_prior(self, shots: Shots) -> np.ndarray:
-        """Return the log prior density (K) over rates (rad/s), directions and unknowns; minus infinity where none is possible."""
-        ...
-
-
-class Bend(NamedTuple):
-    """Coordinates y (d) in which the t thin directions `across` (d, t) of a curved ridge follow the f others.
-
-    `along` (f, d): those others as combinations of y - `centre` (d); `answer` (M, t): what the thin ones follow, by
-    :func:`monomials` of the others. Straight coordinates are y without that. Both have the same volume, since `along` times
-    `across` is zero.
-    """
-
-    centre: np.ndarray
-    across: np.ndarray
-    along: np.ndarray
-    answer: np.ndarray
-
-    def straight(self, y: np.ndarray) -> np.ndarray:
-        """Return the straight coordinates (n, d) of points y (n, d)."""
-        return y - self._followed(y)
-
-    def bent(self, straight: np.ndarray) -> np.ndarray:
-        """Return the points y (n, d) at straight coordinates (n, d)."""
-        return straight + self._followed(straight)
-
-    def _followed(self, y: np.ndarray) -> np.ndarray:
-        """Return by how much (n, d) the thin directions follow; it is the same for y and for its straight coordinates."""
-        free = (y - self.centre) @ self.along.T
-        return monomials(free, np.arange(free.shape[1])) @ self.answer @ self.across.T
-
-    @classmethod
-    def of(cls, y: np.ndarray, weight: np.ndarray, s: SamplingSettings) -> Bend | None:
-        """Return how the weighted draws y (n, d) are bent; None if no direction follows the others, or the draws are too few."""
-        centre, count = weight @ y, effective_draws(weight)
-        off = y - centre
-        sigma = np.sqrt(weight @ off**2)
-        if not np.all(sigma > 0):
-            return None
-        # principal directions of the correlation: of independent coordinates all would have size one
-        value, vector = np.linalg.eigh((weight[:, None] * off).T @ off / np.outer(sigma, sigma))
-        size = np.sqrt(value.clip(1e-12))
-        white, root = (off / sigma) @ vector / size, np.sqrt(weight)[:, None]
-        thin = size < s.thin
-        while thin.any():
-            terms = monomials(white[:, ~thin], np.arange(int(np.sum(~thin))))
-            if count < s.draws_per_term * terms.shape[1]:
-                return None
-            answer = np.linalg.lstsq(root * terms, root * white[:, thin], rcond=1e-10)[0]
-            left = weight @ (white[:, thin] - terms @ answer) ** 2
-            straight = left * count / (count - terms.shape[1]) > s.straight**2
-            if not straight.any():
-                across = vector[:, thin] * (size[thin] * sigma[:, None])
-                return cls(
-                    centre, across, (vector[:, ~thin] / size[~thin] / sigma[:, None]).T, answer
-                )
-            thin[np.flatnonzero(thin)[straight]] = False
-        return None
-
-
-class Law(NamedTuple):
-    """A mixture of Student laws in d dimensions: `weight` (C), `mean` (C, d), `covariance` (C, d, d).
-
-    `stands_on` (C): the draw on which a component stands, -1 for none. Means and covariances are in the straight coordinates of
-    `bend`, if there is one.
-    """
-
-    weight: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-    stands_on: np.ndarray
-    bend: Bend | None = None
-
-    def straight(self, y: np.ndarray) -> np.ndarray:
-        """Return points y (n, d) in the coordinates of the means."""
-        return y if self.bend is None else self.bend.straight(y)
-
-    def draw(self, n: int, rng: np.random.Generator, freedom: float) -> np.ndarray:
-        """Return n draws (n, d), stratified over the components."""
-        edges = np.cumsum(self.weight) / self.weight.sum()
-        which = np.searchsorted(edges, (np.arange(n) + rng.random()) / n)
-        which = np.minimum(which, len(edges) - 1)
-        step, _ = student_draws(np.linalg.cholesky(self.covariance)[which], rng, freedom)
-        y = self.mean[which] + step
-        return y if self.bend is None else self.bend.bent(y)
-
-    def log_densities(self, y: np.ndarray, freedom: float) -> np.ndarray:
-        """Return the log density (n, C) of each component times its weight at y (n, d)."""
-        root, y = np.linalg.cholesky(self.covariance), self.straight(y)
-        # all draws so far pass here in each round: a product with the inverse takes a sixth of the time of a solution
-        parts = [
-            student_log_density((y - mean) @ whitening.T, freedom)
-            + np.log(np.diag(whitening)).sum()
-            for whitening, mean in zip(np.linalg.inv(root), self.mean, strict=True)
-        ]
-        with np.errstate(divide="ignore"):
-            return np.stack(parts, axis=1) + np.log(self.weight / self.weight.sum())
-
-    @staticmethod
-    def joined(parts: Sequence[tuple[float, Law]]) -> Law:
-        """Return one mixture of several in these shares, all with the bend of the first."""
-        weight = np.concatenate([share * law.weight / law.weight.sum() for share, law in parts])
-        mean = np.concatenate([law.mean for _, law in parts])
-        covariance = np.concatenate([law.covariance for _, law in parts])
-        stands_on = np.concatenate([law.stands_on for _, law in parts])
-        return Law(weight, mean, covariance, stands_on, parts[0][1].bend)
-
-
-def student_draws(
-    root: np.ndarray, rng: np.random.Generator, freedom: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return draws (n, d) about zero of Student laws with Cholesky factors `root` (n, d, d), and the same in sigmas."""
-    n, d = root.shape[:2]
-    white = rng.standard_normal((n, d)) * np.sqrt(freedom / rng.chisquare(freedom, n))[:, None]
-    return np.einsum("nij,nj->ni", root, white), white
-
-
-def student_log_density(white: np.ndarray, freedom: float) -> np.ndarray:
-    """Return the log density (n) of a Student law at distances (n, d) in sigmas."""
-    d = white.shape[1]
-    constant = gammaln((freedom + d) / 2) - gammaln(freedom / 2) - d / 2 * np.log(freedom * np.pi)
-    return constant - (freedom + d) / 2 * np.log1p((white**2).sum(axis=1) / freedom)
-
-
 @dataclass(frozen=True)
 class Chart:
     """Coordinates y, z about a fitted motion, the `centre`.
 
-    `basis` (5, 5) turns steps of rate and direction into five directions, the weakly constrained ones first. y are `softs` of these
-    and the unknowns at `outer`; z are the other q directions. `bending` (of y): coordinates in which the ridge is curved.
+    `basis` (5, 5): combinations of rate and direction, the weakly constrained ones first. The outer coordinates y (d) are the first
+    `softs` of these and the unknowns with the indices `outer`; z are the other q = 5 - softs. `curved`: indices of those y in which
+    the ridge is curved, the others being the noise.
     """
 
     centre: Shots
     basis: np.ndarray
     softs: int
     outer: np.ndarray
-    bending: np.ndarray
+    curved: np.ndarray
 
     @classmethod
     def about(
-        cls, target: Target, centre: Shots, covariance: np.ndarray, s: SamplingSettings
+        cls, target: LanderTarget, centre: Shots, covariance: np.ndarray, s: SamplingSettings
     ) -> Chart:
         """Return the coordinates about a motion with the covariance (D, D).
 
-        The directions are those of the covariance while the outer unknowns are held, with rates as the turn within the window. One
-        that is then known well is stiff, however wide it is when the unknowns vary: as an outer coordinate it would make the law
-        of y as thin and as curved as the ridge itself.
+        The combinations are principal directions of the covariance while the outer unknowns are held, rates being counted as the
+        turn within the window. One that is then known well is stiff, however wide it is when the unknowns vary: as an outer
+        coordinate it would make the law of y as thin and as curved as the ridge itself.
         """
-        outer = np.setdiff1d(np.arange(len(target.unknowns)), target.standing)
+        outer = np.setdiff1d(np.arange(len(target.unknowns)), target.reading_unknowns)
         size = np.diag([target.reach_s] * 3 + [1.0] * 2)
-        own, cross = covariance[:FIVE, :FIVE], covariance[:FIVE, FIVE + outer]
-        of_u = covariance[np.ix_(FIVE + outer, FIVE + outer)]
+        own, cross = (
+            covariance[:STATE_SIZE, :STATE_SIZE],
+            covariance[:STATE_SIZE, STATE_SIZE + outer],
+        )
+        of_u = covariance[np.ix_(STATE_SIZE + outer, STATE_SIZE + outer)]
+        # covariance given the unknowns (Schur complement)
         held = own - cross @ np.linalg.solve(of_u, cross.T) if len(outer) else own
         held = size @ held @ size
         variance, vectors = np.linalg.eigh((held + held.T) / 2)
         softs = int(np.clip(np.sum(variance > s.soft_rad**2), len(outer) == 0, s.most_softs))
-        bending = np.append(np.arange(softs), softs + np.searchsorted(outer, target.bending))
-        return cls(centre, vectors[:, ::-1].T @ size, softs, outer, bending)
+        curved = np.append(np.arange(softs), softs + np.searchsorted(outer, target.motion_unknowns))
+        return cls(centre, vectors[:, ::-1].T @ size, softs, outer, curved)
 
     @property
     def dimensions(self) -> int:
@@ -292,27 +96,27 @@ class Chart:
     @property
     def stiff(self) -> int:
         """Return how many stiff coordinates there are."""
-        return FIVE - self.softs
+        return STATE_SIZE - self.softs
 
     def covariance(self, of_motion: np.ndarray) -> np.ndarray:
         """Return a covariance (D, D) of rate, direction and unknowns as that of (y, z)."""
-        places = np.append(np.arange(FIVE), FIVE + self.outer)
+        places = np.append(np.arange(STATE_SIZE), STATE_SIZE + self.outer)
         whole = np.eye(len(places))
-        whole[:FIVE, :FIVE] = self.basis
-        found = whole @ of_motion[np.ix_(places, places)] @ whole.T
-        of_u = np.arange(FIVE, len(places))
-        order = np.concatenate([np.arange(self.softs), of_u, np.arange(self.softs, FIVE)])
-        return found[np.ix_(order, order)]
+        whole[:STATE_SIZE, :STATE_SIZE] = self.basis
+        in_chart = whole @ of_motion[np.ix_(places, places)] @ whole.T
+        of_u = np.arange(STATE_SIZE, len(places))
+        order = np.concatenate([np.arange(self.softs), of_u, np.arange(self.softs, STATE_SIZE)])
+        return in_chart[np.ix_(order, order)]
 
     def coordinates(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
         """Return y (K, d) and z (K, q) of motions."""
         x = shots.from_centre(self.centre)
-        along = x[:, :FIVE] @ self.basis.T
+        along = x[:, :STATE_SIZE] @ self.basis.T
         y = np.concatenate([along[:, : self.softs], x[:, UNKNOWNS][:, self.outer]], axis=1)
         return y, along[:, self.softs :]
 
     def motions(self, y: np.ndarray, z: np.ndarray, u: np.ndarray) -> Shots:
-        """Return the motions at y (K, d) and z (K, q), their standing unknowns as in u (K, m)."""
+        """Return the motions at y (K, d) and z (K, q), their reading unknowns as in u (K, m)."""
         step = np.linalg.solve(self.basis, np.concatenate([y[:, : self.softs], z], axis=1).T).T
         u = np.array(u)
         u[:, self.outer] = self.centre.u[:, self.outer] + y[:, self.softs :]
@@ -335,23 +139,16 @@ class Chart:
         """Return the steps (K, 5, q) of rate and direction, in the motions' own tangents, per unit of z while y is held."""
         size, steps = 1e-5, []
         for one in np.eye(self.stiff):
-            there = self.motions(y, z + size * one, shots.u)
-            steps.append(there.from_centre(shots)[:, :FIVE] / size)
+            shifted = self.motions(y, z + size * one, shots.u)
+            steps.append(shifted.from_centre(shots)[:, :STATE_SIZE] / size)
         return np.stack(steps, axis=2)
 
 
-def monomials(y: np.ndarray, bending: np.ndarray) -> np.ndarray:
-    """Return one, the coordinates y (n, d), and the products of any two of those that bend a ridge (n, M)."""
-    i, j = np.triu_indices(len(bending))
-    part = y[:, bending]
-    return np.concatenate([np.ones((len(y), 1)), y, part[:, i] * part[:, j]], axis=1)
+class Proposals(NamedTuple):
+    """All N proposals from one ridge so far: y (N, d), z (N, q) and the whole motions, `shots`.
 
-
-class Pool(NamedTuple):
-    """All proposals from one ridge so far (N).
-
-    `y` (N, d) and `z` (N, q); `log_inner` (N): log density of z given y; `log_mass` (N): log of the posterior density over y, z,
-    less that of the draw of the standing unknowns.
+    `log_inner` (N): log of the density with which z was drawn given y; `log_mass` (N): log of the posterior density over y and z,
+    estimated by one draw of the reading unknowns: the density of all, less that of the draw.
     """
 
     y: np.ndarray
@@ -361,33 +158,50 @@ class Pool(NamedTuple):
     shots: Shots
 
 
-class Known(NamedTuple):
+class RidgePoints(NamedTuple):
     """Points y (N, d) at which the best stiff coordinates (N, q) of a ridge are known, and the derivatives there."""
 
     y: np.ndarray
     best: np.ndarray
-    slopes: Slopes
+    slopes: MotionSlopes
+
+    @staticmethod
+    def joined(parts: Sequence[RidgePoints]) -> RidgePoints:
+        """Return the points of several parts."""
+        slopes = zip(*(part.slopes for part in parts), strict=True)
+        return RidgePoints(
+            np.concatenate([part.y for part in parts]),
+            np.concatenate([part.best for part in parts]),
+            MotionSlopes(*(np.concatenate(every) for every in slopes)),
+        )
+
+    def slopes_near(self, y: np.ndarray, law: OuterLaw) -> MotionSlopes:
+        """Return the derivatives at the point nearest to each y (n, d), in sigmas of the law."""
+        sigma = np.sqrt(np.einsum("cii->i", law.covariance) / len(law.weight))
+        nearest = KDTree(self.y / sigma).query(y / sigma)[1]
+        return MotionSlopes(*(part[nearest] for part in self.slopes))
 
 
 @dataclass
 class Ridge:
     """A ridge of the posterior and what was drawn from it.
 
-    `answer` (M, q): the best stiff coordinates as polynomials of y; `scatter` (q, q): covariance of z about these. `first`: outer
-    law from the curvature; `proposing`: those that propose now, with their shares; `learnt`: the one that the draws have taught;
-    `laws`: those of all rounds, with the number of draws of each.
+    `coefficients` (M, q): the best stiff coordinates z*(y) as polynomials of y; `scatter` (q, q): covariance of z about these.
+    Outer laws: `first` from the curvature at the motions; `learnt` from the draws; `proposing`: those from which is drawn now, with
+    their shares; `laws`: those of all rounds, with the number of draws from each. `log_promise`: log probability, up to a constant
+    of all ridges, by Laplace's method.
     """
 
     chart: Chart
-    answer: np.ndarray
+    coefficients: np.ndarray
     scatter: np.ndarray
-    first: Law
-    proposing: list[tuple[float, Law]]
-    learnt: Law
+    first: OuterLaw
+    proposing: list[tuple[float, OuterLaw]]
+    learnt: OuterLaw
     log_promise: float
-    laws: list[tuple[int, Law]]
-    pool: Pool | None = None
-    known: Known | None = None
+    laws: list[tuple[int, OuterLaw]]
+    proposals: Proposals | None = None
+    points: RidgePoints | None = None
 
     @property
     def drawn(self) -> int:
@@ -396,12 +210,12 @@ class Ridge:
 
     def best(self, y: np.ndarray) -> np.ndarray:
         """Return the predicted best stiff coordinates (n, q) at y (n, d)."""
-        return monomials(y, self.chart.bending) @ self.answer
+        return monomials(y, self.chart.curved) @ self.coefficients
 
     def log_outer(self, y: np.ndarray, freedom: float, draws: bool = False) -> np.ndarray:
         """Return the log density (n) with which all rounds together proposed y (n, d).
 
-        `draws`: y are the ridge's own draws, in order. A component that stands on a draw does not count for it: it stands there
+        `draws`: y are the ridge's own draws, in order. A component that was placed at a draw does not count for it: it is there
         because the draw's weight was large, and would make it small. With it the evidence is short by 0.03 to 0.06.
         """
         every = []
@@ -413,8 +227,14 @@ class Ridge:
             every.append(logsumexp(of_each, axis=1) + np.log(count / self.drawn))
         return np.asarray(logsumexp(every, axis=0))
 
+    def log_weights(self, freedom: float) -> np.ndarray:
+        """Return the log (N) of the posterior density at each proposal over the density with which it was proposed."""
+        drawn = self.proposals
+        assert drawn is not None
+        return drawn.log_mass - drawn.log_inner - self.log_outer(drawn.y, freedom, draws=True)
+
     def log_share(self, shots: Shots, freedom: float) -> np.ndarray:
-        """Return about the log of how often this ridge has proposed motions (n), per unit of their own volume.
+        """Return the log of about how densely this ridge has proposed motions (n), in rate, solid angle and unknowns.
 
         It only divides motions between ridges that overlap: the weights stay exact as long as the divisions add to one.
         """
@@ -426,205 +246,236 @@ class Ridge:
         return np.log(self.drawn) + self.log_outer(y, freedom) + inner - volume
 
 
+class Peak(NamedTuple):
+    """The posterior about a fitted motion as a normal density: log of its integral, and where its mean and covariance are.
+
+    `step` (D): from the fitted motion to the mean; `covariance` (D, D), of rate, direction and unknowns.
+    """
+
+    log_mass: float
+    step: np.ndarray
+    covariance: np.ndarray
+
+
 def ridges_of(
-    target: Target, fit: ShotFit, under: np.ndarray | None, s: SamplingSettings
+    target: LanderTarget, fit: ShotFit, fitted_share: np.ndarray | None, s: SamplingSettings
 ) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
-    A motion on the ridge of a more probable one becomes a component of its outer law. `under` (K, m): part of the sigma of each
-    unknown under which each motion was fitted, if it has several (:attr:`Unknown.shares`); default: the whole.
+    A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): the part of its sigma
+    with which the prior held each unknown in the fit, if it has several (:attr:`Unknown.shares`); default: one.
     """
     least = np.diag([target.rate_max**-2] * 3 + [1.0] * 2 + [0.0] * len(target.unknowns))
     covariance = np.linalg.inv(fit.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
-    mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
-    under = np.ones_like(fit.motions.u) if under is None else under
+    log_mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
+    share = np.ones_like(fit.motions.u) if fitted_share is None else fitted_share
     ridges: list[Ridge] = []
-    for i in np.argsort(-mass, kind="stable"):
-        if mass[i] < mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
+    for i in np.argsort(-log_mass, kind="stable"):
+        if log_mass[i] < log_mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
-        one = fit.motions.take([i])
-        sized = over_sizes(target, one, covariance[i], float(mass[i]), under[i], s)
+        motion = fit.motions.take([i])
+        as_fitted = Peak(float(log_mass[i]), np.zeros(len(covariance[i])), covariance[i])
+        peaks = over_sizes(target, motion.u[0], as_fitted, share[i], s)
         for ridge in ridges:
-            y, z = ridge.chart.coordinates(one)
+            y, z = ridge.chart.coordinates(motion)
             off = np.concatenate([y, z], axis=1)[0]
             own = ridge.chart.covariance(covariance[i])
             if off @ np.linalg.solve(own, off) < s.on_ridge * len(off):
-                added = _components(ridge.chart, sized, y[0], ridge.log_promise)
-                ridge.first = Law.joined([(1.0, ridge.first), (float(added.weight.sum()), added)])
+                added = _components(ridge.chart, peaks, y[0], ridge.log_promise)
+                ridge.first = OuterLaw.joined(
+                    [(1.0, ridge.first), (float(added.weight.sum()), added)]
+                )
                 ridge.proposing, ridge.learnt = [(1.0, ridge.first)], ridge.first
                 break
         else:
-            ridges.append(_begun(target, one, covariance[i], sized, s))
+            ridges.append(_begun(target, motion, covariance[i], peaks, s))
     return ridges
 
 
 def _begun(
-    target: Target,
+    target: LanderTarget,
     centre: Shots,
     covariance: np.ndarray,
-    sized: list[tuple[float, np.ndarray, np.ndarray]],
+    peaks: list[Peak],
     s: SamplingSettings,
 ) -> Ridge:
     """Return a ridge about a motion, straight as its covariance (D, D) has it."""
     chart = Chart.about(target, centre, covariance, s)
-    d, promise = chart.dimensions, max(mass for mass, _, _ in sized)
+    d, promise = chart.dimensions, max(peak.log_mass for peak in peaks)
     whole = chart.covariance(covariance)
-    answer = np.zeros((monomials(np.zeros((1, d)), chart.bending).shape[1], chart.stiff))
-    answer[1 : 1 + d] = np.linalg.solve(whole[:d, :d], whole[:d, d:])
-    scatter = whole[d:, d:] - whole[d:, :d] @ answer[1 : 1 + d]
-    law = _components(chart, sized, np.zeros(d), promise)
+    of_y, of_z, linear = slice(0, d), slice(d, None), slice(1, 1 + d)
+    # z follows y by the regression that the covariance says; products of y come when points are known
+    coefficients = np.zeros((monomials(np.zeros((1, d)), chart.curved).shape[1], chart.stiff))
+    coefficients[linear] = np.linalg.solve(whole[of_y, of_y], whole[of_y, of_z])
+    scatter = whole[of_z, of_z] - whole[of_z, of_y] @ coefficients[linear]
+    law = _components(chart, peaks, np.zeros(d), promise)
     law = law._replace(covariance=s.widened * law.covariance)
-    return Ridge(chart, answer, (scatter + scatter.T) / 2, law, [(1.0, law)], law, promise, [])
+    return Ridge(
+        chart, coefficients, (scatter + scatter.T) / 2, law, [(1.0, law)], law, promise, []
+    )
 
 
-def _components(
-    chart: Chart, sized: list[tuple[float, np.ndarray, np.ndarray]], y: np.ndarray, log_one: float
-) -> Law:
-    """Return the components of an outer law for a motion at y (d), weighed relative to the log mass `log_one`."""
-    mass, step, covariance = (np.array(every) for every in zip(*sized, strict=True))
-    d = len(y)
-    steps = np.concatenate([step[:, :FIVE] @ chart.basis.T, step[:, FIVE + chart.outer]], axis=1)
-    steps = np.concatenate([steps[:, : chart.softs], steps[:, FIVE:]], axis=1)
-    every = np.array([chart.covariance(one)[:d, :d] for one in covariance])
+def _components(chart: Chart, peaks: list[Peak], y: np.ndarray, log_promise: float) -> OuterLaw:
+    """Return the components of an outer law for a motion at y (d), weighed relative to the mass of their ridge."""
+    log_mass, step, covariance = (np.array(every) for every in zip(*peaks, strict=True))
+    along = step[:, :STATE_SIZE] @ chart.basis.T
+    steps = np.concatenate([along[:, : chart.softs], step[:, STATE_SIZE + chart.outer]], axis=1)
+    of_y = slice(0, len(y))
+    every = np.array([chart.covariance(one)[of_y, of_y] for one in covariance])
     # less unequal than the masses: Laplace's method may be wrong by a few units
-    weight = np.exp(np.clip(0.7 * (mass - log_one), -8.0, 8.0))
-    return Law(weight, y + steps, every, np.full(len(weight), -1))
+    weight = np.exp(np.clip(0.7 * (log_mass - log_promise), -8.0, 8.0))
+    return OuterLaw(weight, y + steps, every, np.full(len(weight), -1))
 
 
 def over_sizes(
-    target: Target,
-    centre: Shots,
-    covariance: np.ndarray,
-    mass: float,
-    under: np.ndarray,
-    s: SamplingSettings,
-) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Return log mass, step from the centre (D) and covariance (D, D) under each share that the sigmas of unknowns may have.
+    target: LanderTarget, u: np.ndarray, fitted: Peak, fitted_share: np.ndarray, s: SamplingSettings
+) -> list[Peak]:
+    """Return the peak of a motion with unknowns u (m) for each combination of the shares that sigmas of unknowns may have.
 
-    By linear theory from a fit `under` one share of each unknown (m). Far beyond the fitted size it does not hold: a torque that
-    turns the momentum about the Sun is hardly seen, and would be put whole turns away. Such shares are left out.
+    By linear theory from the fit under `fitted_share` (m). Far beyond the fitted size it does not hold: a torque that turns the
+    momentum about the Sun is hardly seen, and would be put whole turns away. Such combinations are left out.
     """
-    found = [(mass, np.zeros(len(covariance)), covariance)]
+    peaks = [fitted]
     several = [one for one in target.unknowns if len(one.shares) > 1]
-    for kind in dict.fromkeys(one.kind for one in several):
+    for kind in dict.fromkeys(
+        one.kind for one in several
+    ):  # all unknowns of a kind have the same share
         places = np.array([i for i, one in enumerate(target.unknowns) if one.kind == kind])
-        fitted = float(under[places[0]])
-        found = [
-            sized
-            for one in found
-            for share in target.unknowns[places[0]].shares
-            if (sized := _resized(one, centre.u[0], places, share, fitted, s.far_torque))
-        ]
-    return found
+        before = float(fitted_share[places[0]])
+        shares = target.unknowns[places[0]].shares
+        resized = (
+            _resized(peak, u, places, before, share, s) for peak in peaks for share in shares
+        )
+        peaks = [peak for peak in resized if peak is not None]
+    return peaks
 
 
 def _resized(
-    one: tuple[float, np.ndarray, np.ndarray],
-    u: np.ndarray,
-    places: np.ndarray,
-    share: float,
-    under: float,
-    far: float,
-) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """Return log mass, step and covariance with another share of the sigmas of the unknowns at `places`; None if it is too far."""
-    mass, before, covariance = one
-    at, more = FIVE + places, share**-2 - under**-2
-    precision, pull = np.linalg.inv(covariance), np.zeros(len(covariance))
-    precision[at, at] += more
-    size = u[places] + before[at]
-    pull[at] = -more * size
-    spread = np.linalg.inv(precision)
-    step = spread @ pull
-    if share > under and np.linalg.norm(size + step[at]) > far * share:
+    peak: Peak, u: np.ndarray, places: np.ndarray, before: float, share: float, s: SamplingSettings
+) -> Peak | None:
+    """Return the peak if the sigmas of the unknowns at `places` have a share other than `before`; None if it moves too far.
+
+    The prior's part of the curvature changes by 1 / share^2 - 1 / before^2: a step of Newton leads to the new mean.
+    """
+    at, added = STATE_SIZE + places, share**-2 - before**-2
+    precision, pull = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
+    precision[at, at] += added
+    size = u[places] + peak.step[at]
+    pull[at] = -added * size
+    covariance = np.linalg.inv(precision)
+    step = covariance @ pull
+    if share > before and np.linalg.norm(size + step[at]) > s.far_torque * share:
         return None
-    gain = (pull @ step - more * size @ size) / 2
-    volume = (np.linalg.slogdet(spread)[1] - np.linalg.slogdet(covariance)[1]) / 2
-    total = mass + gain + volume - len(places) * np.log(share / under)
-    return float(total), before + step, spread
+    gain = (pull @ step - added * size @ size) / 2
+    volume = (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(peak.covariance)[1]) / 2
+    log_mass = peak.log_mass + gain + volume - len(places) * np.log(share / before)
+    return Peak(float(log_mass), peak.step + step, covariance)
 
 
-def settled(
-    target: Target, chart: Chart, y: np.ndarray, z: np.ndarray, u: np.ndarray, near: Slopes | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Slopes]:
-    """Return the best stiff coordinates (n, q) at y (n, d), the Cholesky factors (n, q, q) of their covariance, u with the best
-    standing unknowns, and the derivatives there.
+class StiffFit(NamedTuple):
+    """Best stiff coordinates (n, q), Cholesky factors `root` (n, q, q) of their covariance, and u (n, m) with the best reading
+    unknowns; `slopes`: derivatives there."""
 
-    Starts are z (n, q) and u (n, m). With the derivatives of motions near by few steps are enough: most often one, and another that
+    best: np.ndarray
+    root: np.ndarray
+    u: np.ndarray
+    slopes: MotionSlopes
+
+
+def fit_stiff(
+    target: LanderTarget,
+    chart: Chart,
+    y: np.ndarray,
+    z: np.ndarray,
+    u: np.ndarray,
+    near: MotionSlopes | None,
+) -> StiffFit:
+    """Return the stiff coordinates and reading unknowns of largest posterior density while the outer coordinates y (n, d) are held.
+
+    Starts are z (n, q) and u (n, m). With the derivatives of motions `near` few steps are enough: most often one, and another that
     is not tried.
     """
-    standing, q = target.standing, chart.stiff
+    reading, q = target.reading_unknowns, chart.stiff
 
-    def equations(wider: float, state: tuple[Any, ...]) -> DenseSystem:
+    # The state of a fit: y, z, u, and, once there are derivatives, the fields of `MotionSlopes`. A step: q of z, then the reading
+    # unknowns.
+    def equations(noise_factor: float, state: tuple[Any, ...]) -> DenseSystem:
+        """Return the equations of the target in these coordinates, by the chain rule."""
         y, z, u, *slopes = state
         shots = chart.motions(y, z, u)
-        of = target.linearised(shots, Slopes(*slopes) if slopes else None, wider)
-        step = np.zeros((len(y), FIVE + len(standing), q + len(standing)))
-        step[:, :FIVE, :q] = chart.stiff_steps(shots, y, z)
-        step[:, FIVE:, q:] = np.eye(len(standing))
-        slope = np.einsum("kij,ki->kj", step, of.slope)
-        matrix = np.swapaxes(step, 1, 2) @ of.matrix @ step
+        of = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
+        change = np.zeros((len(y), STATE_SIZE + len(reading), q + len(reading)))
+        change[:, :STATE_SIZE, :q] = chart.stiff_steps(shots, y, z)
+        change[:, STATE_SIZE:, q:] = np.eye(len(reading))
+        slope = np.einsum("kij,ki->kj", change, of.slope)
+        matrix = np.swapaxes(change, 1, 2) @ of.matrix @ change
         matrix[:, range(q), range(q)] += LOOSEST_RAD**-2
         return DenseSystem(of.cost, matrix, slope, extras=tuple(of.slopes))
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
-        u = np.array(state[2])
-        u[:, standing] += step[:, q:]
-        return (state[0], state[1] + step[:, :q], u, *state[3:])
+        y, z, u, *slopes = state
+        u = np.array(u)
+        u[:, reading] += step[:, q:]
+        return (y, z + step[:, :q], u, *slopes)
 
-    def carried(state: tuple[Any, ...], system: DenseSystem) -> tuple[Any, ...]:
-        return (*state[:3], *system.extras)
+    def with_slopes(state: tuple[Any, ...], system: DenseSystem) -> tuple[Any, ...]:
+        y, z, u, *_ = state
+        return (y, z, u, *system.extras)
 
     state: tuple[Any, ...] = (y, z, u, *(near or ()))
     system: DenseSystem | None = None
-    # from afar under a wider noise first, so that no reading counts as an outlier because the start is off
-    for wider, steps in WARM if near is not None else COLD:
-        system = equations(wider, state)
-        state = carried(state, system)
+    # from afar under a larger noise first, so that no reading counts as an outlier because the start is off
+    for noise_factor, steps in WARM if near is not None else COLD:
+        system = equations(noise_factor, state)
+        state = with_slopes(state, system)
         # most predicted starts are so near that a step need not be tried
         far = np.flatnonzero(~(solve_dense(system, np.zeros(len(y)))[1] < SETTLED_GAIN))
         if len(far):
-            found = least_squares(
-                lambda at, wider=wider: equations(wider, at),
+            solution = least_squares(
+                lambda at, noise_factor=noise_factor: equations(noise_factor, at),
                 moved,
                 solve_dense,
                 take_problems(state, far),
                 steps=steps,
                 tolerance=SETTLED_GAIN,
                 system=take_problems(system, far),
-                carry=carried,
+                carry=with_slopes,
             )
-            state = replace_problems(state, far, found.state)
-            system = replace_problems(system, far, found.system)
+            state = replace_problems(state, far, solution.state)
+            system = replace_problems(system, far, solution.system)
     assert system is not None
+    # a last step, not tried, if it is short enough for the equations to be linear
     covariance = np.linalg.inv(system.matrix)
     step = -np.einsum("kij,kj->ki", covariance, system.slope)
     length = -np.sum(system.slope * step, axis=1)
     fine = np.isfinite(step).all(axis=1) & (length < LONGEST_SIGMAS**2)
     _, z, u, *slopes = moved(state, np.where(fine[:, None], step, 0.0))
-    inner = covariance[:, :q, :q]  # over the standing unknowns, as they are drawn too
-    return z, np.linalg.cholesky((inner + np.swapaxes(inner, 1, 2)) / 2), u, Slopes(*slopes)
+    # of z with the reading unknowns free, as they are drawn too
+    of_z = covariance[:, :q, :q]
+    root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
+    return StiffFit(z, root, u, MotionSlopes(*slopes))
 
 
-def standing_law(
-    target: Target, seen: Any, u: np.ndarray, s: SamplingSettings
+def reading_law(
+    target: LanderTarget, seen: np.ndarray, u: np.ndarray, s: SamplingSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best standing unknowns (n, s) given the motions, and the Cholesky factors (n, s, s) of their precision.
+    """Return the best reading unknowns (n, s) given the motions, and the Cholesky factors (n, s, s) of their precision.
 
     Readings hardly bend with these, so that given motion and noise they are all but normal. Steps begin at u (n, m).
     """
-    places, u = target.standing, np.array(u)
+    places, u = target.reading_unknowns, np.array(u)
     curvature = np.tile(np.eye(len(places)), (len(u), 1, 1))
-    for wider in s.standing_noise:
-        slope, of_readings = target.standing_slopes(seen, u, wider)
+    for noise_factor in s.reading_noise:
+        slope, of_readings = target.reading_slopes(seen, u, noise_factor)
         curvature = of_readings + np.eye(len(places))
         step = np.linalg.solve(curvature, (slope - u[:, places])[:, :, None])[:, :, 0]
-        u[:, places] += np.clip(step, -s.standing_step, s.standing_step)
+        u[:, places] += np.clip(step, -s.reading_step, s.reading_step)
     return u[:, places], np.linalg.cholesky(curvature)
 
 
-def weighed(
-    target: Target,
+def complete_motions(
+    target: LanderTarget,
     chart: Chart,
     y: np.ndarray,
     z: np.ndarray,
@@ -632,13 +483,14 @@ def weighed(
     rng: np.random.Generator,
     s: SamplingSettings,
 ) -> tuple[Shots, np.ndarray]:
-    """Return the motions at y, z with standing unknowns drawn about u (n, m), and the log (n) of their posterior density over y, z
-    less that of this draw.
+    """Return the motions at y and z with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
 
-    For each motion several sets of standing unknowns are drawn, which take no run. One is kept, by its weight, and the density is
-    the mean over all: the normal law has too light tails, and a single draw may outweigh all others.
+    For each motion several sets of these are drawn, which take no run. One is kept, by its weight, and the mass is the mean over
+    all: the normal law has too light tails, and a single draw may outweigh all others. u (n, m): where the search for the best
+    reading unknowns begins.
     """
-    shots, places, count = chart.motions(y, z, u), target.standing, s.standing_draws
+    shots, places = chart.motions(y, z, u), target.reading_unknowns
+    count = s.reading_draws if len(places) else 1
     white = rng.standard_normal((len(y), count, len(places)))
     chance = rng.random(len(y))
     log_mass = chart.log_volume(y, z) + target.log_prior(shots)
@@ -648,7 +500,7 @@ def weighed(
         return shots, log_mass
     some, white = shots.take(rows), white[rows]
     seen = target.run(some)
-    best, root = standing_law(target, seen, some.u, s)
+    best, root = reading_law(target, seen, some.u, s)
     step = np.linalg.solve(np.swapaxes(root, 1, 2), np.swapaxes(white, 1, 2))
     drawn = best[:, None] + np.swapaxes(step, 1, 2)
     # the prior of these unknowns is normal: of it the density at u is known, and that of each draw follows
@@ -670,7 +522,7 @@ def weighed(
 
 
 def trace_ridge(
-    target: Target, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
+    target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
     """Learn where a ridge runs, from `count` points at each of several widths about its motion.
 
@@ -682,80 +534,68 @@ def trace_ridge(
         root = np.linalg.cholesky(law.covariance)[which]
         white = rng.standard_normal((count, law.mean.shape[1]))
         y = law.mean[which] + width * np.einsum("nij,nj->ni", root, white)
+        before = [] if ridge.points is None else [ridge.points]
         u = np.tile(ridge.chart.centre.u, (count, 1))
-        if ridge.known is not None:
-            u = ridge.known.slopes.u[nearest_points(ridge.known.y, y, ridge.first)]
-        best, _, _, slopes = settled(target, ridge.chart, y, ridge.best(y), u, None)
-        ridge.known = _joined([ridge.known, Known(y, best, slopes)])
-        follow(ridge, s)
+        if before:
+            u = before[0].slopes_near(y, ridge.first).u
+        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, None)
+        ridge.points = RidgePoints.joined([*before, RidgePoints(y, stiff.best, stiff.slopes)])
+        fit_ridge_curve(ridge, s)
 
 
 def propose(
-    target: Target, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
+    target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Add `count` draws from the present outer laws of a ridge to its pool."""
-    chart, before = ridge.chart, ridge.known
+    """Draw `count` motions from the present outer laws of a ridge and add them to its proposals: the three steps of this module."""
+    chart, before = ridge.chart, ridge.points
     assert before is not None
-    pools, known = [ridge.pool] if ridge.pool is not None else [], [before]
+    parts, points = [ridge.proposals] if ridge.proposals is not None else [], [before]
+    # the draws are divided among the laws by their shares, to whole numbers
     ends = np.round(count * np.cumsum([share for share, _ in ridge.proposing])).astype(int)
     counts = np.diff(np.minimum(ends, count), prepend=0)
     counts[-1] += count - counts.sum()
     drawn = [(int(n), law) for n, (_, law) in zip(counts, ridge.proposing, strict=True) if n]
     y_all = np.concatenate([law.draw(n, rng, s.freedom) for n, law in drawn])
     for y in np.array_split(y_all, -(-count // s.block)):
-        near = Slopes(*(part[nearest_points(before.y, y, ridge.learnt)] for part in before.slopes))
-        best, root, u, slopes = settled(target, chart, y, ridge.best(y), near.u, near)
-        step, white = student_draws(s.inner_width * root, rng, s.freedom)
-        volume = np.log(s.inner_width * np.einsum("kii->ki", root)).sum(axis=1)
-        shots, log_mass = weighed(target, chart, y, best + step, u, rng, s)
+        near = before.slopes_near(y, ridge.learnt)
+        stiff = fit_stiff(target, chart, y, ridge.best(y), near.u, near)
+        step, white = student_draws(s.inner_width * stiff.root, rng, s.freedom)
+        volume = np.log(s.inner_width * np.einsum("kii->ki", stiff.root)).sum(axis=1)
+        z = stiff.best + step
+        shots, log_mass = complete_motions(target, chart, y, z, stiff.u, rng, s)
         log_inner = student_log_density(white, s.freedom) - volume
-        pools.append(Pool(y, best + step, log_inner, log_mass, shots))
-        known.append(Known(y, best, slopes))
-    every = (np.concatenate([getattr(p, name) for p in pools]) for name in Pool._fields[:4])
-    ridge.pool = Pool(*every, Shots.joined([p.shots for p in pools]))
-    ridge.known = _joined(known)
+        parts.append(Proposals(y, z, log_inner, log_mass, shots))
+        points.append(RidgePoints(y, stiff.best, stiff.slopes))
+    every = (np.concatenate([getattr(p, name) for p in parts]) for name in Proposals._fields[:4])
+    ridge.proposals = Proposals(*every, Shots.joined([p.shots for p in parts]))
+    ridge.points = RidgePoints.joined(points)
     ridge.laws += drawn
 
 
-def _joined(parts: Sequence[Known | None]) -> Known:
-    """Return the points of several parts."""
-    some = [part for part in parts if part is not None]
-    slopes = Slopes(
-        *(np.concatenate(every) for every in zip(*(p.slopes for p in some), strict=True))
-    )
-    return Known(
-        np.concatenate([p.y for p in some]), np.concatenate([p.best for p in some]), slopes
-    )
+def fit_ridge_curve(ridge: Ridge, s: SamplingSettings) -> None:
+    """Fit the best stiff coordinates at all known points by quadratic polynomials of the outer ones; far points count less.
 
-
-def nearest_points(known: np.ndarray, y: np.ndarray, law: Law) -> np.ndarray:
-    """Return which of the draws at `known` (N, d) is the nearest to each y (n, d), in sigmas of the law."""
-    from scipy.spatial import KDTree
-
-    size = np.sqrt(np.einsum("cii->i", law.covariance) / len(law.weight))
-    return KDTree(known / size).query(y / size)[1]
-
-
-def follow(ridge: Ridge, s: SamplingSettings) -> None:
-    """Fit the best stiff coordinates at all known points by quadratic polynomials of the outer ones; far points count less."""
-    known = ridge.known
-    assert known is not None
-    terms = monomials(known.y, ridge.chart.bending)
+    A point counts by 1 / (1 + its squared distance from the middle of the outer law, in sigmas and for each coordinate).
+    """
+    points, law = ridge.points, ridge.learnt
+    assert points is not None
+    terms = monomials(points.y, ridge.chart.curved)
     least = s.points_per_term * terms.shape[1]
-    good = np.isfinite(known.best).all(axis=1)
-    mean = ridge.learnt.weight @ ridge.learnt.mean / ridge.learnt.weight.sum()
-    spread = np.einsum("c,cij->ij", ridge.learnt.weight, ridge.learnt.covariance)
-    root = np.linalg.cholesky(spread / ridge.learnt.weight.sum())
-    off = ridge.learnt.straight(known.y) - mean
+    good = np.isfinite(points.best).all(axis=1)
+    mean = law.weight @ law.mean / law.weight.sum()
+    root = np.linalg.cholesky(np.einsum("c,cij->ij", law.weight, law.covariance) / law.weight.sum())
+    off = law.straight(points.y) - mean
     far = np.sum(np.linalg.solve(root, off.T) ** 2, axis=0) / len(mean)
-    answer = ridge.answer
+    coefficients = ridge.coefficients
     for _ in range(3):  # points that least squares has led to another ridge are left out
         if good.sum() < least:
             return
         weight = 1 / (1 + far[good])[:, None]
         size = np.abs(terms[good]).max(axis=0)
         scaled = weight * terms[good] / size
-        answer = np.linalg.lstsq(scaled, weight * known.best[good], rcond=1e-10)[0] / size[:, None]
-        off = np.linalg.norm((known.best - terms @ answer) / (1 + far)[:, None], axis=1)
+        coefficients = (
+            np.linalg.lstsq(scaled, weight * points.best[good], rcond=1e-10)[0] / size[:, None]
+        )
+        off = np.linalg.norm((points.best - terms @ coefficients) / (1 + far)[:, None], axis=1)
         good &= off <= max(s.off_ridge * float(np.median(off[good])), 1e-12)
-    ridge.answer = answer
+    ridge.coefficients = coefficients

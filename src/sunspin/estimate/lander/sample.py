@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -16,21 +16,17 @@ from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
+from sunspin.estimate.lander.outer_law import Bend, OuterLaw, student_log_density
 from sunspin.estimate.lander.ridges import (
-    Bend,
-    Law,
     Ridge,
-    Slopes,
-    Target,
-    follow,
-    nearest_points,
+    complete_motions,
+    fit_ridge_curve,
+    fit_stiff,
     propose,
     ridges_of,
-    settled,
-    student_log_density,
     trace_ridge,
-    weighed,
 )
+from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.settings import SAMPLING, SamplingSettings
 from sunspin.solve.weights import effective_draws, pareto_tail
 
@@ -39,55 +35,59 @@ INSIDE_TAIL = 10.0
 
 
 def sample(
-    target: Target,
+    target: LanderTarget,
     fit: ShotFit,
     rng: np.random.Generator,
     s: SamplingSettings = SAMPLING,
     budget: Budget | None = None,
-    under: np.ndarray | None = None,
+    fitted_share: np.ndarray | None = None,
 ) -> Draws:
     """Return weighted draws from the posterior about the fitted motions, their regions numbered by falling probability.
 
-    `under` as in :func:`ridges_of`. No round begins once the budget is spent. `Draws.outside`: share of walkers that start from
-    draws and leave what was proposed; Pareto's k does not see a part of the posterior that is never proposed.
+    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent. Walkers that start from draws check that they
+    do not leave what was proposed (`Draws.outside`): Pareto's k does not see a part of the posterior that is never proposed.
     """
-    ridges = ridges_of(target, fit, under, s)
+    ridges = ridges_of(target, fit, fitted_share, s)
+    # Where each ridge runs: improbable ones from fewer points.
     promise = np.array([ridge.log_promise for ridge in ridges])
     points = np.where(promise < promise.max() + np.log(s.small), s.trace_small, s.trace)
     for ridge, count in zip(ridges, points, strict=True):
         trace_ridge(target, ridge, int(count), rng, s)
     if budget is not None:
         budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
-    draws, weights, rounds = None, [], []
+    # Rounds of draws, until all together are good enough; after each the ridges learn from their draws.
+    draws, log_shares, rounds = None, [], []
     for turn in range(s.rounds):
-        counts = _counts(ridges, weights, s)
+        counts = _draws_of_ridges(ridges, log_shares, s)
         for ridge, count in zip(ridges, counts, strict=True):
             if count:
                 propose(target, ridge, count, rng, s)
         if budget is not None:
             budget.spend(float(counts.sum()) * s.warm_runs)
-        draws, weights = pooled(ridges, s)
+        draws, log_shares = pooled(ridges, s)
         rounds.append((draws.evidence, draws.effective / len(draws), draws.tail))
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
         spent = budget is not None and budget.exhausted()
         if (turn and good) or spent or turn + 1 == s.rounds:
             break
-        for ridge, own in zip(ridges, weights, strict=True):
+        for ridge, own in zip(ridges, log_shares, strict=True):
             learn(ridge, own, rng, s)
     assert draws is not None
     draws = replace(draws, rounds=np.array(rounds))
     if not np.isfinite(draws.evidence):
         return draws
-    return replace(draws, outside=walked_out(target, ridges, weights, rng, s))
+    return replace(draws, outside=share_outside(target, ridges, log_shares, rng, s))
 
 
-def _counts(ridges: list[Ridge], weights: list[np.ndarray], s: SamplingSettings) -> np.ndarray:
+def _draws_of_ridges(
+    ridges: list[Ridge], log_shares: list[np.ndarray], s: SamplingSettings
+) -> np.ndarray:
     """Return how many draws each ridge gets: by the root of its probability, first by Laplace's method."""
-    if not weights:
+    if not log_shares:
         promise = np.array([ridge.log_promise for ridge in ridges])
         share = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
         return np.ceil(s.draws * share / share.sum()).astype(int)
-    share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in weights])
+    share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in log_shares])
     share = np.where(share < s.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
     if not share.any():
         share = np.ones(len(ridges))
@@ -99,23 +99,14 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
 
     A motion that several ridges may propose is divided between them as in multiple importance sampling (Veach 1995).
     """
-    drawn = [ridge for ridge in ridges if ridge.pool is not None]
-    shots = Shots.joined([ridge.pool.shots for ridge in drawn if ridge.pool is not None])
+    drawn = [ridge for ridge in ridges if ridge.proposals is not None]
+    shots = Shots.joined([one.proposals.shots for one in drawn if one.proposals is not None])
     own = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])
     log_part = np.zeros((len(own), 1))
     if len(drawn) > 1:
         every = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
         log_part = every - logsumexp(every, axis=1, keepdims=True)
-    log_weight = np.concatenate(
-        [
-            ridge.pool.log_mass
-            - ridge.pool.log_inner
-            - ridge.log_outer(ridge.pool.y, s.freedom, draws=True)
-            - np.log(ridge.drawn)
-            for ridge in drawn
-            if ridge.pool is not None
-        ]
-    )
+    log_weight = np.concatenate([one.log_weights(s.freedom) - np.log(one.drawn) for one in drawn])
     log_weight = log_weight + (log_part[np.arange(len(own)), own] if len(drawn) > 1 else 0.0)
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(own))
     total = float(logsumexp(log_weight))
@@ -155,55 +146,61 @@ def regions(weight: np.ndarray, part: np.ndarray, s: SamplingSettings) -> np.nda
 def learn(
     ridge: Ridge, log_share: np.ndarray, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Fit the ridge by regression to all points, and the outer law to the moments of the weighted draws.
+    """Fit the curve of a ridge to all points, and its outer law to the draws, whose shares of the posterior are `log_share` (N).
 
-    Population Monte Carlo (Cappe et al. 2008): each draw is shared out among the components that may have proposed it. Where the
-    draws are still poor, further components stand on some of them. A part of the draws stays with the first law. Means and
-    covariances are those about the bend of the draws, if some of their directions are thin.
+    Population Monte Carlo (Cappe et al. 2008): each draw is shared out among the components that may have proposed it, which take
+    its moments. If the draws are still poor, further components are placed at some of them. A part of the draws stays with the
+    first law. Means and covariances are those of straight points if some directions of the draws are thin (:class:`Bend`).
     """
-    pool = ridge.pool
-    if pool is None or not np.isfinite(logsumexp(log_share)):
+    proposals = ridge.proposals
+    if proposals is None or not np.isfinite(logsumexp(log_share)):
         return
-    follow(ridge, s)
-    # no draw counts for more than a root of their number
+    fit_ridge_curve(ridge, s)
+    # no draw counts for more than one over the root of their number
     log_weight = log_share - logsumexp(log_share)
     weight = np.exp(np.minimum(log_weight, -np.log(len(log_weight)) / 2))
     weight /= weight.sum()
-    off = pool.z - ridge.best(pool.y)
+    off = proposals.z - ridge.best(proposals.y)
     scatter = (weight[:, None] * off).T @ off
     ridge.scatter = scatter + 1e-6 * np.trace(scatter) * np.eye(len(scatter))
-    before, bend = ridge.learnt, Bend.of(pool.y, weight, s)
-    parts = before.log_densities(pool.y, s.freedom)
+
+    # the components that are used, moved and shaped by their part of the draws, (N, C)
+    before, bend = ridge.learnt, Bend.of(proposals.y, weight, s)
+    parts = before.log_densities(proposals.y, s.freedom)
     part = np.exp(parts - logsumexp(parts, axis=1, keepdims=True)) * weight[:, None]
     used = np.flatnonzero(part.sum(axis=0) > 1e-4)
-    mean, covariance, y = before.mean[used], before.covariance[used], pool.y
+    mean, covariance, y = before.mean[used], before.covariance[used], proposals.y
     if before.bend is not None:
         mean = before.bend.bent(mean)
     if bend is not None:
         mean, y = bend.straight(mean), bend.straight(y)
     for i, one in enumerate(used):
         own = part[:, one] / part[:, one].sum()
-        # few draws move little
-        keep = min(1.0, effective_draws(own) / (4.0 * mean.shape[1]))
-        mean[i] = keep * (own @ y) + (1 - keep) * mean[i]
+        # fewer than four draws for each coordinate move it less
+        learnt = min(1.0, effective_draws(own) / (4.0 * mean.shape[1]))
+        mean[i] = learnt * (own @ y) + (1 - learnt) * mean[i]
         spread = (own[:, None] * (y - mean[i])).T @ (y - mean[i])
-        covariance[i] = keep * spread + (1 - keep) * covariance[i]
+        covariance[i] = learnt * spread + (1 - learnt) * covariance[i]
     least = np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
     covariance = covariance + 1e-9 * least
-    ridge.learnt = Law(part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1), bend)
+    ridge.learnt = OuterLaw(
+        part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1), bend
+    )
+
+    # what proposes next: the learnt law, components at draws by their weights if these are poor, and the first law, wider
     wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
     law = ridge.learnt
     if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
         pick = rng.choice(len(weight), s.local, p=weight)
         owner = np.argmax(part[np.ix_(pick, used)], axis=1)
         shrunk = s.local_size**2 * covariance[owner]
-        local = Law(np.full(s.local, 1 / s.local), y[pick], shrunk, pick, bend)
-        law = Law.joined([(1 - s.local_share, ridge.learnt), (s.local_share, local)])
+        local = OuterLaw(np.full(s.local, 1 / s.local), y[pick], shrunk, pick, bend)
+        law = OuterLaw.joined([(1 - s.local_share, ridge.learnt), (s.local_share, local)])
     ridge.proposing = [(s.defence, wide), (1 - s.defence, law)]
 
 
-def walked_out(
-    target: Target,
+def share_outside(
+    target: LanderTarget,
     ridges: list[Ridge],
     log_shares: list[np.ndarray],
     rng: np.random.Generator,
@@ -211,51 +208,50 @@ def walked_out(
 ) -> float:
     """Return the share of walkers that start from draws and end where hardly anything was proposed.
 
-    Walkers are Metropolis chains in y and the distance from the ridge. The density over the standing unknowns is estimated from
-    one draw of these, which leaves chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn,
-    exceeds the largest weight of all draws by :data:`INSIDE_TAIL`.
+    Walkers are Metropolis chains in y and z - z*(y), which follow the ridge. Their density is estimated by one draw of the reading
+    unknowns, which leaves chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn, exceeds
+    the largest weight of all draws by :data:`INSIDE_TAIL`.
     """
     share = np.concatenate(log_shares)
     picked = _systematic(share, s.walkers, rng)
     ends = np.cumsum([0, *(len(own) for own in log_shares)])
-    left = 0
+    outside = 0
     for r, ridge in enumerate(ridges):
         rows = picked[(picked >= ends[r]) & (picked < ends[r + 1])] - ends[r]
-        pool, chart = ridge.pool, ridge.chart
-        if not len(rows) or pool is None:
+        proposals, chart = ridge.proposals, ridge.chart
+        if not len(rows) or proposals is None:
             continue
         weight = np.exp(log_shares[r] - logsumexp(log_shares[r]))
-        off = pool.y - weight @ pool.y
-        d = pool.y.shape[1]
+        off = proposals.y - weight @ proposals.y
+        d = proposals.y.shape[1]
         root = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(d))
         inner = np.linalg.cholesky(ridge.scatter)
-        y, z, mass = pool.y[rows], pool.z[rows], pool.log_mass[rows]
-        shots = pool.shots.take(rows)
+        y, z, log_mass = proposals.y[rows], proposals.z[rows], proposals.log_mass[rows]
+        shots = proposals.shots.take(rows)
         size = s.walk_size / np.sqrt(d + chart.stiff)
         for _ in range(s.walk_steps):
             to = y + size * rng.standard_normal(y.shape) @ root.T
             aside = z + ridge.best(to) - ridge.best(y)
             aside = aside + size * rng.standard_normal(z.shape) @ inner.T
-            trial, of_trial = weighed(target, chart, to, aside, shots.u, rng, s)
-            taken = np.log(rng.random(len(y))) < of_trial - mass
+            trial, of_trial = complete_motions(target, chart, to, aside, shots.u, rng, s)
+            taken = np.log(rng.random(len(y))) < of_trial - log_mass
             y, z = np.where(taken[:, None], to, y), np.where(taken[:, None], aside, z)
-            mass = np.where(taken, of_trial, mass)
+            log_mass = np.where(taken, of_trial, log_mass)
             shots = Shots(*(
                 np.where(taken[:, None], getattr(trial, name), getattr(shots, name))
                 for name in ("omega", "sun", "u")
             ))  # fmt: skip
-        assert ridge.known is not None
-        nearest = nearest_points(ridge.known.y, y, ridge.learnt)
-        near = Slopes(*(part[nearest] for part in ridge.known.slopes))
-        best, own, _, _ = settled(target, chart, y, ridge.best(y), near.u, near)
-        own = s.inner_width * own
-        white = np.linalg.solve(own, (z - best)[:, :, None])[:, :, 0]
-        inner_log = student_log_density(white, s.freedom)
-        inner_log = inner_log - np.log(np.einsum("kii->ki", own)).sum(axis=1)
-        log_weight = mass - inner_log - ridge.log_outer(y, s.freedom)
-        largest = pool.log_mass - pool.log_inner - ridge.log_outer(pool.y, s.freedom, draws=True)
-        left += int(np.sum(log_weight > largest.max() + np.log(INSIDE_TAIL)))
-    return left / s.walkers
+        assert ridge.points is not None
+        near = ridge.points.slopes_near(y, ridge.learnt)
+        stiff = fit_stiff(target, chart, y, ridge.best(y), near.u, near)
+        root = s.inner_width * stiff.root
+        white = np.linalg.solve(root, (z - stiff.best)[:, :, None])[:, :, 0]
+        log_inner = student_log_density(white, s.freedom)
+        log_inner = log_inner - np.log(np.einsum("kii->ki", root)).sum(axis=1)
+        log_weight = log_mass - log_inner - ridge.log_outer(y, s.freedom)
+        largest = ridge.log_weights(s.freedom).max()
+        outside += int(np.sum(log_weight > largest + np.log(INSIDE_TAIL)))
+    return outside / s.walkers
 
 
 class Checked(NamedTuple):
@@ -266,16 +262,8 @@ class Checked(NamedTuple):
     noise_sigmas: float
 
 
-class Replicating(Target, Protocol):
-    """A posterior whose readings can be simulated."""
-
-    def log_replicated(self, seen: Any, u: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return the log likelihood (K) of readings that were simulated from the motions, each set under its own motion."""
-        ...
-
-
 def predictive_check(
-    target: Replicating, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+    target: LanderTarget, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
 ) -> Checked:
     """Return whether readings that fit as badly as the real ones would come from these motions, which are draws of equal weight."""
     some = shots.take(slice(0, s.checked))

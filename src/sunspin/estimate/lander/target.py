@@ -4,25 +4,55 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.lander.fit import SEARCH_ERROR, Problem, corrected, in_tangents_at
-from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import RATE, SUN, Shots
-from sunspin.estimate.lander.ridges import FIVE, Equations, Slopes
+from sunspin.estimate.lander.fit import (
+    SEARCH_ERROR,
+    FitProblem,
+    corrected,
+    in_tangents_at,
+    states_of,
+)
+from sunspin.estimate.lander.model import CarriedStates, LanderModel
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
 from sunspin.estimate.model import Unknown
-from sunspin.estimate.terms.powers import SunStates
 
 LEAST_TURN_RAD = 1e-3
 """Steps that turn the body by less within the window correct no derivatives: runs are good to 1e-5 rad, and would be the change."""
 
 
+class MotionSlopes(NamedTuple):
+    """K motions, what sensors `seen` (K, ...) of them, and its derivatives `seen_slopes` (K, 5, ...) by rate and direction.
+
+    Least squares at motions near by begins with these derivatives.
+    """
+
+    omega: np.ndarray
+    sun: np.ndarray
+    u: np.ndarray
+    seen_slopes: np.ndarray
+    seen: np.ndarray
+
+
+class Equations(NamedTuple):
+    """Normal equations of K motions in their f coordinates: five of rate and direction, then the s reading unknowns.
+
+    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, f), `matrix` (K, f, f): its derivatives.
+    """
+
+    cost: np.ndarray
+    slope: np.ndarray
+    matrix: np.ndarray
+    slopes: MotionSlopes
+
+
 @dataclass(frozen=True)
 class LanderTarget:
-    """Posterior of the motions of a lander.
+    """Posterior of the motions of a lander under one model: K motions are evaluated at once.
 
-    What is `seen` (K, n, w) of a motion are its directions to the Sun, and its rates if other sensors than panels are read.
+    What is `seen` (K, n, w) of motions are directions to the Sun, and rates if they are needed (:meth:`FitProblem.seen`).
     """
 
     model: LanderModel
@@ -33,14 +63,14 @@ class LanderTarget:
         return self.model.unknowns
 
     @cached_property
-    def standing(self) -> np.ndarray:
-        """Return the places of brightness, gains and misalignments."""
+    def reading_unknowns(self) -> np.ndarray:
+        """Return the indices (s) of unknowns that change readings, but not the motion: brightness, gains, tilts; not the noise."""
         own = np.arange(len(self.model.of_motion), len(self.unknowns))
         return np.setdiff1d(own, self.model.places("noise"))
 
     @cached_property
-    def bending(self) -> np.ndarray:
-        """Return the places of unknowns on which the motion depends."""
+    def motion_unknowns(self) -> np.ndarray:
+        """Return the indices of unknowns that change the motion: inertia, friction, wheel speeds, torques."""
         return np.arange(len(self.model.of_motion))
 
     @property
@@ -54,37 +84,43 @@ class LanderTarget:
         return self.model.max_rate
 
     @cached_property
-    def _problem(self) -> Problem:
-        """Return the fit of rate, direction and standing unknowns."""
+    def _problem(self) -> FitProblem:
+        """Return the fit of rate, direction and reading unknowns."""
         free = np.zeros(len(self.unknowns), dtype=bool)
-        free[self.standing] = True
-        return Problem(self.model, free)
+        free[self.reading_unknowns] = True
+        return FitProblem(self.model, free)
 
     def linearised(
-        self, shots: Shots, slopes: Slopes | None = None, wider: float = 1.0
+        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
     ) -> Equations:
-        """Return the equations in rate, direction and standing unknowns, under `wider` times the noise."""
+        """Return the equations under `noise_factor` times the noise.
+
+        If `slopes` of motions near by are given, no runs for derivatives are made: those are corrected by what the step from there
+        has changed, if it is a step in rate and direction alone.
+        """
         problem = self._problem
         if slopes is None:
-            seen, moves = problem.derivatives(shots)
+            seen, seen_slopes = problem.derivatives(shots)
         else:
             seen, fine = problem.seen(shots, SEARCH_ERROR)
-            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :FIVE]
+            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :STATE_SIZE]
             turn = np.maximum(
                 np.linalg.norm(step[:, RATE], axis=1) * self.reach_s,
                 np.linalg.norm(step[:, SUN], axis=1),
             )
             # if unknowns of the motion have changed as well, what is seen has not changed by the step alone
-            alike = np.all(shots.u[:, self.bending] == slopes.u[:, self.bending], axis=1)
+            alike = np.all(
+                shots.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
+            )
             learnt = (alike & fine & (turn > LEAST_TURN_RAD))[:, None]
-            moves, step = in_tangents_at(
-                shots.sun, slopes.sun, slopes.moves, np.where(learnt, step, 0.0)
+            seen_slopes, step = in_tangents_at(
+                shots.sun, slopes.sun, slopes.seen_slopes, np.where(learnt, step, 0.0)
             )
             change = np.where(fine[:, None, None], np.nan_to_num(seen - slopes.seen), 0.0)
-            moves = corrected(moves, step, change)
-        linear = problem.differences(shots, seen, moves)
-        system = problem.system(shots.u, linear, wider)
-        at = Slopes(shots.omega, shots.sun, shots.u, moves, linear.seen)
+            seen_slopes = corrected(seen_slopes, step, change)
+        linear = problem.differences(shots, seen, seen_slopes)
+        system = problem.system(shots.u, linear, noise_factor)
+        at = MotionSlopes(shots.omega, shots.sun, shots.u, seen_slopes, linear.seen)
         return Equations(system.cost, system.slope, system.matrix, at)
 
     def run(self, shots: Shots) -> np.ndarray:
@@ -92,36 +128,29 @@ class LanderTarget:
         seen, fine = self._problem.seen(shots, SEARCH_ERROR)
         return np.where(fine[:, None, None], seen, np.nan)
 
-    def standing_slopes(
-        self, seen: np.ndarray, u: np.ndarray, wider: float
+    def reading_slopes(
+        self, seen: np.ndarray, u: np.ndarray, noise_factor: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the standing unknowns."""
+        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
         problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
         # the differences depend on u and on what is seen alone
         none = np.zeros((len(u), 3))
         linear = problem.differences(Shots(none, none, u), seen, still)
-        _, weight = problem.weigh(linear.value, u, wider)
+        _, weight = problem.weigh(linear.value, u, noise_factor)
         jacobian = linear.jacobian
         weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
         return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian
 
     def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (K); minus infinity for motions that could not be computed."""
-        model, omega = self.model, seen[..., 3:]
-        fine = np.isfinite(seen).all(axis=(1, 2))
-        states = SunStates.of(seen[..., :3], omega)
-        with np.errstate(invalid="ignore"):
-            total = model.panels.log_density(states, u[:, model.of_panels])
-            for term in model.given:
-                for residual in term.residuals(states, u[:, :0]):
-                    total = total - residual.law(residual.value)[0].sum(axis=1)
-        return np.where(fine & np.isfinite(total), total, -np.inf)
+        """Return the log likelihood (K) of all readings."""
+        carried = CarriedStates(states_of(seen), np.all(np.isfinite(seen), axis=(1, 2)))
+        return self.model.log_likelihood(carried, u)
 
     def log_replicated(
         self, seen: np.ndarray, u: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
         """Return the log likelihood (K) of readings simulated from the motions, each set under its own motion."""
-        model, states = self.model, SunStates.of(seen[..., :3], seen[..., 3:])
+        model, states = self.model, states_of(seen)
         of_panels = u[:, model.of_panels]
         simulated = model.panels.replicated(states, of_panels, rng)
         total = simulated.log_density(states, of_panels)
@@ -134,9 +163,8 @@ class LanderTarget:
         """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
         seen = self.run(shots)
         fine = np.isfinite(seen).all(axis=(1, 2))
-        states = SunStates.of(seen[fine, :, :3], seen[fine, :, 3:])
         own = shots.u[fine][:, self.model.of_panels]
-        return self.model.panels.outlier_probability(states, own)
+        return self.model.panels.outlier_probability(states_of(seen[fine]), own)
 
     def log_prior(self, shots: Shots) -> np.ndarray:
         """Return the log prior density (K)."""

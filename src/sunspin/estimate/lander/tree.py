@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.lander.carrier import Stage
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.sample import resampled
 
@@ -36,12 +38,12 @@ def group(tree: xr.DataTree, name: str) -> xr.Dataset:
 
 
 def tree_of(
-    mix: Mixture, picked: np.ndarray, windows: list[tuple[int, int, int]], prior_sigma: float
+    mix: Mixture, picked: np.ndarray, windows: Sequence[Stage], prior_sigma: float
 ) -> xr.DataTree:
     """Return the groups `posterior`, `solutions`, `search` and `sampling`.
 
-    `picked`: indices of draws of equal weight, those of the result; `windows`: samples, motions fitted and motions kept for each
-    window of the search; `prior_sigma` (rad/s): of a component of the rate before the data.
+    `picked`: indices of draws of equal weight, those of the result; `windows` of the search; `prior_sigma` (rad/s): of a component
+    of the rate before the data.
     """
     likelihood = mix.log_likelihood(picked)
     trace, rounds = np.array(windows, dtype=np.int64).reshape(-1, 3), mix.draws.rounds

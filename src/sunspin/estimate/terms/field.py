@@ -194,8 +194,8 @@ class FieldChange(Term):
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the comparison (K, n, 3) of each field with the one before it, as the class has it, in sigmas."""
-        there = self.present()
-        if not there.any():
+        was_read = self.present()
+        if not was_read.any():
             return
         inverse = self._inverse_sigma()[:, None]
         read = np.nan_to_num(self.field_B)
@@ -227,8 +227,8 @@ class FieldChange(Term):
 
     def for_search(self) -> list[Self]:
         """Return the fields without unknowns, whose errors are added to the noise, in a field that turns any way."""
-        there = self.present()
-        change = np.diff(self.field_B, axis=0, prepend=np.nan)[there]
+        was_read = self.present()
+        change = np.diff(self.field_B, axis=0, prepend=np.nan)[was_read]
         sigma = self.sigma
         if len(change) and self.zero_B.any():
             # As the body turns, the field changes across the axis of the turn, and only that part of the zero moves neighbours
@@ -259,8 +259,8 @@ class FieldChange(Term):
         That is the mean of exp(-|a - b|^2 / (2 sigma^2)) over all directions between fields of the sizes a and b. With k = a b /
         sigma^2 it is exp(-(a - b)^2 / (2 sigma^2)) (1 - exp(-2 k)) / (2 k).
         """
-        there = np.flatnonzero(self.present())
-        lost = there[(there == sample) | (there == sample + 1)]
+        compared = np.flatnonzero(self.present())
+        lost = compared[(compared == sample) | (compared == sample + 1)]
         before, after = (np.linalg.norm(self.field_B[lost - back], axis=1) for back in (1, 0))
         precision = self._inverse_sigma()[lost] ** 2
         k = before * after * precision
@@ -331,10 +331,10 @@ class KnownField(Term):
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the known field less the reading (K, n, 3), both with the errors in common, in sigmas."""
-        there = self.present()
-        if not there.any():
+        was_read = self.present()
+        if not was_read.any():
             return
-        inverse = np.where(there, 1 / self.sigma_T, 0.0)[:, None]
+        inverse = np.where(was_read, 1 / self.sigma_T, 0.0)[:, None]
         field_B = np.einsum("knij,nj->kni", states.attitude, self.field_N)
         read, by_u = np.nan_to_num(self.read_B), None
         if u.size:
@@ -349,12 +349,12 @@ class KnownField(Term):
 
     def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) turned about the Sun so that the readings fit best, as a search knows the Sun alone."""
-        there = self.present()
+        was_read = self.present()
         attitude, u = super().begin(states, about_sun)
-        if about_sun or not there.any():
+        if about_sun or not was_read.any():
             return attitude, u
-        read_N = np.einsum("knji,nj->kni", states.attitude[:, there], self.read_B[there])
-        known, weight = self.field_N[there], 1 / self.sigma_T[there] ** 2
+        read_N = np.einsum("knji,nj->kni", states.attitude[:, was_read], self.read_B[was_read])
+        known, weight = self.field_N[was_read], 1 / self.sigma_T[was_read] ** 2
         # the angle about z, the Sun, that takes the components across z of the known fields to those of the readings: weighted
         # sums of |known| |read| times its sine and its cosine
         sine = ((known[:, 0] * read_N[..., 1] - known[:, 1] * read_N[..., 0]) * weight).sum(axis=1)

@@ -169,9 +169,9 @@ class AttitudeChange(Term):
         if VARIABLES["attitude"] not in telemetry:
             return None
         quaternion = np.asarray(telemetry[VARIABLES["attitude"]], dtype=np.float64)
-        there = np.isfinite(quaternion).all(axis=1)
+        was_read = np.isfinite(quaternion).all(axis=1)
         read = np.full((len(quaternion), 3, 3), np.nan)
-        read[there] = matrix_from_quaternion(quaternion[there])
+        read[was_read] = matrix_from_quaternion(quaternion[was_read])
         part = vehicle.sensors.with_columns.get("attitude")
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         return cls(t_s, read, part.sigma_rad if part is not None else np.inf)
@@ -186,15 +186,15 @@ class AttitudeChange(Term):
 
         Both are nearly alike, so that small turns add as vectors: that gives the derivatives.
         """
-        there = self.present()
-        if not there.any():
+        was_read = self.present()
+        if not was_read.any():
             return
         before = np.concatenate([self.B_from_N[:1], self.B_from_N[:-1]])
         turn_read = self.B_from_N @ np.swapaxes(before, -1, -2)
-        turn_read = np.where(there[:, None, None], turn_read, np.eye(3))
+        turn_read = np.where(was_read[:, None, None], turn_read, np.eye(3))
         previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
         relative = states.attitude @ np.swapaxes(previous, -1, -2)
-        inverse = np.where(there, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
+        inverse = np.where(was_read, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         turn_read = np.broadcast_to(turn_read, relative.shape)
         value = rotation_between(turn_read, relative) * inverse
         by_turn = np.broadcast_to(np.eye(3) * inverse[..., None], relative.shape)
@@ -210,8 +210,8 @@ class AttitudeChange(Term):
 
         Each comparison, a normal law of variance 2 sigma^2, fills (4 pi sigma^2)^(3/2) of the 8 pi^2 of all turns.
         """
-        there = self.present()
-        lost = int(there[sample]) + int(sample + 1 < len(there) and there[sample + 1])
+        was_read = self.present()
+        lost = int(was_read[sample]) + int(sample + 1 < len(was_read) and was_read[sample + 1])
         share = (4 * np.pi * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
         read = self.B_from_N.copy()
         read[sample] = np.nan

@@ -1,13 +1,17 @@
-"""All readings of a lander's panels, dark ones too, with one brightness over the whole stretch.
+"""All readings of a lander's panels, dark ones too, with one brightness over the whole stretch (docs/posterior.md, "Likelihood").
 
-A lit reading is the panel's power with Gaussian noise. A dark one says that noise keeps the power below the threshold: panels
-turned away say nothing. Any reading may, with a small probability, have nothing to do with the Sun: a shadow, a spike.
+A lit reading is the panel's power, brightness times gain times cosine of the incidence, with Gaussian noise. A dark one says that
+noise keeps the power below the threshold: panels turned away say nothing. Any reading may, with a small probability, have nothing
+to do with the Sun: a shadow, a spike.
 
 The time of a sample may be off by `time_s` (one sigma): all its panels were read a little earlier or later than it says. A fit puts
 that error at its best for each motion; the density is the sum over all errors, as a panel that lights up leaves two good ones.
 
 If a full battery throttles the panels, a sample has an unknown factor. It is put at its best for each motion (variable
-projection, Kaufman 1975) and integrated out: that leaves one power of the noise.
+projection, Kaufman 1975, BIT 15, 49) and integrated out: that leaves one power of the noise.
+
+K motions, n samples, p inputs, m unknowns of the panels. A fit asks :meth:`PanelPowers.residuals`, in which a dark reading is
+a bound; draws are weighed by :meth:`PanelPowers.log_density`, with the probability of that.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ from sunspin.vehicle.response.flat import PanelResponse
 LOG_2PI = float(np.log(2 * np.pi))
 
 HALF_WEIGHT, ROUNDS = 5.0, 3
-"""Sigmas at which a reading counts half for the factor of a throttled sample, and how often the factor is computed again."""
+"""Sigmas at which a reading counts half for the factor of a throttled sample, and how often both are computed again."""
 
 MEAN_LIT_SINE = 2 / 3
 """Mean square of the sine of the angle between a normal and the Suns that light its panel."""
@@ -42,8 +46,8 @@ TIME_SPACING, FEWEST_TIMES = 1.5, 4.0
 """Distance of the times over which the density of a sample is summed, at most, and how many times there are for each sigma of the
 error, at least. The distance is in sigmas of the narrowest possible peak: a normal law is summed to 1e-3."""
 
-LARGEST_LOG_NOISE = 5.0
-"""Sigmas of its prior up to which the noise is sought."""
+LARGEST_LOG_NOISE, NOISE_STEPS = 5.0, 8
+"""Sigmas of its prior up to which the noise is sought, and Newton steps by which that is done."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +74,10 @@ class SunStates(States):
 class PanelPowers(Term):
     """Readings `power` (n, p) of inputs, of which those `used` (n, p) count, with their stated `sigma` (p).
 
-    `threshold`: readings above it are lit; `largest` reading of the stretch. `own`: its unknowns, log brightness (its centre is a
-    first guess), log noise, log gains and tilts of panels. `turns` (m, n_panel, 3): rotation (rad, B) of each panel by one sigma of
-    each of them. `brightness`: first guess of the signal of a panel of gain one at normal incidence. `throttled`: all readings of
-    a sample are lowered by one unknown factor. `time_s`: sigma of the time of each sample, s.
+    `threshold`: readings above it are lit; `largest` reading of the stretch. `brightness`: first guess of the signal of a panel of
+    gain one at normal incidence. `own` (m): unknowns, log brightness (its centre is the first guess), log noise over the stated
+    one, log gains and tilts of panels. `turns` (m, n_panel, 3): rotation (rad, B) of each panel by one sigma of each unknown.
+    `throttled`: all readings of a sample are lowered by one unknown factor. `time_s`: sigma of the time of each sample, s.
     """
 
     name: ClassVar[str] = "panels"
@@ -113,11 +117,11 @@ class PanelPowers(Term):
 
     @cached_property
     def free_factors(self) -> np.ndarray:
-        """Return which samples (n) have a factor that readings determine, and so one reading fewer for all else."""
+        """Return which samples (n) have a factor that lit readings determine, which takes up one of them."""
         return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
     def place(self, kind: str) -> list[int]:
-        """Return where the unknowns of a kind stand among its own."""
+        """Return the indices of the unknowns of a kind among its own."""
         return [i for i, unknown in enumerate(self.own) if unknown.kind == kind]
 
     def gain(self, u: np.ndarray) -> np.ndarray:
@@ -135,17 +139,17 @@ class PanelPowers(Term):
         return None if self.turns is None else np.tensordot(u, self.turns, axes=1)[:, None]
 
     def log_noise(self, u: np.ndarray) -> np.ndarray:
-        """Return the log (K) of the noise over the stated one."""
+        """Return the log (K) of the noise over the stated one; zero if the noise is no unknown."""
         places = self.place("noise")
         return self.own[places[0]].sigma * u[:, places[0]] if places else np.zeros(len(u))
 
     # ---- what a fit asks ---------------------------------------------------------------------------------------------------
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield predicted less read powers (K, n, p) in stated sigmas.
+        """Yield predicted less read powers (K, n, p) in stated sigmas; if times may err, then the best errors (K, n, 1) in sigmas.
 
-        A dark reading differs by what the prediction is above the threshold. If times err, the best errors (K, n, 1) follow, in
-        sigmas.
+        A dark reading differs by what the prediction is above the threshold. Best errors of times and best factors follow each
+        change of motion and unknowns, so that slopes are those along the best (Kaufman).
         """
         late_s = self.best_times(states, u)[0]
         sun = sun_later(states, late_s)
@@ -168,13 +172,13 @@ class PanelPowers(Term):
         if not self.time_s:
             yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
             return
-        # the best error follows each change (Kaufman's slope): a change loses its part along that of a later sample
+        # the best error of a time follows each change, which so loses its part along that by time
         by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)
         weighted = law(value)[1] * by_time
         size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
         along_turn, along_u = (weighted[..., None, :] @ slope / size for slope in (by_turn, by_u))
         by_turn = by_turn - by_time[..., None] * along_turn
-        # a rate turns the body until the sample was taken
+        # a rate turns the body by itself times `late` until the sample was taken
         late = late_s[..., None, None]
         yield Residual(
             value,
@@ -192,15 +196,16 @@ class PanelPowers(Term):
         )
 
     def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return predicted less read powers (K, n, p) in stated sigmas, and by what (K, n, p, 1) their slopes are multiplied."""
+        """Return predicted less read powers (K, n, p) in stated sigmas, and their slopes (K, n, p, 1) by the predicted power."""
         above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
         counts = self.used & (self.lit | (power > self.threshold))
         return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
 
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return how late (K, n, s) each sample was taken, at its best, and the curvature (K, n, 1/s2) of its cost without prior.
+        """Return how late (K, n; s) each sample was taken at its best, and the curvature (K, n; 1/s2) of its cost without prior.
 
-        The better of two ways: readings far off are outliers, or they are far off because of the time.
+        The better of two ways: readings far off are outliers from the first step on, or they are trusted in it, as the time may be
+        what is wrong.
         """
         none = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:
@@ -223,7 +228,7 @@ class PanelPowers(Term):
                 if again < TIME_STEPS:
                     pull = hold * late - np.sum(weight * slope * value, axis=-1)
                     late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
-            # by the integral over the error, not by the highest density: that has a tiny volume if the power changes fast
+            # compared by the integral over the error (Laplace), not by the density, whose peak is narrow if the power changes fast
             cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
             cost += 0.5 * np.log1p(self.time_s**2 * hold)
             better = cost < least
@@ -232,7 +237,7 @@ class PanelPowers(Term):
         return best, curvature
 
     def taken_by_times(self, states: States, u: np.ndarray) -> np.ndarray:
-        """Return how many readings (K) the errors of times answer for: up to one for each sample, if it shows its time."""
+        """Return how many readings (K) the errors of times take up: up to one for each sample that shows its time."""
         sharp = self.time_s**2 * self.best_times(states, u)[1]
         return np.sum(sharp / (1.0 + sharp), axis=1)
 
@@ -255,9 +260,9 @@ class PanelPowers(Term):
         return factor * light, following(by_turn), following(by_u)
 
     def best_factor(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the factor (K, n, 1) of each sample that fits its readings best, one without any, and their weights (K, n, p).
+        """Return the factor (K, n, 1) of each sample that fits its readings best, and the weights of these (K, n, p).
 
-        Readings count by their noise; one far from what is predicted hardly counts.
+        Readings count by their noise; one far from what is predicted hardly counts. Without readings the factor is one.
         """
         read = np.maximum(self.power, 0.0)
         by_noise = self.used * (np.min(self.sigma) / self.sigma) ** 2
@@ -272,13 +277,14 @@ class PanelPowers(Term):
             factor = np.divide(along, size, out=np.ones_like(size), where=size > 0)
         return factor, weight
 
-    def law(self, u: np.ndarray, factor: float = 1.0) -> Law:
-        """Return cost and weight of differences (K, n, p) under `factor` times the noise that u (K, m) say.
+    def law(self, u: np.ndarray, noise_factor: float = 1.0) -> Law:
+        """Return the function of differences (K, n, p) to cost and weight, under `noise_factor` times the noise of u (K, m).
 
-        Two per cent of readings are anything: the weight of a difference is the probability that it is not one of these. Costs
-        (K, n) are relative to readings just as predicted under the stated noise. Dark readings are taken for Gaussian too.
+        Two per cent of readings are outliers: a difference d costs -log(0.98 N(d) + 0.02 density of outliers), and its weight is
+        the probability that it is none, over the variance. Costs (K, n) are relative to readings just as predicted under the stated
+        noise. What a dark reading's prediction is above the threshold is taken for Gaussian too.
         """
-        log_noise = (self.log_noise(u) + np.log(factor))[:, None, None]
+        log_noise = (self.log_noise(u) + np.log(noise_factor))[:, None, None]
         noise = np.exp(log_noise)
         as_stated = np.log1p(-SPOILT) - np.where(self.lit, np.log(self.sigma) + LOG_2PI / 2, 0.0)
         largest = np.logaddexp(as_stated, self._spoilt)
@@ -294,7 +300,7 @@ class PanelPowers(Term):
 
     @cached_property
     def _spoilt(self) -> np.ndarray:
-        """Return the log density (n, p) of each reading if it is anything, times the prior probability of that."""
+        """Return the log (n, p) of each reading's density as an outlier, times the prior probability of being one."""
         density = (1 - SPOILT_DARK) / (SPOILT_LARGEST * self.largest)
         return np.log(SPOILT * np.where(self.lit, density, SPOILT_DARK))
 
@@ -303,21 +309,23 @@ class PanelPowers(Term):
     ) -> np.ndarray:
         """Return unknowns (K, m) with the noise at its best for differences `value` (K, n, p), by Newton steps in its logarithm.
 
-        `answered` (K): how many readings the numbers that were fitted answer for; `least` (sigmas): the noise is not sought below.
+        `answered` (K): how many readings the fitted numbers take up; `least` (sigmas): the noise is not sought below.
         """
         places = self.place("noise")
         if not places:
             return u
         at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
         spent = answered + self.free_factors.sum()
-        for _ in range(8):
+        for _ in range(NOISE_STEPS):
+            # of lit readings: weighted squares, and the number that are no outliers less what was fitted; where these are equal
+            # the noise is at its best but for its prior
             weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
             squares = np.sum(weight * value**2, axis=(1, 2))
             good = np.sum(weight, axis=(1, 2)) * np.exp(2 * self.log_noise(u))
             count = np.maximum(good - spent, 0.0)
             slope = sigma * (count - squares) + u[:, at]
-            bend = 2 * sigma**2 * np.maximum(squares, 0.3 * count) + 1
-            step = np.clip(slope / bend, -1, 1)
+            curvature = 2 * sigma**2 * np.maximum(squares, 0.3 * count) + 1
+            step = np.clip(slope / curvature, -1, 1)
             u[:, at] = np.clip(u[:, at] - step, least, LARGEST_LOG_NOISE)
         return u
 
@@ -347,7 +355,7 @@ class PanelPowers(Term):
         steepest = np.linalg.norm(self._full_power(u) / self.sigma, axis=1)
         steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
         narrow = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
-        # in powers of two, so that many motions share their times and each has its own result
+        # the number of times is doubled as often as that asks for: so many motions share their times, and none depends on others
         doubled = np.ceil(np.log2(np.maximum(narrow / FEWEST_TIMES, 1.0))).astype(int)
         total = np.empty(states.sun_B.shape[:-1])
         for one in np.unique(doubled):
@@ -374,7 +382,7 @@ class PanelPowers(Term):
         return np.where(self.used, self._log_densities(power, u), 0.0).sum(axis=-1)
 
     def _log_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the log density (K, n, p) of each reading if these powers (K, n, p) are predicted."""
+        """Return the log density (K, n, p) of each reading if these powers (K, n, p) are predicted, outliers included."""
         sigma = self.sigma * np.exp(self.log_noise(u))[:, None, None]
         lit = -0.5 * ((self.power - power) / sigma) ** 2 - np.log(sigma) - LOG_2PI / 2
         dark = log_ndtr((self.threshold - power) / sigma) - log_ndtr(self.threshold / sigma)
@@ -412,7 +420,7 @@ class PanelPowers(Term):
     def with_tilts_as_noise(self) -> PanelPowers:
         """Return the readings with what each panel's own tilt adds to their noise, for a search that leaves these tilts alone.
 
-        It is the root mean square over panels, and over Suns in front of them, and the same for all.
+        It is the same for all: the root mean square over panels, and over directions of the Sun in front of them.
         """
         own = self.place(TILT)
         if not own:

@@ -1,10 +1,11 @@
-"""Magnetometer, attitude sensor, Earth's light and torques in a field: derivatives, closed forms, and what is left out."""
+"""Terms of all sensors and torques: derivatives, closed forms, what an integration adds, and what is left out."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from sunspin.environment import Surroundings
@@ -13,22 +14,29 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, States, Tra
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.terms.clock import Latency
+from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, Gyro
 from sunspin.estimate.terms.panels import Instants, Panels
+from sunspin.estimate.terms.rate_size import RateSize
 from sunspin.estimate.terms.term import facing
-from sunspin.estimate.terms.torques import GravityGradient, MagneticTorque, StatedDipole
-from sunspin.solve.rotations import rotate_attitude
+from sunspin.estimate.terms.torques import (
+    ConstantTorque,
+    GravityGradient,
+    MagneticTorque,
+    StatedDipole,
+)
+from sunspin.solve.rotations import rotate_attitude, rotation_between
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.sensors import Sensors
 from tests.support.simulate import CUBE, MAGNETOMETER, cube_with_faults, cube_with_late_sensor
+from tests.support.vehicles import CUBE_NORMALS
 
 T_S = np.array([0.0, 11.0, 25.0, 33.0, 48.0, 60.0])
 N = len(T_S)
-FACES = np.vstack([np.eye(3), -np.eye(3)])
 
 
 def motions(rng, size=0.02, count=2):
@@ -63,39 +71,52 @@ def attitude_change(rng):
     return AttitudeChange(T_S, read, 0.05)
 
 
+def bare_panels(rng, scale_sigma=0.05, unread=0.0, late_s=0.0):
+    """Return readings of six panels with gains known to 10 %; a share is not read, and one panel is read late."""
+    sigma, every = np.where(rng.random((N, 6)) < unread, np.inf, 0.03), np.full((N, 6), 0.03)
+    response = PanelResponse(CUBE_NORMALS, np.array([1.0, 2.0, 1.0, 1.0, 0.5, 1.0]))
+    gain, scale = (np.ones(6), 0.1 * np.eye(6)), (np.full(N, 1.1), np.full(N, scale_sigma))
+    instants, shown = Instants(late_s * np.eye(6)[2], 0.0), np.ones(6, dtype=bool)
+    readings, of_light = (rng.random((N, 6)), sigma, response), (sigma, sigma, every, np.ones(N))
+    return Panels(*readings, *gain, *scale, tuple("abcdef"), instants, shown, *of_light)
+
+
 def panels(rng, known):
     """Return readings of six panels under the Earth's light, which an orbit knows or not."""
-    sigma = np.full((N, 6), 0.03)
-    response = PanelResponse(FACES, np.array([1.0, 2.0, 1.0, 1.0, 0.5, 1.0]))
-    gain, scale = (np.ones(6), 0.1 * np.eye(6)), (np.full(N, 1.1), np.full(N, 0.05))
-    names, instants = tuple("abcdef"), Instants(np.zeros(6))
-    term = Panels(
-        rng.random((N, 6)),
-        sigma,
-        response,
-        *gain,
-        *scale,
-        names,
-        instants,
-        np.ones(6, dtype=bool),
-        sigma,
-        sigma,
-        sigma,
-        np.ones(N),
-        earth_share=0.1,
-    )
+    term = replace(bare_panels(rng), earth_share=0.1)
     light = 0.2 * np.column_stack([np.cos(T_S / 90), np.sin(T_S / 90), 0.3 + 0 * T_S])
     return replace(term, known_N=light if known else None).of_pass(T_S)
 
 
+def directions(rng, double):
+    """Return directions to the Sun, every second of which may mean two things."""
+    unit = rng.normal(size=(N, 3))
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    spread = np.tile(0.02**2 * np.eye(3), (N, 1, 1))
+    second = np.arange(N)[:, None] % 2 == 0 if double else np.zeros((N, 1), dtype=bool)
+    others = np.where(second, -unit, np.nan), np.where(second[..., None], spread, np.nan)
+    return SunDirections(unit, spread, *others)
+
+
+def without_one(read):
+    """Return readings of which the third is missing."""
+    read[2] = np.nan
+    return read
+
+
 TERMS = {
+    "direction": lambda rng: directions(rng, double=False),
+    "two meanings": lambda rng: directions(rng, double=True),
+    "known factor": lambda rng: bare_panels(rng, 0.05, 0.2, 1.5),
+    "free factor": lambda rng: bare_panels(rng, 1e3, 0.2, 1.5),
+    "size of the rate": lambda rng: RateSize(without_one(0.04 * rng.random(N)), 0.005, 0.2),
     "neighbours": field_change,
     "known field": known_field,
     "attitude": attitude_change,
     "free light": lambda rng: panels(rng, known=False),
     "known light": lambda rng: panels(rng, known=True),
-    "late gyro": lambda rng: Gyro(
-        0.02 * rng.normal(size=(N, 3)), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01
+    "gyro": lambda rng: Gyro(
+        without_one(0.02 * rng.normal(size=(N, 3))), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01
     ),
 }
 
@@ -121,29 +142,26 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
         nodes = np.zeros((2, N, 6))
         nodes[:, sample, place] = h
         attitude = rotate_attitude(track.attitude, nodes[..., :3])
-        return equations(
-            model, replace(track, attitude=attitude, omega=track.omega + nodes[..., 3:])
-        ).cost
+        moved = replace(track, attitude=attitude, omega=track.omega + nodes[..., 3:])
+        return equations(model, moved).cost
 
     for sample in (0, 1, 2, 4, 5):
-        # of two late neighbours both are turned by a rate, nearly alike: that is left out
-        neighbours = late and name in ("neighbours", "attitude")
-        for place in range(3 if neighbours else 6):
+        # a rate turns both of two late neighbours nearly alike, and a panel that is read late little: terms leave that out
+        approximate = name.endswith("factor") or (late and name in ("neighbours", "attitude"))
+        for place in range(3 if approximate else 6):
             h = 1e-6
             slope = (cost(sample, place, h) - cost(sample, place, -h)) / (2 * h)
             # by how much a rate turns the body until a late reading is known to first order
             close = 0.02 if late else 2e-4
             scale = np.abs(system.slope).max()
-            assert np.allclose(
-                slope, system.slope[:, sample, place], rtol=close, atol=close * scale
-            )
+            ours = system.slope[:, sample, place]
+            assert np.allclose(slope, ours, rtol=close, atol=close * scale)
     for j in range(track.u.shape[1]):
         h = 1e-5 * np.eye(track.u.shape[1])[j]
         ends = [equations(model, replace(track, u=track.u + sign * h)).cost for sign in (1, -1)]
         slope = (ends[0] - ends[1]) / 2e-5
-        assert np.allclose(
-            slope, system.border_slope[:, j], rtol=1e-3, atol=1e-3 * abs(slope).max()
-        )
+        atol = 1e-3 * abs(slope).max()
+        assert np.allclose(slope, system.border_slope[:, j], rtol=1e-3, atol=atol)
 
 
 def test_neighbours_fit_the_field_that_they_read():
@@ -225,7 +243,7 @@ def test_a_zero_that_is_exact_on_one_axis_stays_so_on_that_axis():
     assert abs((read - term.field_B)[0, 2]) < 1e-3
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])
+@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 3.0])
 @pytest.mark.parametrize("known", [False, True])
 def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     rng = np.random.default_rng(11)
@@ -270,6 +288,37 @@ def test_gravity_turns_the_long_axis_to_the_earth():
     assert np.allclose(pushed[:3], 50 * torque / np.diag(inertia), rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.parametrize("frame", ["B", "N"])
+def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
+    inertia, size, dt = np.diag([1.2, 1.0, 0.8]), 1e-6, 8.0
+    momentum, omega = np.array([0.0, 0.01, 0.0]), np.array([0.05, -0.02, 0.08])
+    attitude = facing(np.array([0.6, 0.0, 0.8]))
+    torque = ConstantTorque(frame, 1.0, (1.0,), inertia, np.tile(momentum, (2, 1)))
+    seen = States(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
+    push = torque.added_by_unknowns(seen, np.array([dt]))[0, 0]
+
+    def end(torque_B_or_N):
+        """Return attitude and rate after dt with a torque, by Euler's equations in another integrator."""
+
+        def slope(_, y):
+            turned = y[3:].reshape(3, 3)
+            rate = np.linalg.solve(inertia, y[:3] - momentum)
+            push = torque_B_or_N if frame == "B" else turned @ attitude @ torque_B_or_N
+            turning = -np.cross(rate, turned, axisb=0, axisc=0)
+            return np.concatenate([np.cross(y[:3], rate) + push, turning.ravel()])
+
+        start = np.concatenate([omega @ inertia + momentum, np.eye(3).ravel()])
+        y = solve_ivp(slope, (0, dt), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+        return y[3:].reshape(3, 3), np.linalg.solve(inertia, y[:3] - momentum)
+
+    free = end(np.zeros(3))
+    for axis in range(3):
+        pushed = end(size * np.eye(3)[axis])
+        turn = rotation_between(free[0], pushed[0])
+        change = np.concatenate([turn, pushed[1] - free[1]]) / size
+        assert np.allclose(push[:, axis], change, rtol=0.03, atol=0.03 * np.abs(change).max())
+
+
 def test_opposite_panels_see_sun_and_earth_as_one_vector():
     rng = np.random.default_rng(12)
     seen = motions(rng, count=1)
@@ -310,10 +359,8 @@ def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():
 
 
 def test_directions_of_a_field_have_axes_that_turn():
-    assert (
-        FieldDirection.axes_rad_s == FIELD_TURN
-        and not known_field(np.random.default_rng(1)).axes_rad_s
-    )
+    assert FieldDirection.axes_rad_s == FIELD_TURN
+    assert not known_field(np.random.default_rng(1)).axes_rad_s
 
 
 def bent_by_a_magnetometer(off, zero_sigma, matrix, matrix_sigma):
