@@ -47,6 +47,7 @@ def motion(fits: bool = True) -> xr.Dataset:
             "sun_B": (("time", "axis"), attitude.apply([0.2, 0.6, 0.77])),
             "pass_of": ("time", np.zeros(T.size, dtype=int)),
             "fits": ("pass_id", [fits]),
+            "cost": (("pass_id", "solution"), [[10.0]]),
         },
         {"time": T},
     )

@@ -84,13 +84,15 @@ class Named(NamedTuple):
 class Better:
     """The changes that fit better than the file as it is written, all those that the telemetry cannot distinguish.
 
-    `gain`: by how much their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better.
+    `gain`: by how much their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better;
+    `cost`: of the best motion with the best of them.
     """
 
     named: tuple[Named, ...]
     gain: float
     at_s: float = np.nan
     fits: bool = True
+    cost: float = np.nan
 
     def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
         """Return a sentence for the verdict; `clock`: function from a time of the telemetry (s) to its words."""
@@ -258,20 +260,25 @@ def better_rivals(
     # a change that looks the same as reversed wheels was tested with the signs of the wheels
     known = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
     light = vehicle.response_in().power(observed.sun_B) / noise
+    read = np.nan_to_num(signals(telemetry)) / noise
 
-    # to the samples all exchanges of dark columns look the same: those count that the estimated motion would light differently
+    # an exchange of two dark columns counts if the estimated motion would light them differently, or if their readings differ: a
+    # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma
     dark, rivals = [], []
     for change, is_allowed in zip(changes, allowed, strict=True):
         moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
+        if not is_allowed:
+            continue
         if len(moved) == 2 and not observed.lit[moved].any():
-            if (np.diff(light[:, moved], axis=1) ** 2).sum() / 2 > CLEARLY:
+            differ = max((np.diff(one[:, moved], axis=1) ** 2).sum() / 2 for one in (light, read))
+            if differ > CLEARLY:
                 dark.append(change)
-        elif is_allowed and not any(len(equivalence(observed, one, change)) for one in known):
+        elif not any(len(equivalence(observed, one, change)) for one in known):
             rivals.append(change)
-    # a column without a signal is left out: evidences are compared only if the same columns are
-    silent = silent_columns(vehicle, telemetry, AS_WRITTEN) if dark or rivals else set()
+    # a panel without a signal is left out: evidences are compared only if as many panels, of the same gains, are
+    silent = gains_of_silent(vehicle, telemetry, AS_WRITTEN) if dark or rivals else []
     dark, rivals = (
-        [one for one in some if silent_columns(vehicle, telemetry, one) == silent]
+        [one for one in some if gains_of_silent(vehicle, telemetry, one) == silent]
         for some in (dark, rivals)
     )
     if not (dark or rivals):
@@ -287,10 +294,11 @@ def better_rivals(
     return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
 
 
-def silent_columns(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> set[int]:
-    """Return the columns that are left out under a change, as their panels never show a signal."""
-    silent = np.flatnonzero(silent_inputs(assess(*change.applied(vehicle, telemetry))))
-    return {change.columns[k] if change.columns else int(k) for k in silent}
+def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> list[float]:
+    """Return the gains, in order, of the inputs that are left out under a change, as their panels never show a signal."""
+    return sorted(
+        vehicle.input_gains[silent_inputs(assess(*change.applied(vehicle, telemetry)))].tolist()
+    )
 
 
 def silent_inputs(assessment: Assessment) -> np.ndarray:
@@ -320,15 +328,17 @@ def _best_of_classes(
     ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > trials.least]
 
     named: list[Named] = []
-    best, at_s = -np.inf, np.nan
+    best, at_s, cost = -np.inf, np.nan, np.nan
     for k in ranked[:MOST_RUNS]:
         if gains[k] < best - CLEARLY:
             break
         result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
         if result is not None:
+            if not named:
+                cost = float(result["cost"].values[0, 0])
             best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
             named += with_equivalents(observed, classes[k], result, others)
-    return Better(tuple(named), best, at_s) if named else None
+    return Better(tuple(named), best, at_s, cost=cost) if named else None
 
 
 def with_equivalents(

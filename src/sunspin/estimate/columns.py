@@ -274,7 +274,10 @@ def _with_rivals(
     better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
-    if better.gain <= CLEARLY:  # too little to accuse the file, but the pass is not decided with it
+    # Too little to accuse the file, but the pass is not decided with it. Evidence alone is too little too: of a slow body that was
+    # searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
+    falls = float(result["cost"].values[place, 0]) - better.cost
+    if better.gain <= CLEARLY or falls < CLEARLY:
         omega, sigma = (
             np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
             for name in ("omega", "sigma")
