@@ -311,3 +311,16 @@ def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_f
     assert "6000 motions may fit 5 samples; 2000 of them are followed" in said
     smaller = float(said.split("max_rate_rad_s=")[1].split()[0])
     assert 6000 * (smaller / reference.given) ** 3 == pytest.approx(2000, rel=0.1)
+
+
+def test_a_long_search_for_starts_is_announced_with_a_rate_that_shortens_it_to_a_minute(caplog):
+    """Cells are as many as the ball of rates holds, which grows with its cube."""
+    model, reference = placed(lander_model())
+    Shooting(model, reference, POSTERIOR, 1).announce_starts()
+    assert not caplog.records
+    fine = replace(reference, edge=reference.limit / 150)
+    Shooting(model, fine, POSTERIOR, 1).announce_starts()
+    (said,) = [record.getMessage() for record in caplog.records]
+    smaller = float(said.split("max_rate_rad_s=")[1].split()[0])
+    minutes = float(said.split("about ")[1].split()[0])
+    assert minutes * (smaller / reference.given) ** 3 == pytest.approx(1.0, rel=0.1)

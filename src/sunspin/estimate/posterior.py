@@ -256,6 +256,7 @@ def search_nominal(
 def search_under(carrier: Shooting) -> Trials:
     """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
     settings = carrier.settings
+    carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
 
     def watch(window: slice, kept: Trials) -> None:

@@ -25,7 +25,7 @@ from sunspin.estimate.lander.fit import (
     fit_first,
     in_pieces,
 )
-from sunspin.estimate.lander.grid import Reference
+from sunspin.estimate.lander.grid import Reference, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
 from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
@@ -38,8 +38,9 @@ MORE = "more trial solutions than the search can follow"
 RUNS_AT_ONCE = 8192
 """Motions of which one sample is looked at together."""
 
-FIT_S = 0.005
-"""s of one core for a motion that is fitted to five samples, with what follows."""
+FIT_S, START_S = 0.005, 1e-5
+"""s of one core for a motion that is fitted to five samples, with what follows, and for a cell of the grid of rates and a direction
+from which starts settle. Measured on Philae."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
@@ -244,6 +245,18 @@ class Shooting:
                 going,
                 samples,
                 took / 60,
+            )
+
+    def announce_starts(self) -> None:
+        """Tell whoever waits before a search for starts that takes long, with what would make it shorter."""
+        reference = self.reference
+        took = START_S * cell_count(reference.limit, reference.edge) * len(reference.suns)
+        if took > LONG_S:
+            smaller = min(reference.given, reference.limit) * (LONG_S / took) ** (1 / 3)
+            logging.getLogger("sunspin").warning(
+                "sunspin: looking for starts takes about %.1f min; with --prior max_rate_rad_s=%.2g about one",
+                took / 60,
+                smaller,
             )
 
     def joined(self, motions: list[Trials]) -> Trials:
