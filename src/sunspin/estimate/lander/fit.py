@@ -219,7 +219,7 @@ class FitProblem:
                 if residual.by_u is not None:
                     jacobian[..., moving:] = residual.by_u[..., own]
                 values.append(residual.value.reshape(count, -1))
-                columns.append(jacobian.reshape(count, -1, jacobian.shape[-1]))
+                columns.append(jacobian.reshape(*values[-1].shape, jacobian.shape[-1]))
         value, jacobian = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
         fine = fine & np.all(np.isfinite(value), axis=1)
         value = np.where(fine[:, None], value, 0.0)
