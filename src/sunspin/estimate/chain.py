@@ -399,18 +399,20 @@ def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) ->
     for start in range(n // 2, n - 1):
         end = start + 1
         momenta = obs.momentum[[start]], obs.momentum[[end]]
-        made = step(inertia, omega[:, [start]], dt[[start]], momenta)
-        free = made.turned[:, 0] @ attitude[:, start]
+        stepped = step(inertia, omega[:, [start]], dt[[start]], momenta)
+        free = stepped.turned[:, 0] @ attitude[:, start]
         attitude[:, end] = rotate_attitude(free, added[:, start, TURN])
-        omega[:, end] = made.omega[:, 0] + added[:, start, RATE]
+        omega[:, end] = stepped.omega[:, 0] + added[:, start, RATE]
     for start in range(n // 2, 0, -1):
-        end = start - 1
+        end = (
+            start - 1
+        )  # also the number of the interval: what is added at its end is taken off before the step back
         momenta = obs.momentum[[start]], obs.momentum[[end]]
         before = omega[:, [start]] - added[:, [end], RATE]
-        made = step(inertia, before, -dt[[end]], momenta)
+        stepped = step(inertia, before, -dt[[end]], momenta)
         free = rotate_attitude(attitude[:, start], -added[:, end, TURN])
-        attitude[:, end] = made.turned[:, 0] @ free
-        omega[:, end] = made.omega[:, 0]
+        attitude[:, end] = stepped.turned[:, 0] @ free
+        omega[:, end] = stepped.omega[:, 0]
     return Track(attitude, omega, u)
 
 

@@ -101,7 +101,11 @@ def check_columns(
     denied = fits and _samples_deny(result, observed, telemetry)
     others_tried = again is not None and (not fits or denied or _strained(result, observed))
     if again is not None and others_tried:
-        result = _with_other_columns(result, observed, telemetry, again, settings, tests)
+        # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
+        needs_calm = fits and not denied
+        most_noise = result.attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
+        trials = _trials_of(result, most_noise, again, settings, tests)
+        result = _with_other_columns(result, observed, telemetry, trials)
     if again is not None and fits and "columns_doubt" not in result.attrs:
         trials = _trials_of(result, np.inf, again, settings, tests)
         least = 0.0 if doubt is None else doubt.gain
@@ -226,26 +230,16 @@ def _strained(result: xr.Dataset, observed: Observed) -> bool:
 
 
 def _with_other_columns(
-    result: xr.Dataset,
-    observed: Observed,
-    telemetry: xr.Dataset,
-    again: Again,
-    settings: RatesSettings,
-    budget: Budget,
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> xr.Dataset:
     """Return the result with the changes that fit the longest pass that does not fit, or with the sensor that is in its way.
 
     If all passes fit, the longest is tried: a change must then explain the samples far better, each by itself, or with far weaker
     torques.
     """
-    vehicle, attrs = observed.vehicle, result.attrs
     unfitted = np.flatnonzero(~result["fits"].values)
     part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
-    # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
-    needs_calm = not len(unfitted) and not samples_fit_other_columns(vehicle, part)
-    most_noise = attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
-    trials = _trials_of(result, most_noise, again, settings, budget)
-    here = what_was_observed(vehicle, part, attrs)
+    here = what_was_observed(observed.vehicle, part, result.attrs)
     better = what_fits_better(here, part, trials)
     if better is None:
         return result
