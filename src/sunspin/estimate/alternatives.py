@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.chain import RATE, Fit, Whitening, defects, fit
+from sunspin.estimate.chain import RATE, Fit, defects, fit
 from sunspin.estimate.evidence import likeliest
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
@@ -110,8 +110,7 @@ def steps_of_the_rate(
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
         motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
-        value, *_ = defects(best.model, motion)
-        square = (value[0] ** 2).sum(axis=1)
+        square = (defects(best.model, motion).value[0] ** 2).sum(axis=1)
         square[[interval for interval, _ in steps]] = 0.0
         worst = int(np.argmax(square))
         # A motion that wants hardly any torque gains what it leaves the equations by in one interval. One that wants more gains
@@ -142,9 +141,8 @@ def _size_of_step(model: Model, motion: Track, interval: int) -> float:
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     wide = replace(model, noise=noise)
     free = fit(wide, motion, 6).motions
-    value, *_ = defects(wide, free)
-    white = Whitening.of(noise, np.diff(model.obs.t_s)).matrix[interval]
-    change = np.linalg.solve(white, value[0, interval])[RATE]
+    defect = defects(wide, free)
+    change = defect.unwhitened(defect.value)[0, interval, RATE]
     return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
 
 
