@@ -161,10 +161,10 @@ class PanelPowers(Term):
             yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
             return
 
-        # The error t of a sample's time, in sigmas, is no unknown of the fit: it is at its best for any motion. With b = d value / dt
+        # The error t of a sample's time, in sigmas, is no unknown of a fit: it is at its best for any motion. With b = d value / dt
         # and the weights w of the sample's readings the best t makes sum(w b value) + t zero. If motion or unknowns change the
-        # readings by dv, it thus changes by dt = -sum(w b dv) / (1 + sum(w b b)), and the value by dv + b dt (second derivatives are
-        # left out: Kaufman).
+        # readings by dv, it changes by dt = -sum(w b dv) / (1 + sum(w b b)), and the value by dv + b dt. Second derivatives are
+        # left out (Kaufman).
         by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)  # b (K, n, p)
         weighted = law(value)[1] * by_time
         size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
