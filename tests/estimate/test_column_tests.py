@@ -113,7 +113,7 @@ def test_axes_have_48_assignments_and_a_quaternion_four_the_stated_one_first():
     np.testing.assert_array_equal(read[0], stated)
     stated, read = readings(QUATERNION)
     x, y, z, w = stated.T
-    expected = ([x, y, z, w], [-x, -y, -z, w], [w, x, y, z], [-w, -x, -y, z])
+    expected = ([x, y, z, w], [-x, -y, -z, w], [y, z, w, x], [-y, -z, -w, x])
     np.testing.assert_array_equal(read, [np.array(one).T for one in expected])
 
 
@@ -140,7 +140,7 @@ def test_axes_have_48_assignments_and_a_quaternion_four_the_stated_one_first():
         ),
         (
             QUATERNION,
-            lambda read: read[:, [1, 2, 3, 0]],
+            lambda read: read[:, [3, 0, 1, 2]],  # its columns are w, x, y, z
             "the quaternion with its scalar at the other end",
             'set scalar = "first" under [attitude]',
         ),

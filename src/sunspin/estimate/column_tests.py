@@ -475,17 +475,19 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
 def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
     """Yield ways to read quaternions: in words, the matrix (4, 4) by which they are multiplied, and keys of the vehicle file.
 
-    The quaternions are those of the vehicle file: scalar last, B_from_N.
+    The quaternions are those that the vehicle file gives: scalar last, B_from_N. The way of the file comes first.
     """
-    scalar_first = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
-    inverse = np.diag([-1.0, -1.0, -1.0, 1.0])
-    yield "read as the file states", np.eye(4), sensor.keys_for_convention(False, False)
-    other_direction = "read the other way round (B_to_N for N_to_B)"
-    yield other_direction, inverse, sensor.keys_for_convention(False, True)
-    other_end = "with its scalar at the other end"
-    yield other_end, scalar_first, sensor.keys_for_convention(True, False)
-    both = f"{other_end} and read the other way round"
-    yield both, inverse @ scalar_first, sensor.keys_for_convention(True, True)
+    other_end, round_about = "with its scalar at the other end", "read the other way round"
+    stated = sensor.interpret(np.eye(4)).values  # row k is what column k alone gives
+    for what, other_scalar, other_direction in (
+        ("read as the file states", False, False),
+        (round_about, False, True),
+        (other_end, True, False),
+        (f"{other_end} and {round_about}", True, True),
+    ):
+        keys = sensor.keys_for_convention(other_scalar, other_direction)
+        read = replace(sensor, **keys).interpret(np.eye(4)).values
+        yield what, read.T @ stated, keys
 
 
 def _other_axes(

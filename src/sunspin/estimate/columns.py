@@ -115,7 +115,7 @@ def check_columns(
         least = 0.0 if doubt is None else doubt.gain
         result = _with_rivals(result, observed, telemetry, costs, trials, least)
     if denied and "columns_doubt" not in result.attrs:
-        how = "" if again is not None else ": estimate with column tests, which name them"
+        how = "" if again is not None else ": estimate with `column_tests=True`, which tries these"
         result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
     # both kinds of tests share a budget
     if others_tried or tests.cut:
