@@ -190,7 +190,7 @@ def what_fits_better(
     """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
 
     If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
-    such sensor are tried, then exchanged columns. A sensor is named itself only if its readings contradict the motion of the others.
+    such sensor are tried, then exchanged columns. A sensor is named only if its readings contradict the motion of the others.
     If the pass fits without none, columns of panels and wheels are tried.
     """
     first_cause: Better | Culprit | None = None
@@ -572,7 +572,7 @@ def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, estimate: x
     """Return whether the readings of the sensor `name` exclude the motion `estimate` of the others, within the errors of both.
 
     A pass may fit without a right sensor only because the others do not show what the model cannot follow. With a gyro a body that
-    was rotated by hand did not fit, its rate jumped; its panels alone gave the rate to 3 deg/s, and all readings of the gyro agreed.
+    was turned by hand did not fit, as its rate jumped; its panels alone gave the rate to 3 deg/s, and all gyro readings agreed.
     """
     read = telemetry[name].sel(time=estimate["time"].values).values
     squares = _squares(estimate, read, name, vehicle)
