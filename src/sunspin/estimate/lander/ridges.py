@@ -142,8 +142,8 @@ class Chart:
     def stiff_steps(self, shots: Shots, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the steps (K, 5, q) of rate and direction, in the motions' own tangents, per unit of z while y is held."""
         size, steps = 1e-5, []
-        for one in np.eye(self.stiff):
-            shifted = self.motions(y, z + size * one, shots.u)
+        for direction in np.eye(self.stiff):
+            shifted = self.motions(y, z + size * direction, shots.u)
             steps.append(shifted.from_centre(shots)[:, :STATE_SIZE] / size)
         return np.stack(steps, axis=2)
 
