@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
+from sunspin.output.template import write_templates
+from tests.support.schemas import schema, stored_schema
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls, simulated_pass, uneven_times
 from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
 from validation.passes import observe as observe_passes
@@ -144,3 +147,10 @@ def test_an_unmodelled_torque_is_named_and_the_rates_are_right(frame):
     sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
     truth = omega[np.isin(t_s, result["time"].values)]
     assert np.abs((result["omega_B"].values - truth) / sigma).max() < 4.5
+
+
+def test_result_of_rates_has_the_stored_schema(tmp_path):
+    vehicle, telemetry = write_templates(tmp_path)
+    craft = ss.load_vehicle(vehicle)
+    result = ss.rates(craft, ss.read_telemetry(telemetry, craft))
+    assert schema(result) == stored_schema("rates")
