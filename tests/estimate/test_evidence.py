@@ -1,16 +1,26 @@
 """Evidence: sums over sizes are about those of fits under each size, and passes of one file share the strength of torques."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.special import logsumexp
 
+from sunspin.estimate import wheels
+from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import fit
-from sunspin.estimate.evidence import PassFits, ladder, over_shares, share_noise
-from sunspin.estimate.settings import LadderSettings, SearchSettings, SolutionSettings
+from sunspin.estimate.evidence import PassFits, ladder, leading, over_shares, share_noise
+from sunspin.estimate.observe import Pass
+from sunspin.estimate.one_pass import PassFitter, one_pass
+from sunspin.estimate.quick import MOTIONS, quick_evidence
+from sunspin.estimate.settings import RATES, LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
+from sunspin.telemetry.assess import assess
 from tests.estimate.test_chain import problem
+from tests.support.passes import stated_model, tumbling_pass
+from tests.support.simulate import CUBE
 
 LADDER, SEARCH = LadderSettings(), SearchSettings()
 
@@ -138,3 +148,31 @@ def test_a_motion_that_ends_on_its_way_under_the_first_torques_is_followed_down_
     )
     assert first.log_evidence[0] < best - LADDER.hopeless
     assert np.isclose(again, best, atol=0.1)
+
+
+@cache
+def stated():
+    """Return the model of a pass of twenty samples."""
+    return stated_model(CUBE, tumbling_pass(CUBE, 20, 12.0, seed=4)[0])
+
+
+def test_motions_that_are_known_have_the_evidence_of_a_search():
+    model = stated()
+    known = leading(one_pass(model, RATES, Budget.of(1.0)).fits, MOTIONS, RATES.search)
+    searched = quick_evidence(model, RATES, Budget.of(1.0))
+    spared = Budget.of(1.0)
+    assert abs(quick_evidence(model, RATES, spared, known) - searched) < 0.05
+    assert spared.used == 0
+
+
+def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search(monkeypatch):
+    def fail(*_):
+        raise AssertionError("a search")
+
+    monkeypatch.setattr(wheels, "quick_evidence", fail)
+    model, every = stated(), np.arange(20)
+    seen = assess(CUBE, xr.Dataset(coords={"time": model.obs.t_s}))
+    fits = PassFits(model, (), RATES.ladder.rungs, np.zeros(0))
+    compared = [wheels.FittedPass(Pass(every, every), model, fits)]
+    fitter = PassFitter(RATES, Budget.of(1.0), fail)
+    assert wheels.doubted_signs(seen, model.obs, "none", compared, fitter) is None

@@ -12,9 +12,10 @@ from sunspin.base.errors import InputError, SunspinError
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.output.template import write_templates
+from tests.support.passes import judged
 from tests.support.schemas import schema, stored_schema
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls, simulated_pass, uneven_times
-from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
+from validation.passes import FACES, MOMENTS, spin
 from validation.passes import observe as observe_passes
 
 
@@ -23,9 +24,8 @@ def two_passes():
     rng = np.random.default_rng(3)
     runs, data = [], []
     for begin, omega in ((0.0, [0.02, -0.03, 0.04]), (3600.0, [0.021, -0.029, 0.04])):
-        seen, run = simulated_pass(
-            CUBE_WITHOUT_NOISE_STATED, omega, uneven_times(rng, 20, 15.0, 0.2), rng, albedo=0.0
-        )
+        t_s = uneven_times(rng, 20, 15.0, 0.2)
+        seen, run = simulated_pass(CUBE_WITHOUT_NOISE_STATED, omega, t_s, rng, albedo=0.0)
         data.append(seen.assign_coords(time=seen["time"] + begin))
         runs.append(run.assign_coords(time=run["time"] + begin))
     telemetry = xr.concat(data, "time", data_vars="minimal", combine_attrs="override")
@@ -61,24 +61,16 @@ def test_one_pass_of_a_file_can_be_asked_for():
         rates(vehicle, telemetry, pass_id=2)
 
 
-def compared(kind: str, number: int):
-    """Return the result of a simulated pass, and how it compares with the truth."""
-    simulated = make(kind, 0, number)
-    limit = simulated.max_rate_rad_s
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=limit)
-    return result, compare_with_truth(result, simulated)
-
-
 @pytest.mark.parametrize(
     "kind", ["right model", "steady torque", "step of the rate", "slow", "jitter"]
 )
 def test_simulated_passes_are_not_decided_and_wrong(kind):
-    _, row = compared(kind, 0)
+    _, row = judged(kind, 0, 0)
     assert row["listed"] and not (row["decided"] and row["wrong"])
 
 
 def test_a_step_of_the_rate_is_named_and_its_pass_decided():
-    result, row = compared("step of the rate", 9)
+    result, row = judged("step of the rate", 0, 9)
     assert "step of the rate" in str(result["model"].values[0])
     assert row["decided"] and row["pull"] < 3
 

@@ -9,8 +9,8 @@ from sunspin.estimate.chain import fit
 from sunspin.estimate.evidence import over_shares
 from sunspin.estimate.model import Body, Model, Noise, Track
 from sunspin.estimate.observe import observe
-from sunspin.estimate.rates import rates
 from sunspin.telemetry.assess import assess
+from tests.support.passes import estimate, stated_model
 from validation.passes import compare_with_truth, make
 
 
@@ -34,8 +34,8 @@ def test_states_and_unknowns_of_a_fit_keep_positive_variances(simulated):
 
 def test_a_fit_without_a_minimum_is_not_moved_by_other_sigmas_of_its_unknowns():
     simulated = make("few samples", 0, 2)
-    obs = observe(assess(simulated.vehicle, simulated.telemetry)).obs
-    model = Model(obs, Body.of(simulated.vehicle), Noise(1e-4), 0.035)
+    model = stated_model(simulated.vehicle, simulated.telemetry, rate_sigma=0.035)
+    obs = model.obs
     still = np.tile(np.eye(3), (1, len(obs), 1, 1))
     one = fit(model, Track.free(still, np.zeros((1, len(obs), 3))), 20)
     broken = replace(one, u_covariance=one.u_covariance - 2 * np.eye(len(model.unknowns)))
@@ -43,13 +43,10 @@ def test_a_fit_without_a_minimum_is_not_moved_by_other_sigmas_of_its_unknowns():
     np.testing.assert_array_equal(summed.motions.u, one.motions.u)
     np.testing.assert_allclose(summed.motions.omega, one.motions.omega, atol=1e-15)
     counts = {unknown.kind: len(unknown.shares) for unknown in model.unknowns}
-    assert np.isclose(
-        summed.log_evidence[0], one.log_evidence[0] - np.log(np.prod(list(counts.values())))
-    )
+    expected = one.log_evidence[0] - np.log(np.prod(list(counts.values())))
+    assert np.isclose(summed.log_evidence[0], expected)
 
 
 def test_a_file_with_such_times_is_right(simulated):
-    limit = simulated.max_rate_rad_s
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=limit)
-    row = compare_with_truth(result, simulated)
+    row = compare_with_truth(estimate(simulated), simulated)
     assert row["decided"] and row["listed"] and not row["wrong"]

@@ -29,9 +29,14 @@ def tumbling_pass(
     spread: float = 0.2,
     **light: Any,
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return telemetry and truth of a body that begins with a rate (3), rad/s, read at uneven times without stray light."""
+    """Return telemetry and truth of a body that begins with a rate (3), rad/s, read without stray light.
+
+    Intervals are `interval_s`, more or less by the share `spread`.
+    """
     rng = np.random.default_rng(seed)
-    t_s = uneven_times(rng, samples, interval_s, spread)
+    t_s = interval_s * np.arange(samples)
+    if spread:
+        t_s = uneven_times(rng, samples, interval_s, spread)
     return simulated_pass(vehicle, omega_B, t_s, rng, **{"albedo": 0.0} | light)
 
 
@@ -65,6 +70,6 @@ def printed_rates(result: xr.Dataset, k: int = 0) -> tuple[np.ndarray, np.ndarra
     return omega, sigma
 
 
-def slope(function: Callable[[Any], Any], step: np.ndarray, size: float) -> Any:
+def slope_of(function: Callable[[Any], Any], step: np.ndarray, size: float) -> Any:
     """Return the derivative of a function of a change, along a step of this size, by the difference of both sides."""
     return (function(step) - function(-step)) / (2 * size)

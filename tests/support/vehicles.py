@@ -31,6 +31,11 @@ def unit_vector(rng: np.random.Generator) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
+def units(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) with length one."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
 def small_cube(noise: float = 0.02) -> Vehicle:
     """Return a cube with known inertia and a panel on each face; `noise` of the currents, relative to full Sun."""
     return Vehicle(
