@@ -22,7 +22,7 @@ from sunspin.estimate.equivalence import (
 from sunspin.vehicle import Channel, Panel, Vehicle, Wheel
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
-from tests.support.vehicles import CUBE_NORMALS
+from tests.support.vehicles import CUBE_NORMALS, units
 
 NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
 X, Y, Z = (np.diag(1.0 - 2 * np.eye(3)[k]) for k in range(3))
@@ -32,8 +32,8 @@ X, Y, Z = (np.diag(1.0 - 2 * np.eye(3)[k]) for k in range(3))
 def body(normals=CUBE_NORMALS, names=NAMES, gains=None, **more) -> Vehicle:
     """Return panels in W on a body whose three moments differ by far more than their sigmas."""
     size = np.ones(len(names)) if gains is None else np.array(gains, dtype=float)
-    units = np.array(normals) / np.linalg.norm(normals, axis=1, keepdims=True)
-    panels = [Panel(*each) for each in zip(names, units, size.tolist(), strict=True)]
+    every = zip(names, units(np.array(normals)), size.tolist(), strict=True)
+    panels = [Panel(*each) for each in every]
     stated = {"inertia_kg_m2": np.diag([0.04, 0.06, 0.08]), "gain_unit": "W", "panels": panels}
     return Vehicle("body", **stated | more)
 
@@ -166,9 +166,6 @@ def test_a_solution_whose_symmetric_one_is_not_listed_is_not_unique():
     ring = body(CUBE_NORMALS[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y"))
     omega, sigma = np.radians([1.0, -2.0, 3.0]), np.full((2, 3), 1e-3)
     sun = np.array([[0.6, 0.7, 0.4], [-0.7, 0.6, 0.4], [-0.6, -0.7, 0.4], [0.7, -0.6, -0.4]])
-
-    def units(suns):
-        return suns / np.linalg.norm(suns, axis=1)[:, None]
 
     observed = lit(ring, sun_B=units(sun))
     mirrored = rate_under(Z, omega)

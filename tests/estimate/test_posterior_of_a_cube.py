@@ -17,19 +17,17 @@ from sunspin.estimate.posterior import posterior
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
 from tests.support.any_vehicle import judge_posterior, posterior_case
-from tests.support.landers import FEW, sigmas_off
-from tests.support.vehicles import LOWER_CASE_FACES, small_cube
+from tests.support.landers import DIM_OMEGA, DIM_SUN, FEW, dim_telemetry, sigmas_off
+from tests.support.vehicles import LOWER_CASE_FACES, small_cube, unit_vector
 from validation.calibrate import NEAR_SIGMAS
 
-RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)
 PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0, "inertia": 0.0}
 
 
 def samples(craft: Vehicle, count: int = 15, interval_s: float = 20.0) -> xr.Dataset:
-    """Return telemetry of a body that turns at `RATE`, in a third of the Sun's light, at uneven times."""
+    """Return telemetry of the usual motion at uneven times."""
     off = np.random.default_rng(0).uniform(-3, 3, count - 1)
-    t_s = interval_s * np.arange(count) + np.append(0.0, off)
-    return ss.twin(craft, {"omega_B": RATE, "sun_B": SUN, "t_s": t_s, "scale": 0.37}, seed=1)
+    return dim_telemetry(craft, interval_s * np.arange(count) + np.append(0.0, off))
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +50,7 @@ def test_the_posterior_holds_the_truth_whatever_single_readings_say(telemetry):
     assert np.argwhere(~window.obs.terms[0].used).tolist() == [[3, 2], [4, 1]]
     assert any("a reading beyond full Sun" in remark for remark in window.remarks)
     tree = posterior(craft, wild, PRIORS, workers=1, settings=FEW)
-    assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, RATE)[0] < 4
+    assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, DIM_OMEGA)[0] < 4
     assert np.exp(tree["posterior"]["log_scale"].values).mean() == pytest.approx(0.37, rel=0.05)
 
 
@@ -67,7 +65,7 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
     craft = replace(craft, panels=craft.panels[:4])
     tree = posterior(craft, samples(craft, 20, 15.0), PRIORS, workers=1, settings=FEW)
     probability = tree["solutions"]["probability"].values
-    for rate in (RATE, RATE * [-1, -1, 1]):
+    for rate in (DIM_OMEGA, DIM_OMEGA * [-1, -1, 1]):
         near = sigmas_off(tree, rate) < NEAR_SIGMAS
         assert probability[near].sum() == pytest.approx(0.5, abs=0.1)
     assert tree.attrs["verdict_word"] == "aliases"
@@ -76,7 +74,7 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
 def test_the_advice_to_raise_the_rate_limit_gives_a_decided_pass(telemetry):
     """A body near a sphere, whose largest rate is given 3 % too small: if the advice is followed, the motion is decided."""
     ball = replace(small_cube(), inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
-    size = float(np.linalg.norm(RATE))
+    size = float(np.linalg.norm(DIM_OMEGA))
     short, long = (
         posterior(ball, samples(ball), PRIORS | {"max_rate_rad_s": most}, workers=1, settings=FEW)
         for most in (size / 1.03, 1.5 * size)
@@ -120,7 +118,7 @@ def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(telemetry):
     end_s = float(begins[1]) - 1.0
     lit = posterior(small_cube(), shadow, PRIORS, end_s=end_s, workers=1, settings=FEW)
     assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"]
-    assert sigmas_off(lit, RATE).min() < 4
+    assert sigmas_off(lit, DIM_OMEGA).min() < 4
 
 
 @pytest.mark.long
@@ -146,8 +144,7 @@ def random_case(number: int) -> tuple[Vehicle, xr.Dataset, dict[str, float]]:
     relative, products = rng.uniform(0.0, 2.0), rng.choice([0.0, rng.uniform(0.0, 1.0)])
     sigma = np.diag(relative * np.diag(tensor))
     sigma += relative * products * np.diag(tensor).min() * (1 - np.eye(3))
-    axis = rng.standard_normal(3)
-    axis /= np.linalg.norm(axis)
+    axis = unit_vector(rng)
     small = 10 ** rng.uniform(-4, -1) / (axis @ np.linalg.solve(tensor, axis))
     wheel = Wheel("w", axis, small, 10 ** rng.uniform(0, 2.5), Friction(1e-6, 1e-8))
     vehicle = Vehicle(
@@ -162,7 +159,7 @@ def random_case(number: int) -> tuple[Vehicle, xr.Dataset, dict[str, float]]:
     step_s = min(rng.choice([1.0, 10.0, 120.0]), 60.0 / max(deg_s, 0.5))
     truth = {
         "omega_B": np.radians(deg_s) * np.array([0.36, -0.48, 0.8]),
-        "sun_B": SUN,
+        "sun_B": DIM_SUN,
         "t_s": step_s * np.arange(int(rng.choice([5, 12, 20]))),
     }
     priors = {"max_rate_rad_s": float(max(1.2 * np.radians(deg_s), 0.3 / step_s / 2))}
