@@ -1,27 +1,40 @@
-"""The chain: its slopes are those of differences, its steps those of a dense solve, its evidence that of an integral."""
+"""The chain: slopes, steps and evidence against differences, dense solves and integrals; also of samples close together."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.carry import step
+from sunspin.estimate.carry import RATE, step
 from sunspin.estimate.chain import (
     LEAST_TURN,
     Whitening,
+    bent_step,
     carried,
+    defects,
     equations,
     fit,
     shot,
     variance_of,
 )
+from sunspin.estimate.evidence import ladder, over_shares
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
+from sunspin.estimate.observe import observe
+from sunspin.estimate.settings import RATES
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.term import facing
 from sunspin.estimate.terms.torques import ConstantTorque
 from sunspin.solve.rotations import rotate_attitude
-from tests.support.passes import slope_of
+from sunspin.telemetry.assess import assess
+from tests.support.orbit_cases import sparse_pass
+from tests.support.passes import estimate, slope_of, stated_model, tumbling_pass
+from tests.support.simulate import CUBE
 from tests.support.vehicles import units
+from validation.passes import compare_with_truth, make
 
 INERTIA = np.diag([1.25, 1.0, 0.75])
 ERRORS = np.array([np.diag([0.02, 0.0, 0.0]), np.diag([0.0, 0.02, 0.0])])
@@ -188,3 +201,80 @@ def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
     by_start = even.by_start - nearly.by_start
     assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2)
     assert np.allclose(by_start[..., 3:, :], 0.0, atol=1e-6)
+
+
+WEAK = 5e-6
+"""rad/s^1.5; the weakest torques of `rates`, under which steps that are straight creep."""
+
+
+def test_a_step_along_the_equations_leaves_them_by_what_linear_theory_says():
+    """A body without an inertia, which makes two thirds of a revolution from sample to sample."""
+    omega, vehicle = np.array([-0.06, 0.05, 0.1]), replace(CUBE, inertia_kg_m2=None, facts={})
+    data, _ = tumbling_pass(CUBE, 12, 33.0, seed=3, omega_B=omega, spread=0.02)
+    model = stated_model(vehicle, data, WEAK, 0.14)
+    motion = carried(model, 6, facing(np.array([[0.6, 0.0, 0.8]])), omega[None])
+    motion = replace(motion, u=np.zeros((1, len(model.unknowns))))
+    rng = np.random.default_rng(5)
+    nodes = 0.05 * rng.normal(size=(1, len(model.obs), 6))
+    nodes[..., RATE] *= 0.01
+    u = 0.3 * rng.normal(size=motion.u.shape)
+    value, by_first, by_second, by_u = defects(model, motion)
+    predicted = value + np.einsum("knij,knj->kni", by_first, nodes[:, :-1])
+    predicted += np.einsum("knij,knj->kni", by_second, nodes[:, 1:])
+    predicted += np.einsum("knij,kj->kni", by_u, u)
+    after, *_ = defects(model, bent_step(model, motion, nodes, u))
+    # in whitened units of weak torques, thousands of sigmas: to a millionth of them
+    np.testing.assert_allclose(after, predicted, atol=1e-6 * np.abs(predicted).max())
+
+
+def test_the_true_motion_of_a_body_without_an_inertia_costs_little_under_weak_torques():
+    """A body at 7 deg/s, samples 34 s apart: by straight steps alone its cost is 140, more than that of its slower alias."""
+    vehicle, telemetry, truth = sparse_pass(11, 9)
+    stated = stated_model(vehicle, telemetry, WEAK, 0.14)
+    obs = stated.obs.of_pass(np.arange(len(stated.obs)))
+    at = truth.sel(time=obs.t_s)
+    # attitudes in axes with z to the Sun
+    sun_N = at["sun_N"].values[0]
+    attitude = Rotation.from_quat(at["B_from_N"].values).as_matrix() @ facing(sun_N)
+    begin = Track(attitude[None], at["omega_B"].values[None], np.zeros((1, 0)))
+    fits = ladder(replace(stated, obs=obs), begin, RATES.ladder, RATES.search, RATES.search.noise)
+    cost = {one.model.noise.acceleration: float(one.motions.cost.min()) for one in fits}
+    assert cost[WEAK] < obs.cost_limit / 4, cost
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """Return a pass with a gyro whose time tags are off; some stand a millisecond apart."""
+    return make("time tags", 7, 0)
+
+
+def test_states_and_unknowns_of_a_fit_keep_positive_variances(simulated):
+    seen = observe(assess(simulated.vehicle, simulated.telemetry))
+    obs = seen.obs.take(seen.usable)
+    assert np.diff(obs.t_s).min() < 0.01
+    model = Model(obs, Body.of(simulated.vehicle), Noise(5e-6), 0.075)
+    near = np.searchsorted(simulated.telemetry["time"].values, obs.t_s)
+    still = np.tile(np.eye(3), (1, len(obs), 1, 1))
+    one = fit(model, Track.free(still, simulated.omega[None, near]), 30)
+    assert np.linalg.eigvalsh(one.u_covariance).min() > 0
+    assert np.linalg.eigvalsh(one.motions.covariance).min() > 0
+
+
+def test_a_fit_without_a_minimum_is_not_moved_by_other_sigmas_of_its_unknowns():
+    simulated = make("few samples", 0, 2)
+    model = stated_model(simulated.vehicle, simulated.telemetry, rate_sigma=0.035)
+    obs = model.obs
+    still = np.tile(np.eye(3), (1, len(obs), 1, 1))
+    one = fit(model, Track.free(still, np.zeros((1, len(obs), 3))), 20)
+    broken = replace(one, u_covariance=one.u_covariance - 2 * np.eye(len(model.unknowns)))
+    summed = over_shares(broken, 3.0)
+    np.testing.assert_array_equal(summed.motions.u, one.motions.u)
+    np.testing.assert_allclose(summed.motions.omega, one.motions.omega, atol=1e-15)
+    counts = {unknown.kind: len(unknown.shares) for unknown in model.unknowns}
+    expected = one.log_evidence[0] - np.log(np.prod(list(counts.values())))
+    assert np.isclose(summed.log_evidence[0], expected)
+
+
+def test_a_file_with_such_times_is_right(simulated):
+    row = compare_with_truth(estimate(simulated), simulated)
+    assert row["decided"] and row["listed"] and not row["wrong"]

@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from sunspin.base.errors import InputError
 from sunspin.cases import load_case
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SPOILT
@@ -201,9 +200,3 @@ def test_given_readings_agree_with_the_motion_that_they_describe():
         right = given | {"value": values[given["kind"]]}
         right |= {"angle_rad": np.pi / 2} if kind is GivenAngle else {}
         assert np.abs(only(kind.of(right, 2, 7), seen, np.zeros((1, 0))).value).max() < 1e-12
-
-
-@pytest.mark.parametrize("sigma", [0.0, -1.0, np.inf])
-def test_a_given_reading_needs_a_positive_sigma(sigma):
-    with pytest.raises(InputError, match="positive sigma"):
-        GivenRate.of(GIVEN[1][1] | {"sigma": sigma}, 2, 7)

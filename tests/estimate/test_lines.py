@@ -83,7 +83,6 @@ def test_one_line_reaches_the_smallest_sum_of_distances(guess, reached):
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
 )
 def test_two_lines_through_few_points_are_the_best_of_all_assignments(seed):
-    """Brute force: every way to share eight points between two lines."""
     points = np.random.default_rng(seed).uniform(-1, 1, (8, 3))
 
     def cost(mine):

@@ -46,7 +46,6 @@ def test_emd_is_the_cheapest_transport(seed, reached):
 
 @pytest.mark.evidence("emd", "verified", "the paper's eq. 13 on a fine grid")
 def test_emd_is_half_the_area_between_the_distributions():
-    """Paper, eq. 13, on a fine grid of z."""
     rng = np.random.default_rng(9)
     a, b = rng.uniform(-1, 0.5, 15), rng.uniform(-0.3, 1, 200)
     edges = np.linspace(-1, 1, 200_001)

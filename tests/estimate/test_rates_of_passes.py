@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
+from sunspin.cli.rates import rates as command
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.output.template import write_templates
@@ -52,9 +54,15 @@ def test_a_bar_of_passes_is_shown_if_progress_is_asked_for(capsys):
     assert shown[0] == "0" and shown[-1] in "12"
 
 
-def test_one_pass_of_a_file_can_be_asked_for():
+def test_one_pass_a_strength_of_torques_and_settings_can_be_asked_for():
     vehicle, telemetry, _ = two_passes()
-    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=1)
+    windows: list[slice] = []
+    watch = replace(RATES.search, watch=lambda window, motions: windows.append(window))
+    asked = {"pass_id": 1, "acceleration_noise": 2e-4, "settings": replace(RATES, search=watch)}
+    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, **asked)
+    assert windows[-1] == slice(0, 20)
+    assert result.attrs["acceleration_noise"] == 2e-4
+    assert result.attrs["acceleration_noise_from"] == "given"
     assert result["pass_id"].values.tolist() == [1] and result["time"].values.min() >= 3600
     assert (result["why"].values[:20] == "dropped: in another pass than the one asked for").all()
     with pytest.raises(InputError, match="there is no such pass"):
@@ -75,13 +83,6 @@ def test_a_step_of_the_rate_is_named_and_its_pass_decided():
     assert row["decided"] and row["pull"] < 3
 
 
-def test_a_stated_strength_of_torques_is_used():
-    vehicle, telemetry, _ = two_passes()
-    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, acceleration_noise=2e-4, pass_id=0)
-    assert result.attrs["acceleration_noise"] == 2e-4
-    assert result.attrs["acceleration_noise_from"] == "given"
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -92,7 +93,10 @@ def test_a_stated_strength_of_torques_is_used():
         ),
         ({"source": "sun_sensor"}, "no Sun from sun_sensor"),
         ({"source": "stars"}, "no Sun from stars"),
-        ({"effort": 0}, "effort must be a positive number"),
+        *(
+            ({"effort": bad}, "effort must be a positive number")
+            for bad in (0, -1, np.nan, True, "ten", None)
+        ),
         ({"gap_s": 1e-3}, "no pass has three samples"),
     ],
 )
@@ -114,14 +118,6 @@ def test_telemetry_without_rates_is_refused(change, words):
     vehicle, telemetry, _ = two_passes()
     with pytest.raises(SunspinError, match=words):
         rates(vehicle, change(telemetry))
-
-
-def test_settings_are_taken():
-    vehicle, telemetry, _ = two_passes()
-    windows = []
-    watch = replace(RATES.search, watch=lambda window, motions: windows.append(window))
-    rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=0, settings=replace(RATES, search=watch))
-    assert windows[-1] == slice(0, 20)
 
 
 @pytest.mark.parametrize("frame", ["body axes", "axes fixed in space"])
@@ -146,3 +142,10 @@ def test_result_of_rates_has_the_stored_schema(tmp_path):
     craft = ss.load_vehicle(vehicle)
     result = ss.rates(craft, ss.read_telemetry(telemetry, craft))
     assert schema(result) == stored_schema("rates")
+
+
+@pytest.mark.parametrize("given", ["0", "nan", "-3"])
+def test_the_option_effort_refuses_what_is_not_positive(given):
+    done = CliRunner().invoke(command, ["vehicle", "telemetry", "--effort", given])
+    assert isinstance(done.exception, ss.InputError)
+    assert "--effort must be a positive number or inf" in str(done.exception)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.budget import Budget
+from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.chain import Chain, carried, fit
 from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
@@ -79,6 +79,15 @@ def test_more_turns_than_can_be_tried_are_refused():
     fast, s = replace(watched(2.0)[0], rate_sigma=100.0), SEARCH
     with pytest.raises(InputError, match="too many whole turns"):
         search(Chain(fast, s), pair_starts(fast, s), s, Budget(np.inf), pairs_to_try(fast, s))
+
+
+def test_a_budget_that_is_spent_says_that_something_was_left_out():
+    budget = Budget.of(2.0)
+    budget.spend(USUAL)
+    assert not budget.exhausted() and not budget.cut
+    budget.spend(USUAL)
+    assert budget.exhausted() and budget.cut
+    assert Budget.of(np.inf).most == np.inf
 
 
 def test_windows_grow_to_all_samples():
