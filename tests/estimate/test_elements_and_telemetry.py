@@ -20,6 +20,7 @@ from sunspin.telemetry.assess import assess
 from sunspin.vehicle.parts import Orbit
 from tests.support.orbit_cases import check_case
 from tests.support.orbits import with_node_turned
+from tests.support.vehicles import units
 from validation.spinners import AS_MOUNTED, Case, make
 
 FEW = replace(ORBIT, copies=10, hours=(1,))
@@ -82,9 +83,8 @@ def test_a_magnetometer_of_the_opposite_sign_is_named(case, judged):
     # what the words say to do makes the elements fit without a remark
     part = vehicle.sensors.magnetometer
     sensors = replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
-    used, _, words = judged_orbit(
-        orbit(case), replace(vehicle, sensors=sensors), data, settings=FEW
-    )
+    mended = replace(vehicle, sensors=sensors)
+    used, _, words = judged_orbit(orbit(case), mended, data, settings=FEW)
     assert used is not None and "SIGN" not in words
 
 
@@ -164,9 +164,8 @@ THREE, LARGE_ZERO = ("-X", "-Y", "-Z"), (3.0, -3.0, 2.0)
 @cache
 def spinner(folder, turned=AS_MOUNTED, number=4):
     """A whole orbit, one sample in 10 s, of a body that rotates at 2 deg/s: vehicle, telemetry, right and wrong orbit, truth."""
-    case = Case(
-        5, number, -2.0, 1, 1.0, THREE, turned, LARGE_ZERO, False, 1.3, True, 0.25, 10.0, 560
-    )
+    rest = (LARGE_ZERO, False, 1.3, True, 0.25, 10.0, 560)
+    case = Case(5, number, -2.0, 1, 1.0, THREE, turned, *rest)
     where = folder / f"{turned}-{number}"
     truth = make(case, where)
     vehicle = ss.load_vehicle(where / "vehicle.toml")
@@ -186,8 +185,7 @@ def error_deg(orbit, assessment, truth):
     column = reading + assessment.vehicle.sensors.magnetometer.zero
     true = np.linalg.solve(np.array(truth["matrix"]), (column - np.array(truth["zero_nT"])).T).T
     ours = along_orbit(orbit, assessment).field(reading)
-    cosine = (true * ours).sum(axis=1)
-    cosine /= np.linalg.norm(true, axis=1) * np.linalg.norm(ours, axis=1)
+    cosine = (units(true) * units(ours)).sum(axis=1)
     return np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))
 
 
@@ -233,8 +231,8 @@ def test_elements_that_the_angle_to_the_sun_contradicts_do_not_fit(folder, monke
     readings = read(assessment, ORBIT.samples)
     rng, seen = np.random.default_rng(0), np.flatnonzero(readings.has_angle)
     for count, verdict in ((len(seen), Verdict.UNDECIDED), (FEWEST - 1, Verdict.FITS)):
-        sun, side = np.full_like(readings.sun, np.nan), rng.normal(size=(count, 3))
-        sun[seen[:count]] = side / np.linalg.norm(side, axis=1, keepdims=True)
+        sun = np.full_like(readings.sun, np.nan)
+        sun[seen[:count]] = units(rng.normal(size=(count, 3)))
         scrambled = readings._replace(sun=sun)
         monkeypatch.setattr(orbit_check, "read", lambda *_, scrambled=scrambled: scrambled)
         check = check_orbit(right, assessment.vehicle, assessment, settings=FEW)

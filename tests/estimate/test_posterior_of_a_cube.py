@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,6 +31,10 @@ def samples(craft: Vehicle, count: int = 15, interval_s: float = 20.0) -> xr.Dat
     return dim_telemetry(craft, interval_s * np.arange(count) + np.append(0.0, off))
 
 
+few = partial(posterior, workers=1, settings=FEW)
+"""The posterior with few draws."""
+
+
 @pytest.fixture(scope="module")
 def telemetry() -> xr.Dataset:
     """Return telemetry of the cube."""
@@ -49,7 +54,7 @@ def test_the_posterior_holds_the_truth_whatever_single_readings_say(telemetry):
     assert len(window.obs) == 14
     assert np.argwhere(~window.obs.terms[0].used).tolist() == [[3, 2], [4, 1]]
     assert any("a reading beyond full Sun" in remark for remark in window.remarks)
-    tree = posterior(craft, wild, PRIORS, workers=1, settings=FEW)
+    tree = few(craft, wild, PRIORS)
     assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, DIM_OMEGA)[0] < 4
     assert np.exp(tree["posterior"]["log_scale"].values).mean() == pytest.approx(0.37, rel=0.05)
 
@@ -63,7 +68,7 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
     """A mirror changes the direction to the Sun, and the rate as a rotation by half a turn about z does."""
     craft = small_cube()
     craft = replace(craft, panels=craft.panels[:4])
-    tree = posterior(craft, samples(craft, 20, 15.0), PRIORS, workers=1, settings=FEW)
+    tree = few(craft, samples(craft, 20, 15.0), PRIORS)
     probability = tree["solutions"]["probability"].values
     for rate in (DIM_OMEGA, DIM_OMEGA * [-1, -1, 1]):
         near = sigmas_off(tree, rate) < NEAR_SIGMAS
@@ -76,7 +81,7 @@ def test_the_advice_to_raise_the_rate_limit_gives_a_decided_pass(telemetry):
     ball = replace(small_cube(), inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
     size = float(np.linalg.norm(DIM_OMEGA))
     short, long = (
-        posterior(ball, samples(ball), PRIORS | {"max_rate_rad_s": most}, workers=1, settings=FEW)
+        few(ball, samples(ball), PRIORS | {"max_rate_rad_s": most})
         for most in (size / 1.03, 1.5 * size)
     )
     advice = "the rates reach the limit of the search; raise max_rate_rad_s"
@@ -96,10 +101,10 @@ def test_two_rounds_of_draws_suffice_if_no_motion_fits(most, word, telemetry):
 @pytest.mark.long
 def test_a_wheel_of_unknown_speed_leaves_the_posterior_undecided(telemetry):
     craft = replace(small_cube(), wheels=(Wheel("fly", [0, 0, 1], 1e-4),))
-    standing = posterior(craft, telemetry, PRIORS, workers=1, settings=FEW)
+    standing = few(craft, telemetry, PRIORS)
     speeds = np.zeros((telemetry.sizes["time"], 1))
     read = telemetry.assign(wheel_speed_rad_s=(("time", "wheel"), speeds))
-    measured = posterior(craft, read, PRIORS, workers=1, settings=FEW)
+    measured = few(craft, read, PRIORS)
     assert "WHEEL SPEED UNKNOWN (fly)" in standing.attrs["verdict"]
     assert not standing["passes"]["decided"].values[0]
     assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]
@@ -110,13 +115,13 @@ def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(telemetry):
     """The advice followed: without the dark samples the truth is found."""
     shadow = telemetry.copy(deep=True)
     shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values
-    tree = posterior(small_cube(), shadow, PRIORS, workers=1, settings=FEW)
+    tree = few(small_cube(), shadow, PRIORS)
     says = tree.attrs["verdict"]
     assert tree.attrs["verdict_word"] in ("not explained", "not sure") and "failed" not in says
     begins = re.search(r"from ([\d.]+) to [\d.]+ s .6 samples.. If this is an eclipse", says)
     assert begins is not None, says
     end_s = float(begins[1]) - 1.0
-    lit = posterior(small_cube(), shadow, PRIORS, end_s=end_s, workers=1, settings=FEW)
+    lit = few(small_cube(), shadow, PRIORS, end_s=end_s)
     assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"]
     assert sigmas_off(lit, DIM_OMEGA).min() < 4
 
