@@ -17,19 +17,13 @@ from sunspin.estimate.observe import HELD, thinned, wheel_models
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
-from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Friction, Wheel
 from tests.support.passes import slope_of, stated_model
 from tests.support.simulate import pulls
-from tests.support.vehicles import LOWER_CASE_FACES
+from tests.support.vehicles import small_cube
 
 WHEEL = Wheel("wheel", [0, 0, 1], 4e-5, 400.0, Friction(3e-8, 2e-10))
-CRAFT = Vehicle(
-    "uneven",
-    inertia_kg_m2=np.diag([0.045, 0.047, 0.011]),
-    wheels=[WHEEL],
-    panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-    telemetry=TelemetryForm(quantity="current_A", noise=0.02),
-)
+CRAFT = replace(small_cube(), inertia_kg_m2=np.diag([0.045, 0.047, 0.011]), wheels=(WHEEL,))
 RATE, SUN, NOISE = np.radians([1.2, -2.5, 3.3]), np.array([0.6, -0.48, 0.64]), 1e-6
 
 

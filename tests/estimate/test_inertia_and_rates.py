@@ -10,20 +10,15 @@ import pytest
 import sunspin as ss
 from sunspin.estimate.model import THINNEST, Body
 from sunspin.estimate.settings import INERTIA
-from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Fact, Vehicle
 from tests.support import any_vehicle
 from tests.support.passes import estimate, printed_rates
-from tests.support.vehicles import LOWER_CASE_FACES
+from tests.support.vehicles import small_cube
 from validation import passes
 
 TRUE = np.diag([0.0020, 0.0024, 0.0017])
 TOLD = np.diag([0.0020, 0.0023, 0.0018])
-CUBE = Vehicle(
-    "cube",
-    inertia_kg_m2=TRUE,
-    panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-    telemetry=TelemetryForm(quantity="current_A", noise=0.01),
-)
+CUBE = replace(small_cube(0.01), inertia_kg_m2=TRUE)
 
 
 def told(sigma: float | None) -> Vehicle:

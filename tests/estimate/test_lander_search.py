@@ -250,14 +250,9 @@ def test_motions_of_one_ridge_or_box_are_joined_with_all_their_starts():
 
 def test_the_search_lists_the_true_motion():
     """With its rate within 4.5 sigma, as the best; an angular speed seen otherwise does not change that."""
-    speed = float(np.linalg.norm(OMEGA))
-    result = search_nominal(
-        noisy(),
-        lander_telemetry(60.0 * np.arange(12), NOISE),
-        {"max_rate_rad_s": 0.15},
-        observations=[{"kind": "rate", "t_s": 30.0, "value": speed, "sigma": 0.01}],
-        workers=1,
-    )
+    telemetry, priors = lander_telemetry(60.0 * np.arange(12), NOISE), {"max_rate_rad_s": 0.15}
+    speed = {"kind": "rate", "t_s": 30.0, "value": np.linalg.norm(OMEGA), "sigma": 0.01}
+    result = search_nominal(noisy(), telemetry, priors, observations=[speed], workers=1)
     fit = result.fit
     off = fit.motions.omega[0] - true_motion(result.carrier.model.after_s)[0]
     covariance = np.linalg.inv(fit.curvature[0])[:3, :3]

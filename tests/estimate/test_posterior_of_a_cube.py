@@ -16,10 +16,10 @@ from sunspin.base.errors import SunspinError
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import posterior
 from sunspin.telemetry.assess import assess
-from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Fact, Friction, Vehicle, Wheel
 from tests.support.any_vehicle import judge_posterior, posterior_case
 from tests.support.landers import DIM_OMEGA, DIM_SUN, FEW, dim_telemetry, sigmas_off
-from tests.support.vehicles import LOWER_CASE_FACES, small_cube, unit_vector
+from tests.support.vehicles import small_cube, unit_vector
 from validation.calibrate import NEAR_SIGMAS
 
 PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0, "inertia": 0.0}
@@ -152,21 +152,14 @@ def random_case(number: int) -> tuple[Vehicle, xr.Dataset, dict[str, float]]:
     axis = unit_vector(rng)
     small = 10 ** rng.uniform(-4, -1) / (axis @ np.linalg.solve(tensor, axis))
     wheel = Wheel("w", axis, small, 10 ** rng.uniform(0, 2.5), Friction(1e-6, 1e-8))
-    vehicle = Vehicle(
-        "random",
-        inertia_kg_m2=tensor,
-        panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-        wheels=[wheel] if number % 3 == 2 else [],
-        telemetry=TelemetryForm(quantity="current_A", noise=rng.uniform(0.01, 0.1)),
-        facts={"body.inertia_kg_m2": Fact(tensor, sigma=sigma)},
-    )
+    facts = {"body.inertia_kg_m2": Fact(tensor, sigma=sigma)}
+    vehicle = replace(small_cube(rng.uniform(0.01, 0.1)), inertia_kg_m2=tensor, facts=facts)
+    vehicle = replace(vehicle, wheels=(wheel,) if number % 3 == 2 else ())
     deg_s = rng.choice([0.0, 0.01, 0.3, 3.0, 60.0])
     step_s = min(rng.choice([1.0, 10.0, 120.0]), 60.0 / max(deg_s, 0.5))
-    truth = {
-        "omega_B": np.radians(deg_s) * np.array([0.36, -0.48, 0.8]),
-        "sun_B": DIM_SUN,
-        "t_s": step_s * np.arange(int(rng.choice([5, 12, 20]))),
-    }
+    omega = np.radians(deg_s) * np.array([0.36, -0.48, 0.8])
+    t_s = step_s * np.arange(int(rng.choice([5, 12, 20])))
+    truth = {"omega_B": omega, "sun_B": DIM_SUN, "t_s": t_s}
     priors = {"max_rate_rad_s": float(max(1.2 * np.radians(deg_s), 0.3 / step_s / 2))}
     return vehicle, ss.twin(vehicle, truth, seed=1), priors | {"steady_torque": 0.0}
 

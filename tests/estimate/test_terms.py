@@ -261,10 +261,8 @@ def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
 
 
 def test_a_stated_dipole_in_a_constant_field_accelerates_evenly():
-    term, dt = (
-        StatedDipole(np.array([0.0, 0.0, 2e-6]), np.tile([1.0, 0.0, 0.0], (N, 1))),
-        np.diff(T_S),
-    )
+    term = StatedDipole(np.array([0.0, 0.0, 2e-6]), np.tile([1.0, 0.0, 0.0], (N, 1)))
+    dt = np.diff(T_S)
     pushed = term.added_by_torque(motions(np.random.default_rng(1)), dt)
     assert np.allclose(pushed[0, :, 4], 2e-6 * dt) and np.allclose(pushed[0, :, 1], 1e-6 * dt**2)
     assert np.abs(pushed[..., [0, 2, 3, 5]]).max() == 0.0
