@@ -20,21 +20,14 @@ from sunspin.estimate.starts import fine_up_to
 from sunspin.estimate.verdict import more_effort
 from sunspin.output.check import orbit as check_words
 from sunspin.telemetry.assess import assess
-from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
 from tests.support import satellite_files
 from tests.support.orbit_cases import check_case, with_few_copies
 from tests.support.passes import stated_model
-from tests.support.simulate import fast_body, telemetry_of
-from tests.support.vehicles import CUBE_NORMALS
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, fast_body, telemetry_of
 from validation import spinners
 
-CUBE = Vehicle(
-    "cube",
-    gain_unit="W",
-    inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
-    panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", CUBE_NORMALS, strict=True)],
-)
+CUBE = replace(CUBE_WITHOUT_NOISE_STATED, inertia_kg_m2=np.diag([0.02, 0.025, 0.03]))
 TIMES = np.cumsum(10 + 4 * np.random.default_rng(3).random(12))
 QUIET = {"max_rate_rad_s": 0.05, "acceleration_noise": 1e-5}
 

@@ -21,7 +21,8 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.vehicle import Channel, Panel, Vehicle, Wheel
 from sunspin.vehicle.parts import Fact
-from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
+from sunspin.vehicle.sensors import Sensors
+from tests.support.simulate import GYRO, MAGNETOMETER, QUATERNION
 from tests.support.vehicles import CUBE_NORMALS, units
 
 NAMES = ("+x", "+y", "+z", "-x", "-y", "-z")
@@ -179,11 +180,7 @@ def test_a_solution_whose_symmetric_one_is_not_listed_is_not_unique():
         assert not has_unlisted_motion(observed, omega[None], sigma[:1], 0.01)
 
 
-SENSORS = Sensors(
-    gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3),
-    magnetometer=Magnetometer(("u", "v", "w"), np.zeros(3), 0.02),
-    attitude=Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01),
-)
+SENSORS = Sensors(gyro=GYRO, magnetometer=MAGNETOMETER, attitude=QUATERNION)
 
 
 @pytest.mark.parametrize(

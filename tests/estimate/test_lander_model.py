@@ -15,7 +15,6 @@ from sunspin.estimate.lander.window import observe_window
 from sunspin.telemetry.assess import assess
 from tests.support.landers import OMEGA, PHILAE, SUN, lander_model, lander_telemetry, nominal
 from tests.support.passes import slope_of
-from tests.support.vehicles import units
 
 
 def test_a_motion_is_that_of_propagate_from_any_reference():
@@ -151,14 +150,3 @@ def test_a_window_holds_all_readings_and_a_sample_for_each_observation():
     assert np.flatnonzero(rate.present()).tolist() == [2]
     assert np.flatnonzero(gyro.present()).tolist() == [3]
     assert panels.brightness == pytest.approx(2.5, rel=0.05)
-
-
-def test_steps_in_coordinates_lead_there_and_back():
-    rng = np.random.default_rng(0)
-    sun = units(rng.standard_normal((5, 3)))
-    shots = Shots(rng.standard_normal((5, 3)), sun, rng.standard_normal((5, 4)))
-    step = 0.5 * rng.standard_normal((5, 9))
-    moved = shots.moved(step)
-    np.testing.assert_allclose(moved.from_centre(shots), step, atol=1e-12)
-    angle = np.arccos(np.sum(moved.sun * shots.sun, axis=1))
-    np.testing.assert_allclose(angle, np.linalg.norm(step[:, 3:5], axis=1))

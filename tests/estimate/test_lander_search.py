@@ -11,7 +11,7 @@ import sunspin as ss
 from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
-from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, in_tangents_at
+from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
 from sunspin.estimate.lander.motions import Shots, Trials
 from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitudes, without_sphere
@@ -200,17 +200,6 @@ def test_derivatives_of_the_differences_are_those_of_runs():
         change = slope_of(moved, size * np.eye(model.dimension)[coordinate], size)
         off = np.abs(change - linear.jacobian[:, :, k])
         assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.02, coordinate
-
-
-def test_a_step_has_one_meaning_in_the_tangents_of_two_directions():
-    """Directions near each other: the derivative along it stays the same to first order."""
-    rng = np.random.default_rng(5)
-    sun = np.eye(3)
-    there = move_on_sphere(sun, 1e-4 * rng.standard_normal((3, 2)))
-    seen_slopes, step = rng.standard_normal((3, 5, 4, 3)), rng.standard_normal((3, 5))
-    after, turned = in_tangents_at(there, sun, seen_slopes, step)
-    before = np.einsum("kc,kcnw->knw", step, seen_slopes)
-    np.testing.assert_allclose(np.einsum("kc,kcnw->knw", turned, after), before, atol=1e-3)
 
 
 # ---- families --------------------------------------------------------------------------------------------------------------

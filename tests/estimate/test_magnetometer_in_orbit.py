@@ -130,11 +130,8 @@ def test_the_gradient_with_attitudes_projected_out_is_that_of_the_cost():
     sensors = replace(case.vehicle.sensors, sun_sensors=case.vehicle.sensors.sun_sensors[:2])
     vehicle = replace(case.vehicle, sensors=sensors)
     readings = read(assess(case.vehicle, data), 100)
-    readings = readings._replace(
-        field=readings.field / 4e4,
-        angle=readings.angle[:, :2],
-        y_turned=readings.t_s[:, None] % 50 < [0, 25],
-    )
+    field, turned = readings.field / 4e4, readings.t_s[:, None] % 50 < [0, 25]
+    readings = readings._replace(field=field, angle=readings.angle[:, :2], y_turned=turned)
     sky = Sky.along(orbit, readings.t_s, np.arange(-60.0, 61.0, 20.0))
     rng = np.random.default_rng(0)
     unknown = 0.05 * rng.normal(size=24)

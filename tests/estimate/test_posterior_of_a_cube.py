@@ -80,10 +80,8 @@ def test_the_advice_to_raise_the_rate_limit_gives_a_decided_pass(telemetry):
     """A body near a sphere, whose largest rate is given 3 % too small: if the advice is followed, the motion is decided."""
     ball = replace(small_cube(), inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
     size = float(np.linalg.norm(DIM_OMEGA))
-    short, long = (
-        few(ball, samples(ball), PRIORS | {"max_rate_rad_s": most})
-        for most in (size / 1.03, 1.5 * size)
-    )
+    limits = ({"max_rate_rad_s": most} for most in (size / 1.03, 1.5 * size))
+    short, long = (few(ball, samples(ball), PRIORS | limit) for limit in limits)
     advice = "the rates reach the limit of the search; raise max_rate_rad_s"
     assert advice in short.attrs["verdict"] and not short["passes"]["decided"].values[0]
     assert "raise" not in long.attrs["verdict"] and long["passes"]["decided"].values[0]

@@ -87,10 +87,8 @@ def test_each_draw_moves_under_its_own_torque_in_body_axes_and_in_space():
 
 
 def test_draws_of_several_wheels_run_down_with_their_own_numbers():
-    craft = box(
-        Wheel("a", (1, 0, 0), 1e-5, 100.0, Friction(1e-6, 1e-9)),
-        Wheel("b", (0, 1, 0), 2e-5, -60.0, Friction(2e-6, 1e-9)),
-    )
+    a = Wheel("a", (1, 0, 0), 1e-5, 100.0, Friction(1e-6, 1e-9))
+    craft = box(a, Wheel("b", (0, 1, 0), 2e-5, -60.0, Friction(2e-6, 1e-9)))
     unknowns = {
         "wheel_speed_rad_s": np.array([[101.0, -60.0], [100.0, -63.0]]),
         "log_coulomb_a": np.array([0.2, 0.0]),

@@ -178,10 +178,8 @@ def test_check_reports_elements_that_do_not_fit_and_rates_ignore_them(satellite)
 def test_the_advice_to_correct_the_clock_makes_the_elements_usable(satellite):
     checked = ("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle")
     minutes = run(*checked).output
-    behind, ahead = (
-        60 * int(re.search(rf"(\d+) min or more if it is {side} UTC", minutes)[1])
-        for side in ("behind", "ahead of")
-    )
+    sides = (rf"(\d+) min or more if it is {side} UTC" for side in ("behind", "ahead of"))
+    behind, ahead = (60 * int(re.search(side, minutes)[1]) for side in sides)
     # the vehicle file says by how much UTC is ahead of the clock
     for clock_s in (behind + 180, -ahead - 180):
         text = (satellite / "vehicle.toml").read_text("utf-8")

@@ -78,17 +78,9 @@ def test_a_wheel_that_slows_down_much_is_searched_for_by_itself(example, estimat
     assert result.attrs["wheels"].startswith("held")  # the wheel of the example keeps its speed
 
 
-TWO = replace(
-    CUBE_WITHOUT_NOISE_STATED,
-    wheels=(
-        ss.Wheel("a", [0, 1, 0], 3e-4, speed_rad_s=40.0),
-        ss.Wheel("b", [1, 0, 0], 2e-4, speed_rad_s=-30.0),
-    ),
-)
-
-
 WHEEL = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)
-ONE = replace(CUBE_WITHOUT_NOISE_STATED, wheels=(WHEEL,))
+OTHER = ss.Wheel("reaction-x", [1, 0, 0], 2e-4, speed_rad_s=-30.0)
+ONE, TWO = (replace(CUBE_WITHOUT_NOISE_STATED, wheels=w) for w in ((WHEEL,), (WHEEL, OTHER)))
 
 
 @pytest.fixture(scope="module")
