@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,8 +22,9 @@ from validation.passes import FACES, MOMENTS, spin
 from validation.passes import observe as observe_passes
 
 
+@cache
 def two_passes():
-    """Return vehicle, telemetry of two passes an hour apart, and the true rates."""
+    """Return vehicle, telemetry of two passes an hour apart, and the true rates; they are shared and never changed."""
     rng = np.random.default_rng(3)
     runs, data = [], []
     for begin, omega in ((0.0, [0.02, -0.03, 0.04]), (3600.0, [0.021, -0.029, 0.04])):
