@@ -14,7 +14,7 @@ from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
 from sunspin.estimate.lander.motions import Shots, Trials
-from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitudes, without_sphere
+from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.solve.rotations import move_on_sphere
@@ -117,16 +117,6 @@ def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
     assert size.max() > 0.9 * reached.most
     ball = 0.9 * rng.random((300, 1)) ** (1 / 3) * direction
     assert 0.5 < reached.within(ball, 0.0).mean() < 0.8
-
-
-def test_of_a_sphere_without_a_wheel_its_own_turn_leaves_nothing():
-    """And of one with a wheel the same for all rates, a turn about the wheel's axis."""
-    sphere = replace(PHILAE, inertia_kg_m2=14.0 * np.eye(3), wheels=())
-    model = replace(lander_model(), vehicle=sphere, of_motion=())
-    omega = 0.05 * np.random.default_rng(7).standard_normal((20, 3))
-    left = without_sphere(model, Sphere.of(model), np.array([-40.0, 70.0]), omega)
-    np.testing.assert_allclose(np.abs(left[..., 3]), 1.0, atol=1e-6)
-    np.testing.assert_allclose(left[..., :3], 0.0, atol=2e-3)
 
 
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
