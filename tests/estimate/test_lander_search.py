@@ -13,7 +13,7 @@ from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
-from sunspin.estimate.lander.motions import Shots, Trials
+from sunspin.estimate.lander.motions import Shots, TrialMotions
 from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
@@ -195,13 +195,15 @@ def test_derivatives_of_the_differences_are_those_of_runs():
 # ---- families --------------------------------------------------------------------------------------------------------------
 
 
-def family(count: int, spacing_rad_s: float, loose: float) -> Trials:
+def family(count: int, spacing_rad_s: float, loose: float) -> TrialMotions:
     """Return motions in a row of rates about x, which curvature leaves free by `loose` rad/s, with one unknown."""
     omega = np.zeros((count, 3))
     omega[:, 0] = spacing_rad_s * np.arange(count)
     normal = np.diag([loose**-2, 1e8, 1e8, 1e6, 1e6, 1.0])
     shots = Shots(omega, np.tile(SUN, (count, 1)), np.zeros((count, 1)), np.arange(count) * 0.1)
-    return Trials(shots, np.ones(count, dtype=int), np.tile(normal, (count, 1, 1)), np.zeros(count))
+    return TrialMotions(
+        shots, np.ones(count, dtype=int), np.tile(normal, (count, 1, 1)), np.zeros(count)
+    )
 
 
 def test_a_family_gets_neighbours_along_its_loose_direction_alone():

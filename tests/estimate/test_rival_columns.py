@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.column_tests import gains_of_silent
+from sunspin.estimate.column_tests import CostsOfSamples, gains_of_silent
 from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time
 from sunspin.estimate.equivalence import AS_WRITTEN, exchange
 from sunspin.estimate.rates import rates
@@ -78,6 +79,30 @@ def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
     assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
     assert checked.attrs["column_tests_cut"] == 1
     assert "not every other order of columns was tried" in rates_words(checked)
+
+
+def test_of_several_passes_the_samples_of_the_longest_decided_one_choose_the_columns(
+    spinner, monkeypatch
+):
+    """The longest pass is not decided, and its samples would allow other columns."""
+    whole = spinner.telemetry
+    part = whole.isel(time=slice(16)).assign_coords(time=whole["time"].values[:16] + 1e5)
+    data = xr.concat([whole, part], "time")
+    assessment = assess(spinner.vehicle, data)
+    result = rates(spinner.vehicle, assessment, max_rate_rad_s=spinner.max_rate_rad_s)
+    assert result["samples"].values.tolist() == [24, 16]
+    asked = []
+    monkeypatch.setattr(
+        "sunspin.estimate.columns.better_rivals", lambda *given: asked.append(given[1:3])
+    )
+    for decided in ([True, True], [False, True]):
+        known = result.assign(decided=("pass_id", decided), fits=("pass_id", [True, True]))
+        check_columns(known, assessment, None, rates, RATES, Budget(1.0))
+    for samples, (compared, costs) in zip((24, 16), asked, strict=True):
+        assert compared.sizes["time"] == samples
+        expected = CostsOfSamples.of(spinner.vehicle, compared)
+        assert costs.as_written == expected.as_written
+        np.testing.assert_array_equal(costs.of_changes, expected.of_changes)
 
 
 def test_exchanged_lit_columns_are_named_with_the_true_rate_though_the_file_fits():

@@ -11,9 +11,14 @@ import pytest
 
 from sunspin.estimate.lander.mixture import First
 from sunspin.estimate.lander.tree import _listed, _of_proposed
-from sunspin.estimate.lander.verdict import Findings, accused_panels, dark_stretch, posterior_words
+from sunspin.estimate.lander.verdict import (
+    PosteriorFindings,
+    accused_panels,
+    dark_stretch,
+    posterior_words,
+)
 
-GOOD = Findings(
+GOOD = PosteriorFindings(
     probability=np.array([1.0]),
     rate=np.array([[0.1, 0.0, 0.0]]),
     length=np.array([1e-3]),
@@ -31,7 +36,7 @@ GOOD = Findings(
 )
 
 
-def aliases(*probability: float, apart: float = 0.1) -> Findings:
+def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
     """Return findings of solutions with these probabilities, `apart` (rad/s) from one to the next along x."""
     count = len(probability)
     rate = np.stack([apart * np.arange(1, count + 1), np.zeros(count), np.zeros(count)], axis=1)

@@ -89,13 +89,13 @@ class _Member:
     """A motion of a fit with its part of the probability of the pass."""
 
     fit: Fit
-    place: int
+    number: int
     weight: float
 
     @property
     def alone(self) -> Fit:
         """Return the fit of this motion alone (K = 1)."""
-        return self.fit.take(slice(self.place, self.place + 1))
+        return self.fit.take(slice(self.number, self.number + 1))
 
     @property
     def motion(self) -> Track:
@@ -251,19 +251,19 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
         residual=residual,
         model=(model.what, 1.0),
         noise=np.sqrt(np.median(square, keepdims=True)),
-        estimates=(estimates(head.fit, head.place),),
+        estimates=(estimates(head.fit, head.number),),
         cost_limit=np.inf,
     )
 
 
-def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
-    """Return what was estimated with a motion: name -> unit, value, one sigma.
+def estimates(one: Fit, number: int) -> dict[str, tuple[str, float, float]]:
+    """Return what was estimated with a motion of a fit, the one with this number: name -> unit, value, one sigma.
 
     Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
     the pass in axes of N.
     """
     model: Model = one.model
-    u, covariance = one.motions.u[place], one.u_covariance[place]
+    u, covariance = one.motions.u[number], one.u_covariance[number]
     rows: dict[str, tuple[str, float, np.ndarray]] = {}  # unit, centre, change by each unknown
     every = np.eye(len(u))  # row i: the change of unknown i by each of them
     body = model.body

@@ -30,7 +30,7 @@ from sunspin.estimate.lander.cells import (
     search_cells,
 )
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots, Trials
+from sunspin.estimate.lander.motions import Shots, TrialMotions
 from sunspin.estimate.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
@@ -230,7 +230,7 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 
 def grid_starts(
     model: LanderModel, reference: Reference, s: GridSettings, workers: int = 1
-) -> Iterator[tuple[slice, Trials]]:
+) -> Iterator[tuple[slice, TrialMotions]]:
     """Yield the window about the reference, with motions near each one that its readings allow, best first.
 
     `model` counts time from `reference`. Torques hardly move a body in three samples, and inertia, friction and wheel are those of
@@ -254,7 +254,7 @@ def grid_starts(
     best = order[first[rank]]
     shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
     slow = bare.first_speed(shots, TRIAL_ERROR) <= reference.fastest
-    starts = Trials(shots.take(slow), count[rank][slow])
+    starts = TrialMotions(shots.take(slow), count[rank][slow])
     yield reference.window, starts if len(starts) else _anything(model, reference)
 
 
@@ -294,10 +294,10 @@ def settled_starts(
     return omega, sun, starts[:, OF_MISFIT]
 
 
-def _anything(model: LanderModel, reference: Reference) -> Trials:
+def _anything(model: LanderModel, reference: Reference) -> TrialMotions:
     """Return starts if there is no hope: rest, and rotations about the axes."""
     axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
     sun = np.tile(reference.suns[0], (len(omega), 1))
     shots = Shots(omega, sun, np.zeros((len(omega), len(model.unknowns))))
-    return Trials(shots, np.ones(len(omega), dtype=np.int64))
+    return TrialMotions(shots, np.ones(len(omega), dtype=np.int64))
