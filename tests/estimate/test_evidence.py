@@ -54,6 +54,7 @@ def test_a_fit_without_unknown_sizes_is_unchanged():
 
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
     model, motions = problem()
+    assert ladder(model, motions.take(slice(0)), LADDER, SEARCH, 1e-4) == []  # no candidates
     fits = ladder(model, motions, LADDER, SEARCH, 1e-4)
     logs = {one.model.noise.acceleration: one.log_evidence[0] for one in fits}
     assert logs[5e-6] > logs[1e-3]
@@ -62,11 +63,6 @@ def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree(
     for one in fits:
         sigma = np.sqrt(np.einsum("nii->ni", one.motions.covariance[0, :, 3:, 3:]))
         assert (np.abs(one.motions.omega[0] - best.motions.omega[0]) < 3 * sigma).all()
-
-
-def test_no_candidates_give_no_fits():
-    model, motions = problem()
-    assert ladder(model, motions.take(slice(0)), LADDER, SEARCH, 1e-4) == []
 
 
 def passes_of(logs):
@@ -83,12 +79,9 @@ def passes_of(logs):
     return passes
 
 
-def test_one_pass_alone_has_an_even_prior_of_the_rungs():
+def test_passes_tell_each_other_how_strong_torques_are_and_one_alone_has_an_even_prior():
     (one,) = share_noise(passes_of([np.linspace(0, 9, 7)]), LADDER)
     assert np.allclose(one.log_rung, -np.log(7))
-
-
-def test_passes_tell_each_other_how_strong_torques_are():
     sharp, flat = np.where(np.arange(7) == 2, 0.0, -50.0), np.zeros(7)
     told = share_noise(passes_of([sharp, flat, sharp]), LADDER)[1]
     assert np.isclose(np.exp(told.log_rung).sum(), 1.0)
