@@ -33,17 +33,16 @@ def test_motions_that_are_known_have_the_evidence_of_a_search():
     assert spared.used == 0
 
 
-def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search(monkeypatch):
-    def fail(*_):
-        raise AssertionError("a search")
-
-    monkeypatch.setattr(wheels, "quick_evidence", fail)
+def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():
     model, budget = stated(), Budget.of(1.0)
     telemetry = xr.Dataset(coords={"time": model.obs.t_s})
     every = np.arange(len(model.obs))
     fits = PassFits(model, (), RATES.ladder.rungs, np.zeros(0))
-    compared = [wheels.FittedPass(Pass(every, every), model, fits)]
-    fitter = PassFitter(RATES, budget, fail)
-    assert (
-        wheels.doubted_signs(assess(CUBE, telemetry), model.obs, "none", compared, fitter) is None
+    only, fitter = (
+        Pass(every, every),
+        PassFitter(RATES, budget, lambda _, models, *__: list(models)),
     )
+    searches = wheels.search_reversed(assess(CUBE, telemetry), "none", model, only, fitter)
+    assert not searches.momenta and not searches.evidence
+    compared = [wheels.FittedPass(only, model, fits)]
+    assert wheels.doubted_signs(model.obs, compared, searches, fitter) is None
