@@ -12,7 +12,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.cli.rates import SENSOR_VARIABLES
-from sunspin.estimate.column_tests import SENSORS, Better, Culprit, Named
+from sunspin.estimate.column_tests import SENSORS, Better, Culprit, Named, changes_of_sensor
 from sunspin.estimate.equivalence import exchange, wheel_changes
 from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.observe import wheel_models
@@ -211,6 +211,37 @@ def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both
 def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
     match = re.search(r"`--without (\w+)`", Culprit(SENSORS[name]).words())
     assert match is not None and SENSOR_VARIABLES[match[1]] == name
+
+
+ATTITUDE = """
+[attitude]
+columns = ["qa", "qb", "qc", "qd"]
+scalar = "{scalar}"
+rotates = "{rotates}"
+sigma_rad = 0.01
+"""
+
+
+@pytest.mark.parametrize("scalar", ["first", "last"])
+@pytest.mark.parametrize("rotates", ["N_to_B", "B_to_N"])
+def test_a_quaternion_read_as_advised_is_the_one_that_was_meant(scalar, rotates):
+    text = text_of() + ATTITUDE.format(scalar=scalar, rotates=rotates)
+    vehicle = parse_vehicle(text, "vehicle.toml")
+    raw = np.random.default_rng(3).normal(size=(5, 4))
+    raw /= np.linalg.norm(raw, axis=1, keepdims=True)
+    read = vehicle.sensors.attitude.interpret(raw).values
+    ways = changes_of_sensor(vehicle, "attitude_B_from_N")
+    for way in ways[1:]:  # the first is that of the file
+        match = re.fullmatch(r"set (.*) under \[attitude\] of the vehicle file", way.do)
+        assert match is not None, way.do
+        changed = text
+        for line in match[1].split(" and "):
+            key = line.split(" = ")[0]
+            changed, count = re.subn(rf"(?m)^{key} = .*$", line, changed)
+            assert count == 1
+        sensor = parse_vehicle(changed, "vehicle.toml").sensors.attitude
+        meant = read @ way.axes["attitude_B_from_N"].T
+        np.testing.assert_allclose(sensor.interpret(raw).values, meant, atol=1e-12)
 
 
 WHEEL = """

@@ -116,19 +116,38 @@ def test_a_pass_is_not_decided_if_other_columns_fit_a_little_better():
     _, result = of_satellite((7, 58), [2, 1, 0, 3, 4])
     assert not result["decided"].values.any()
     assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
-    words = "the data fit as well with the columns of panels +Y and -X exchanged"
+    words = "the data fit as well with the columns of panels +Y and -X exchanged: find out which"
     assert words in result.attrs["verdict"] and "CHECK" not in result.attrs["verdict"]
 
 
+def test_with_the_columns_that_fit_a_little_better_the_pass_is_decided_along_the_truth():
+    """The advice is to find out which columns are right: those of the simulator are."""
+    craft, result = of_satellite((7, 58), range(5))
+    assert is_not_accused(result)
+    omega, sigma = (
+        np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
+        for name in ("omega", "sigma")
+    )
+    middle_s = (craft.t_s[0] + craft.t_s[-1]) / 2
+    truth = craft.omega[np.argmin(np.abs(craft.t_s - middle_s))]
+    assert (np.abs(omega - truth) < 4 * sigma).all()
+
+
 def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tests():
-    """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels."""
+    """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels.
+
+    The advice is to estimate with `column_tests=True`: it names the exchange.
+    """
     simulated = make("columns exchanged", 7, 4)
     most = simulated.max_rate_rad_s
     result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=most)
     assert result["fits"].values.all()
     assert not result["decided"].values.any()
     assert SAMPLES_DENY in str(result["why_not_decided"].values[0])
-    assert "estimate with column tests" in result.attrs["columns_doubt"]
+    assert "estimate with `column_tests=True`" in result.attrs["columns_doubt"]
+    tested = estimate(simulated, simulated.telemetry)
+    named = [change["what"] for change in json.loads(tested.attrs["columns_changes"])]
+    assert f"the columns of panels {' and '.join(simulated.exchanged)} exchanged" in named
 
 
 def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():

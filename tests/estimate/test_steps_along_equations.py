@@ -41,11 +41,11 @@ def test_a_step_along_the_equations_leaves_them_by_what_linear_theory_says():
     nodes = 0.05 * rng.normal(size=(1, len(model.obs), 6))
     nodes[..., RATE] *= 0.01
     u = 0.3 * rng.normal(size=motion.u.shape)
-    value, by_first, by_second, by_u = defects(model, motion)
-    predicted = value + np.einsum("knij,knj->kni", by_first, nodes[:, :-1])
-    predicted += np.einsum("knij,knj->kni", by_second, nodes[:, 1:])
-    predicted += np.einsum("knij,kj->kni", by_u, u)
-    after, *_ = defects(model, bent_step(model, motion, nodes, u))
+    defect = defects(model, motion)
+    predicted = defect.value + np.einsum("knij,knj->kni", defect.by_first, nodes[:, :-1])
+    predicted += np.einsum("knij,knj->kni", defect.by_second, nodes[:, 1:])
+    predicted += np.einsum("knij,kj->kni", defect.by_u, u)
+    after = defects(model, bent_step(model, motion, nodes, u)).value
     # in whitened units of weak torques, thousands of sigmas: to a millionth of them
     np.testing.assert_allclose(after, predicted, atol=1e-6 * np.abs(predicted).max())
 

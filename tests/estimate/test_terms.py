@@ -188,14 +188,6 @@ def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
     assert np.abs(before.value).max() > 1 and np.abs(after.value).max() < 1e-6
 
 
-def test_a_reading_left_out_takes_both_its_comparisons():
-    term = field_change(np.random.default_rng(3))
-    left, log_density = term.without(1)
-    assert list(np.flatnonzero(term.present())) == [1, 2, 5]
-    assert list(np.flatnonzero(left.present())) == [5]
-    assert log_density < -5
-
-
 def test_the_turn_about_the_sun_is_that_of_the_field():
     rng = np.random.default_rng(7)
     seen = motions(rng, count=1)

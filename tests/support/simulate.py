@@ -47,9 +47,10 @@ DIRECTION_SIGMA = 0.02
 
 
 def telemetry_of(vehicle: Vehicle, t_s: np.ndarray, power: np.ndarray, **more: Any) -> xr.Dataset:
-    """Return telemetry in the form of `ss.read_telemetry`: powers (n, P) at times (n), and `more` variables."""
+    """Return telemetry in the form of `ss.read_telemetry`: powers or currents (n, P) at times (n), and `more` variables."""
+    name = "current_A" if vehicle.telemetry.quantity == "current_A" else "power_W"
     variables = {
-        "power_W": (("time", "panel"), power),
+        name: (("time", "panel"), power),
         "flag": ("time", np.zeros(len(t_s), dtype=np.uint8)),
         **more,
     }

@@ -25,10 +25,25 @@ CUBE_NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 """Normals (6, 3) of a cube's faces: first the positive axes, then the negative ones."""
 
 
+CUBE_OF_CURRENTS = Vehicle(
+    "cube",
+    gain_unit="A",
+    panels=[Panel(f"p{k}", CUBE_NORMALS[k], 0.5) for k in range(6)],
+    telemetry=TelemetryForm(quantity="current_A", noise=0.002),
+)
+"""A cube whose panels are read in A, with a noise of 0.4 % of full Sun."""
+
+
 def unit_vector(rng: np.random.Generator) -> np.ndarray:
     """Draw a direction (3), uniform on the sphere."""
     vector = rng.standard_normal(3)
     return vector / np.linalg.norm(vector)
+
+
+def directions(n: int, seed: int = 0) -> np.ndarray:
+    """Draw directions (n, 3), uniform on the sphere."""
+    vectors = np.random.default_rng(seed).normal(size=(n, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def small_cube(noise: float = 0.02) -> Vehicle:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.chain import RATE, Fit, Whitening, defects, fit
+from sunspin.estimate.chain import RATE, Fit, defects, fit
 from sunspin.estimate.evidence import likeliest
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
@@ -27,7 +27,7 @@ LEAST_STEP = 1e-3
 def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
     """Yield the models that are tried in addition to the nominal one.
 
-    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate; bad readings in a short pass.
+    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate.
     `fits`: all so far, which grow as the models are fitted.
     """
     obs = stated.obs
@@ -39,7 +39,6 @@ def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> 
         yield stated.plus(torque, f"a steady torque in {words}")
     yield from another_zero(stated, s)
     yield from steps_of_the_rate(stated, fits, s)
-    yield from without_readings(stated, fits, s)
 
 
 def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
@@ -62,37 +61,6 @@ def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
             )
 
 
-def without_readings(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield models of a short pass without each reading, then without a second one in addition to the one that is missed least.
-
-    A term keeps one reading at least. Leaving a reading out is not free: it costs the odds that it is bad, and its density had it
-    seen anything.
-    """
-    if len(stated.obs) > s.few:
-        return
-    begin = stated
-    for _ in range(s.bad_readings):
-        tried = []
-        for term in begin.obs.terms:
-            present = np.flatnonzero(term.present())
-            for sample in present if len(present) > 1 else ():
-                at = f"the {term.label} at {begin.obs.t_s[sample]:.0f} s"
-                what = f"without the reading of {at}"
-                if begin is not stated:
-                    what = f"{begin.what} and that of {at}"
-                tried.append(begin.without(term, int(sample), what, s.bad_odds))
-                yield tried[-1]
-        # of the models just tried, the one whose fits have the largest evidence
-        best = {
-            one.model.what: float(one.log_evidence.max())
-            for one in sorted(fits, key=lambda one: float(one.log_evidence.max()))
-        }
-        tried = [one for one in tried if one.what in best]
-        if not tried:
-            return
-        begin = max(tried, key=lambda one: best[one.what])
-
-
 def steps_of_the_rate(
     stated: Model, fits: Sequence[Fit], s: AlternativeSettings
 ) -> Iterator[Model]:
@@ -110,8 +78,7 @@ def steps_of_the_rate(
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
         motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
-        value, *_ = defects(best.model, motion)
-        square = (value[0] ** 2).sum(axis=1)
+        square = (defects(best.model, motion).value[0] ** 2).sum(axis=1)
         square[[interval for interval, _ in steps]] = 0.0
         worst = int(np.argmax(square))
         # A motion that wants hardly any torque gains what it leaves the equations by in one interval. One that wants more gains
@@ -142,9 +109,8 @@ def _size_of_step(model: Model, motion: Track, interval: int) -> float:
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     wide = replace(model, noise=noise)
     free = fit(wide, motion, 6).motions
-    value, *_ = defects(wide, free)
-    white = Whitening.of(noise, np.diff(model.obs.t_s)).matrix[interval]
-    change = np.linalg.solve(white, value[0, interval])[RATE]
+    defect = defects(wide, free)
+    change = defect.unwhitened(defect.value)[0, interval, RATE]
     return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
 
 

@@ -23,10 +23,10 @@ from sunspin.estimate.column_tests import (
     MOST_NAMED,
     MOST_SQUARE,
     Better,
+    CostsOfSamples,
     Named,
     Trials,
     better_rivals,
-    samples_fit_other_columns,
     silent_inputs,
     what_fits_better,
 )
@@ -98,7 +98,11 @@ def check_columns(
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
-    denied = fits and _samples_deny(result, observed, telemetry)
+    # of panels alone: with a second sensor a file of wrong columns does not fit
+    costs = None
+    if fits and observed.panels and not observed.sensors:
+        costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
+    denied = costs is not None and costs.deny_the_columns()
     others_tried = again is not None and (not fits or denied or _strained(result, observed))
     if again is not None and others_tried:
         # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
@@ -106,12 +110,12 @@ def check_columns(
         most_noise = result.attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
         trials = _trials_of(result, most_noise, again, settings, tests)
         result = _with_other_columns(result, observed, telemetry, trials)
-    if again is not None and fits and "columns_doubt" not in result.attrs:
+    if again is not None and costs is not None and "columns_doubt" not in result.attrs:
         trials = _trials_of(result, np.inf, again, settings, tests)
         least = 0.0 if doubt is None else doubt.gain
-        result = _with_rivals(result, observed, telemetry, trials, least)
+        result = _with_rivals(result, observed, telemetry, costs, trials, least)
     if denied and "columns_doubt" not in result.attrs:
-        how = "" if again is not None else ": estimate with column tests, which name them"
+        how = "" if again is not None else ": estimate with `column_tests=True`, which tries these"
         result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
     # both kinds of tests share a budget
     if others_tried or tests.cut:
@@ -210,15 +214,6 @@ def has_unlisted_motion(
     return False
 
 
-def _samples_deny(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
-    """Return whether the samples of the longest pass of a file of panels alone, each by itself, fit other columns far better."""
-    if not observed.panels or observed.sensors:
-        return False
-    return samples_fit_other_columns(
-        observed.vehicle, samples_of(result, telemetry, _longest(result))
-    )
-
-
 def _strained(result: xr.Dataset, observed: Observed) -> bool:
     """Return whether a file of panels alone may fit only because strong torques were allowed."""
     attrs = result.attrs
@@ -249,23 +244,29 @@ def _with_other_columns(
 
 
 def _with_rivals(
-    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials, least: float
+    result: xr.Dataset,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    costs: CostsOfSamples,
+    trials: Trials,
+    least: float,
 ) -> xr.Dataset:
     """Return the result with changes that the samples allow as well and that fit the longest decided pass better, if any.
 
-    `least`: log evidence by which they must be better, that of reversed wheels if their sign is in doubt.
+    `costs`: of the samples of the longest pass, decided or not; `least`: log evidence by which changes must be better, that of
+    reversed wheels if their sign is in doubt.
     """
-    if not observed.panels or observed.sensors or "noise" not in result.attrs:
-        return result
     decided = np.flatnonzero(result["decided"].values)
-    if not len(decided):
+    if "noise" not in result.attrs or not len(decided):
         return result
     place = _longest(result, decided)
     part = samples_of(result, telemetry, place)
     here = what_was_observed(observed.vehicle, part, result.attrs)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
+    if place != _longest(result):
+        costs = CostsOfSamples.of(observed.vehicle, part)
     trials = replace(trials, least=AS_GOOD)
-    better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
+    better = better_rivals(here, part, costs, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
     # Too little to accuse the file, but the pass is not decided with it. Evidence alone is too little too: of a slow body that was

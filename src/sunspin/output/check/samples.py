@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.equivalence import Observed, nominal_momenta, unseen_changes
 from sunspin.output.check.findings import Findings
 from sunspin.output.text import count_text, size_text, with_sigma
 from sunspin.telemetry.assess import LOW_SHARE, Assessment
@@ -17,6 +18,9 @@ from sunspin.telemetry.units import reading_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import find_line, read_vehicle_text
 from sunspin.vehicle.sensors import VARIABLES
+
+MOST_UNSEEN = 3
+"""Changes of columns that the samples do not show and that are listed by name."""
 
 SHOWN = 30
 """Unused columns that are listed by name."""
@@ -106,6 +110,29 @@ def unknown_gain_lines(assessment: Assessment) -> list[str]:
     ]
 
 
+def describe_unseen_columns(assessment: Assessment) -> Findings:
+    """Return the findings on exchanged columns and reversed panels that no estimate of these samples would notice.
+
+    Wheels count at the speed of the vehicle file. `rates`, which knows the motion, may exclude more of the changes.
+    """
+    vehicle, samples = assessment.vehicle, assessment.telemetry
+    observed = Observed.of(vehicle, samples, momenta=nominal_momenta(vehicle))
+    changes = [change.what for change, _ in unseen_changes(observed, samples)]
+    if not changes:
+        return Findings({"columns_unseen": []}, [])
+    rest = (
+        f"; or {len(changes) - MOST_UNSEEN} more of the kind" if len(changes) > MOST_UNSEEN else ""
+    )
+    named = "; or ".join(changes[:MOST_UNSEEN])
+    return Findings(
+        {"columns_unseen": changes},
+        [
+            f"  columns: the samples would look the same with {named}{rest}, and `rates` would give another motion: "
+            "compare columns and normals with the harness drawing, or light one panel with a lamp"
+        ],
+    )
+
+
 def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
     """Return the findings on the quality of panel readings, on other sensors, and on the rates that the sampling can resolve.
 
@@ -116,6 +143,9 @@ def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
     samples = assessment.telemetry
     if assessment.has_panels:
         summary, lines = _describe_panels(assessment)
+        if not misread:
+            unseen = describe_unseen_columns(assessment)
+            summary, lines = summary | unseen.summary, lines + unseen.lines
         if misread:
             lines = [f"  {n:6d}  {text}" for text, n in summary["worth"].items()]
     # variable of telemetry -> name of the sensor
