@@ -142,10 +142,10 @@ class Output:
         from sunspin.compute.pool import worker_count
         from sunspin.output.figures import load
 
-        if self.folder is None or missing_packages("pictures") or worker_count(workers) < 2:
-            return
-        context = click.get_current_context()
-        context.meta[HELPER] = context.with_resource(helper_process(load))
+        if self.folder is not None and not missing_packages("pictures"):
+            context = click.get_current_context()
+            helper = helper_process(worker_count(workers), load)
+            context.meta[HELPER] = context.with_resource(helper)
 
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
         """Print the summary as JSON with --json, else the lines unless --quiet is given.

@@ -6,6 +6,8 @@ waits for its answers, so that this process may still be copied for a pool.
 
 from __future__ import annotations
 
+import signal
+import sys
 import traceback
 import warnings
 from collections.abc import Callable, Generator
@@ -19,10 +21,13 @@ from sunspin.compute.pool import ENDED, may_fork, prepare_worker
 
 
 class Helper:
-    """This process's end of the pipe to its helper, which computes calls one after the other."""
+    """This process's end of the pipe to its helper, which computes calls one after the other.
 
-    def __init__(self, pipe: Connection) -> None:
-        self._pipe = pipe
+    `workers`: processes that a call may use.
+    """
+
+    def __init__(self, pipe: Connection, workers: int) -> None:
+        self._pipe, self.workers = pipe, workers
 
     def start(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Let the helper compute a call; function and arguments are pickled."""
@@ -39,25 +44,25 @@ class Helper:
 
 
 @contextmanager
-def helper_process(prepare: Callable[[], Any]) -> Generator[Helper | None]:
-    """Start a helper for the duration of a `with` block; yield it, or None if this process may not be copied.
+def helper_process(workers: int, prepare: Callable[[], Any]) -> Generator[Helper | None]:
+    """Start a helper for the duration of a `with` block; yield it, or None for one worker, or if this process may not be copied.
 
     `prepare` runs first: it imports what the calls will need. At the end of the block the helper is ended at once, also in the
     middle of a call, so it should leave files to this process.
     """
-    if not may_fork():
+    if workers < 2 or not may_fork():
         yield None
         return
     fork = get_context("fork")
     ours, its = fork.Pipe()
-    process = fork.Process(target=_serve, args=(ours, its, prepare), daemon=True)
+    process = fork.Process(target=_serve, args=(ours, its, prepare))
     with warnings.catch_warnings():
         # the idle threads of the linear algebra library do no harm
         warnings.filterwarnings("ignore", "This process .* is multi-threaded")
         process.start()
     its.close()
     try:
-        yield Helper(ours)
+        yield Helper(ours, workers)
     finally:
         process.terminate()
         process.join()
@@ -67,6 +72,9 @@ def helper_process(prepare: Callable[[], Any]) -> Generator[Helper | None]:
 def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> None:
     """Compute calls and send value and error (one of them None) of each, until the parent ends."""
     prepare_worker()
+    signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit()
+    )  # an error, which ends a pool of its own too
     parents.close()  # else the pipe would stay open without the parent
     with suppress(Exception):  # a call that needs it will fail too, and say why
         prepare()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
+from itertools import islice, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +17,11 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.extras import missing_packages, require_extra
 from sunspin.base.provenance import clock_notes
+from sunspin.compute.pool import process_pool
 
 if TYPE_CHECKING:
     from sunspin.compute.helper import Helper
-    from sunspin.output.kind import Context, Kind, Picture, Summary
+    from sunspin.output.kind import Context, Drawing, Kind, Picture, Summary
 
 
 @xr.register_dataset_accessor("sunspin")
@@ -167,7 +169,7 @@ class Result:
         kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
         if helper is not None:
-            helper.start(draw, data, context)
+            helper.start(draw, data, context, helper.workers)
         if isinstance(data, xr.DataArray):
             # attributes of a DataArray would be those of its variable, but `kind` must be one of the file
             attrs = {key: value for key, value in data.attrs.items() if key != "units"}
@@ -201,15 +203,28 @@ class Result:
         return path
 
 
-def draw(data: Any, context: Context) -> list[Picture]:
-    """Return all figures of a result, drawn; none without the packages of ``sunspin[pictures]``."""
+def draw(data: Any, context: Context, workers: int = 1) -> list[Picture]:
+    """Return all figures of a result, drawn side by side; none without the packages of ``sunspin[pictures]``."""
+    if missing_packages("pictures"):
+        return []
+    drawings = list(data.sunspin._kind.drawings(data, context))
+    with process_pool(min(workers, len(drawings))) as pool:
+        if pool is None:
+            return [_drawn(drawing, data) for drawing in drawings]
+        numbers = range(len(drawings))
+        return list(pool.map(_draw_one, repeat(data), repeat(context), numbers))
+
+
+def _draw_one(data: Any, context: Context, number: int) -> Picture:
+    """Return the figure of this number; a `Drawing` itself cannot be sent to another process."""
+    drawings = data.sunspin._kind.drawings(data, context)
+    return _drawn(next(islice(drawings, number, None)), data)
+
+
+def _drawn(drawing: Drawing, data: Any) -> Picture:
+    """Return a figure of a result, drawn."""
     from sunspin.output.figures import render
     from sunspin.output.kind import Picture, synthetic_words
 
-    if missing_packages("pictures"):
-        return []
     remark = synthetic_words(bool(data.attrs.get("synthetic")))
-    return [
-        Picture(drawing.name, drawing.alt, drawing.caption + remark, render(drawing.make()))
-        for drawing in data.sunspin._kind.drawings(data, context)
-    ]
+    return Picture(drawing.name, drawing.alt, drawing.caption + remark, render(drawing.make()))
