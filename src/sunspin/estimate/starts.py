@@ -173,7 +173,7 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
         rates_of_suns = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            # whole turns about any axis end there too
+            # whole turns about any axis end there too; two basins apart, as each reaches one basin to every side
             if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
             rates_of_suns.append(np.concatenate([rest, *rates, read]))

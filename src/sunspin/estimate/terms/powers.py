@@ -367,11 +367,11 @@ class PanelPowers(Term):
         # the number of times is doubled as often as that asks for: so many motions share their times, and none depends on others
         doubled = np.ceil(np.log2(np.maximum(narrow / FEWEST_TIMES, 1.0))).astype(int)
         total = np.empty(states.sun_B.shape[:-1])
-        for one in np.unique(doubled):
-            rows = doubled == one
+        for times_doubled in np.unique(doubled):
+            rows = doubled == times_doubled
             panels = replace(self, power=self.power[rows]) if self.power.ndim == 3 else self
             some = SunStates.of(states.sun_B[rows], states.omega[rows])
-            count = int(2 * FAR_TIME * FEWEST_TIMES) << one
+            count = int(2 * FAR_TIME * FEWEST_TIMES) << times_doubled
             times, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)
             whole = np.full(some.sun_B.shape[:-1], -np.inf)
             for late in times:
