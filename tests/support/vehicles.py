@@ -31,10 +31,14 @@ def unit_vector(rng: np.random.Generator) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
+def units(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) with length one."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
 def directions(n: int, seed: int = 0) -> np.ndarray:
     """Draw directions (n, 3), uniform on the sphere."""
-    vectors = np.random.default_rng(seed).normal(size=(n, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return units(np.random.default_rng(seed).normal(size=(n, 3)))
 
 
 def small_cube(noise: float = 0.02) -> Vehicle:

@@ -22,7 +22,7 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.model import States, Unknown
 from sunspin.estimate.settings import INERTIA_SIGMAS
 from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
-from sunspin.estimate.terms.term import Residual, Term, facing
+from sunspin.estimate.terms.term import Residual, Term
 from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
@@ -50,9 +50,6 @@ that is tried."""
 BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels; how far from it another full scale is
 tried."""
-
-EVERYWHERE = 2000
-"""Directions, 5 degrees apart, over which the likelihood of readings is averaged."""
 
 
 class Instants(NamedTuple):
@@ -323,20 +320,6 @@ class Panels(Term):
         mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
         new = [one for one in mirrored if np.abs(images - one).max(axis=(1, 2)).min() > FLAT]
         return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
-
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
-        # the readings of this sample asked of a body at rest that sees the Sun in each direction in turn (K = EVERYWHERE, n = 1)
-        around = facing(sphere(EVERYWHERE))[:, None]
-        states = States(around, np.zeros((EVERYWHERE, 1, 3)))
-        of_sample = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
-        (residual,) = of_sample.residuals(states, np.zeros((EVERYWHERE, 0)))
-        cost = residual.law(residual.value)[0][:, 0]
-        names = "sigma", "sigma_light_noise", "sigma_light_modelled"
-        sigmas = {name: getattr(self, name).copy() for name in names}
-        for sigma in sigmas.values():
-            sigma[sample] = np.inf
-        return replace(self, **sigmas), float(np.log(np.exp(-cost).mean()))
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""
