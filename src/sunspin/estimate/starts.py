@@ -74,10 +74,13 @@ class PairStarts(NamedTuple):
     apart_rad: float
 
 
-def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]]:
+def pair_starts(
+    model: Model, s: SearchSettings, slowest: float = 0.0
+) -> Iterator[tuple[slice, Track]]:
     """Yield windows with candidates: for each pair of neighbouring samples, the shortest interval first, the rates between them.
 
-    The candidates have been tried and settled on the samples around the pair. `model`: without unknowns, for the search.
+    The candidates have been tried and settled on the samples around the pair. `model`: without unknowns, for the search. `slowest`
+    (rad/s): slower rates are left out.
     """
     trusted = gyro_decides(model, _pairs(model)[0])
     for place, first in enumerate(_pairs(model)):
@@ -85,6 +88,9 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
         around, sample = model.seeing(window), first - window.start
         # further pairs are tried if nothing fits: then the gyro may be what is wrong
         begin = starts(around, sample, s, trusted and not place)
+        if slowest:
+            fast = np.linalg.norm(begin.omega, axis=1) > slowest
+            begin = begin._replace(sun_B=begin.sun_B[fast], omega=begin.omega[fast])
         if len(begin.omega) > s.crowd:
             begin = _thinned(around, sample, begin, s)
         if not len(begin.omega):
@@ -101,7 +107,9 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
     """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out.
 
     A grid leaves none out unless errors of the inertia turn the body off it within the first window: of a long body at 15 deg/s,
-    its products two sigmas off, every start near the truth was dropped there, and an alias that fits was decided.
+    its products two sigmas off, every start near the truth was dropped there, and an alias that fits was decided. With another
+    sensor each pair of samples determines the whole turn between them: two spinners with a magnetometer were found from one pair,
+    and three took all the computing budget.
     """
     if len(images_of(model)) > 1:
         # panels bound the Sun so little that one pair may start from nothing
@@ -110,7 +118,7 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
     dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
     interval_s = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
     off_grid = model.body.wander * model.rate_max * interval_s > s.basin_rad / 2
-    grid_decides = not _constant_rate_holds(model, first) and not off_grid
+    grid_decides = not _constant_rate_holds(model, first) and not (off_grid and model.obs.only_sun)
     return 1 if dense or gyro_decides(model, first) or grid_decides else s.places
 
 
