@@ -19,8 +19,8 @@ from sunspin.estimate.orbit.calibration import (
 )
 from sunspin.estimate.orbit.calibration import Start as Begin
 from sunspin.estimate.orbit.invariants import (
-    SUN_RAD,
     MATRIX,
+    SUN_RAD,
     ZERO,
     MagnetometerLaw,
     MagnetometerState,
