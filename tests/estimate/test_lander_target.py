@@ -103,13 +103,10 @@ def test_motions_at_the_first_sample_lead_to_those_at_the_reference(frame):
     model = next(one for one in constant_torques(lander_model(), {}) if one.frame == frame)
     model = model.after(300.0, model.max_rate)
     shots = nominal(model)
-    steady = model.places("steady_torque")
-    shots.u[:, steady] = [0.02, -0.03, 0.04]
+    shots.u[:, model.places("steady_torque")] = [0.02, -0.03, 0.04]
     first = at_first_sample(model, shots)
-    mean = np.trace(PHILAE.require_inertia()) / 3
-    torques = [Steady(mean * first.steady[0])]
-    run = ss.propagate(
-        PHILAE, first.omega[0], first.sun[0], first.wheels[0], [0.0, 300.0], torques=torques
-    )
+    state = first.omega[0], first.sun[0], first.wheels[0]
+    torques = [Steady(np.trace(PHILAE.require_inertia()) / 3 * first.steady[0])]
+    run = ss.propagate(PHILAE, *state, [0.0, 300.0], torques=torques)
     np.testing.assert_allclose(run["omega_B"].values[1], OMEGA, atol=1e-5)
     np.testing.assert_allclose(run["sun_B"].values[1], SUN, atol=1e-4)

@@ -132,7 +132,8 @@ def test_packets_within_a_stated_span_are_one_sample(expected, tmp_path):
     n = len(template_rows())
     assert notes[0] == f"{3 * n} rows are {n} samples, each of rows within 2 s"
     assert notes[1].startswith("columns read later than the sample's time: ")
-    assert f"{PANELS[2]} 0.4 s" in notes[1] and f"{PANELS[4]} 0.8 s" in notes[1]
+    assert f"{PANELS[3]} by 0.4 s" in notes[1] and f"{PANELS[4]} by 0.8 s" in notes[1]
+    assert "offset_s of a panel" in notes[1] and "-sensors_late_s" in notes[1]
 
 
 def test_a_reading_that_a_sample_already_has_begins_the_next_sample(expected, tmp_path):

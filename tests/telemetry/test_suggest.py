@@ -26,6 +26,8 @@ STYLES = {
     "solar_panel_x_plus_current": ("current_A", 0.001, "solar_panel_{axis}_{word}_current"),
     "SolarPanelXPlusCurrent": ("current_A", 0.001, "SolarPanel{AXIS}{Word}Current"),
     "eps.cur_pos_x (A)": ("current_A", 1.0, "eps.cur_{short}_{axis} (A)"),
+    "eps.sp_xp_ma": ("current_A", 0.001, "eps.sp_{axis}{sign:pm}_ma"),
+    "iXp.mA": ("current_A", 0.001, "i{AXIS}{sign:pm}.mA"),
     "PXp_W": ("power_W", 1.0, "P{AXIS}{sign:pm}_W"),
     "+X power (mW)": ("power_W", 0.001, "{sign:+-}{AXIS} power (mW)"),
     "sunX+": ("power_W", 1.0, "sun{AXIS}{sign:+-}"),
@@ -228,6 +230,17 @@ def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened(fol
     np.testing.assert_allclose(data["gyro_B"].values[0], np.radians([1.5, -2.0, 3.0]), rtol=1e-5)
     assert ss.load_vehicle(path).sensors.magnetometer.scale_T == 1e-9
     np.testing.assert_allclose(data["field_B"].values[0], [20000, -5000, 30000])
+
+
+def test_init_names_columns_that_differ_from_those_of_panels_only_in_the_face(folder):
+    rows = ["time,i_xp_ma,i_xm_ma,i_wing1_ma,i_wing2_ma,u_wing1_mv,i_xp_mv"]
+    rows += [f"2026-01-01T00:00:{k:02d}Z,400,0,{300 + k},{20 + k},8000,3300" for k in range(10)]
+    (folder / "wings.csv").write_text("\n".join(rows))
+    run = CliRunner().invoke(cli, ["init", "mine", "--from", "wings.csv"])
+    assert run.exit_code == 0, run.output
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    (line,) = [line for line in text.splitlines() if line.startswith("# perhaps panels")]
+    assert line.endswith('each needs a [[panel]]: "i_wing1_ma", "i_wing2_ma"')
 
 
 def test_a_vehicle_file_for_an_export_is_named_after_it(folder):

@@ -25,16 +25,16 @@ LEAST_STEP = 1e-3
 
 
 def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield the models that are tried in addition to the nominal one.
+    """Yield, one at a time, the models that are tried in addition to the nominal one, `stated`.
 
-    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate.
-    `fits`: all so far, which grow as the models are fitted.
+    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate. `fits`: all so far. The caller
+    adds the fits of each model to them before it asks for the next one, since a step of the rate is tried only if the one before
+    it raised the evidence.
     """
-    obs = stated.obs
-    duration = float(np.ptp(obs.t_s))
+    duration_s = float(np.ptp(stated.obs.t_s))
     for frame, words in WORDS.items():
         torque = ConstantTorque.turning(
-            frame, s.torque_turns_rad, duration, stated.body.inertia, obs.momentum
+            frame, s.torque_turns_rad, duration_s, stated.body.inertia, stated.obs.momentum
         )
         yield stated.plus(torque, f"a steady torque in {words}")
     yield from another_zero(stated, s)
@@ -49,15 +49,12 @@ def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
     """
     for term in stated.obs.terms:
         if isinstance(term, Gyro) and term.zero_stated and term.present().any():
-            obs = replace(
-                stated.obs,
-                terms=tuple(
-                    one.with_any_zero() if one is term else one for one in stated.obs.terms
-                ),
-            )
-            log_prior = stated.log_prior + s.zero_odds
+            others = (one.with_any_zero() if one is term else one for one in stated.obs.terms)
             yield replace(
-                stated, obs=obs, what="another zero offset of the gyro", log_prior=log_prior
+                stated,
+                obs=replace(stated.obs, terms=tuple(others)),
+                what="another zero offset of the gyro",
+                log_prior=stated.log_prior + s.zero_odds,
             )
 
 
@@ -69,11 +66,12 @@ def steps_of_the_rate(
     A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
     step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
     with a thrust was decided and wrong by 6 sigma. A step may be anywhere, which costs evidence, and near a sample the data hardly
-    tell before from after: the last steps are also tried one interval earlier and later.
+    tell before from after: the last steps are also tried one interval earlier and later. `fits` as in :func:`alternatives`.
     """
+    # the fits of the model with the steps so far, which begin without any, and their evidence
     best = likeliest([one for one in fits if one.model.what == AS_STATED])
-    top, steps = float(best.log_evidence.max()), ()
-    model = stated
+    top = float(best.log_evidence.max())
+    steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
     intervals = len(stated.obs) - 1
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
@@ -90,9 +88,10 @@ def steps_of_the_rate(
         steps = (*steps, (worst, sigma))
         model = _with_steps(stated, steps, price)
         yield model
-        best = likeliest([one for one in fits if one.model.what == model.what] or [best])
-        if best.log_evidence.max() <= top or best.model.what != model.what:
+        with_step = [one for one in fits if one.model.what == model.what]
+        if not with_step or likeliest(with_step).log_evidence.max() <= top:
             return
+        best = likeliest(with_step)
         top = float(best.log_evidence.max())
         for interval in (worst - 1, worst + 1):
             if 0 <= interval < intervals and all(interval != other for other, _ in steps):

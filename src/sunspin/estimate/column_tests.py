@@ -2,10 +2,9 @@
 
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
 reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
-evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
-(:mod:`sunspin.estimate.columns`): it fits only under strong torques, or its samples, each by itself, fit other columns far
-better, or as well. Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named
-together, each with its motion, and none is recommended.
+evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in two cases
+(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well. Changes that look the same
+in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion, and none is recommended.
 """
 
 from __future__ import annotations
@@ -190,8 +189,8 @@ def what_fits_better(
     """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
 
     If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
-    such sensor are tried, then exchanged columns. A sensor is named itself only if its readings contradict the motion of the others.
-    If the pass fits without none, columns of panels and wheels are tried.
+    such sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of the others. If
+    the pass fits without none, columns of panels and wheels are tried.
     """
     first_cause: Better | Culprit | None = None
     fits_without_one = False
@@ -572,7 +571,7 @@ def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, estimate: x
     """Return whether the readings of the sensor `name` exclude the motion `estimate` of the others, within the errors of both.
 
     A pass may fit without a right sensor only because the others do not show what the model cannot follow. With a gyro a body that
-    was rotated by hand did not fit, its rate jumped; its panels alone gave the rate to 3 deg/s, and all readings of the gyro agreed.
+    was rotated by hand did not fit, as its rate jumped; its panels gave the rate to 3 deg/s, and all readings of the gyro agreed.
     """
     read = telemetry[name].sel(time=estimate["time"].values).values
     squares = _squares(estimate, read, name, vehicle)

@@ -2,8 +2,8 @@
 
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
 the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
-panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
-better; or they fit other columns as well, and only the motion can tell which are right.
+panels alone that fits they are tried in two cases: its samples, each by itself, fit other columns far better; or they fit other
+columns as well, and only the motion can tell which are right.
 """
 
 from __future__ import annotations
@@ -60,11 +60,6 @@ from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
-STRAINED, CALMER = 1e-4, 4.0
-"""Strength of unknown torques (rad/s^1.5), chosen by the data, from which a file that fits may have other columns than it states:
-of nine files with two columns exchanged that fit six wanted as much, of their right ones none more than 5e-6. And by what factor a
-change must lower it."""
-
 SAMPLES_DENY = "the samples, each by itself, fit other columns far better"
 """Why a pass that fits is not decided, although no change of columns is named. Of some 700 right simulated files, faulty panels and
 strong torques among them, none has a change that is better by more than 5 in log likelihood. Of 64 files with two columns exchanged
@@ -103,15 +98,11 @@ def check_columns(
     if fits and observed.panels and not observed.sensors:
         costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
     denied = costs is not None and costs.deny_the_columns()
-    others_tried = again is not None and (not fits or denied or _strained(result, observed))
-    if again is not None and others_tried:
-        # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
-        needs_calm = fits and not denied
-        most_noise = result.attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
-        trials = _trials_of(result, most_noise, again, settings, tests)
+    others_tried = again is not None and (not fits or denied)
+    trials = None if again is None else _trials_of(result, again, settings, tests)
+    if trials is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, trials)
-    if again is not None and costs is not None and "columns_doubt" not in result.attrs:
-        trials = _trials_of(result, np.inf, again, settings, tests)
+    if trials is not None and costs is not None and "columns_doubt" not in result.attrs:
         least = 0.0 if doubt is None else doubt.gain
         result = _with_rivals(result, observed, telemetry, costs, trials, least)
     if denied and "columns_doubt" not in result.attrs:
@@ -214,23 +205,12 @@ def has_unlisted_motion(
     return False
 
 
-def _strained(result: xr.Dataset, observed: Observed) -> bool:
-    """Return whether a file of panels alone may fit only because strong torques were allowed."""
-    attrs = result.attrs
-    noise_estimated = attrs["acceleration_noise_from"] != "given"
-    known_body = not attrs["body"].startswith("nearly a sphere")
-    panels_alone = observed.panels and not observed.sensors
-    strong = attrs["acceleration_noise"] >= STRAINED
-    return panels_alone and noise_estimated and known_body and strong
-
-
 def _with_other_columns(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> xr.Dataset:
     """Return the result with the changes that fit the longest pass that does not fit, or with the sensor that is in its way.
 
-    If all passes fit, the longest is tried: a change must then explain the samples far better, each by itself, or with far weaker
-    torques.
+    If all passes fit, the longest is tried: its samples, each by itself, then fit other columns far better.
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
@@ -287,10 +267,8 @@ def _with_rivals(
     return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
 
 
-def _trials_of(
-    result: xr.Dataset, most_noise: float, again: Again, settings: RatesSettings, budget: Budget
-) -> Trials:
-    """Return how changes are judged; `most_noise` (rad/s^1.5): a change must do with torques of this strength."""
+def _trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:
+    """Return how changes are judged, under the wheels and the largest rate of a result."""
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
 
@@ -310,13 +288,13 @@ def _trials_of(
         return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
-        """Return the whole estimate of the pass, if it needs no stronger torques than a change may."""
+        """Return the whole estimate of the pass, if there is one."""
         try:
             made = again(changed, data)
         except InputError:
             return None
         budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
-        return made if made.attrs["acceleration_noise"] <= most_noise else None
+        return made
 
     return Trials(evidence, run, budget)
 

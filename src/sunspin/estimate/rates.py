@@ -147,8 +147,8 @@ def rates(
         attrs["periods"], in JSON, what each decided.
     column_tests : bool
         If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
-        (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit under
-        strong torques, or if their samples, each by itself, fit other columns far better, or as well.
+        (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit, but their
+        samples, each by itself, fit other columns far better, or as well.
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int

@@ -159,9 +159,9 @@ def longest(passes: Sequence[Pass]) -> list[int]:
     return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
-def kept_samples(stated: Model, one: Pass) -> Model:
+def kept_samples(stated: Model, of_pass: Pass) -> Model:
     """Return the model of the samples of a pass that the search keeps; `stated`: that of the whole file."""
-    return replace(stated, obs=stated.obs.of_pass(one.samples).take(one.kept_in_pass))
+    return replace(stated, obs=stated.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
 
 
 def name_of_wheels(words: str) -> str:
@@ -287,9 +287,9 @@ def doubted_signs(
     return max(doubted, key=lambda one: one.gain, default=None)
 
 
-def log_evidence(one: PassFits) -> float:
+def log_evidence(fits: PassFits) -> float:
     """Return the log evidence of a pass, all rungs, models and motions summed."""
-    return float(np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung))
+    return float(np.logaddexp.reduce(fits.log_evidence_of_rungs() + fits.log_rung))
 
 
 def _is_another(first: PassFits, second: PassFits) -> bool:

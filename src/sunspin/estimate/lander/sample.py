@@ -295,8 +295,8 @@ def _regions_of_models(
     for m in sorted(kept, key=lambda m: -weight[m]):
         draws, before = drawn[m], len(known)
         share = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-        place = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
-        for region in range(len(place)):
+        label = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
+        for region in range(len(label)):
             inside = draws.region == region
             of = share[inside]
             x = np.concatenate(
@@ -308,11 +308,11 @@ def _regions_of_models(
             counts = weight[m] * of.sum() > 10 * s.no_weight
             far = [_apart(mean, spread, *one, s) for one in known[:before]] if counts else []
             if far and min(far) < s.one_region:
-                place[region] = int(np.argmin(far))
+                label[region] = int(np.argmin(far))
             else:
-                place[region] = len(known)
+                label[region] = len(known)
                 known.append((mean, spread))
-        labels[m] = place[draws.region]
+        labels[m] = label[draws.region]
     return labels
 
 
