@@ -108,7 +108,14 @@ def one_pass(
 
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
-    return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+    return PassFits(
+        stated=stated,
+        fits=tuple(fits),
+        rungs=s.ladder.rungs,
+        log_rung=even,
+        used=budget.used,
+        cut=budget.cut,
+    )
 
 
 def searched(stated: Model, noise: float, s: SearchSettings, budget: Budget) -> list[Track]:
