@@ -155,17 +155,16 @@ class LookThrough:
         s = self.s
         x, step, misfit = starts.x.copy(), starts.step.copy(), np.full(len(starts.x), np.inf)
         going = np.arange(len(x))
-        for left in range(s.steps, -1, -1):
+        for taken in range(s.steps + 1):
             if not len(going):
                 break
             now = starts.take(going)._replace(x=x[going], step=step[going])
             after, normal, gradient = self._equations(now)
             gained, misfit[going] = np.maximum(misfit[going] - after, 0.0), after
-            if left == 0:
+            if taken == s.steps:
                 break
-            if left < s.steps - 1:
-                hopeful = after - left * s.faster * gained <= s.settled
-                going, normal, gradient = going[hopeful], normal[hopeful], gradient[hopeful]
+            hopeful = after - s.gain_left * gained <= s.settled
+            going, normal, gradient = going[hopeful], normal[hopeful], gradient[hopeful]
             places = np.arange(5)
             normal[:, places, places] += 1e-2 * normal[:, places, places] + 1e-3
             move = -np.linalg.solve(normal, gradient[..., None])[..., 0]

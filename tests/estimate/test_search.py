@@ -21,6 +21,7 @@ from sunspin.estimate.starts import (
     whole_turns,
 )
 from sunspin.estimate.terms.directions import SunDirections
+from sunspin.estimate.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
 from tests.support.vehicles import units
 
@@ -73,6 +74,17 @@ def test_every_turn_between_two_directions_has_a_start_in_its_basin(whole):
         if first @ second > np.cos(0.5):
             rates = np.concatenate([rates, whole_turns(dt, rate_max, 2 * SEARCH.basin_rad)])
         assert np.linalg.norm(rates - omega, axis=1).min() * dt < 0.5
+
+
+def test_a_search_from_a_grid_begins_at_one_pair_if_a_magnetometer_determines_whole_turns():
+    """An uncertain inertia asks for three if only the Sun is seen; three took all the budget of two spinners."""
+    model, truth = watched(2.0)
+    long = Body(np.diag([0.3, 1.35, 1.35]), np.zeros((0, 3, 3)), wander=0.1)
+    by_sun = replace(model, body=long)
+    field = FieldChange(model.obs.t_s, truth.attitude[0] @ [2e4, 0.0, 2e4], 300.0)
+    by_field = replace(by_sun, obs=replace(model.obs, terms=(*model.obs.terms, field)))
+    assert pairs_to_try(by_sun, SEARCH) == SEARCH.places
+    assert pairs_to_try(by_field, SEARCH) == 1
 
 
 def test_more_turns_than_can_be_tried_are_refused():

@@ -380,7 +380,8 @@ def draw_models(
         return sample(LanderTarget(fit.model), fit, streams[h], s, own, fitted_share), own
 
     drawn = Drawn([], [], [])
-    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
+    # all models at once, also on fewer cores: of three on two cores, the last would have one core alone
+    with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
         every = list(pool.map(draws_of, chosen))
     for h, (draws, own) in zip(chosen, every, strict=True):
         fit = fits[h]
