@@ -1,7 +1,5 @@
 """The posterior of a lander's model as the sampler asks for it: derivatives against differences, one posterior, errors of times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The result of `posterior` on a short pass of a box with a wheel: its schema, and that it holds the truth."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
