@@ -3,8 +3,6 @@
 All telemetry is synthetic.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

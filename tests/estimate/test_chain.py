@@ -1,7 +1,5 @@
 """The chain: slopes, steps and evidence against differences, dense solves and integrals; also of samples close together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Evidences of fits and of oscillations are logs of mean likelihoods of the same readings: against sums over drawn motions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Periods seen from outside: of solutions and draws against closed forms and the reference motion, and what they decide."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
