@@ -179,15 +179,6 @@ class AlternativeSettings:
     torque_turns_rad: tuple[float, ...] = tuple(np.radians(np.geomspace(1.0, 300.0, 6)).tolist())
     """Turns of the body over a pass by a constant torque: one sigma each, equally likely. It is not known to a power of ten."""
 
-    few: int = 6
-    """Samples of a pass up to which readings are left out: there a bad one is not outvoted."""
-
-    bad_readings: int = 2
-    """Readings that are left out, at most."""
-
-    bad_odds: float = float(np.log(0.1 / 0.9))
-    """Log odds that a reading is bad."""
-
     zero_odds: float = float(np.log(0.05 / 0.95))
     """Log odds that the zero of a gyro is off by more than the vehicle file states."""
 
