@@ -1,19 +1,25 @@
-"""Other models of a pass: each explains what it is made for, and is not tried where nothing asks for it."""
+"""Other models of a pass: where they begin, what each explains, and that none is tried where nothing asks for it."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.alternatives import alternatives
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.chain import Whitening
-from sunspin.estimate.evidence import ladder
-from sunspin.estimate.model import Body, Model, Noise, Observations
+from sunspin.estimate.chain import Whitening, equations
+from sunspin.estimate.evidence import ladder, leading, united
+from sunspin.estimate.model import AS_STATED, Body, Model, Noise, Observations
 from sunspin.estimate.one_pass import one_pass
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.solutions import solutions
 from sunspin.estimate.swings import SWINGS, log_mean_likelihood
 from sunspin.estimate.terms.directions import SunDirections
-from tests.estimate.test_chain import problem
+from tests.support.chains import problem
+from tests.support.passes import stated_model
+from tests.support.vehicles import units
+from validation.passes import make
 
 ALTERNATIVES = RATES.alternatives
 
@@ -44,8 +50,7 @@ def test_a_body_that_wanders_far_has_readings_that_do_not_know_each_other():
 def solutions_of(sun, sigma):
     """Return the solutions of directions (n, 3) of the Sun in a sphere, read to `sigma` rad every minute."""
     rng = np.random.default_rng(8)
-    read = sun + sigma * rng.normal(size=sun.shape)
-    obs = readings(read / np.linalg.norm(read, axis=1, keepdims=True), sigma, 60.0)
+    obs = readings(units(sun + sigma * rng.normal(size=sun.shape)), sigma, 60.0)
     sphere = Body(np.eye(3), np.zeros((0, 3, 3)))
     model = Model(obs, sphere, Noise(1e-4), np.radians(1.5))
     fits = one_pass(model, RATES, Budget(np.inf))
@@ -82,3 +87,44 @@ def test_a_step_is_strong_torque_in_its_interval_alone():
     covariance = np.linalg.inv(swing.matrix[1].T @ swing.matrix[1])
     assert np.isclose(covariance[0, 0], 1e-8 * 1000 / 3 + 1e-4 * 10)
     assert np.isclose(covariance[0, 3], 1e-8 * 50) and np.isclose(covariance[3, 3], 1e-8 * 10)
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """Return the fits of three samples with a gyro and a magnetometer, whose field may pull at a dipole of any size."""
+    simulated = make("few samples", 0, 2)
+    model = stated_model(*simulated[:2], rate_sigma=simulated.max_rate_rad_s / 2)
+    assert any(len(unknown.shares) > 1 for unknown in model.unknowns)
+    every = one_pass(model, RATES, Budget.of(1.0)).fits
+    return [one for one in every if one.model.what == AS_STATED]
+
+
+def test_a_fit_over_sizes_of_a_torque_keeps_where_its_cost_is_least(fits):
+    calm = min(fits, key=lambda one: one.model.noise.acceleration)
+    assert calm.lowest is not None
+    at_mean = equations(calm.model, calm.motions).cost
+    at_lowest = equations(calm.model, calm.to_begin_from).cost
+    np.testing.assert_allclose(at_lowest, calm.motions.cost, rtol=1e-3)
+    # the mean of the unknowns leaves the equations of motion under weak torques
+    assert (at_mean > at_lowest + 10).any()
+    begin = leading(fits, 1, RATES.search)
+    best = max(fits, key=lambda one: one.log_evidence.max())
+    np.testing.assert_array_equal(begin.omega[0], best.to_begin_from.omega[0])
+
+
+def test_fits_that_are_taken_and_joined_keep_it(fits):
+    one = fits[0]
+    both = united([one, one], RATES.ladder, RATES.search)
+    assert len(both) == 1
+    np.testing.assert_allclose(both[0].to_begin_from.omega, one.to_begin_from.omega)
+    assert len(one.take(slice(0, 0)).to_begin_from) == 0
+
+
+def test_a_fit_ends_near_enough_for_its_evidence(fits):
+    """A tenth of the tolerance moves no log evidence by 0.02."""
+    for one in fits:
+        finer = replace(RATES.ladder, rungs=(one.model.noise.acceleration,), tolerance=1e-5)
+        (again,) = ladder(
+            one.model, one.to_begin_from, finer, RATES.search, one.model.noise.acceleration
+        )
+        assert abs(again.log_evidence.max() - one.log_evidence.max()) < 0.02

@@ -67,12 +67,12 @@ class Fit:
     def take(self, which: np.ndarray | slice) -> Fit:
         """Return some of the motions."""
         return Fit(
-            self.model,
-            self.motions.take(which),
-            self.log_evidence[which],
-            self.u_covariance[which],
-            self.states_by_u[which],
-            None if self.lowest is None else self.lowest.take(which),
+            model=self.model,
+            motions=self.motions.take(which),
+            log_evidence=self.log_evidence[which],
+            u_covariance=self.u_covariance[which],
+            states_by_u=self.states_by_u[which],
+            lowest=None if self.lowest is None else self.lowest.take(which),
         )
 
     @property
@@ -463,21 +463,23 @@ def log_left_out(model: Model) -> float:
     return float(np.log(2 * TURN_PRIOR) + 3 * np.log(model.rate_sigma))
 
 
-def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
+def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
     That of the states with the unknowns held, and what the unknowns' own covariance adds. With the matrix H of
     the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
     """
-    system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
+    system = equations(fitted.model, fitted.motions)._replace(
+        border=None, corner=None, border_slope=None
+    )
     variances = []
     for row in range(weights.shape[2]):
         # a solver returns the step -H^-1 slope
         w = weights[..., row, :]
-        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
+        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(fitted)))
         variances.append(np.einsum("kni,kni->k", w, nodes))
-    by_u = np.einsum("knri,knim->krm", weights, one.states_by_u)
-    of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
+    by_u = np.einsum("knri,knim->krm", weights, fitted.states_by_u)
+    of_u = np.einsum("krm,kmj,krj->kr", by_u, fitted.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
 

@@ -189,8 +189,8 @@ def what_fits_better(
     """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
 
     If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
-    such sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of the others. If the
-    pass fits without none, columns of panels and wheels are tried.
+    such sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of the others. If
+    the pass fits without none, columns of panels and wheels are tried.
     """
     first_cause: Better | Culprit | None = None
     fits_without_one = False

@@ -360,8 +360,8 @@ def _panel_maps(
     least_sigma = NORMALS_ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2)
     sigma = np.hypot(misalignment_sigma(vehicle)[0], least_sigma)
     gain_sigma = np.zeros(len(vehicle.panels))
-    for one, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
-        gain_sigma[list(one.panels)] = value
+    for shown, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
+        gain_sigma[list(shown.panels)] = value
     log_gain = np.log(vehicle.panel_gains)
     first_normals, second_normals = _normals(observed, first), _normals(observed, second)
     a = [k for column in lit for k in first_panels[column]]

@@ -132,8 +132,8 @@ class Shooting:
     ) -> TrialMotions:
         """Return motions fitted by a function of a problem, motions and levels."""
         self.fitted += len(motions) * len(problem.model.obs)
-        one = partial(fit, problem, levels=levels)
-        shots, curvature = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
+        fit_part = partial(fit, problem, levels=levels)
+        shots, curvature = in_pieces(fit_part, motions.shots, problem.rows_at_once, self.workers)
         neighbours_s = motions.neighbours_s if len(motions.neighbours_s) else np.zeros(len(shots))
         return TrialMotions(shots, motions.starts, curvature, neighbours_s)
 

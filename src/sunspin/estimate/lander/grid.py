@@ -36,8 +36,8 @@ from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
-CELLS_AT_ONCE = 20_000
-"""Cells that one thread looks through together."""
+CELLS_AT_ONCE, RUNS_AT_ONCE = 20_000, 4096
+"""Cells that one thread looks through together, and starts that it follows back to the first sample."""
 
 MIDDLES = 0.25 + 0.5 * CORNERS
 """Middles (8, 3) of the eighths of a cell, in parts of its edge."""
@@ -253,7 +253,10 @@ def grid_starts(
     rank = np.argsort(first)
     best = order[first[rank]]
     shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
-    slow = bare.first_speed(shots, TRIAL_ERROR) <= reference.fastest
+    pieces = [shots.take(slice(k, k + RUNS_AT_ONCE)) for k in range(0, len(shots), RUNS_AT_ONCE)]
+    with ThreadPoolExecutor(workers) as pool:
+        speeds = list(pool.map(lambda some: bare.first_speed(some, TRIAL_ERROR), pieces))
+    slow = np.concatenate([np.zeros(0), *speeds]) <= reference.fastest
     starts = TrialMotions(shots.take(slow), count[rank][slow])
     yield reference.window, starts if len(starts) else _anything(model, reference)
 
@@ -273,12 +276,28 @@ def settled_starts(
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
     table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
-    limits = Limits(s.nodes, s.limit, s.blur_rad, s.cap, s.settled, s.steps, s.faster)
+    limits = Limits(
+        nodes=s.nodes,
+        limit=s.limit,
+        blur=s.blur_rad,
+        cap=s.cap,
+        settled=s.settled,
+        steps=s.steps,
+        gain_left=s.gain_left,
+    )
     suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
 
     def starts_in(lowest: np.ndarray) -> np.ndarray:
         """Return the starts of some cells, given by their lowest corners."""
-        cells = Cells(lowest, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
+        cells = Cells(
+            lowest=lowest,
+            away=grid.away,
+            row_of=grid.row_of,
+            turn=grid.turn,
+            suns=suns,
+            middles=MIDDLES,
+            points=POINTS,
+        )
         return search_cells(cells, tables, table, limits)
 
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))

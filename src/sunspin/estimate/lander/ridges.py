@@ -43,6 +43,10 @@ LONGEST_SIGMAS = 3.0
 COLD, WARM = ((3.0, 2), (1.0, 4)), ((1.0, 3),)
 """(factor on the noise, steps) of least squares from a start far from the ridge, and from one that is predicted."""
 
+RIDGE_FLOOR = 1e-13
+"""Part of the trace of the normal equations of a ridge's curve that is added to their diagonal: terms that no point shows are
+zero."""
+
 SETTLED_GAIN = 4.0
 """Gain in cost that a step must promise to be tried, and for another to follow: 2.8 sigma of the stiff coordinates. What is left is
 taken by a last step that is not tried. With 1.0 a draw of Philae takes 3.5 runs instead of 2.8, and draws are not better."""
@@ -138,8 +142,8 @@ class Chart:
     def stiff_steps(self, shots: Shots, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the steps (K, 5, q) of rate and direction, in the motions' own tangents, per unit of z while y is held."""
         size, steps = 1e-5, []
-        for one in np.eye(self.stiff):
-            shifted = self.motions(y, z + size * one, shots.u)
+        for direction in np.eye(self.stiff):
+            shifted = self.motions(y, z + size * direction, shots.u)
             steps.append(shifted.from_centre(shots)[:, :STATE_SIZE] / size)
         return np.stack(steps, axis=2)
 
@@ -312,7 +316,14 @@ def _begun(
     law = _components(chart, peaks, np.zeros(d), promise)
     law = law._replace(covariance=s.widened * law.covariance)
     return Ridge(
-        chart, coefficients, (scatter + scatter.T) / 2, law, [(1.0, law)], law, promise, []
+        chart=chart,
+        coefficients=coefficients,
+        scatter=(scatter + scatter.T) / 2,
+        first=law,
+        proposing=[(1.0, law)],
+        learnt=law,
+        log_promise=promise,
+        laws=[],
     )
 
 
@@ -599,9 +610,11 @@ def fit_ridge_curve(ridge: Ridge, s: SamplingSettings) -> None:
         weight = 1 / (1 + far[good])[:, None]
         size = np.abs(terms[good]).max(axis=0)
         scaled = weight * terms[good] / size
-        coefficients = (
-            np.linalg.lstsq(scaled, weight * points.best[good], rcond=1e-10)[0] / size[:, None]
-        )
+        # normal equations take a tenth of the time of a singular value decomposition, and predictions need no more
+        normal = scaled.T @ scaled
+        normal[np.diag_indices(len(normal))] += RIDGE_FLOOR * np.trace(normal)
+        coefficients = np.linalg.solve(normal, scaled.T @ (weight * points.best[good]))
+        coefficients /= size[:, None]
         off = np.linalg.norm((points.best - terms @ coefficients) / (1 + far)[:, None], axis=1)
         good &= off <= max(s.off_ridge * float(np.median(off[good])), 1e-12)
     ridge.coefficients = coefficients

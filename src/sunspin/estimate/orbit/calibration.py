@@ -30,6 +30,7 @@ from sunspin.estimate.orbit.invariants import (
     MATRIX,
     MATRIX_SIGMA,
     STUDENT,
+    SUN_RAD,
     ZERO,
     ZERO_SIGMA,
     Sky,
@@ -38,6 +39,7 @@ from sunspin.estimate.orbit.invariants import (
     residuals_left,
 )
 from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.solve.rotations import cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import zero_sigmas
@@ -219,6 +221,16 @@ class Calibration:
         """Scales (F, 3) of x, y and turned y of each Sun sensor over the stated ones."""
         return 1 + self.values[SENSORS:].reshape(self.sensors, EACH)[:, 2:]
 
+    def turned_by_sun(self) -> np.ndarray:
+        """Return the covariance (9, 9) of the matrix, by rows, from errors that all directions of panels have in common.
+
+        Light of the Earth, and sides without a panel, move the Sun's directions of a whole file one way. Neither the residuals nor
+        the parts of the file show it: all directions of the field are turned by the same angle.
+        """
+        axes = np.eye(3) + self.values[MATRIX].reshape(3, 3)
+        turned = np.array([axes @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
+        return SUN_RAD**2 * turned.T @ turned
+
     def of_field(self, shift_s: float, sigma_s: float) -> FieldCalibration:
         """Return the magnetometer's part at another offset (s) with another sigma.
 
@@ -232,6 +244,8 @@ class Calibration:
         moved = replace(self, values=values)
         added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
         covariance = covariance + added_variance * np.outer(by_shift, by_shift)
+        if not self.sensors:
+            covariance[MATRIX, MATRIX] += moved.turned_by_sun()
         # matrix is the inverse of 1 + M, so that its change is -matrix dM matrix; by rows that is a Kronecker product
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
         slope = np.zeros((13, 13))
@@ -399,18 +413,18 @@ def _described(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
     robust = (1 - 1 / len(off)) * off.T @ off + covariance @ law.precision @ covariance
     residuals = np.array([law.left(law.stated_unknown(unknown)), law.left(unknown)])
     return Calibration(
-        unknown,
-        covariance,
-        robust,
-        np.linalg.inv(law.precision),
-        law.unit_T,
-        unit,
-        len(law.vehicle.sensors.sun_sensors),
-        law.scatter[2] * law.unit_T,
-        law.scatter[0],
-        residuals[:, 0],
-        residuals[:, 1],
-        {
+        values=unknown,
+        model=covariance,
+        robust=robust,
+        prior=np.linalg.inv(law.precision),
+        unit_T=law.unit_T,
+        unit=unit,
+        sensors=len(law.vehicle.sensors.sun_sensors),
+        noise_T=law.scatter[2] * law.unit_T,
+        sun_noise=law.scatter[0],
+        strength=residuals[:, 0],
+        angle=residuals[:, 1],
+        samples={
             "field": int(r.has_field.sum()),
             "Sun": int(r.has_sun.sum()),
             "passes": len(np.unique(r.pass_of)),

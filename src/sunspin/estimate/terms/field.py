@@ -290,13 +290,13 @@ class KnownField(Term):
         assert field_N is not None and along_N is not None
         read = fields.field_B
         return cls(
-            fields.t_s,
-            one.field(read),
-            one.sigma_T(read, field_N, along_N),
-            field_N,
-            one.columns(read),
-            one.along(along_N),
-            one.noise_T,
+            t_s=fields.t_s,
+            read_B=one.field(read),
+            sigma_T=one.sigma_T(read, field_N, along_N),
+            field_N=field_N,
+            own_B=one.columns(read),
+            along_N=one.along(along_N),
+            noise_T=one.noise_T,
         )
 
     def present(self) -> np.ndarray:

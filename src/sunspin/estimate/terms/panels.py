@@ -131,21 +131,21 @@ class Panels(Term):
         zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
-            signals(assessment.telemetry),
-            quality["sigma_beside_gains"].values,
-            vehicle.response_in(),
-            quality["gain"].values / vehicle.input_gains,
-            errors,
-            quality["scale"].values,
-            quality["scale_sigma"].values,
-            vehicle.input_names,
-            Instants.of(vehicle),
-            shown.any(axis=0),
-            quality["sigma_beside_gains"].values,
-            quality["sigma_beside_earth"].values,
-            np.where(shown, dark, np.inf),
-            np.ones(len(shown)),
-            quality.attrs["earth_light"],
+            power=signals(assessment.telemetry),
+            sigma=quality["sigma_beside_gains"].values,
+            response=vehicle.response_in(),
+            gain=quality["gain"].values / vehicle.input_gains,
+            gain_errors=errors,
+            scale=quality["scale"].values,
+            scale_sigma=quality["scale_sigma"].values,
+            names=vehicle.input_names,
+            instants=Instants.of(vehicle),
+            ever_shown=shown.any(axis=0),
+            sigma_light_noise=quality["sigma_beside_gains"].values,
+            sigma_light_modelled=quality["sigma_beside_earth"].values,
+            dark_sigma=np.where(shown, dark, np.inf),
+            sun_up=np.ones(len(shown)),
+            earth_share=quality.attrs["earth_light"],
         )
         return panels, quality["why"].values.astype(object)
 
