@@ -61,7 +61,7 @@ from sunspin.estimate.starts import (
     allowed_directions,
     fine_up_to,
 )
-from sunspin.estimate.terms.field import FieldCalibration
+from sunspin.estimate.terms.field import CalibratedMagnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
 from sunspin.estimate.wheels import (
@@ -105,7 +105,7 @@ def rates(
     gap_s: float | None = None,
     pass_id: int | None = None,
     environment: Environment | None = None,
-    calibration: FieldCalibration | None = None,
+    calibration: CalibratedMagnetometer | None = None,
     torques: Sequence[str] = (),
     periods: Sequence[PeriodSeen] = (),
     column_tests: bool = False,
@@ -137,7 +137,7 @@ def rates(
         What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
         to the Sun (:func:`sunspin.environment.circular`). In an orbit field, shadow and Earth's light are known: a calibrated
         magnetometer gives directions, and samples without a Sun count. The orbit is believed.
-    calibration : FieldCalibration, optional
+    calibration : CalibratedMagnetometer, optional
         Of the magnetometer along the orbit, by a longer file for example; default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`).
