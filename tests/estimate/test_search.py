@@ -112,6 +112,17 @@ def test_more_turns_than_can_be_tried_are_refused():
         found(replace(model, rate_sigma=100.0))
 
 
+def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate():
+    model, truth = watched(15.0, max_deg_s=20.0)
+    slowest = np.radians(10.0)
+    motions = search(
+        Chain(model, SEARCH), pair_starts(model, SEARCH, slowest), SEARCH, Budget(np.inf), 1
+    )
+    assert holds(motions, truth)
+    model, _ = watched(15.0, max_deg_s=10.0)
+    assert not list(pair_starts(model, SEARCH, slowest))
+
+
 def test_windows_grow_to_all_samples():
     t_s, window, windows = np.arange(40.0), slice(3, 8), []
     while window != slice(0, 40):
