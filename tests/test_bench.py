@@ -32,11 +32,8 @@ def test_the_quick_emd_benchmark_runs_and_contestants_agree(capsys):
 @pytest.mark.parametrize(
     ("make", "rows", "error"),
     [
-        (
-            lambda problem: TaylorBatch(problem, 1e-9, 2),
-            3,
-            1e-4,
-        ),  # two batches, the second not full
+        # two batches, the second not full
+        (lambda problem: TaylorBatch(problem, 1e-9, 2), 3, 1e-4),
         (lambda problem: DormandPrince(problem, 1e-6), 1, 1e-2),
     ],
     ids=["batch", "scipy"],
@@ -45,6 +42,5 @@ def test_contestants_of_the_scan_benchmark_agree_with_the_reference(make, rows, 
     end = make(PHILAE)(PHILAE.starts(RATES)[:rows])
     stops = [run["event_time_s"].values for run in reference[:rows]]
     np.testing.assert_allclose(end.stop_s, np.concatenate(stops), atol=error)
-    np.testing.assert_allclose(
-        end.sun_B, [run["sun_B"].values[-1] for run in reference[:rows]], atol=error
-    )
+    suns = [run["sun_B"].values[-1] for run in reference[:rows]]
+    np.testing.assert_allclose(end.sun_B, suns, atol=error)

@@ -38,32 +38,21 @@ def with_changes(*changes):
 
 
 def test_values_change_by_number_factor_or_step():
-    craft = with_changes(
-        "wheel.speed_rad_s=833",
-        "body.inertia_kg_m2[2][2]*=0.9",
-        "leg[2].tip_B_m[0]+=0.1",
-        "panel[6].gain*=1.1",
-    )
+    keys = "wheel.speed_rad_s body.inertia_kg_m2[2][2] leg[2].tip_B_m[0] panel[6].gain".split()
+    ways = ("=833", "*=0.9", "+=0.1", "*=1.1")
+    craft = with_changes(*(key + way for key, way in zip(keys, ways, strict=True)))
     assert craft.wheels[0].speed_rad_s == 833
     assert craft.inertia_kg_m2[2, 2] == pytest.approx(0.9 * 16.523)
     assert craft.legs[1].tip_B_m[0] == pytest.approx(-0.6784)
     assert craft.panels[5].gain == pytest.approx(253)
-    assert [one.key for one in craft.changes] == [
-        "wheel.speed_rad_s",
-        "body.inertia_kg_m2[2][2]",
-        "leg[2].tip_B_m[0]",
-        "panel[6].gain",
-    ]
-    assert str(craft.changes[0]).startswith(
-        "wheel.speed_rad_s = 833 rad/s (was 865 rad/s; paper, section 2.2"
-    )
+    assert [one.key for one in craft.changes] == keys
+    said = "wheel.speed_rad_s = 833 rad/s (was 865 rad/s; paper, section 2.2"
+    assert str(craft.changes[0]).startswith(said)
     assert craft.facts["wheel.wheel.speed_rad_s"].source.startswith("set for this run; was 865")
-    same = ss.load_vehicle(
-        "philae", {"wheel.speed_rad_s": 833, "body.inertia_kg_m2[2][2]": "*=0.9"}
-    )
-    assert (
-        same.wheels[0].speed_rad_s == 833 and same.inertia_kg_m2[2, 2] == craft.inertia_kg_m2[2, 2]
-    )
+    given = {"wheel.speed_rad_s": 833, "body.inertia_kg_m2[2][2]": "*=0.9"}
+    same = ss.load_vehicle("philae", given)
+    assert same.wheels[0].speed_rad_s == 833
+    assert same.inertia_kg_m2[2, 2] == craft.inertia_kg_m2[2, 2]
 
 
 def test_an_off_diagonal_element_sets_its_mirror_and_friction_laws_are_chosen_by_name():
@@ -139,9 +128,8 @@ TEMPLATE = str(resources.files("sunspin").joinpath("template", "vehicle.toml"))
 @pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
 def test_every_listed_value_can_be_changed(source):
     """Set to itself, times one or plus zero, a value stays and is no change; times two it is twice what it was."""
-    listed = {
-        each.key: each.value for each in list_settings(read_vehicle_table(source), VehicleFile)
-    }
+    listing = list_settings(read_vehicle_table(source), VehicleFile)
+    listed = {each.key: each.value for each in listing}
     own = {key: value for key, value in listed.items() if value not in (None, "as below")}
     same = [Change(key, "=", value) for key, value in own.items()]
     assert len(own) > 20 and ss.load_vehicle(source, same) == ss.load_vehicle(source)
@@ -183,14 +171,8 @@ def test_the_changed_file_reads_as_the_changed_vehicle(source):
 
 
 def test_the_changed_file_is_a_vehicle_file():
-    asked = parse_changes(
-        [
-            "wheel.friction=printed",
-            "wheel.speed_rad_s=833",
-            'panel_response.tilted.panel="6"',
-            "panel_response.tilted.turn_B_rad=[0.1, 0, 0]",
-        ]
-    )
+    tilted = ['panel_response.tilted.panel="6"', "panel_response.tilted.turn_B_rad=[0.1, 0, 0]"]
+    asked = parse_changes(["wheel.friction=printed", "wheel.speed_rad_s=833", *tilted])
     for name in ("philae", "skcube"):
         mine = asked if name == "philae" else ()
         written = parse_vehicle(read_vehicle_text(ChangedFile(name, mine)), "here")
@@ -199,18 +181,14 @@ def test_the_changed_file_is_a_vehicle_file():
 
 
 def test_assumptions_follow_into_the_study():
-    case = ss.load_case(
-        "philae", ["study.lead_s=30", "study.target_weights=interval", "study.mask=everywhere"]
-    )
+    changes = "study.lead_s=30 study.target_weights=interval study.mask=everywhere"
+    case = ss.load_case("philae", changes.split())
     usual = ss.load_case("philae")
     sun = ss.sun_directions(usual.vehicle, usual.telemetry)
     mine, theirs = rb.make_rebound(case, sun), rb.make_rebound(usual, sun)
-    assert mine.lead_s == 30
-    assert theirs.lead_s == pytest.approx(56.02)
-    assert rb.first_sample_lead_s(case) == 30
-    assert theirs.weights is None and mine.weights.sum() == pytest.approx(
-        np.ptp(mine.t_s[mine.reconstructed])
-    )
+    assert mine.lead_s == 30 and theirs.lead_s == pytest.approx(56.02)
+    assert rb.first_sample_lead_s(case) == 30 and theirs.weights is None
+    assert mine.weights.sum() == pytest.approx(np.ptp(mine.t_s[mine.reconstructed]))
     assert rb.direction_mask(case) is None and rb.direction_mask(usual) is not None
     assert len(case.changes) == 3 and usual.assumptions == read_assumptions()
 
@@ -221,9 +199,8 @@ def test_a_change_of_a_wheel_makes_another_body_and_one_of_a_leg_does_not():
     own = rb.motion_and_panel_parameters(OWN)
     assert rb.motion_and_panel_parameters(case.vehicle) != own
     assert rb.motion_and_panel_parameters(with_changes("leg[2].tip_B_m[0]+=0.1")) == own
-    surer = replace(
-        OWN, facts={key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")}
-    )
+    facts = {key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")}
+    surer = replace(OWN, facts=facts)
     assert rb.motion_and_panel_parameters(surer) == own
 
 
@@ -236,9 +213,8 @@ def test_commands_list_the_changes_and_print_them(tmp_path):
     listed = json.loads(command("simulate", "philae", "--set", "list", "--json").output)
     assert {"wheel.speed_rad_s", "body.inertia_kg_m2"} <= {one["key"] for one in listed}
     speed = next(one for one in listed if one["key"] == "wheel.speed_rad_s")
-    assert (
-        speed["value"] == 865 and speed["unit"] == "rad/s" and speed["source"].startswith("paper")
-    )
+    assert speed["value"] == 865 and speed["unit"] == "rad/s"
+    assert speed["source"].startswith("paper")
     assert "study.lead_s" in command("reproduce", "--set", "list").output
     for name in ("scan", "posterior", "outcomes", "simulate"):  # without a run's arguments
         assert "wheel.speed_rad_s" in command(name, "--set", "list").output, name
@@ -286,11 +262,8 @@ def test_a_change_that_a_command_does_not_use_is_reported_and_not_listed():
     assert [line.split()[1] for line in said] == ["panel[2].gain", "body.mass_kg"]
     refused = command(*words, "--set", "panel[9].gain=3")
     assert "no [9] here" in str(refused.exception) and "changes nothing" not in refused.stderr
-    listed = {
-        one["key"].partition(".")[0]
-        for one in json.loads(command("simulate", "philae", "--set", "list", "--json").output)
-    }
-    assert listed == {"body", "wheel"}
+    listed = json.loads(command("simulate", "philae", "--set", "list", "--json").output)
+    assert {one["key"].partition(".")[0] for one in listed} == {"body", "wheel"}
 
 
 def test_short_names_of_changes_work_in_several_commands(tmp_path):
@@ -301,35 +274,27 @@ def test_short_names_of_changes_work_in_several_commands(tmp_path):
     assert said[0][-1] != said[1][-1]
     options = "--omega-deg-s 6,-12,6 --runs 50 --strategy off --friction printed"
     words = ("outcomes", "philae", *options.split())
-    ran = [
-        command(*words, *more)
-        for more in ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))
-    ]
+    extra = ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))
+    ran = [command(*words, *more).output for more in extra]
     options = "--runs 50 --strategy off --set telemetry.noise*=2"
     noisier = command("outcomes", "philae", *options.split())
     assert "telemetry.noise changes nothing here" in noisier.stderr
     assert "a leg touches first" in noisier.output
-    rates = [
-        [line for line in one.output.splitlines() if "angular speed after" in line] for one in ran
-    ]
-    assert rates[0] != rates[1] == rates[2]
-    assert rates[0]
-    assert "collision.restitution = 0.4 (was 0" in ran[1].output
+    rates = [[line for line in out.splitlines() if "angular speed after" in line] for out in ran]
+    assert rates[0] and rates[0] != rates[1] == rates[2]
+    assert "collision.restitution = 0.4 (was 0" in ran[1]
 
 
 def test_a_posterior_without_predictions_does_not_use_a_change_of_the_collision(monkeypatch):
     monkeypatch.setattr("sunspin.estimate.posterior.posterior", refuse)
-    told = [
-        command(
-            "posterior", "philae", *words, "--restitution", "0.2", "--set", "body.mass_kg=90"
-        ).stderr.splitlines()
+    changes = "--restitution 0.2 --set body.mass_kg=90".split()
+    without, predicted = (
+        command("posterior", "philae", *words, *changes).stderr.splitlines()
         for words in ((), ("--predict", "17:25"))
-    ]
-    assert [line.split()[1] for line in told[0] if "nothing here" in line] == [
-        "body.mass_kg",
-        "collision.restitution",
-    ]
-    assert not any("nothing here" in line for line in told[1])
+    )
+    unused = [line.split()[1] for line in without if "nothing here" in line]
+    assert unused == ["body.mass_kg", "collision.restitution"]
+    assert not any("nothing here" in line for line in predicted)
 
 
 def refuse(*_, **__):
@@ -340,29 +305,25 @@ def test_outcomes_name_the_vehicle_of_the_motions_of_a_scan(tmp_path):
     axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
     volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
     changed = with_changes("wheel.speed_rad_s=833").result_attributes["changes"]
-    scan = volume.to_dataset().assign_attrs(
-        vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere"
-    )
+    attrs = {"vehicle": "philae", "changes": f"{changed}\nstudy.mask = everywhere"}
+    scan = volume.to_dataset().assign_attrs(attrs)
     write_netcdf(tmp_path / "scan.nc", scan)
     for sets, words in (
         (("wheel.speed_rad_s=833",), ""),
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
-        points, whose = select_start_rates(
-            load_inputs("philae", parse_changes(sets)).craft, [], tmp_path / "scan.nc", 1.1
-        )
+        craft = load_inputs("philae", parse_changes(sets)).craft
+        points, whose = select_start_rates(craft, [], tmp_path / "scan.nc", 1.1)
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 
 def test_a_landing_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
     assert build_scenario("philae", craft, {}).wheel_speed_rad_s == (833.0,)
-    assert default_scenario(craft).wheel_speed_rad_s == (833.0,) and default_scenario(
-        OWN
-    ).wheel_speed_rad_s == (865.0,)
-    case = ss.load_case(
-        "philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"]
-    )
+    assert default_scenario(craft).wheel_speed_rad_s == (833.0,)
+    assert default_scenario(OWN).wheel_speed_rad_s == (865.0,)
+    changes = "collision.restitution=0.2 collision.damper=0.5 study.lead_s=30"
+    case = ss.load_case("philae", changes.split())
     found = case_scenario(case)
     assert (found.restitution, found.damper, found.lead_s) == (0.2, 0.5, 30.0)
     assert paper_scenario(case).restitution == 0.2
@@ -375,20 +336,14 @@ def test_an_impact_of_a_changed_vehicle_never_adds_energy(restitution, damper):
     hit = ss.impact(OWN, omega, 300.0, velocity, "2", restitution=restitution, damper=damper)
 
     def energy(omega, velocity, speed):
-        wheel, axis = OWN.wheels[0], OWN.wheels[0].axis_B
-        turning = np.einsum(
-            "ni,ij,nj->n", omega, OWN.inertia_kg_m2, omega
-        ) / 2 + wheel.inertia_kg_m2 * speed * (omega @ axis)
-        return (
-            turning
-            + wheel.inertia_kg_m2 * speed**2 / 2
-            + OWN.mass_kg * (velocity**2).sum(axis=1) / 2
-        )
+        wheel = OWN.wheels[0]
+        turning = np.einsum("ni,ij,nj->n", omega, OWN.inertia_kg_m2, omega) / 2
+        spinning = wheel.inertia_kg_m2 * speed * (omega @ wheel.axis_B + speed / 2)
+        return turning + spinning + OWN.mass_kg * (velocity**2).sum(axis=1) / 2
 
     after = hit["omega_B"].values, hit["velocity_B"].values
-    lost = energy(omega, velocity, np.full(50, 300.0)) - energy(
-        *after, hit["wheel_speed_rad_s"].values[:, 0]
-    )
+    lost = energy(omega, velocity, np.full(50, 300.0))
+    lost -= energy(*after, hit["wheel_speed_rad_s"].values[:, 0])
     assert np.all(lost > -1e-10)
     before, behind = velocity + np.cross(omega, leg), after[1] + np.cross(after[0], leg)
     if damper == 0:

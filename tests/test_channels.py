@@ -13,7 +13,7 @@ from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.flat import normalise_readings
 from sunspin.vehicle.response.joined import JoinedResponse
 from sunspin.vehicle.response.planes import sphere
-from tests.support.vehicles import FACES
+from tests.support.vehicles import FACES, directions
 
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
 ONE = {"X": THREE["X"]}
@@ -44,11 +44,6 @@ def craft(channels, **said):
     return parse_vehicle(text(channels, **said), "c.toml")
 
 
-def directions(n, seed=0):
-    sun = np.random.default_rng(seed).normal(size=(n, 3))
-    return sun / np.linalg.norm(sun, axis=1, keepdims=True)
-
-
 # ------------------------------------------------------------------------------------------------------------------- what is said
 
 
@@ -56,17 +51,17 @@ def test_readings_of_channels_are_those_of_their_panels():
     """In the order of the panels, a channel where its first panel stands."""
     vehicle = craft({"Y": THREE["Y"], "odd": ("+X", "+Z")})
     assert vehicle.input_names == ("odd", "-X", "Y", "-Z") and len(vehicle.panels) == 6
-    np.testing.assert_allclose(
-        ss.panel_power(vehicle, [0.6, 0.0, 0.8]), [0.5 * 1.4, 0, 0, 0], atol=1e-15
-    )
-    np.testing.assert_allclose(
-        ss.panel_power(vehicle, [-0.6, -0.8, 0.0]), [0, 0.3, 0.4, 0], atol=1e-15
-    )
+    for sun, reading in (([0.6, 0, 0.8], [0.7, 0, 0, 0]), ([-0.6, -0.8, 0], [0, 0.3, 0.4, 0])):
+        np.testing.assert_allclose(ss.panel_power(vehicle, sun), reading, atol=1e-15)
     np.testing.assert_allclose(vehicle.input_gains, [0.5 * np.sqrt(2), 0.5, 0.5, 0.5], rtol=1e-12)
     largest = craft({"odd": ("+X", "+Z")}, reads="largest")
     np.testing.assert_allclose(ss.panel_power(largest, [0.6, 0.0, 0.8])[0], 0.4, atol=1e-15)
     each = vehicle.response_of_panels().power(np.array([0.6, 0.0, 0.8]))
     np.testing.assert_allclose(each, [0.3, 0, 0, 0, 0.4, 0], atol=1e-15)
+
+
+WIRED = '[telemetry.columns]\n"+X" = "px"'
+SHARED = '[telemetry.columns]\n"+X" = "i"\n"-X" = "i"'
 
 
 @pytest.mark.parametrize(
@@ -78,17 +73,11 @@ def test_readings_of_channels_are_those_of_their_panels():
         (text({"X": ()}), "channel 'X' names no panel"),
         (text(ONE, reads="mean"), "should be 'sum' or 'largest'"),
         (text({"+Y": THREE["X"]}), "channel '+Y' is called like a panel that is not in it"),
-        (
-            text(ONE, more='[telemetry.columns]\n"+X" = "px"'),
-            "telemetry.columns names a panel that is read through a channel",
-        ),
+        (text(ONE, more=WIRED), "telemetry.columns names a panel that is read through a channel"),
         (text(ONE, channel="throttled = true"), "some inputs are throttled and others are not"),
         (text(ONE, channel="throttled = 1"), "should be a valid boolean"),
         (text(ONE, channel="throtled = true"), "did you mean throttled?"),
-        (
-            text({}, more='[telemetry.columns]\n"+X" = "i"\n"-X" = "i"'),
-            "panels that share an input",
-        ),
+        (text({}, more=SHARED), "panels that share an input"),
     ],
 )
 def test_a_wrong_channel_is_refused_in_one_sentence(written, told):
@@ -102,9 +91,8 @@ def test_a_wrong_channel_is_refused_in_one_sentence(written, told):
 def test_the_template_shows_a_channel_that_works():
     told = resources.files("sunspin").joinpath("template", "vehicle.toml").read_text("utf-8")
     lines = told[told.index("#   [[channel]]") :].splitlines()[:5]
-    opened = told.replace('"+X" = "px"\n"-X" = "mx"', '"X" = "ix"') + "\n".join(
-        line.removeprefix("#   ") for line in lines
-    )
+    added = "\n".join(line.removeprefix("#   ") for line in lines)
+    opened = told.replace('"+X" = "px"\n"-X" = "mx"', '"X" = "ix"') + added
     assert parse_vehicle(opened, "template").input_names == ("X", "+Y", "-Y", "+Z")
 
 
@@ -131,18 +119,16 @@ def test_directions_that_fit_equally_are_found_and_one_is_given_only_if_unique(c
     grid = directions(40_000, 2)
     unit = ss.panel_power(vehicle, grid)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    away = np.linalg.norm(
-        unit - (readings / np.linalg.norm(readings, axis=1, keepdims=True))[:, None], axis=-1
-    )
+    shape = readings / np.linalg.norm(readings, axis=1, keepdims=True)
+    away = np.linalg.norm(unit - shape[:, None], axis=-1)
     response = vehicle.response_in()
     delta = response.best_direction(readings)[1]
     assert (delta <= away.min(axis=1) + 1e-12).all()
     alike = response.near_best(readings, np.full(12, 0.05))
     for some, off, least in zip(alike, away, delta, strict=True):
         some = some[np.isfinite(some[:, 0])]
-        for place in grid[
-            off < 0.02
-        ]:  # an apart neighbourhood without a direction in it were one that is missed
+        # an apart neighbourhood without a direction in it were one that is missed
+        for place in grid[off < 0.02]:
             assert (some @ place).max() > np.cos(0.3) or least > 0.01
     sun = ss.sun_directions(vehicle, readings)
     given = np.isfinite(sun["sun_B"].values[:, 0])
@@ -187,12 +173,10 @@ def test_the_mask_of_a_scan_counts_what_channels_allow(reads):
 
 
 def test_with_three_channels_no_pattern_gives_a_direction():
-    assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(
-        craft({"odd": ("+X", "+Y")})
-    )
-    assert len(craft(THREE).response_in().symmetries) == 8
-    assert len(craft(ONE).response_in().symmetries) == 2
-    assert len(craft({}).response_in().symmetries) == 1
+    assert not reconstructible_patterns(craft(THREE))
+    assert reconstructible_patterns(craft({"odd": ("+X", "+Y")}))
+    symmetries = [craft(channels).response_in().symmetries for channels in (THREE, ONE, {})]
+    assert [*map(len, symmetries)] == [8, 2, 1]
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
@@ -216,17 +200,15 @@ def flight(vehicle, seed, samples=16, step_s=12.0):
     rng = np.random.default_rng(seed)
     t = np.cumsum(step_s * rng.uniform(0.8, 1.2, samples))
     omega, sun = 0.03 * directions(1, seed + 1)[0], directions(1, seed + 2)[0]
-    data = ss.twin(
-        vehicle, {"omega_B": omega, "sun_B": sun, "t_s": t - t[0], "noise": NOISE}, seed=seed
-    )
+    known = {"omega_B": omega, "sun_B": sun, "t_s": t - t[0], "noise": NOISE}
+    data = ss.twin(vehicle, known, seed=seed)
     truth = ss.propagate(vehicle, omega, sun, [], data["time"].values)
     if vehicle.sensors.gyro:
         read = truth["omega_B"].values + 1e-3 * rng.normal(size=(samples, 3))
         data["gyro_B"] = ("time", "axis"), read
     if vehicle.throttled:
-        data["current_A"] = data["current_A"] * xr.DataArray(
-            rng.uniform(0.2, 1.0, samples), dims="time"
-        )
+        share = xr.DataArray(rng.uniform(0.2, 1.0, samples), dims="time")
+        data["current_A"] = data["current_A"] * share
     return data, truth
 
 
@@ -244,8 +226,7 @@ def test_three_channels_leave_eight_symmetric_solutions():
     vehicle = craft(THREE, more=MOVES)
     data, truth = flight(vehicle, 0)
     result = ss.rates(vehicle, data)
-    assert not result["decided"].values[0]
-    assert not result["unique"].values[0]
+    assert not result["decided"].values[0] and not result["unique"].values[0]
     assert result["fits"].values[0]
     assert np.nanmin(away(result, truth)) < 4
     sizes = np.abs(np.stack([result[f"omega_{axis}"].values[0, :8] for axis in "xyz"], axis=-1))
@@ -268,9 +249,8 @@ def test_power_limited_samples_are_used_by_their_ratios():
     data, truth = flight(vehicle, 3)
     quality = ss.panel_quality(vehicle, data)
     assert (quality["use"].values == 0).all() and quality["scale_sigma"].values.min() >= 2
-    np.testing.assert_allclose(
-        quality["scale"].values * 0.5, np.linalg.norm(data["current_A"].values, axis=1), rtol=0.1
-    )
+    size = np.linalg.norm(data["current_A"].values, axis=1)
+    np.testing.assert_allclose(quality["scale"].values * 0.5, size, rtol=0.1)
     assert np.nanmin(away(ss.rates(vehicle, data), truth)) < 4
 
 

@@ -53,11 +53,8 @@ def test_no_module_draws_random_numbers_when_it_is_imported():
         for node in tree(path).body if has(path, *drawn) else ():
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
                 continue
-            found = [
-                call
-                for call in ast.walk(node)
-                if isinstance(call, ast.Call) and name_of(call) in drawn
-            ]
+            every = (call for call in ast.walk(node) if isinstance(call, ast.Call))
+            found = [call for call in every if name_of(call) in drawn]
             seeded = [call for call in found if not call.args]
             assert not (found if "src" in path.parts else seeded), f"{path}:{node.lineno}"
 
@@ -78,20 +75,13 @@ def test_the_package_reads_and_writes_no_pickles():
         if "src" not in path.parts:
             continue
         found = nodes_if(path, *modules, *functions)  # "pickle" is in "allow_pickle", too
-        names = {
-            alias.name.split(".")[0]
-            for node in found
-            if isinstance(node, ast.Import)
-            for alias in node.names
-        }
-        names |= {
-            (node.module or "").split(".")[0] for node in found if isinstance(node, ast.ImportFrom)
-        }
+        imports = (node for node in found if isinstance(node, ast.Import))
+        names = {alias.name.split(".")[0] for node in imports for alias in node.names}
+        others = (node for node in found if isinstance(node, ast.ImportFrom))
+        names |= {(node.module or "").split(".")[0] for node in others}
         assert not names & modules, path
         asked = [node for node in found if isinstance(node, ast.Call)]
-        assert not [
-            call for call in asked if any(k.arg == "allow_pickle" for k in call.keywords)
-        ], path
+        assert "allow_pickle" not in {k.arg for call in asked for k in call.keywords}, path
         assert not [call for call in asked if name_of(call) in functions], path
 
 

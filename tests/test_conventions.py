@@ -13,11 +13,8 @@ BALL = ss.Vehicle("ball", inertia_kg_m2=np.eye(3) * 2)
 
 def flywheel(coulomb_N_m: float = 0.0) -> ss.Vehicle:
     """A body with equal moments of 2 kg m2 and a wheel of 0.1 kg m2 about z."""
-    return ss.Vehicle(
-        "flywheel",
-        np.eye(3) * 2,
-        wheels=(ss.Wheel("w", [0, 0, 1], 0.1, friction=ss.Friction(coulomb_N_m)),),
-    )
+    wheel = ss.Wheel("w", [0, 0, 1], 0.1, friction=ss.Friction(coulomb_N_m))
+    return ss.Vehicle("flywheel", np.eye(3) * 2, wheels=(wheel,))
 
 
 def quarter_turn_about_z():
@@ -46,9 +43,8 @@ def test_wheel_speed_is_relative_to_the_body_and_positive_about_its_axis():
     omega, speed = np.array([0, 0, 3.0]), np.array([10.0])
     assert axial_momenta(flywheel(), omega, speed) == pytest.approx(0.1 * (10 + 3))
     assert total_momentum(flywheel(), omega, speed) == pytest.approx([0, 0, 2 * 3 + 0.1 * 10])
-    assert kinetic_energy(flywheel(), omega, speed) == pytest.approx(
-        1.9 * 3**2 / 2 + 0.1 * 13**2 / 2
-    )
+    energy = 1.9 * 3**2 / 2 + 0.1 * 13**2 / 2
+    assert kinetic_energy(flywheel(), omega, speed) == pytest.approx(energy)
 
 
 def test_inertia_is_the_tensor_of_everything_with_minus_the_products():
@@ -60,12 +56,10 @@ def test_inertia_is_the_tensor_of_everything_with_minus_the_products():
     omega = np.array([0.3, -0.1, 0.2])
     momentum = np.cross(r, np.cross(omega, r)).sum(axis=0)
     assert tensor[0, 1] == -2
-    assert total_momentum(ss.Vehicle("six masses", tensor), omega, np.zeros(0)) == pytest.approx(
-        momentum
-    )
-    np.testing.assert_allclose(
-        free_inertia(flywheel(), [True]), np.diag([2, 2, 1.9]), rtol=1e-12, atol=1e-15
-    )
+    body = ss.Vehicle("six masses", tensor)
+    assert total_momentum(body, omega, np.zeros(0)) == pytest.approx(momentum)
+    free = free_inertia(flywheel(), [True])
+    np.testing.assert_allclose(free, np.diag([2, 2, 1.9]), rtol=1e-12, atol=1e-15)
 
 
 def test_friction_slows_the_wheel_and_drags_the_body_along():
@@ -90,9 +84,8 @@ def test_directions_of_three_digits_are_taken_and_others_refused():
     rounded = np.array([0.6, 0.0, 0.8004])
     assert np.linalg.norm(ss.Panel("p", rounded, 1.0).normal_B) == pytest.approx(1, abs=1e-15)
     run = ss.propagate(BALL, [0, 0, 0.1], rounded, None, [0, 3.0])
-    assert np.linalg.norm(run["sun_B"].values[1]) == pytest.approx(
-        np.linalg.norm(rounded), abs=1e-14
-    )  # as given
+    length = np.linalg.norm(rounded)  # as given
+    assert np.linalg.norm(run["sun_B"].values[1]) == pytest.approx(length, abs=1e-14)
     with pytest.raises(ss.VehicleError, match="unit vector"):
         ss.Panel("p", [0.6, 0, 0.81], 1.0)
     with pytest.raises(ss.SunspinError, match="unit"):

@@ -47,14 +47,8 @@ def test_an_empty_vehicle_shows_that_nothing_is_given():
 def test_names_from_a_file_are_escaped_in_a_notebook():
     evil = "<script>alert(1)</script>"
     panel, wheel = ss.Panel(evil, [1, 0, 0], 1.0), ss.Wheel(evil, [0, 0, 1], 1e-3)
-    craft = ss.Vehicle(
-        evil,
-        np.eye(3),
-        panels=[panel],
-        wheels=[wheel],
-        legs=[ss.Leg(evil, [0, 0, 1])],
-        gain_unit=evil,
-    )
+    parts = {"panels": [panel], "wheels": [wheel], "legs": [ss.Leg(evil, [0, 0, 1])]}
+    craft = ss.Vehicle(evil, np.eye(3), gain_unit=evil, **parts)
     shown = Checked(craft._repr_html_())
     assert "script" not in shown.tags and shown.text.count(evil) >= 4
 

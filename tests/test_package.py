@@ -39,16 +39,13 @@ def test_the_wheel_works_on_its_own(built, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
     said = "import sunspin; print(sunspin.__file__, sunspin.load_case('philae').telemetry.sizes['time'])"
-    where = run(
-        f"{said}; from sunspin.cli import cli; cli(['init', 'mine', '--quiet'], standalone_mode=False)",
-        tmp_path,
-    ).split()
+    init = "from sunspin.cli import cli; cli(['init', 'mine', '--quiet'], standalone_mode=False)"
+    where = run(f"{said}; {init}", tmp_path).split()
     assert where == [str(tmp_path / "sunspin" / "__init__.py"), "251"]
     page = (ROOT / "docs" / "howto" / "verdicts.md").read_text("utf-8")
     assert (tmp_path / "sunspin" / "output" / "verdicts.md").read_text("utf-8") == page
-    assert (tmp_path / "mine" / "vehicle.toml").is_file() and (
-        tmp_path / "sunspin" / "py.typed"
-    ).is_file()
+    assert (tmp_path / "mine" / "vehicle.toml").is_file()
+    assert (tmp_path / "sunspin" / "py.typed").is_file()
 
 
 def test_the_archives_hold_what_they_should_and_nothing_else(built):
@@ -57,20 +54,10 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
     assert all(re.match(r"sunspin(-[\d.]+\.dist-info)?/", name) for name in names)
     with tarfile.open(source) as archive:
         inside = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    wanted = [
-        "LICENSE",
-        "CITATION.cff",
-        "CHANGELOG.md",
-        "tests/conftest.py",
-        "docs/conf.py",
-        "examples/01_sun_from_powers.py",
-    ]
-    assert set(wanted) <= inside
-    data = {
-        path.relative_to(ROOT / "src").as_posix()
-        for path in (ROOT / "src/sunspin/cases").glob("[a-z]*/*")
-        if path.is_file()
-    }
+    wanted = "LICENSE CITATION.cff CHANGELOG.md tests/conftest.py docs/conf.py".split()
+    assert {*wanted, "examples/01_sun_from_powers.py"} <= inside
+    paths = (ROOT / "src/sunspin/cases").glob("[a-z]*/*")
+    data = {path.relative_to(ROOT / "src").as_posix() for path in paths if path.is_file()}
     assert "sunspin/cases/philae/published.toml" in data and data <= set(names)
     other = (".bsp", ".bc", ".zip", ".nc", ".tex")  # other people's data and results
     assert not [name for name in [*names, *inside] if name.lower().endswith(other)]
@@ -79,15 +66,13 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
 def test_citation_and_changelog_have_the_version_of_the_package():
     version = PROJECT["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
-    assert re.search(
-        rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
-    )
+    changes = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    assert re.search(rf"^## {re.escape(version)}\b", changes, re.MULTILINE)
 
 
 def test_heavy_dependencies_are_extras():
     core = " ".join(PROJECT["dependencies"])
-    assert {"cluster", "spice", "parquet", "pictures", "study", "docs", "test"} <= set(
-        PROJECT["optional-dependencies"]
-    )
+    extras = "cluster spice parquet pictures study docs test"
+    assert set(extras.split()) <= set(PROJECT["optional-dependencies"])
     for heavy in ("pyarrow", "distributed", "spiceypy", "sphinx", "matplotlib", "plotly"):
         assert heavy not in core

@@ -22,20 +22,16 @@ SPEED = 0.03
 
 def answered(omega, sigma, decided=True):
     """Return what `rates` says of a pass with one solution, for the row of a plan."""
-    parts = {
-        f"omega_{axis}": (("pass_id", "solution"), [[omega[k]]]) for k, axis in enumerate("xyz")
+    one = ("pass_id", "solution")
+    parts = {f"omega_{axis}": (one, [[omega[k]]]) for k, axis in enumerate("xyz")}
+    parts |= {f"sigma_{axis}": (one, [[sigma]]) for axis in "xyz"}
+    parts |= {
+        "probability": (one, [[1.0]]),
+        "decided": ("pass_id", [decided]),
+        "why_not_decided": ("pass_id", ["" if decided else "several solutions"]),
+        "pass_of": ("time", np.zeros(3, dtype=int)),
     }
-    parts |= {f"sigma_{axis}": (("pass_id", "solution"), [[sigma]]) for axis in "xyz"}
-    return xr.Dataset(
-        parts
-        | {
-            "probability": (("pass_id", "solution"), [[1.0]]),
-            "decided": ("pass_id", [decided]),
-            "why_not_decided": ("pass_id", ["" if decided else "several solutions"]),
-            "pass_of": ("time", np.zeros(3, dtype=int)),
-        },
-        coords={"time": [0.0, 10.0, 20.0], "pass_id": [0]},
-    )
+    return xr.Dataset(parts, {"time": [0.0, 10.0, 20.0], "pass_id": [0]})
 
 
 def test_of_a_pass_in_parts_the_one_with_the_most_samples_counts():
@@ -95,21 +91,14 @@ def test_decided_rate_far_from_the_truth_counts_as_wrong(monkeypatch, off, wrong
 
 def test_speeds_of_three_rounds_lie_in_the_three_classes(monkeypatch):
     monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
-    rounds = []
-    result = plan(
-        CUBE,
-        [60.0, 10.0, 10.0],
-        samples=3,
-        max_rate_rad_s=0.05,
-        passes=3,
-        after_round=rounds.append,
-    )
+    rounds, options = [], {"samples": 3, "max_rate_rad_s": 0.05, "passes": 3}
+    result = plan(CUBE, [60.0, 10.0, 10.0], after_round=rounds.append, **options)
     assert result["every"].values.tolist() == [10.0, 60.0]
     assert (result["passes"].values == 1).all()
     assert [int(one["passes"].sum()) for one in rounds] == [2, 4, 6]
     assert rounds[0]["passes"].values[:, 1].tolist() == [1, 1]  # the middle class first
     assert (result["why_not_decided"].values == "several solutions").all()
-    again = plan(CUBE, [10.0, 60.0], samples=3, max_rate_rad_s=0.05, passes=3)
+    again = plan(CUBE, [10.0, 60.0], **options)
     xr.testing.assert_identical(result, again)
 
 

@@ -103,22 +103,14 @@ def sources(tmp_path_factory) -> list[Path]:
     (folder / "sitecustomize.py").write_text(SITE, "utf-8")
     (folder / "run.py").write_text(RUN, "utf-8")
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(PACKAGE.parent)])}
+    options = {"cwd": folder, "env": environment, "capture_output": True, "text": True}
     for command in COMMANDS:
-        done = subprocess.run(
-            [sys.executable, "run.py", *command],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
+        done = subprocess.run([sys.executable, "run.py", *command], **options)
         assert done.returncode == 0, f"{command[0]}: {done.stderr}"
     names = {*(folder / "modules.txt").read_text("utf-8").split()}
-    places = [
-        PACKAGE.joinpath(*name.split(".")[1:]) for name in names if name.startswith("sunspin")
-    ]
-    files = [
-        place / "__init__.py" if place.is_dir() else place.with_suffix(".py") for place in places
-    ]
+    parts = (name.split(".")[1:] for name in names if name.startswith("sunspin"))
+    places = [PACKAGE.joinpath(*part) for part in parts]
+    files = [x / "__init__.py" if x.is_dir() else x.with_suffix(".py") for x in places]
     return [*files, PACKAGE / "base" / "netcdf_probe.py"]  # which runs as a program
 
 
@@ -128,27 +120,16 @@ def faults(source: str) -> Iterator[str]:
     An import is allowed inside `try`, a name inside a function that asks for it with `hasattr`.
     """
     tree = ast.parse(source)
-    guarded = {
-        id(node)
-        for block in ast.walk(tree)
-        if isinstance(block, ast.Try)
-        for statement in block.body
-        for node in ast.walk(statement)
-    }
+    blocks = (block for block in ast.walk(tree) if isinstance(block, ast.Try))
+    statements = [statement for block in blocks for statement in block.body]
+    guarded = {id(node) for statement in statements for node in ast.walk(statement)}
     for function in ast.walk(tree):
         if isinstance(function, ast.FunctionDef):
-            asked = {
-                node.args[1].value
-                for node in ast.walk(function)
-                if isinstance(node, ast.Call)
-                and getattr(node.func, "id", "") == "hasattr"
-                and isinstance(node.args[1], ast.Constant)
-            }
-            guarded |= {
-                id(node)
-                for node in ast.walk(function)
-                if isinstance(node, ast.Attribute) and node.attr in asked
-            }
+            calls = (node for node in ast.walk(function) if isinstance(node, ast.Call))
+            asks = (call.args[1] for call in calls if getattr(call.func, "id", "") == "hasattr")
+            asked = {name.value for name in asks if isinstance(name, ast.Constant)}
+            uses = (node for node in ast.walk(function) if isinstance(node, ast.Attribute))
+            guarded |= {id(node) for node in uses if node.attr in asked}
     for node in ast.walk(tree):
         if id(node) in guarded:
             continue
@@ -181,10 +162,8 @@ def _encoding_faults(call: ast.Call) -> Iterator[str]:
 
 def test_the_commands_run_without_what_windows_lacks_and_their_modules_name_nothing_of_it(sources):
     assert len(sources) > 80 and PACKAGE / "base" / "atomic_write.py" in sources
-    found = {
-        path.name: texts for path in sources if (texts := list(faults(path.read_text("utf-8"))))
-    }
-    assert not found
+    found = {path.name: list(faults(path.read_text("utf-8"))) for path in sources}
+    assert not any(found.values()), found
 
 
 def test_the_program_that_limits_a_process_runs_without_limits():

@@ -4,22 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.parts import ResponseForm, Tilted
+from tests.support.simulate import telemetry_of
+from tests.support.vehicles import CUBE_NORMALS, directions
 
 NOISE = 0.004
+NAMES = [f"{sign}{axis}" for sign in "+-" for axis in "xyz"]
 CUBE = Vehicle(
     "cube",
     gain_unit="A",
-    panels=[
-        Panel(f"{'+-'[k // 3]}{'xyz'[k % 3]}", normal, 0.5)
-        for k, normal in enumerate(np.vstack([np.eye(3), -np.eye(3)]))
-    ],
+    panels=[Panel(name, n, 0.5) for name, n in zip(NAMES, CUBE_NORMALS, strict=True)],
     telemetry=TelemetryForm(quantity="current_A", noise=NOISE),
 )
 TURN = np.array([0.0, 0.12, 0.15])
@@ -32,22 +31,10 @@ def under(law):
     return replace(CUBE, panel_response=form)
 
 
-def directions(n, seed=0):
-    sun = np.random.default_rng(seed).normal(size=(n, 3))
-    return sun / np.linalg.norm(sun, axis=1, keepdims=True)
-
-
 def readings(vehicle, n, seed=0, sigma=NOISE):
     sun = directions(n, seed)
     noise = sigma * np.random.default_rng(seed + 1).normal(size=(n, len(vehicle.panels)))
     return np.maximum(ss.panel_power(vehicle, sun) + noise, 0.0), sun
-
-
-def telemetry(value):
-    time = np.arange(len(value)) * 30.0
-    return xr.Dataset(
-        {"current_A": (("time", "panel"), value)}, {"time": time, "panel": list(CUBE.panel_names)}
-    )
 
 
 @pytest.mark.parametrize(
@@ -71,35 +58,24 @@ def test_slopes_of_a_response_are_those_of_its_powers(law):
     assert np.array_equal(power, response.power(sun, tilt=tilt))
     for axis in np.eye(3):
         ahead, behind = (Rotation.from_rotvec(sign * step * axis).apply(sun) for sign in (1, -1))
-        of_sun = (response.power(ahead, tilt=tilt) - response.power(behind, tilt=tilt)) / (2 * step)
-        smooth = (
-            np.abs(response.power(ahead, tilt=tilt) + response.power(behind, tilt=tilt) - 2 * power)
-            < 1e-7
-        )
-        np.testing.assert_allclose(
-            of_sun[smooth], (to_sun @ np.cross(axis, sun)[..., None])[..., 0][smooth], atol=2e-6
-        )
-        turned = [
-            response.power(sun, tilt=sign * step * axis + np.zeros((6, 3))) for sign in (1, -1)
-        ]
-        about_none = response.slopes(sun, tilt=np.zeros((6, 3))).to_tilt @ axis
-        smooth = np.abs(turned[0] + turned[1] - 2 * response.power(sun)) < 1e-7
-        np.testing.assert_allclose(
-            ((turned[0] - turned[1]) / (2 * step))[smooth], about_none[smooth], atol=2e-6
-        )
+        ends = [response.power(one, tilt=tilt) for one in (ahead, behind)]
+        smooth = np.abs(ends[0] + ends[1] - 2 * power) < 1e-7
+        of_sun = ((ends[0] - ends[1]) / (2 * step))[smooth]
+        expected = (to_sun @ np.cross(axis, sun)[..., None])[..., 0][smooth]
+        np.testing.assert_allclose(of_sun, expected, atol=2e-6)
+        ends = [response.power(sun, tilt=np.tile(s * step * axis, (6, 1))) for s in (1, -1)]
+        smooth = np.abs(ends[0] + ends[1] - 2 * response.power(sun)) < 1e-7
+        of_tilt = ((ends[0] - ends[1]) / (2 * step))[smooth]
+        expected = (response.slopes(sun, tilt=np.zeros((6, 3))).to_tilt @ axis)[smooth]
+        np.testing.assert_allclose(of_tilt, expected, atol=2e-6)
     assert smooth.mean() > 0.95
     steps = [np.cross(axis, sun) for axis in np.eye(3)]
     for turned in (None, tilt):
         plain = response.slopes(sun, tilt=turned)
-        for step, along in zip(
-            steps,
-            response.power_changes(sun, steps, gain=np.full(6, 1.1), tilt=turned),
-            strict=True,
-        ):
-            expected = np.where(
-                plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0
-            )
-            np.testing.assert_allclose(along, expected, atol=1e-9)
+        changes = response.power_changes(sun, steps, gain=np.full(6, 1.1), tilt=turned)
+        for step, along in zip(steps, changes, strict=True):
+            slope = 1.1 * np.einsum("npi,ni->np", plain.to_sun, step)
+            np.testing.assert_allclose(along, np.where(plain.power > 0, slope, 0.0), atol=1e-9)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -110,13 +86,11 @@ def test_every_response_scales_with_gain_and_light_and_keeps_its_bounds(law):
     np.testing.assert_allclose(response.power(sun, gain=np.full(6, 1.1)), 1.1 * power, rtol=1e-14)
     light, by = response.light_power(sun * 3.0)
     np.testing.assert_allclose(light, 3 * power, atol=1e-12)
-    np.testing.assert_allclose(
-        np.where(power > 0, (by @ sun[..., None])[..., 0], 0), power, atol=1e-9
-    )
+    by_slope = np.where(power > 0, (by @ sun[..., None])[..., 0], 0)
+    np.testing.assert_allclose(by_slope, power, atol=1e-9)
     low, high = response.bounds(sun, 0.2)
-    turns = Rotation.from_rotvec(
-        0.2 * directions(300, 5) * np.random.default_rng(6).uniform(0, 1, (300, 1))
-    )
+    angles = 0.2 * np.random.default_rng(6).uniform(0, 1, (300, 1))
+    turns = Rotation.from_rotvec(directions(300, 5) * angles)
     near = np.array([response.power(turn.apply(sun)) for turn in turns])
     assert (near >= low - 1e-12).all() and (near <= high + 1e-12).all()
     assert (high - low).max() < 0.5 * 0.7  # of use, too
@@ -142,26 +116,18 @@ def test_slopes_of_albedo_agree_with_differences(law):
 
 def test_a_tilted_panel_equals_a_panel_with_another_normal():
     """Directions, quality and health as of a vehicle whose file says so."""
-    stands = replace(
-        CUBE,
-        panels=[
-            replace(CUBE.panels[0], normal_B=Rotation.from_rotvec(TURN).apply([1, 0, 0])),
-            *CUBE.panels[1:],
-        ],
-    )
-    power, _ = readings(stands, 60)
-    ours, theirs = (ss.sun_directions(vehicle, power) for vehicle in (under("tilted"), stands))
+    panels = [replace(CUBE.panels[0], normal_B=FACING), *CUBE.panels[1:]]
+    both = under("tilted"), replace(CUBE, panels=panels)
+    power, _ = readings(both[1], 60)
+    data = telemetry_of(CUBE, 30.0 * np.arange(60), power)
+    ours, theirs = (ss.sun_directions(vehicle, power) for vehicle in both)
     assert np.array_equal(ours["status"], theirs["status"])
     np.testing.assert_allclose(ours["sun_B"], theirs["sun_B"], atol=1e-6)
-    ours, theirs = (
-        ss.panel_quality(vehicle, telemetry(power)) for vehicle in (under("tilted"), stands)
-    )
+    ours, theirs = (ss.panel_quality(vehicle, data) for vehicle in both)
     np.testing.assert_allclose(ours["gain"], theirs["gain"], rtol=1e-4)
     np.testing.assert_allclose(ours["sigma"], theirs["sigma"], rtol=1e-3)
-    assert (
-        ss.panel_health(under("tilted"), power)["allowed"]
-        == ss.panel_health(stands, power)["allowed"]
-    )
+    ours, theirs = (ss.panel_health(vehicle, power)["allowed"] for vehicle in both)
+    assert ours == theirs
 
 
 # ------------------------------------------------------------------------------------------------------- one place, and its file
@@ -205,15 +171,10 @@ def test_a_wrong_response_is_refused_in_one_sentence(table, words):
 def test_the_albedo_model_is_that_of_a_wide_disk(reached):
     """Integrated over an evenly bright disk of 66 degrees' radius, for panels turned away from its middle by up to 180 degrees."""
     radius = np.arcsin(6371 / (6371 + 550))  # of the disk from 550 km, rad
-    away, about = (
-        np.stack(x)
-        for x in np.meshgrid(
-            (np.arange(300) + 0.5) / 300 * radius, np.arange(300) / 300 * 2 * np.pi
-        )
-    )
-    ray = np.stack(
-        [np.sin(away) * np.cos(about), np.sin(away) * np.sin(about), np.cos(away)], axis=-1
-    )
+    steps = (np.arange(300) + 0.5) / 300 * radius, np.arange(300) / 300 * 2 * np.pi
+    away, about = np.meshgrid(*steps)
+    level = np.sin(away)
+    ray = np.stack([level * np.cos(about), level * np.sin(about), np.cos(away)], axis=-1)
     turned = np.linspace(0, np.pi, 19)
     normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
     area = np.sin(away) * radius / 300 * 2 * np.pi / 300 / (np.pi * np.sin(radius) ** 2)

@@ -53,99 +53,55 @@ def test_a_vehicle_cannot_be_changed(tmp_path):
         vehicle.inertia_kg_m2[0, 0] = 5.0
 
 
+SPIN_DOWN = "spin_down = { c1_rad_s = 1, c2_per_s = -1, c3_rad_s = -1 }\n"
+GYRO = '[gyro]\ncolumns = ["x", "y", "z"]\nscale_rad_s = 1\nnoise_rad_s = 1\nzero_sigma = 1\n'
+CLOCK = "[clock]\nsensors_late_s = { value = 1, sigma = -1 }\n"
+KNOWN = "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"
+
+
 @pytest.mark.evidence("load_vehicle", "verified", "files with one mistake each")
 @pytest.mark.parametrize(
-    ("change", "parts"),
+    ("old", "new", "parts"),  # without an old part the new one is added, or is the file
     [
-        (lambda t: "", ["empty"]),
-        (
-            lambda t: t.replace("mass_kg", "mas_kg"),
-            ["body.mas_kg", "unknown key", "mass_kg, inertia_kg_m2"],
-        ),
-        (lambda t: t.replace("[1, 0, 0], [0, 2", "[1, 0.1, 0], [0, 2"), ["symmetric", "0.1"]),
-        (lambda t: t.replace("[0, 0, 2.5]", "[0, 0, 5]"), ["not that of any body", "1, 2, 5"]),
-        (lambda t: t.replace("[[1, 0, 0]", "[[-1, 0, 0]"), ["positive definite"]),
-        (
-            lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, 0, 1]"),
-            ["normal_B of panel 'a'", "unit vector", "1.414"],
-        ),
-        (
-            lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, 0]"),
-            ["normal_B", "three finite numbers"],
-        ),
-        (lambda t: t.replace("cells = 10", "cells = -1"), ["gain of panel 'a'", "positive"]),
-        (lambda t: t.replace("cells = 10", ""), ["panel 'a'", "exactly one of cells"]),
-        (
-            lambda t: t.replace("cells = 10", 'cells = "10"'),
-            ["panel[0].cells", "a number is expected"],
-        ),
-        (lambda t: t.replace("mass_kg = 10", "mass_kg = nan"), ["body.mass_kg", "finite number"]),
-        (lambda t: t.replace("mass_kg = 10", "mass_kg ="), ["not valid TOML", "line"]),
-        (lambda t: t.replace('name = "w"', ""), ["wheel[0].name", "missing"]),
-        (lambda t: t.replace("value = 0.01", "value = 3.0"), ["axial inertia exceeds"]),
-        (
-            lambda t: t.replace("coulomb_N_m = 1e-3", "coulomb_N_m = -1e-3"),
-            ["coulomb_N_m", "zero or positive"],
-        ),
-        (lambda t: t.encode("utf-16"), ["not UTF-8"]),
-        (lambda t: t + '[[sun_rule]]\nall_dark = ["z"]\nreason = "r"\n', ["does not have", "z"]),
-        (lambda t: t + '[[leg]]\nname = "1"\ntip_B_m = [1, 2]\n', ["tip_B_m of leg '1'"]),
-        (
-            lambda t: t.replace('source = "datasheet"', 'source = ""'),
-            ["source must be a text that is not empty"],
-        ),
+        (None, "", ["empty"]),
+        (None, GOOD.encode("utf-16"), ["not UTF-8"]),
+        ("mass_kg", "mas_kg", ["body.mas_kg", "unknown key", "mass_kg, inertia_kg_m2"]),
+        ("[1, 0, 0], [0, 2", "[1, 0.1, 0], [0, 2", ["symmetric", "0.1"]),
+        ("[0, 0, 2.5]", "[0, 0, 5]", ["not that of any body", "1, 2, 5"]),
+        ("[[1, 0, 0]", "[[-1, 0, 0]", ["positive definite"]),
+        ("= [1, 0, 0]", "= [1, 0, 1]", ["normal_B of panel 'a'", "unit vector", "1.414"]),
+        ("= [1, 0, 0]", "= [1, 0]", ["normal_B", "three finite numbers"]),
+        ("= [1, 0, 0]", "= [1, [0], 0]", ["normal_B of panel 'a'", "three finite numbers"]),
+        ("cells = 10", "cells = -1", ["gain of panel 'a'", "positive"]),
+        ("cells = 10", "", ["panel 'a'", "exactly one of cells"]),
+        ("cells = 10", 'cells = "10"', ["panel[0].cells", "a number is expected"]),
+        ("mass_kg = 10", "mass_kg = nan", ["body.mass_kg", "finite number"]),
+        ("mass_kg = 10", "mass_kg =", ["not valid TOML", "line"]),
+        ('name = "w"', "", ["wheel[0].name", "missing"]),
+        ("value = 0.01", "value = 3.0", ["axial inertia exceeds"]),
+        ("= 1e-3", "= -1e-3", ["coulomb_N_m", "zero or positive"]),
+        ("", '[[sun_rule]]\nall_dark = ["z"]\nreason = "r"\n', ["does not have", "z"]),
+        ("", '[[leg]]\nname = "1"\ntip_B_m = [1, 2]\n', ["tip_B_m of leg '1'"]),
+        ('"datasheet"', '""', ["source must be a text that is not empty"]),
+        # names of Python as keys, tables of another kind
+        ("cells", "gain", ["panel[0].gain", "unknown key", "name, normal_B, cells, relative_gain"]),
+        ("cells", "cels", ["panel[0].cels", "unknown key"]),
+        ("cells = 10", "cells = 10\ngain_W = 2", ["exactly one of cells", "cells, gain_W"]),
+        ("", SPIN_DOWN, ["wheel.w.friction gives both a spin_down"]),
+        ("", "[telemetry]\nnoise = 0\n", ["telemetry.noise must be positive (found 0.0)"]),
+        ("", GYRO, ["gyro.zero_sigma", KNOWN]),
+        ("", CLOCK, ["the sigma of clock.sensors_late_s"]),
+        ("[[panel]]", "[panel]", ["panel: should be a valid list"]),
+        ("[body]", "[[body]]", ["body: should be a table"]),
     ],
 )
-def test_bad_vehicle_files_are_refused_in_one_sentence(tmp_path, change, parts):
+def test_bad_vehicle_files_are_refused_in_one_sentence(tmp_path, old, new, parts):
     with pytest.raises(ss.VehicleError) as error:
-        load(tmp_path, change(GOOD))
+        load(tmp_path, new if old is None else GOOD.replace(old, new) if old else GOOD + new)
     message = str(error.value)
     assert "vehicle.toml" in message and "\n" not in message
     for part in parts:
         assert part in message, message
-
-
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        (
-            lambda t: t.replace("cells = 10", "gain = 10"),
-            ["panel[0].gain", "unknown key", "name, normal_B, cells, relative_gain"],
-        ),
-        (lambda t: t.replace("cells = 10", "cels = 10"), ["panel[0].cels", "unknown key"]),
-        (
-            lambda t: t.replace("cells = 10", "cells = 10\ngain_W = 2"),
-            ["exactly one of cells", "cells, gain_W"],
-        ),
-        (
-            lambda t: t + "spin_down = { c1_rad_s = 1, c2_per_s = -1, c3_rad_s = -1 }\n",
-            ["wheel.w.friction gives both a spin_down"],
-        ),
-        (
-            lambda t: t + "[telemetry]\nnoise = 0\n",
-            ["telemetry.noise must be positive (found 0.0)"],
-        ),
-        (
-            lambda t: (
-                t
-                + '[gyro]\ncolumns = ["x", "y", "z"]\nscale_rad_s = 1\nnoise_rad_s = 1\nzero_sigma = 1\n'
-            ),
-            ["gyro.zero_sigma", "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"],
-        ),
-        (
-            lambda t: t + "[clock]\nsensors_late_s = { value = 1, sigma = -1 }\n",
-            ["the sigma of clock.sensors_late_s"],
-        ),
-        (lambda t: t.replace("[[panel]]", "[panel]"), ["panel: should be a valid list"]),
-        (lambda t: t.replace("[body]", "[[body]]"), ["body: should be a table"]),
-        (
-            lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, [0], 0]"),
-            ["normal_B of panel 'a'", "three finite numbers"],
-        ),
-    ],
-)
-def test_a_vehicle_file_with_python_names_as_keys_is_refused(tmp_path, change, parts):
-    test_bad_vehicle_files_are_refused_in_one_sentence(tmp_path, change, parts)
 
 
 PANEL, WHEEL = ss.Panel("a", [1, 0, 0], 2.0), ss.Wheel("w", [0, 0, 1], 0.01)
@@ -220,17 +176,13 @@ def test_unknown_names_of_a_vehicle_are_refused_with_the_known_ones():
 
 
 def test_a_vehicle_file_needs_only_what_is_used(tmp_path):
-    vehicle = load(
-        tmp_path, 'name = "panels only"\n[[panel]]\nname = "a"\nnormal_B = [0, 0, 1]\ngain_W = 2\n'
-    )
+    panel = '[[panel]]\nname = "a"\nnormal_B = [0, 0, 1]\ngain_W = 2\n'
+    vehicle = load(tmp_path, f'name = "panels only"\n{panel}')
     with pytest.raises(ss.VehicleError, match=r"inertia_kg_m2 under \[body\]"):
         ss.propagate(vehicle, [0, 0, 0.1], [1, 0, 0], None, [0.0, 1.0])
 
 
 def test_the_time_offset_of_a_vehicle_file_is_read():
-    stated = (
-        'name = "a"\n[clock]\nsensors_late_s = { value = 1.5, sigma = 2.0, source = "guess" }\n'
-    )
+    offset = '{ value = 1.5, sigma = 2.0, source = "guess" }'
+    stated = f'name = "a"\n[clock]\nsensors_late_s = {offset}\n'
     assert parse_vehicle(stated, "a").sensors.clock == Clock(1.5, 2.0)
-    with pytest.raises(ss.SunspinError, match=r"sigma of clock\.sensors_late_s"):
-        parse_vehicle(stated.replace("2.0", "-2.0"), "a")

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from sunspin import rates
 from sunspin.base.errors import SunspinError
 from sunspin.estimate.verdict import DECIDED, NARROWER
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
 from validation.truths import is_listed, is_wrong
 
@@ -57,6 +57,7 @@ KINDS = {
     "inertia unknown": 24,
     **{f"fault: {name}": 12 for name in ("albedo", "power limited", "dead string", "quantised")},
     "fault: gyro zero off": 12,
+    "wheel braked": 12,
 }
 """Number of passes of each kind."""
 
@@ -68,6 +69,12 @@ ZERO_OFF = np.radians(0.5)
 
 Push = Callable[[float, np.ndarray], np.ndarray]
 """Function from time and attitude B_from_N to an angular acceleration (3) in body axes."""
+
+BRAKING_S = 20.0
+"""Time in s that a wheel is braked."""
+
+Momentum = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Function from time to the momentum (3) of the wheels in body axes and its derivative, in the unit of the moments times rad/s."""
 
 
 class SimulatedPass(NamedTuple):
@@ -94,15 +101,21 @@ def spin(
     t_s: np.ndarray,
     push: Push | None = None,
     moments: np.ndarray = MOMENTS,
+    wheels: Momentum | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rates (n, 3) and attitudes (n, 3, 3) from space to body of a body with these principal moments (3) at times (n).
 
-    `omega` (3) in rad/s and the identity at the first time; `push` is an angular acceleration in addition to the free motion.
+    `omega` (3) in rad/s and the identity at the first time; `push` is an angular acceleration in addition to the free motion, and
+    `wheels` the momentum that wheels carry.
     """
 
     def change(w: np.ndarray, t: float, attitude: np.ndarray) -> np.ndarray:
         """Return dw/dt of Euler's equations in principal axes."""
-        return np.cross(moments * w, w) / moments + (0.0 if push is None else push(t, attitude))
+        if wheels is None:
+            return np.cross(moments * w, w) / moments + (0.0 if push is None else push(t, attitude))
+        # the total momentum I w + h is constant in space: what a wheel loses the body gains
+        h, change_of_h = wheels(t)
+        return (np.cross(moments * w + h, w) - change_of_h) / moments
 
     rates, attitudes, w, attitude, now = [], [], np.array(omega), np.eye(3), float(t_s[0])
     for t in t_s:
@@ -321,6 +334,29 @@ def make_without_inertia(rng: np.random.Generator) -> SimulatedPass:
     return simulated._replace(vehicle=replace(simulated.vehicle, inertia_kg_m2=None))
 
 
+def make_wheel_braked(rng: np.random.Generator) -> SimulatedPass:
+    """Make a pass of a tumbling body whose wheel loses 20 to 70 % of its momentum within `BRAKING_S` in the middle of the pass.
+
+    The momentum is that of the body at 2 to 8 deg/s, along one of its axes. The vehicle file states the speed before, and no
+    column gives the speed: of what the file allows, held or coasting, neither is true.
+    """
+    t = draw_times(rng, int(rng.integers(25, 41)), rng.uniform(5.0, 15.0))
+    momentum = MOMENTS.mean() * np.radians(rng.uniform(2.0, 8.0)) * rng.choice([-1.0, 1.0])
+    axis, lost = np.eye(3)[rng.integers(3)], rng.uniform(0.2, 0.7)
+    begin_s = rng.uniform(0.4, 0.6) * t[-1]
+
+    def wheels(t_s: float) -> tuple[np.ndarray, np.ndarray]:
+        done = np.clip((t_s - begin_s) / BRAKING_S, 0.0, 1.0)
+        braking = lost / BRAKING_S if 0.0 < done < 1.0 else 0.0
+        return momentum * (1 - lost * done) * axis, -momentum * braking * axis
+
+    start = np.radians(rng.uniform(0.5, 4.0)) * unit(rng)
+    omega, attitude = spin(start, t, wheels=wheels)
+    simulated = observe(FACES, omega, attitude, t, 10 ** rng.uniform(-2.3, -1.5), rng)
+    wheel = Wheel("wheel", axis, 1e-5, momentum / 1e-5)
+    return simulated._replace(vehicle=replace(simulated.vehicle, wheels=(wheel,)))
+
+
 def make_four_sides(rng: np.random.Generator) -> SimulatedPass:
     """Make a pass of panels on four sides with a dead string, albedo, a full battery and coarse readings."""
     from tests.support.simulate import FAULTS_OF_FOUR_SIDES, FOUR_SIDES, cube_with_faults
@@ -445,6 +481,7 @@ def make(kind: str, seed: int, i: int) -> SimulatedPass:
         "exchanged, six panels": make_six_panels,
         "four sides": make_four_sides,
         "inertia unknown": make_without_inertia,
+        "wheel braked": make_wheel_braked,
     }
     if base.startswith("fault: "):
         return make_faulty(rng, base.removeprefix("fault: "))

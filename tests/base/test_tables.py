@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.model import States
@@ -53,7 +52,7 @@ TIMES = {
     "elapsed": [10.0, 20.5, 31.25],
     "unix": [1767225610.0, 1767225620.5, 1767225631.25],
     "utc": pd.to_datetime(
-        ["2026-01-01T00:00:10", "2026-01-01T00:00:20.5", "2026-01-01T00:00:31.25"], format="ISO8601"
+        [f"2026-01-01T00:00:{s}" for s in ("10", "20.5", "31.25")], format="ISO8601"
     ),
 }
 
@@ -71,10 +70,7 @@ def test_the_same_samples_read_alike_from_every_file_format_and_clock(form, kind
         pytest.importorskip("pyarrow")
         table.to_parquet(path)
     else:
-        xr.Dataset(
-            {name: ("when", table[name].values) for name in ("pa", "pb")},
-            {"when": table["when"].values},
-        ).to_netcdf(path, engine="h5netcdf")
+        table.set_index("when").to_xarray().to_netcdf(path, engine="h5netcdf")
     data = ss.read_telemetry(path, parse_vehicle(VEHICLE.format(form=form), "v"))
     assert data["time"].values == pytest.approx([10.0, 20.5, 31.25], abs=1e-6)
     assert data["power_W"].values.tolist() == [[0.5, 0.1], [0.25, 0.2], [0.125, 0.3]]
@@ -89,14 +85,12 @@ def test_damaged_tables_are_refused_in_one_sentence(content, tmp_path):
         ss.read_telemetry(path, parse_vehicle(VEHICLE.format(form="elapsed"), "v"))
 
 
+ELAPSED = VEHICLE.format(form="elapsed")
+
+
 def sensors_vehicle():
-    text = VEHICLE.format(form="elapsed")
-    return parse_vehicle(
-        text
-        + SENSOR.format(name="p", normal=[1, 0, 0])
-        + SENSOR.format(name="m", normal=[-1, 0, 0]),
-        "v",
-    )
+    p, m = (SENSOR.format(name=name, normal=[s, 0, 0]) for name, s in (("p", 1), ("m", -1)))
+    return parse_vehicle(ELAPSED + p + m, "v")
 
 
 def sensor_file(path, rows):
@@ -106,10 +100,8 @@ def sensor_file(path, rows):
 
 
 def test_a_sun_sensor_measures_angles_from_its_normal(tmp_path):
-    path = sensor_file(
-        tmp_path / "s.csv",
-        [(0, 30, 0, 50, 0, 0, 0), (1, 0, 45, 50, 0, 0, 0), (2, 0, 0, 0, 0, 0, 0)],
-    )
+    rows = [(0, 30, 0, 50, 0, 0, 0), (1, 0, 45, 50, 0, 0, 0), (2, 0, 0, 0, 0, 0, 0)]
+    path = sensor_file(tmp_path / "s.csv", rows)
     data = ss.read_telemetry(path, sensors_vehicle())
     sun = data["sun_sensor_B"].values
     assert sun[0] == pytest.approx([np.cos(np.pi / 6), 0.5, 0.0], abs=1e-9)
@@ -124,18 +116,13 @@ TURNED = "y_turned_above = 45\ny_turned_scale = -0.0174532925199433\ny_turned_si
 
 
 def test_a_sun_sensor_near_its_switching_intensity_keeps_both_readings(tmp_path):
-    vehicle = parse_vehicle(
-        VEHICLE.format(form="elapsed") + SENSOR.format(name="p", normal=[1, 0, 0]) + TURNED, "v"
-    )
-    path = sensor_file(
-        tmp_path / "s.csv",
-        [(k, 0, 30, light, 0, 0, 0) for k, light in enumerate((30, 43, 47, 60, 0))],
-    )
+    vehicle = parse_vehicle(ELAPSED + SENSOR.format(name="p", normal=[1, 0, 0]) + TURNED, "v")
+    rows = [(k, 0, 30, light, 0, 0, 0) for k, light in enumerate((30, 43, 47, 60, 0))]
+    path = sensor_file(tmp_path / "s.csv", rows)
     data = ss.read_telemetry(path, vehicle)
     up, down = [np.cos(np.pi / 6), 0.0, 0.5], [np.cos(np.pi / 6), 0.0, -0.5]
-    np.testing.assert_allclose(
-        data["sun_sensor_B"].values, [up, up, down, down, [np.nan] * 3], atol=1e-9
-    )
+    expected = [up, up, down, down, [np.nan] * 3]
+    np.testing.assert_allclose(data["sun_sensor_B"].values, expected, atol=1e-9)
     other = data["sun_sensor_other_B"].values
     np.testing.assert_allclose(other[1:3], [down, up], atol=1e-9)
     assert np.isnan(other[[0, 3, 4]]).all()
@@ -144,15 +131,13 @@ def test_a_sun_sensor_near_its_switching_intensity_keeps_both_readings(tmp_path)
     seen = States(facing(np.tile(down, (1, 5, 1))), np.zeros((1, 5, 3)))
     (residual,) = sun.residuals(seen, np.zeros((1, 0)))
     cost = student(residual.value)[0][0]
-    assert cost[0] > 5 and cost[1:] == pytest.approx(
-        np.zeros(4), abs=1e-9
-    )  # the better of the two counts
+    # the better of the two counts
+    assert cost[0] > 5 and cost[1:] == pytest.approx(np.zeros(4), abs=1e-9)
 
 
 def test_sun_sensors_that_contradict_each_other_give_no_direction(tmp_path):
-    data = ss.read_telemetry(
-        sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)]), sensors_vehicle()
-    )
+    path = sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)])
+    data = ss.read_telemetry(path, sensors_vehicle())
     assert AGREE > 0 and np.isnan(data["sun_sensor_B"].values).all()
 
 
@@ -169,4 +154,4 @@ def test_sun_sensors_that_contradict_each_other_give_no_direction(tmp_path):
 def test_a_wrong_sensor_table_is_refused_in_one_sentence(old, new, text):
     sensor = SENSOR.format(name="p", normal=[1, 0, 0]).replace(old, new)
     with pytest.raises(ss.VehicleError, match=text):
-        parse_vehicle(VEHICLE.format(form="elapsed") + sensor, "v")
+        parse_vehicle(ELAPSED + sensor, "v")

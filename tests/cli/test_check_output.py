@@ -38,34 +38,30 @@ def readings(each: int, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("each", [1, 2, 3])
 def test_check_counts_panels_of_one_face_as_one_side(each):
     craft = parse_vehicle(satellite(each), "v.toml")
-
     sun, power = readings(each)
-    samples = telemetry_dataset(craft, np.arange(len(sun)), power, sun, "2026-01-01T00:00:00Z", {})
-    about = {"albedo": 0.01, "full_sun": 1.0}
-    quality = xr.Dataset({"noise": ("panel", np.full(6 * each, 0.01))}, attrs=about)
-    lit = _count_lit_sides(craft, samples, quality)
+    lit = lit_sides(craft, power, sun, 0.01)
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
+
+
+def lit_sides(craft, power, sun, noise):
+    """Return how many sides are lit in each sample of panels with this noise in W."""
+    samples = telemetry_dataset(craft, np.arange(len(sun)), power, sun, "2026-01-01T00:00:00Z", {})
+    quality = xr.Dataset({"noise": ("panel", np.full(power.shape[1], noise))})
+    return _count_lit_sides(craft, samples, quality.assign_attrs(albedo=0.01, full_sun=1.0))
 
 
 def test_check_counts_no_side_as_lit_by_noise_alone():
     craft = parse_vehicle(satellite(1), "v.toml")
     dark = np.abs(0.05 * np.random.default_rng(0).normal(size=(40, 6)))
-    samples = telemetry_dataset(
-        craft, np.arange(40), dark, np.eye(3)[np.zeros(40, int)], "2026-01-01T00:00:00Z", {}
-    )
-    about = {"albedo": 0.01, "full_sun": 1.0}
-    lit = _count_lit_sides(
-        craft, samples, xr.Dataset({"noise": ("panel", np.full(6, 0.05))}, attrs=about)
-    )
+    lit = lit_sides(craft, dark, np.tile([1.0, 0.0, 0.0], (40, 1)), 0.05)
     assert np.count_nonzero(lit) <= 3  # at two hundredths of full Sun, 0.04 W, nearly all were
 
 
 @pytest.mark.parametrize("count", [1, SETS, SETS + 1, 500])
 def test_check_names_the_most_frequent_illumination_patterns_and_counts_the_others(count):
     seen = {f"set {k}": k + 1 for k in range(count)}
-    (line,) = health_lines(
-        {"impossible": seen, "explanations": [], "noise_probability": {"set 0": 0.0}}
-    )
+    told = {"impossible": seen, "explanations": [], "noise_probability": {"set 0": 0.0}}
+    (line,) = health_lines(told)
     assert len(line) < 400
     assert f"set {count - 1} ({count})" in line
     assert "probability of at most 0" not in line
@@ -80,10 +76,8 @@ def test_check_reports_no_directions_gains_or_sides_if_the_unit_is_wrong(
     craft = satellite(2, scale)
     (tmp_path / "v.toml").write_text(craft)
     names = [line.split('"')[1] for line in craft.splitlines() if line.startswith('"')]
-    rows = [
-        f"2026-01-01T00:{k // 6:02d}:{k % 6}0Z," + ",".join(f"{x:.4f}" for x in row)
-        for k, row in enumerate(readings(2)[1])
-    ]
+    cells = [",".join(f"{x:.4f}" for x in row) for row in readings(2)[1]]
+    rows = [f"2026-01-01T00:{k // 6:02d}:{k % 6}0Z,{row}" for k, row in enumerate(cells)]
     (tmp_path / "t.csv").write_text("\n".join([",".join(["time", *names]), *rows]))
     said = sunspin("check", "v.toml", "t.csv").out
     words = ("direction determined", "gains:", "faces lit", "impossible")
@@ -91,22 +85,16 @@ def test_check_reports_no_directions_gains_or_sides_if_the_unit_is_wrong(
     assert scale == 1.0 or not any(word in said for word in words)
     assert scale != 1.0 or ("direction determined" in said and "faces lit:" in said)
     if scale != 1.0:
-        assert json.loads(sunspin("check", "v.toml", "t.csv", "--json").out)["telemetry"][
-            "panels_misread"
-        ]
+        about = json.loads(sunspin("check", "v.toml", "t.csv", "--json").out)
+        assert about["telemetry"]["panels_misread"]
 
 
 def test_rates_posterior_and_scan_select_the_same_time_range():
-    samples = xr.Dataset(
-        coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"}
-    )
-    assert parse_limits(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and parse_limits(
-        samples, None, None
-    ) == (None, None)
-    assert select_interval(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [
-        60.0,
-        120.0,
-        180.0,
-    ]
+    attrs = {"epoch_utc": "2026-01-01T12:00:00Z"}
+    samples = xr.Dataset(coords={"time": np.arange(0, 600, 60.0)}, attrs=attrs)
+    assert parse_limits(samples, "2026-01-01T12:01", "180") == (60.0, 180.0)
+    assert parse_limits(samples, None, None) == (None, None)
+    part = select_interval(samples, "2026-01-01T12:01", "180")
+    assert part["time"].values.tolist() == [60.0, 120.0, 180.0]
     with pytest.raises(InputError, match="--from takes s from the epoch, or UTC"):
         parse_limits(samples, "soon", None)

@@ -31,16 +31,12 @@ def test_help_does_not_import_the_heavy_libraries():
 @pytest.mark.evidence("sun", "verified", "the files that init writes")
 @pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
 def test_files_written_by_init_work_with_the_next_commands(start):
-    text = sunspin("check", start / "vehicle.toml", start / "telemetry.csv").out
-    assert "40 synthetic samples" in text
-    done = sunspin(
-        "sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out", "--json"
-    )
-    summary = json.loads(done.out)
+    files = start / "vehicle.toml", start / "telemetry.csv"
+    assert "40 synthetic samples" in sunspin("check", *files).out
+    summary = json.loads(sunspin("sun", *files, "--out", start / "out", "--json").out)
     assert summary["reconstructed"] == 37 and summary["synthetic_telemetry"] is True
-    assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= {
-        path.name for path in (start / "out").iterdir()
-    }
+    written = {path.name for path in (start / "out").iterdir()}
+    assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= written
     assert "\n# synthetic telemetry\n" in (start / "out" / "sun.csv").read_text()
     with xr.open_dataset(start / "out" / "sun.nc", engine="h5netcdf") as data:
         assert data["sun_B"].sizes == {"time": 40, "axis": 3}
@@ -61,10 +57,8 @@ def test_a_folder_with_results_of_another_command_is_not_overwritten(start, tmp_
 
 @pytest.mark.evidence("simulate", "validated", "the paper: the wheel stops after about 42 min")
 def test_simulate_prints_and_stores_its_events(tmp_path):
-    motion = (
-        "--omega-deg-s 0,0,0 --sun 0.1959,0.5690,0.7986 --duration 2700 --step 60 --json".split()
-    )
-    done = sunspin("simulate", "philae", *motion, "--out", tmp_path / "run")
+    motion = "--omega-deg-s=0,0,0 --sun=0.1959,0.5690,0.7986 --duration=2700 --step=60 --json"
+    done = sunspin("simulate", "philae", *motion.split(), "--out", tmp_path / "run")
     events = json.loads(done.out)["events"]
     assert events[0]["what"] == "stops" and abs(events[0]["t_s"] / 60 - 42.0) < 0.05
     with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
@@ -80,9 +74,8 @@ def test_scan_runs_on_the_files_written_by_init(start):
     options = "--metric", "E", "--to", 160, *grid, "--lines", 0, "--json", "--quiet"
     done = sunspin("scan", start / "vehicle.toml", start / "telemetry.csv", *options)
     best = json.loads(done.out)["best_omega_B"]
-    assert best == pytest.approx(
-        [0.02, -0.03, 0.05], abs=1e-9
-    )  # the rate with which the samples were made
+    # the rate with which the samples were made
+    assert best == pytest.approx([0.02, -0.03, 0.05], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -12,46 +12,28 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 def test_outcomes_of_philae_are_written_to_files(tmp_path):
     out = tmp_path / "out"
-    done = sunspin(
-        "outcomes",
-        "philae",
-        "--runs",
-        60,
-        *"--strategy off --strategy delay:600 --out".split(),
-        out,
-        "--json",
-    )
-    told = json.loads(done.out)
+    words = "outcomes philae --runs 60 --strategy off --strategy delay:600 --json --out".split()
+    told = json.loads(sunspin(*words, out).out)
     assert set(told["strategies"]) == {"off", "delay:600"} and told["not_told"] == ""
-    assert {f"outcomes-{name}.nc" for name in ("off", "delay-600")} < {
-        path.name for path in out.iterdir()
-    }
+    written = {path.name for path in out.iterdir()}
+    assert {f"outcomes-{name}.nc" for name in ("off", "delay-600")} < written
     with xr.open_dataset(out / "strategies.nc", engine="h5netcdf") as table:
         value = table["value"].sel(strategy="off", quantity="touch_leg").item()
     assert value == told["strategies"]["off"]["touch_leg"]["value"]
 
 
 def test_outcomes_print_the_collision_next_to_the_trajectory_kernel():
-    done = sunspin(
-        "outcomes", "philae", "--runs", 200, "--strategy", "off", "--condition", "--json"
-    )
-    told = json.loads(done.out)
+    words = "outcomes philae --runs 200 --strategy off --condition --json".split()
+    told = json.loads(sunspin(*words).out)
     assert abs(told["collision"]["facts"]["speed_before"] - 0.304) < 1e-4
     assert {line["name"] for line in told["collision"]["table"]} >= {"as drawn", "13 s before"}
 
 
 def test_outcomes_of_a_vehicle_without_legs_and_hull_lack_the_contact(tmp_path):
     sunspin("init", tmp_path / "mine")
-    given = ("--omega-deg-s", "6,0,12", "--sun", "0,0,1", "--after", 100, "--runs", 20)
-    done = sunspin(
-        "outcomes",
-        tmp_path / "mine" / "vehicle.toml",
-        *given,
-        "--collision-speed",
-        0.1,
-        "--store",
-        tmp_path / "rows",
-    )
+    given = "--omega-deg-s 6,0,12 --sun 0,0,1 --after 100 --runs 20 --collision-speed 0.1 --store"
+    vehicle = tmp_path / "mine" / "vehicle.toml"
+    done = sunspin("outcomes", vehicle, *given.split(), tmp_path / "rows")
     assert "r_z below -0.5" in done.out and "Without a hull and legs" in done.out
     assert (tmp_path / "rows" / "held").is_dir()
 
@@ -74,21 +56,8 @@ LANDER = "\n".join(
 def test_outcomes_without_collision_hull_and_antenna_print_only_what_is_known(tmp_path):
     """No rate before or after a collision that there is not, no panel that touches."""
     (tmp_path / "lander.toml").write_text(LANDER)
-    given = (
-        "--omega-deg-s",
-        "3,0,6",
-        "--sun",
-        "0,0,1",
-        "--after",
-        600,
-        "--collision-speed",
-        0,
-        "--runs",
-        40,
-        "--strategy",
-        "held",
-    )
-    done = sunspin("outcomes", tmp_path / "lander.toml", *given)
+    given = "--omega-deg-s 3,0,6 --sun 0,0,1 --after 600 --collision-speed 0 --runs 40".split()
+    done = sunspin("outcomes", tmp_path / "lander.toml", *given, "--strategy", "held")
     assert "There is no collision" in done.out and "before the collision" not in done.out
     assert "a leg touches first: 1.000 ±" in done.out
     assert "a panel touches" not in done.out
@@ -128,38 +97,23 @@ def test_the_timeline_next_to_a_vehicle_file_is_read(tmp_path):
     own = vars(case_scenario(load_case("philae")))
     text = (tmp_path / "timeline.toml").read_text("utf-8")
     assert '"2014-11-12T16:20:00"' in text
-    (tmp_path / "timeline.toml").write_text(
-        text.replace('"2014-11-12T16:20:00"', '"2014-11-12T16:30:00"'), "utf-8"
-    )
+    moved = text.replace('"2014-11-12T16:20:00"', '"2014-11-12T16:30:00"')
+    (tmp_path / "timeline.toml").write_text(moved, "utf-8")
     later = scenario(tmp_path / "vehicle.toml", "later")
-    assert (
-        later["before_s"] - own["before_s"],
-        later["after_s"] - own["after_s"],
-    ) == pytest.approx((600, -600), abs=1e-6)
-    for damaged in (
-        "event = 3",
-        "epoch_utc = 3\nevent = 3",
-        text.replace("utc = ", "utc = [") + "]",
-        "",
-        "\0",
-    ):
+    moved_by = [later[key] - own[key] for key in ("before_s", "after_s")]
+    assert moved_by == pytest.approx([600, -600], abs=1e-6)
+    no_list = text.replace("utc = ", "utc = [") + "]"
+    for damaged in ("event = 3", "epoch_utc = 3\nevent = 3", no_list, "", "\0"):
         (tmp_path / "timeline.toml").write_text(damaged, "utf-8")
-        assert (
-            "timeline.toml"
-            in sunspin(
-                "outcomes", tmp_path / "vehicle.toml", *wanted, tmp_path / "never", code=2
-            ).err
-        )
+        words = "outcomes", tmp_path / "vehicle.toml", *wanted, tmp_path / "never"
+        assert "timeline.toml" in sunspin(*words, code=2).err
 
 
 def test_times_of_outcomes_come_from_the_timeline_of_the_vehicle(tmp_path):
     sunspin("init", tmp_path / "mine")
     event = '[[event]]\nname = "{}"\nutc = "2026-01-01T00:0{}:00Z"\nsource = "ours"\n'
-    text = (
-        'epoch_utc = "2026-01-01T00:00:00Z"\n'
-        + event.format("collision", 1)
-        + event.format("second_touchdown", 5)
-    )
+    events = event.format("collision", 1) + event.format("second_touchdown", 5)
+    text = 'epoch_utc = "2026-01-01T00:00:00Z"\n' + events
     (tmp_path / "mine" / "timeline.toml").write_text(text, "utf-8")
     given = ("--omega-deg-s", "6,0,12", "--sun", "0,0,1", "--runs", 20, "--collision-speed", 0)
     sunspin("outcomes", tmp_path / "mine" / "vehicle.toml", *given, "--out", tmp_path / "out")

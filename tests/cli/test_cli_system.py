@@ -160,11 +160,8 @@ def test_a_pass_or_time_range_outside_the_file_is_refused_in_one_sentence(sunspi
     sunspin("init", tmp_path / "mine")
     files = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
     refused(sunspin("rates", *files, "--pass", "5"), "no such pass (found 5)", "passes 0 to 0")
-    refused(
-        sunspin("rates", *files, "--from", "2030-01-01T00:00"),
-        "no samples lie between",
-        "2026-01-01T00:12:58Z",
-    )
+    words = "no samples lie between", "2026-01-01T00:12:58Z"
+    refused(sunspin("rates", *files, "--from", "2030-01-01T00:00"), *words)
     refused(sunspin("rates", *files, "--to", "noon:"), "ISO-8601", "noon:")
 
 
@@ -250,9 +247,8 @@ def test_an_interruption_prints_one_sentence_and_exits_with_130(kind, tmp_path):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, preexec_fn=heed_interrupts, start_new_session=True, **pipes)
     try:
-        while (
-            not out.exists() and process.poll() is None
-        ):  # the marker is written when the work begins
+        # the marker is written when the work begins
+        while not out.exists() and process.poll() is None:
             time.sleep(0.05)
         process.send_signal(kind)
         printed, complaint = process.communicate(timeout=120)
@@ -283,20 +279,16 @@ def test_an_exception_of_a_library_during_an_interruption_is_reported_as_the_int
     monkeypatch.setattr(cli, "_STOPPED", threading.Event())
     monkeypatch.setattr(cli.cli, "main", stumble)
     code, _, said = sunspin()
-    assert (code, "interrupted" in said, "defect" in said) == (
-        (130, True, False) if stopped else (1, False, True)
-    )
+    expected = (130, True, False) if stopped else (1, False, True)
+    assert (code, "interrupted" in said, "defect" in said) == expected
 
 
 def test_files_given_in_the_wrong_order_get_a_message_on_the_order(sunspin, tmp_path):
     vehicle, table = tmp_path / "vehicle.toml", tmp_path / "telemetry.csv"
     cli.cli.main(["init", str(tmp_path), "--quiet"], standalone_mode=False)
     refused(sunspin("check", table, vehicle), "telemetry.csv", "comes first")
-    refused(
-        sunspin("check", vehicle, vehicle),
-        "this is a vehicle's file and not telemetry",
-        "a table of samples",
-    )
+    words = "this is a vehicle's file and not telemetry", "a table of samples"
+    refused(sunspin("check", vehicle, vehicle), *words)
 
 
 def test_the_option_for_observed_rates_of_the_posterior_is_in_deg_s():
@@ -306,22 +298,17 @@ def test_the_option_for_observed_rates_of_the_posterior_is_in_deg_s():
 
 
 def test_a_grid_option_without_a_step_gets_a_message_on_its_form(sunspin):
-    told = sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60")
-    refused(
-        told,
+    words = (
         "--omega-x-deg-s must be low:high:step in deg/s",
         "(found 0:60)",
         "--omega-x-deg-s=-6:6:1",
     )
+    refused(sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60"), *words)
 
 
 def test_a_misspelt_phase_is_refused_with_the_phases_of_the_file(sunspin):
-    refused(
-        sunspin("posterior", "philae", "--phase", "descnt"),
-        "no such phase (found descnt)",
-        "descent",
-        "first_rebound",
-    )
+    words = "no such phase (found descnt)", "descent", "first_rebound"
+    refused(sunspin("posterior", "philae", "--phase", "descnt"), *words)
 
 
 NO_TEXT = (click.types.BoolParamType, click.types.Choice)
@@ -342,11 +329,8 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     count = 0
     for name, command, parameter in takers():
-        before = [
-            empty if one is parameter else "philae"
-            for one in command.params
-            if isinstance(one, click.Argument)
-        ]
+        arguments = [one for one in command.params if isinstance(one, click.Argument)]
+        before = [empty if one is parameter else "philae" for one in arguments]
         option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0], empty]
         outcome = sunspin(name, *before, *option)
         refused(outcome, f"Invalid value for '{option[0] if option else ''}", "the value is empty")
@@ -357,9 +341,8 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
 @pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])
 def test_a_name_with_unprintable_characters_is_escaped(encoding, tmp_path):
     command = [sys.executable, "-m", "sunspin.cli", "init", str(tmp_path / "caf\u00e9\u2603")]
-    done = subprocess.run(
-        command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True
-    )
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(command, env=environment, capture_output=True)
     assert (done.returncode, done.stderr) == (0, b"")
     assert ("caf\u00e9\u2603" if encoding == "utf-8" else "\\u2603") in done.stdout.decode(encoding)
 
@@ -370,14 +353,11 @@ def test_a_name_with_unprintable_characters_is_escaped(encoding, tmp_path):
 )
 def test_a_path_of_thousands_of_folders_is_refused(command, sunspin, undrawn):
     """They are made from within, each by a call in the call before, of which Python allows a thousand."""
-    refused(
-        sunspin(*command, *(["--out"] if len(command) > 1 else []), "d/" * 1500 + "x"),
-        "no folder can have this name",
-    )
+    out = ["--out"] if len(command) > 1 else []
+    refused(sunspin(*command, *out, "d/" * 1500 + "x"), "no folder can have this name")
 
 
 def test_a_folder_name_with_a_nul_character_is_refused():
-    with pytest.raises(
-        OutputError, match="results cannot be written here .no folder can have this name."
-    ):
+    said = "results cannot be written here .no folder can have this name."
+    with pytest.raises(OutputError, match=said):
         results_folder("a\0b", "sun")

@@ -8,15 +8,9 @@ import pytest
 
 
 def program(**environment: str) -> str:
-    code = "from sunspin.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    return done.stdout
+    command = [sys.executable, "-c", "from sunspin.cli import main; main()"]
+    options = {"capture_output": True, "text": True, "timeout": 60}
+    return subprocess.run(command, env=os.environ | environment, **options).stdout
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

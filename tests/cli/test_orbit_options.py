@@ -77,10 +77,8 @@ def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_th
     with_few_copies(monkeypatch, 10)
     words = ["check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"]
     done = CliRunner().invoke(cli, words, catch_exceptions=False)
-    assert (
-        "Orbit of satellite 25544: inconclusive: this telemetry cannot distinguish the elements"
-        in done.output
-    )
+    said = "Orbit of satellite 25544: inconclusive: this telemetry cannot distinguish the elements"
+    assert said in done.output
     text = (satellite / "vehicle.toml").read_text("utf-8")
     for mark in ("[orbit]", "tle =", "shift_s =", "clock_s ="):
         text = text.replace(f"# {mark}", mark)

@@ -8,27 +8,24 @@ import json
 import shutil
 import sys
 from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from sunspin import cli
-from tests.support import satellite_files
 from tests.support.corruptions import BYTES, CELLS
+from tests.support.satellite_files import four_faces, six_faces, wheeled
 from validation.border import BEGUN
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 MAKERS = {
-    "six faces, UTC, quaternion": lambda folder, rng: satellite_files.six_faces(folder, rng, n=20),
-    "four faces, Unix ms, counts": lambda folder, rng: satellite_files.four_faces(
-        folder, rng, n=24
-    ),
-    "wheel, MET, Parquet": lambda folder, rng: satellite_files.wheeled(folder, rng, n=20),
-    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellite_files.wheeled(
-        folder, rng, n=20, form="netcdf", speed=False
-    ),
+    "six faces, UTC, quaternion": partial(six_faces, n=20),
+    "four faces, Unix ms, counts": partial(four_faces, n=24),
+    "wheel, MET, Parquet": partial(wheeled, n=20),
+    "wheel, MET, NetCDF, no tachometer": partial(wheeled, n=20, form="netcdf", speed=False),
 }
 
 
@@ -71,33 +68,26 @@ LONG = ("four faces, Unix ms, counts", "wheel, MET, Parquet", "wheel, MET, NetCD
 )
 def test_every_command_runs_on_satellites_with_other_files(maker, tmp_path):
     craft = MAKERS[maker](tmp_path, np.random.default_rng(3))
-    files = craft.vehicle, craft.telemetry
+    files, out = (craft.vehicle, craft.telemetry), tmp_path / "rates"
     assert "samples" in fine(sunspin("check", *files))
     fine(sunspin("sun", *files, "--out", tmp_path / "sun"))
     about = json.loads(
-        fine(sunspin("rates", *files, "--max-rate-deg-s", 5, "--json", "--out", tmp_path / "rates"))
+        fine(sunspin("rates", *files, "--max-rate-deg-s", 5, "--json", "--out", out))
     )
     assert sum(about["samples"].values()) == len(craft.truth["time"])
-    with xr.open_dataset(tmp_path / "rates" / "rates.nc", engine="h5netcdf") as result:
+    with xr.open_dataset(out / "rates.nc", engine="h5netcdf") as result:
         result = result.load()
     times = result["time"].values - result["sample"].values[0]
     for k in range(result.sizes["pass_id"]):
-        at = (result["pass_of"] == k).values
-        truth = np.stack(
-            [
-                np.interp(times[at], craft.truth["time"], craft.truth["omega_B"][:, j])
-                for j in range(3)
-            ],
-            axis=1,
-        )
-        miss = np.linalg.norm(
-            np.degrees(result["omega_mean_B"].values[k] - truth.mean(axis=0)), axis=1
-        )
-        assert np.nanmin(miss) < 0.25, "no mode is near the truth"  # deg/s; they turn at 1 to 3
+        at, rates = times[(result["pass_of"] == k).values], craft.truth["omega_B"].values.T
+        truth = [np.interp(at, craft.truth["time"], each).mean() for each in rates]
+        miss = np.degrees(result["omega_mean_B"].values[k] - truth)
+        # deg/s; they turn at 1 to 3
+        assert np.nanmin(np.linalg.norm(miss, axis=1)) < 0.25, "no mode is near the truth"
     for form in ("aem", "aem-xml", "netcdf", "ck", "parquet"):
-        fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form))
-        again = "export", tmp_path / "rates", "--format", form, "--out", tmp_path / form
-        dense = json.loads(fine(sunspin(*again, "--step", 1, "--json")))
+        words = "export", out, "--format", form, "--out", tmp_path / form
+        fine(sunspin(*words))
+        dense = json.loads(fine(sunspin(*words, "--step", 1, "--json")))
         assert dense["samples"] > len(times) and dense["segments"] == result.sizes["pass_id"]
 
 
@@ -112,28 +102,25 @@ def campaign(folder, makers, copies, seed, commands):
             original = getattr(craft, which).read_bytes()
             kinds = BYTES + (CELLS if getattr(craft, which).suffix == ".csv" else ())
             for i in range(copies):
-                rng = np.random.default_rng(
-                    np.random.SeedSequence(seed, spawn_key=(m, which == "vehicle", i))
-                )
+                key = (m, which == "vehicle", i)
+                rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
                 kind = kinds[i % len(kinds)]
                 bad = home / f"bad{getattr(craft, which).suffix}"
                 bad.write_bytes(kind(original, rng))
                 files = (craft.vehicle, bad) if which == "telemetry" else (bad, craft.telemetry)
                 for command in commands:
-                    code = fine_or_a_sentence(
-                        [*command.split(), *files],
-                        f"{maker}, {which}, {kind.__name__}, copy {i}, {command}",
-                    )
+                    told = f"{maker}, {which}, {kind.__name__}, copy {i}, {command}"
+                    code = fine_or_a_sentence([*command.split(), *files], told)
                     count, refused = count + 1, refused + (code == 2)
     return count, refused
 
 
 SMALL = {
-    "six": lambda folder, rng: satellite_files.six_faces(folder, rng, n=14),
-    "four": lambda folder, rng: satellite_files.four_faces(folder, rng, n=14),
-    "wheel": lambda folder, rng: satellite_files.wheeled(folder, rng, n=12, form="parquet"),
-    "wheel nc": lambda folder, rng: satellite_files.wheeled(folder, rng, n=12, form="netcdf"),
-    "wheel csv": lambda folder, rng: satellite_files.wheeled(folder, rng, n=12, form="csv"),
+    "six": partial(six_faces, n=14),
+    "four": partial(four_faces, n=14),
+    "wheel": partial(wheeled, n=12, form="parquet"),
+    "wheel nc": partial(wheeled, n=12, form="netcdf"),
+    "wheel csv": partial(wheeled, n=12, form="csv"),
 }
 
 
@@ -147,26 +134,16 @@ def test_corrupted_input_files_give_one_sentence_and_never_a_traceback(copies, t
 
 @pytest.mark.long
 def test_corrupted_results_are_refused_by_export(tmp_path):
-    craft = satellite_files.six_faces(tmp_path, np.random.default_rng(0), n=10)
-    fine(
-        sunspin(
-            "rates",
-            craft.vehicle,
-            craft.telemetry,
-            "--max-rate-deg-s",
-            5,
-            "--out",
-            tmp_path / "rates",
-        )
-    )
+    craft = six_faces(tmp_path, np.random.default_rng(0), n=10)
+    few = "--max-rate-deg-s", 5, "--out", tmp_path / "rates"
+    fine(sunspin("rates", craft.vehicle, craft.telemetry, *few))
     original = (tmp_path / "rates" / "rates.nc").read_bytes()
     refused = 0
     for i, kind in enumerate(BYTES):
         bad = shutil.copytree(tmp_path / "rates", tmp_path / f"bad{i}")
         (bad / "rates.nc").write_bytes(kind(original, np.random.default_rng(i)))
-        refused += (
-            fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], kind.__name__) == 2
-        )
+        words = ["export", bad, "--out", tmp_path / f"out{i}"]
+        refused += fine_or_a_sentence(words, kind.__name__) == 2
     assert refused > 3
 
 

@@ -71,13 +71,9 @@ def test_the_page_of_a_folder_without_figures_is_written_where_the_packages_are(
     assert "plotly" in page
 
 
-@pytest.mark.parametrize(
-    ("file_format", "name"), [("aem", "sunspin.aem"), ("netcdf", "attitude.nc")]
-)
-def test_exports_are_written_without_optional_packages(file_format, name, satellite, tmp_path):
-    done = run(
-        satellite, "export", "rates", "--format", file_format, "--out", str(tmp_path / "out")
-    )
+@pytest.mark.parametrize(("form", "name"), [("aem", "sunspin.aem"), ("netcdf", "attitude.nc")])
+def test_exports_are_written_without_optional_packages(form, name, satellite, tmp_path):
+    done = run(satellite, "export", "rates", "--format", form, "--out", str(tmp_path / "out"))
     assert done.returncode == 0 and (tmp_path / "out" / name).is_file(), done.stderr
 
 

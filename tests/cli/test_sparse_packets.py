@@ -120,18 +120,16 @@ def test_table_summary_and_netcdf_agree_on_a_body_at_rest(tmp_path):
     still = np.array([2.4, 0.0, 3.1, 0.0, 1.0])
     for k in range(6):
         light = np.maximum(still + 0.4 * (still > 0) * rng.normal(size=5), 0.0)
-        rows.append(
-            f"2026-01-01T00:0{k // 4}:{15 * (k % 4):02d}Z," + ",".join(f"{x:.3f}" for x in light)
-        )
+        cells = ",".join(f"{x:.3f}" for x in light)
+        rows.append(f"2026-01-01T00:0{k // 4}:{15 * (k % 4):02d}Z,{cells}")
     (tmp_path / "still.csv").write_text("\n".join(rows) + "\n")
     text = (tmp_path / "vehicle.toml").read_text().replace("noise = 0.02 ", "noise = 0.4 ")
     text = text[: text.index("[[wheel]]")] + text[text.index("# [[leg]]") :]  # faster without
     (tmp_path / "vehicle.toml").write_text(text)
     out = tmp_path / "still"
     words = ["rates", str(tmp_path / "vehicle.toml"), str(tmp_path / "still.csv")]
-    done = CliRunner().invoke(
-        cli, [*words, "--no-column-tests", "--acceleration-noise", "1e-5", "--out", str(out)]
-    )
+    quick = ["--no-column-tests", "--acceleration-noise", "1e-5", "--out", str(out)]
+    done = CliRunner().invoke(cli, [*words, *quick])
     assert done.exit_code == 0, done.exception
     table = pd.read_csv(out / "passes.csv", comment="#").iloc[0]
     numbers = json.loads((out / "summary.json").read_text())["passes"][0]

@@ -41,27 +41,17 @@ def test_commented_examples_of_the_template_are_valid():
 
 
 def test_the_spin_down_example_of_the_template_is_valid():
-    spin_down = "".join(
-        f"{line}\n"
-        for line in re.findall(r"^#   (\[wheel\.friction.*|c\d_.*)$", TEXT, re.MULTILINE)
-    )
+    lines = re.findall(r"^#   (\[wheel\.friction.*|c\d_.*)$", TEXT, re.MULTILINE)
+    spin_down = "\n".join([*lines, ""])
     body = re.sub(r"\[wheel\.friction\]\n.*\n.*\n", lambda _: spin_down, TEXT)
     friction = parse_vehicle(body, "template").wheels[0].friction
     assert friction.coulomb_N_m == pytest.approx(4.643e-4 * 388.9 * 3.0e-5)
 
 
 def test_the_tilted_panel_of_the_template_is_valid():
-    lines = TEXT[TEXT.index("#   [panel_response.tilted]") :].splitlines()
-    taken = [
-        lines[0],
-        *(
-            line
-            for line in takewhile(
-                lambda line: line.startswith("#   ") and "[" not in line[:5], lines[1:]
-            )
-        ),
-    ]
-    opened = TEXT + "\n" + "\n".join(line.removeprefix("#   ") for line in taken)
+    first, *others = TEXT[TEXT.index("#   [panel_response.tilted]") :].splitlines()
+    values = takewhile(lambda line: line.startswith("#   ") and "[" not in line[:5], others)
+    opened = "\n".join([TEXT, *(line.removeprefix("#   ") for line in (first, *values))])
     given = parse_vehicle(opened, "template")
     assert given.response_in() != parse_vehicle(TEXT, "template").response_in()
 
@@ -76,13 +66,8 @@ def test_the_telemetry_of_the_template_is_simulated_from_its_stated_truth():
     folder = resources.files("sunspin").joinpath("template")
     vehicle = parse_vehicle(TEXT, "template")
     read = ss.read_telemetry(folder.joinpath("telemetry.csv"), vehicle)
-    truth = {
-        "omega_B": [0.02, -0.03, 0.05],
-        "sun_B": [0.5, 0.4, 0.768],
-        "t_s": read.time.values,
-        "scale": 0.775,
-    }
-    made = ss.twin(vehicle, truth, seed=1)
+    truth = {"omega_B": [0.02, -0.03, 0.05], "sun_B": [0.5, 0.4, 0.768], "scale": 0.775}
+    made = ss.twin(vehicle, truth | {"t_s": read.time.values}, seed=1)
     assert np.abs(read.power_W.values - made.power_W.values).max() <= 0.000501
 
 

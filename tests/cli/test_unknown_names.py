@@ -16,9 +16,8 @@ def test_an_unknown_option_is_answered_with_the_nearest_one(tmp_path):
 
 
 def test_an_unknown_name_of_the_package_is_answered_with_the_nearest_one():
-    with pytest.raises(
-        AttributeError, match="no attribute 'posteriors'; did you mean 'posterior'?"
-    ):
+    said = "no attribute 'posteriors'; did you mean 'posterior'?"
+    with pytest.raises(AttributeError, match=said):
         _ = ss.posteriors
     with pytest.raises(AttributeError, match="no attribute 'xyzzy'$"):
         _ = ss.xyzzy

@@ -53,11 +53,8 @@ def test_rows_computed_on_a_cluster_equal_those_computed_here(client):
 def test_a_local_cluster_computes_the_rows_and_leaves_no_thread():
     before = set(threading.enumerate())
     assert whole(scheduler="local", workers=2, chunk=50)
-    assert not [
-        thread
-        for thread in set(threading.enumerate()) - before
-        if thread.name.startswith("sunspin")
-    ]
+    added = set(threading.enumerate()) - before
+    assert not [thread for thread in added if thread.name.startswith("sunspin")]
 
 
 def test_a_local_cluster_listens_only_on_this_machine(client):
@@ -115,10 +112,9 @@ LONGEST_NEWS_S = 30.0
 def test_no_row_is_lost_if_a_worker_dies_while_sending_its_result(monkeypatch):
     """The result is here and its state is not asked for yet: Dask's own executor takes the state that follows for the outcome."""
     gather, states = distributed.Client._gather, []
+    few = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
-        ) as cluster,
+        distributed.LocalCluster(**few) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
 
@@ -126,9 +122,8 @@ def test_no_row_is_lost_if_a_worker_dies_while_sending_its_result(monkeypatch):
             result = await gather(self, futures, **options)
             if not states:
                 (task,) = futures
-                (holder,) = (
-                    worker for worker in cluster.workers.values() if task.key in worker.data
-                )
+                workers = cluster.workers.values()
+                (holder,) = (worker for worker in workers if task.key in worker.data)
                 await holder.close()
                 until = time.monotonic() + LONGEST_NEWS_S
                 while task.status == "finished" and time.monotonic() < until:
@@ -137,9 +132,8 @@ def test_no_row_is_lost_if_a_worker_dies_while_sending_its_result(monkeypatch):
             return result
 
         monkeypatch.setattr(distributed.Client, "_gather", die_after)
-        rows = Waves(
-            n_rows=1000, seconds_per_row=2e-3
-        )  # longer than the news of a loss takes, on a busy machine too
+        # longer than the news of a loss takes, on a busy machine too
+        rows = Waves(n_rows=1000, seconds_per_row=2e-3)
         assert whole(rows, scheduler=client, chunk=500)
     assert states == ["lost"]
 
@@ -182,10 +176,8 @@ def test_a_scheduler_that_does_not_answer_is_refused_within_seconds(monkeypatch,
         gone.close()
         worker = next(iter(client.scheduler_info()["workers"]))
         for address in (*(f"tcp://127.0.0.1:{port}" for port in ports), worker):
-            begun = time.monotonic()
-            with pytest.raises(
-                ss.InputError, match=f"no Dask scheduler with workers answers at {address}"
-            ):
+            begun, words = time.monotonic(), f"no Dask scheduler with workers answers at {address}"
+            with pytest.raises(ss.InputError, match=words):
                 ensemble(ROWS, scheduler=address)
             assert time.monotonic() - begun < 2
 
@@ -242,15 +234,10 @@ def test_an_interruption_ends_the_processes_of_the_cluster(tmp_path):
     """Ctrl-C as a terminal sends it, to every process of the group."""
     log, store, script = tmp_path / "rows", tmp_path / "store", tmp_path / "run.py"
     script.write_text(SCRIPT)
-    process = subprocess.Popen(
-        [sys.executable, str(script), str(log), str(store)],
-        env=ELSEWHERE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=heed_interrupts,
-    )
+    command = [sys.executable, str(script), str(log), str(store)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    own = {"env": ELSEWHERE, "start_new_session": True, "preexec_fn": heed_interrupts}
+    process = subprocess.Popen(command, **pipes, **own)
     try:
         while process.poll() is None and not (log.exists() and log.read_text().count("\n") > 100):
             time.sleep(0.02)

@@ -16,6 +16,7 @@ import pytest
 import sunspin as ss
 import sunspin.compute.store as disk
 from sunspin.base.atomic_write import lock_file
+from sunspin.compute import identity
 from sunspin.compute.rows import ensemble
 from tests.support.rows import ELSEWHERE, Waves, same
 
@@ -26,10 +27,8 @@ WHOLE = ROWS(np.arange(1000))
 def tree(folder: Path) -> dict[str, str]:
     """Every file under a folder with its content's hash."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files
-    }
+    contents = {str(path.relative_to(folder)): path.read_bytes() for path in files}
+    return {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
 
 
 def refused(folder: Path, *words: str, rows: Waves = ROWS) -> None:
@@ -126,16 +125,13 @@ def test_a_run_killed_again_and_again_ends_with_the_same_result(n_rows, least, t
     """SIGKILL at random moments, a little later when the run got nowhere, until a run gets through."""
     draw, kills, folder = random.Random(4), 0, tmp_path / "store"
     while True:
-        process = subprocess.Popen(
-            [sys.executable, "-c", KILLED, str(folder), str(n_rows)], env=ELSEWHERE
-        )
-        before = len(list(folder.glob("rows-*.npz")))
+        command = [sys.executable, "-c", KILLED, str(folder), str(n_rows)]
+        process = subprocess.Popen(command, env=ELSEWHERE)
+        enough = len(list(folder.glob("rows-*.npz"))) + 12
         deadline = time.monotonic() + 60
-        while (
-            process.poll() is None
-            and len(list(folder.glob("rows-*.npz"))) < before + 12
-            and time.monotonic() < deadline
-        ):
+        while process.poll() is None and time.monotonic() < deadline:
+            if len(list(folder.glob("rows-*.npz"))) >= enough:
+                break
             time.sleep(0.01)
         time.sleep(draw.uniform(0, 0.05))
         process.kill()
@@ -215,3 +211,17 @@ def test_a_full_disk_is_reported_and_the_store_is_resumed_later(tmp_path, monkey
             ensemble(ROWS, store=tmp_path / "store", chunk=100, workers=1)
     assert not list((tmp_path / "store").glob("*.part"))
     assert computed(tmp_path, tmp_path / "store") == 600
+
+
+def test_a_changed_source_of_the_package_changes_the_identity_of_a_store(monkeypatch, tmp_path):
+    before = identity.code_identity()
+    (tmp_path / "compute").mkdir()
+    (tmp_path / "compute" / "identity.py").write_text("")
+    identity.code_identity.cache_clear()
+    monkeypatch.setattr(identity, "__file__", str(tmp_path / "compute" / "identity.py"))
+    try:
+        changed = identity.code_identity()
+        assert changed["code_sha256"] != before["code_sha256"]
+        assert changed["sunspin"] == before["sunspin"]
+    finally:
+        identity.code_identity.cache_clear()

@@ -24,22 +24,19 @@ def rows_for(vehicle, n=5, seed=2, speed=None):
 def variants(vehicle, n, seed=3):
     """The vehicle with other inertia and friction, n times."""
     rng = np.random.default_rng(seed)
+
+    def other(wheel):
+        coulomb, viscous = wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s
+        inertia = wheel.inertia_kg_m2 * rng.uniform(0.9, 1.1)
+        friction = ss.Friction(coulomb * rng.uniform(0.5, 2), viscous)
+        return replace(wheel, inertia_kg_m2=inertia, friction=friction)
+
     found = []
     for _ in range(n):
         stretch = np.diag(rng.uniform(0.9, 1.1, 3))
-        wheels = tuple(
-            replace(
-                wheel,
-                inertia_kg_m2=wheel.inertia_kg_m2 * rng.uniform(0.9, 1.1),
-                friction=ss.Friction(
-                    wheel.friction.coulomb_N_m * rng.uniform(0.5, 2), wheel.friction.viscous_N_m_s
-                ),
-            )
-            for wheel in vehicle.wheels
-        )
-        found.append(
-            replace(vehicle, inertia_kg_m2=stretch @ vehicle.inertia_kg_m2 @ stretch, wheels=wheels)
-        )
+        inertia = stretch @ vehicle.inertia_kg_m2 @ stretch
+        wheels = tuple(map(other, vehicle.wheels))
+        found.append(replace(vehicle, inertia_kg_m2=inertia, wheels=wheels))
     return found
 
 
@@ -47,24 +44,19 @@ def variants(vehicle, n, seed=3):
 @pytest.mark.parametrize("n_wheels", [0, 1, 2])
 def test_rates_and_wheel_speeds_at_output_times_agree_with_the_reference(n_wheels, mode):
     """Wheels of 40 rad/s stop, and are stuck, before the last instant."""
-    vehicle = (
-        philae_body()
-        if n_wheels == 1
-        else random_vehicle(np.random.default_rng(5), n_wheels, dry=1e-3)
-    )
+    body = random_vehicle(np.random.default_rng(5), n_wheels, dry=1e-3)
+    vehicle = philae_body() if n_wheels == 1 else body
     rows = rows_for(vehicle, speed=40.0)
     run = batch.run(vehicle, rows, TIMES, command=mode, error=1e-9)
     assert n_wheels == 0 or mode == "hold" or np.any(run.wheel_speed_rad_s[:, -1] == 0)
     for i in range(len(rows)):
         speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
-        exact = ss.propagate(
-            vehicle, rows.omega_B[i], rows.sun_B[i], speeds, [0.0, *TIMES], wheel_mode=mode
-        )
-        np.testing.assert_allclose(run.omega_B[i], exact["omega_B"].values[1:], atol=1e-7)
-        np.testing.assert_allclose(
-            run.wheel_speed_rad_s[i], exact["wheel_speed_rad_s"].values[1:], atol=1e-6
-        )
-        np.testing.assert_allclose(run.momentum_B[i], exact["momentum_B"].values[1:], atol=1e-7)
+        start = rows.omega_B[i], rows.sun_B[i], speeds
+        exact = ss.propagate(vehicle, *start, [0.0, *TIMES], wheel_mode=mode)
+        for name, tolerance in (("omega_B", 1e-7), ("wheel_speed_rad_s", 1e-6)):
+            np.testing.assert_allclose(getattr(run, name)[i], exact[name][1:], atol=tolerance)
+        np.testing.assert_allclose(run.momentum_B[i], exact["momentum_B"][1:], atol=1e-7)
+        np.testing.assert_allclose(run.sun_B[i], exact["sun_B"][1:], atol=1e-7)
 
 
 def test_a_row_with_its_own_inertia_and_friction_moves_like_such_a_vehicle():

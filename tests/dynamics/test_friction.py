@@ -33,10 +33,9 @@ def test_a_fit_to_the_published_spin_down_curve_returns_its_coefficients(t0, rea
 
 def test_the_running_time_of_a_wheel_has_the_limits_of_the_friction_law():
     assert spin_down_time(Friction(0.0, 1e-6), J, 10.0) == np.inf
-    assert spin_down_time(Friction(1e-3, 0.0), J, 865.0) == pytest.approx(J * 865 / 1e-3)
-    assert spin_down_time(Friction(1e-3, 1e-12), J, 865.0) == pytest.approx(
-        J * 865 / 1e-3, rel=1e-6
-    )
+    by_dry_friction = pytest.approx(J * 865 / 1e-3, rel=1e-6)
+    assert spin_down_time(Friction(1e-3, 0.0), J, 865.0) == by_dry_friction
+    assert spin_down_time(Friction(1e-3, 1e-12), J, 865.0) == by_dry_friction
     assert spin_down_time(Friction(1e-3, 1e-6), J, 0.0) == 0.0
 
 
@@ -45,13 +44,11 @@ def test_the_running_time_of_a_wheel_has_the_limits_of_the_friction_law():
 )
 def test_a_very_heavy_body_lets_the_wheel_run_as_long_as_a_fixed_one():
     friction = Friction(1e-3, 2e-6)
-    vehicle = Vehicle(
-        "rock", np.eye(3) * 1e7, 1e6, wheels=[Wheel("w", [0, 0, 1], J, 300.0, friction)]
-    )
+    wheel = Wheel("w", [0, 0, 1], J, 300.0, friction)
+    vehicle = Vehicle("rock", np.eye(3) * 1e7, 1e6, wheels=[wheel])
     run = ss.propagate(vehicle, [0, 0, 0], [1, 0, 0], 300.0, [0.0, 3000.0])
-    assert run["event_time_s"].values[0] == pytest.approx(
-        spin_down_time(friction, J, 300.0), rel=1e-7
-    )
+    expected = spin_down_time(friction, J, 300.0)
+    assert run["event_time_s"].values[0] == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.evidence("fit_spin_down", "verified", "scatter of 60 fits of noisy curves")
@@ -62,9 +59,8 @@ def test_the_covariance_of_a_friction_fit_is_the_scatter_of_repeated_fits(reache
     scatter = np.std([[f.c1_rad_s, f.c2_per_s, f.c3_rad_s] for f in fits], axis=0)
     claimed = np.sqrt(np.mean([np.diag(f.covariance) for f in fits], axis=0))
     reached("scatter over stated error", scatter / claimed)
-    assert np.all(
-        np.abs(np.log(scatter / claimed)) < np.log(1.4)
-    )  # 60 fits fix a width to about 9 %
+    # 60 fits fix a width to about 9 %
+    assert np.all(np.abs(np.log(scatter / claimed)) < np.log(1.4))
 
 
 def test_the_error_of_the_spin_down_curve_does_not_depend_on_the_zero_of_time():

@@ -22,17 +22,8 @@ TIMES = np.linspace(0.0, 12 * 2 * np.pi / LIBRATION, 901)
 
 
 def propagated() -> np.ndarray:
-    run = ss.propagate(
-        BODY,
-        OMEGA,
-        SUN,
-        None,
-        TIMES,
-        environment=ORBIT,
-        torques=["gravity_gradient"],
-        B_from_N=START.as_quat(),
-    )
-    return run["nadir_B"].values
+    pull = {"environment": ORBIT, "torques": ["gravity_gradient"], "B_from_N": START.as_quat()}
+    return ss.propagate(BODY, OMEGA, SUN, None, TIMES, **pull)["nadir_B"].values
 
 
 def seen_nadir(turned: np.ndarray) -> np.ndarray:

@@ -21,9 +21,8 @@ def paper_equations(vehicle: Vehicle):
     def slipping(_t, y):
         omega, W, r = y[:3], y[3], y[4:]
         M = -np.sign(W) * (f.coulomb_N_m + f.viscous_N_m_s * abs(W))
-        acceleration = -inverse @ (
-            np.cross(omega, theta @ omega) + u * M + np.cross(omega, J * u * W)
-        )
+        torque = np.cross(omega, theta @ omega) + u * M + np.cross(omega, J * u * W)
+        acceleration = -inverse @ torque
         return np.concatenate([acceleration, [M / J - u @ acceleration], -np.cross(omega, r)])
 
     def stuck(_t, y):
@@ -107,14 +106,8 @@ def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
 
 
 def test_a_held_wheel_keeps_its_speed():
-    run = ss.propagate(
-        philae_body(),
-        [0.3, -0.2, 0.1],
-        FIRST_SUN,
-        865.0,
-        np.linspace(0, 600, 61),
-        wheel_mode="hold",
-    )
+    start = [0.3, -0.2, 0.1], FIRST_SUN, 865.0
+    run = ss.propagate(philae_body(), *start, np.linspace(0, 600, 61), "hold")
     assert np.all(run["wheel_speed_rad_s"].values == 865.0)
     omega = run["omega_B"].values
     theta = philae_body().inertia_kg_m2
@@ -123,21 +116,14 @@ def test_a_held_wheel_keeps_its_speed():
 
 
 def test_a_wheel_schedule_equals_runs_chained_by_hand():
-    vehicle = philae_body()
-    whole = ss.propagate(
-        vehicle,
-        [0.1, 0.05, 0],
-        FIRST_SUN,
-        865.0,
-        [0, 300.0, 900.0],
-        wheel_mode=[(0, "hold"), (300.0, "coast")],
-    )
-    held = ss.propagate(vehicle, [0.1, 0.05, 0], FIRST_SUN, 865.0, [0, 300.0], wheel_mode="hold")
+    vehicle, start = philae_body(), ([0.1, 0.05, 0], FIRST_SUN, 865.0)
+    legs = [(0, "hold"), (300.0, "coast")]
+    whole = ss.propagate(vehicle, *start, [0, 300.0, 900.0], wheel_mode=legs)
+    held = ss.propagate(vehicle, *start, [0, 300.0], wheel_mode="hold")
     then = ss.propagate(vehicle, held["omega_B"][-1], held["sun_B"][-1], 865.0, [300.0, 900.0])
     np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-11)
-    np.testing.assert_allclose(
-        whole["wheel_speed_rad_s"][-1], then["wheel_speed_rad_s"][-1], rtol=1e-12
-    )
+    speeds = (run["wheel_speed_rad_s"][-1] for run in (whole, then))
+    np.testing.assert_allclose(*speeds, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -153,14 +139,9 @@ def test_a_wheel_schedule_equals_runs_chained_by_hand():
     ],
 )
 def test_bad_arguments_of_propagate_are_named(change, message):
-    arguments = {
-        "omega_B": [0.1, 0, 0],
-        "sun_B": FIRST_SUN,
-        "wheel_speed_rad_s": 865.0,
-        "t_s": [0.0, 1.0],
-    } | change
+    given = {"omega_B": [0.1, 0, 0], "sun_B": FIRST_SUN, "wheel_speed_rad_s": 865.0, "t_s": [0, 1]}
     with pytest.raises(ss.MotionError, match=message):
-        ss.propagate(philae_body(), **arguments)
+        ss.propagate(philae_body(), **given | change)
 
 
 @pytest.mark.parametrize("rate", [1e18, 1e200])
@@ -197,24 +178,15 @@ def test_a_run_back_through_a_known_stop_returns_to_its_start():
 def test_a_wheel_held_then_braked_stops_as_two_runs_by_hand_say():
     """A schedule with a brake, whose torque is added to the friction of the bearing."""
     (wheel,) = philae_body().wheels
-    braked = replace(wheel, brake_torque_N_m=0.02)
-    vehicle, strong = (
-        replace(philae_body(), wheels=(each,))
-        for each in (
-            braked,
-            replace(
-                wheel,
-                friction=replace(wheel.friction, coulomb_N_m=wheel.friction.coulomb_N_m + 0.02),
-            ),
-        )
-    )
+    stiffer = replace(wheel.friction, coulomb_N_m=wheel.friction.coulomb_N_m + 0.02)
+    vehicle = replace(philae_body(), wheels=(replace(wheel, brake_torque_N_m=0.02),))
+    strong = replace(philae_body(), wheels=(replace(wheel, friction=stiffer),))
     omega = [0.1, -0.05, 0.2]
     schedule = [(0.0, "hold"), (60.0, "brake"), (500.0, "coast")]
     whole = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, [0.0, 60.0, 600.0], schedule)
     held = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, [0.0, 60.0], "hold")
-    then = ss.propagate(
-        strong, held["omega_B"][-1], held["sun_B"][-1], 865.0, [60.0, 600.0], "coast"
-    )
+    state = held["omega_B"][-1], held["sun_B"][-1], 865.0
+    then = ss.propagate(strong, *state, [60.0, 600.0], "coast")
     assert list(whole["event_what"].values) == ["stops"]
     np.testing.assert_allclose(whole["event_time_s"], then["event_time_s"], atol=1e-9)
     np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-10)

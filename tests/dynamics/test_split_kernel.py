@@ -76,11 +76,8 @@ def lanes_of_numbers(rng, side=0.6):
         rows[first // L : first // L + 3] = vector / np.linalg.norm(vector, axis=0)
     rows[split.DT // L] = 1.0
     rows[split.DM // L], rows[split.DP // L] = 0.6, 0.5 * side
-    rows[split.W0 // L : split.W0 // L + 3] = rng.uniform(-0.5, 0.5, (3, L)) * [
-        [side],
-        [side],
-        [0.5],
-    ]
+    spread = np.array([[side], [side], [0.5]])
+    rows[split.W0 // L : split.W0 // L + 3] = rng.uniform(-0.5, 0.5, (3, L)) * spread
     rows[split.W1 // L : split.W1 // L + 3] = 0.01 * rng.uniform(-1, 1, (3, L))
     return w.astype(np.float32)
 
@@ -113,9 +110,8 @@ def sides(w, fraction, pieces):
     """Apply P and Q for the fraction of the step, in so many pieces."""
     for _ in range(pieces):
         for l in range(L):
-            split.set_state(
-                w, l, split.turn_sides(w, l, fraction / pieces, 0.0, split.state_of(w, l))
-            )
+            v = split.turn_sides(w, l, fraction / pieces, 0.0, split.state_of(w, l))
+            split.set_state(w, l, v)
 
 
 def test_the_error_of_p_and_q_together_is_of_third_order():
@@ -210,9 +206,8 @@ def test_a_stuck_wheel_that_breaks_away_is_left_to_the_series(monkeypatch):
     initial = start([[0.8, 0.5, -0.6], [0.05, 0.02, 0.01]], np.zeros((2, 1)))
     fast, exact, left = by_both_methods(monkeypatch, vehicle, initial, 600.0)
     assert left.tolist() == [0]
-    assert np.array_equal(
-        fast[0], batch.sun_heights(vehicle, initial, 600.0, error=1e-2).seconds[0]
-    )
+    series = batch.sun_heights(vehicle, initial, 600.0, error=1e-2).seconds
+    assert np.array_equal(fast[0], series[0])
     assert emd(fast, exact).max() < 1e-3
 
 
@@ -231,9 +226,8 @@ def test_motions_next_to_an_unstable_spin_are_left_to_the_series(monkeypatch):
     axes = np.linalg.eigh(vehicle.inertia_kg_m2)[1]
     away = np.array([1e-7, 1e-6, 1e-5, 0.3, 0.5])
     omega = 0.5 * (axes[:, 1] + away[:, None] * axes[:, 0])
-    fast, exact, left = by_both_methods(
-        monkeypatch, vehicle, start(omega, np.zeros((5, 0))), 2700.0
-    )
+    initial = start(omega, np.zeros((5, 0)))
+    fast, exact, left = by_both_methods(monkeypatch, vehicle, initial, 2700.0)
     assert left.tolist() == [0, 1, 2] and emd(fast, exact).max() < 2e-3
 
 

@@ -11,17 +11,11 @@ LANDING_S = 469_078_511.0
 
 def test_the_pole_of_the_comet_is_z_and_its_meridian_rotates_as_published():
     right_ascension, declination = np.radians(comet.POLE_DEG)
-    pole = [
-        np.cos(declination) * np.cos(right_ascension),
-        np.cos(declination) * np.sin(right_ascension),
-        np.sin(declination),
-    ]
+    level = np.array([np.cos(right_ascension), np.sin(right_ascension)])
+    pole = [*(np.cos(declination) * level), np.sin(declination)]
     np.testing.assert_allclose(comet.comet_from_J2000(LANDING_S) @ pole, [0, 0, 1], atol=1e-12)
-    node = [
-        -np.sin(right_ascension),
-        np.cos(right_ascension),
-        0.0,
-    ]  # where the comet's equator rises through that of J2000
+    # where the comet's equator rises through that of J2000
+    node = [-level[1], level[0], 0.0]
     seen = comet.comet_from_J2000(0.0) @ node
     assert np.degrees(np.arctan2(-seen[1], seen[0])) == pytest.approx(comet.MERIDIAN_DEG)
     assert 24 * 360 / comet.DEG_PER_DAY == pytest.approx(12.404, abs=1e-3)
@@ -29,13 +23,11 @@ def test_the_pole_of_the_comet_is_z_and_its_meridian_rotates_as_published():
 
 def test_the_inertial_velocity_is_the_derivative_of_the_inertial_position():
     state = np.array([2123.0, -959.0, 497.0, 0.24, 0.11, -0.2])
-    there = [
-        comet.comet_from_J2000(LANDING_S + dt).T @ (state[:3] + dt * state[3:])
-        for dt in (-1.0, 1.0)
-    ]
-    np.testing.assert_allclose(
-        comet.velocity_J2000(LANDING_S, state), (there[1] - there[0]) / 2, atol=1e-7
+    before, after = (
+        comet.comet_from_J2000(LANDING_S + dt).T @ (state[:3] + dt * state[3:]) for dt in (-1, 1)
     )
+    velocity = comet.velocity_J2000(LANDING_S, state)
+    np.testing.assert_allclose(velocity, (after - before) / 2, atol=1e-7)
     assert np.linalg.norm(np.cross(comet.SPIN_COMET, state[:3])) == pytest.approx(0.33, abs=0.01)
 
 

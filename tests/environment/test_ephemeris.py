@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.environment.earth import (
-    Instants,
-    J2000_from_TEME,
-    earth_from_J2000,
-    rotate_vectors,
-)
+from sunspin.environment.earth import Instants, J2000_from_TEME, earth_from_J2000, rotate_vectors
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
 from sunspin.environment.orbit import in_orbit
@@ -39,13 +34,7 @@ def states(step: float, count: int, frame: str = "J2000") -> tuple[list[datetime
     return [BEGIN + timedelta(seconds=float(s)) for s in t], np.concatenate(both, axis=1)
 
 
-def oem(
-    frame: str = "EME2000",
-    scale: str = "UTC",
-    step: float = 60.0,
-    count: int = 130,
-    ahead: float = 0.0,
-) -> str:
+def oem(frame="EME2000", scale="UTC", step=60.0, count=130, ahead=0.0) -> str:
     times, rows = states(step, count, "J2000" if frame == "EME2000" else frame)
     lines = [
         f"{(time + timedelta(seconds=ahead)).isoformat()} {' '.join(f'{x:.9f}' for x in row)}"
@@ -71,13 +60,10 @@ COMMENT made by a test
 
 def off_m(ephemeris) -> float:
     """The largest distance (m) from SGP4 at the telemetry's times."""
-    known = in_orbit(parse_elements(VZLUSAT, "case"), EPOCH, T)
-    found = in_orbit((ephemeris,), EPOCH, T)
-    return float(
-        np.linalg.norm(
-            found.states(found.instants(T))[0] - known.states(known.instants(T))[0], axis=1
-        ).max()
-    )
+    elements = parse_elements(VZLUSAT, "case")
+    orbits = (in_orbit(each, EPOCH, T) for each in (elements, (ephemeris,)))
+    known, found = (orbit.states(orbit.instants(T))[0] for orbit in orbits)
+    return float(np.linalg.norm(found - known, axis=1).max())
 
 
 @pytest.fixture
@@ -118,10 +104,8 @@ def test_a_csv_ephemeris_must_state_its_frame(put):
     )
     text = f"# frame: ITRF\ntime_utc,x_km,y_km,z_km\n{body}\n"
     assert off_m(read_orbit(put(text, "a.csv"))[0]) < 10
-    with pytest.raises(
-        ss.InputError,
-        match="a.csv: the ephemeris does not say its frame; add a first line such as `# frame",
-    ):
+    words = "a.csv: the ephemeris does not say its frame; add a first line such as `# frame"
+    with pytest.raises(ss.InputError, match=words):
         read_orbit(put(text.split("\n", 1)[1], "a.csv"))
 
 

@@ -14,6 +14,10 @@ from sunspin.estimate.lander.rate_grid import RateGrid
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
+from tests.support.vehicles import units
+
+DIFFERENCE = 1e-6
+"""Half the difference in place (parts of an edge) and in step (rad) that gives a derivative."""
 
 CORNERS = np.array(list(product((0, 1), repeat=3)))
 """Corners (8, 3) of a cell."""
@@ -30,14 +34,6 @@ def corner_weights(x: np.ndarray) -> np.ndarray:
     """Return how much each corner counts (..., 8) at places x (..., 3) of a cell, in parts of its edge."""
     sides = np.where(CORNERS, x[..., None, :], 1 - x[..., None, :])
     return np.prod(sides, axis=-1)
-
-
-def corner_slopes(x: np.ndarray) -> np.ndarray:
-    """Return the derivatives (..., 8, 3) of :func:`corner_weights` by the reference."""
-    sides = np.where(CORNERS, x[..., None, :], 1 - x[..., None, :])
-    signs = np.where(CORNERS, 1.0, -1.0)
-    others = sides[..., [1, 0, 0]] * sides[..., [2, 2, 1]]
-    return signs * others
 
 
 def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -108,23 +104,18 @@ class LookThrough:
         s, turn = self.s, corners_of(self.grid, cells)
         tangents = np.stack(tangent_basis(self.reference.suns), axis=1)
         # the middle of each eighth of a cell, for each direction: does any direction near it agree?
-        middles = self._interpolated(turn[:, None], corner_weights(MIDDLES))
+        middles = self._interpolated(turn, corner_weights(MIDDLES))
         cell, eighth, sun = self._agreeing(middles)
         at = corner_weights(POINTS)[eighth]  # (S, 8 points, 8 corners)
-        points = self._interpolated(turn[cell][:, None], at)
+        points = self._interpolated(turn[cell], at)
         directions = rotated(points, self.reference.suns[sun][:, None, None])
         worst, total = self._against(directions, self.short_near)
         total[worst > s.limit] = np.inf
         best = np.argmin(total, axis=1)
         some = np.isfinite(total[np.arange(len(total)), best])
         cell, eighth, sun, best = cell[some], eighth[some], sun[some], best[some]
-        starts = Settling(
-            turn[cell],
-            self.reference.suns[sun],
-            tangents[sun],
-            POINTS[eighth, best],
-            np.zeros((len(cell), 2)),
-        )
+        place, suns = POINTS[eighth, best], self.reference.suns[sun]
+        starts = Settling(turn[cell], suns, tangents[sun], place, np.zeros((len(cell), 2)))
         starts, misfit = self.settle(starts)
         near = np.abs(starts.x - MIDDLES[eighth]).max(axis=1, initial=0.0) < 0.5
         settled = near & (misfit <= s.settled)
@@ -135,7 +126,7 @@ class LookThrough:
         return omega, move_on_sphere(starts.sun, starts.step * angle), misfit[settled]
 
     def _interpolated(self, turn: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return attitudes (n, p, m, 4), of any length, interpolated between corners (n, 1, 8, m, 4) with weights (.., p, 8)."""
+        """Return attitudes (n, p, m, 4), of any length, interpolated between corners (n, 8, m, 4) with weights (.., p, 8)."""
         flat = turn.reshape(len(turn), 8, -1)
         weighted = weights @ flat
         return weighted.reshape(*weighted.shape[:2], -1, 4)
@@ -164,17 +155,16 @@ class LookThrough:
         s = self.s
         x, step, misfit = starts.x.copy(), starts.step.copy(), np.full(len(starts.x), np.inf)
         going = np.arange(len(x))
-        for left in range(s.steps, -1, -1):
+        for taken in range(s.steps + 1):
             if not len(going):
                 break
             now = starts.take(going)._replace(x=x[going], step=step[going])
             after, normal, gradient = self._equations(now)
             gained, misfit[going] = np.maximum(misfit[going] - after, 0.0), after
-            if left == 0:
+            if taken == s.steps:
                 break
-            if left < s.steps - 1:
-                hopeful = after - left * s.faster * gained <= s.settled
-                going, normal, gradient = going[hopeful], normal[hopeful], gradient[hopeful]
+            hopeful = after - s.gain_left * gained <= s.settled
+            going, normal, gradient = going[hopeful], normal[hopeful], gradient[hopeful]
             places = np.arange(5)
             normal[:, places, places] += 1e-2 * normal[:, places, places] + 1e-3
             move = -np.linalg.solve(normal, gradient[..., None])[..., 0]
@@ -188,24 +178,22 @@ class LookThrough:
     def _equations(self, now: Settling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the misfit (S) of starts, and normal equations (S, 5, 5), (S, 5) for place and direction."""
         panels, s = self.panels, self.s
-        sun, slope = self._directions(now)
+        sun = self._directions(now)
         slopes = panels.response.slopes(sun)
         light, to_sun = panels.brightness * slopes.power, panels.brightness * slopes.to_sun
         # a dark input near its edge has the slope of its light, so that a start finds into it
         facing = panels.response.facing_B
         dark = (light <= 0) & (sun @ facing.T > -DARK_SLOPE)
         to_sun = np.where(dark[..., None], self.full[:, None] * facing, to_sun)
-        change = to_sun @ slope
+        change = to_sun @ self._slopes(now)
         factor: np.ndarray | float = 1.0
         if panels.throttled:
             factor, weight = panels.best_factor(light)
             size = np.sum(weight * light**2, axis=-1)[..., None, None]
             part = np.sum((weight * light)[..., None] * change, axis=-2, keepdims=True)
             share = np.divide(part, size, out=np.zeros_like(part), where=size > 0)
-            light, change = (
-                factor * light,
-                factor[..., None] * (change - light[..., None] * share),
-            )
+            change = factor[..., None] * (change - light[..., None] * share)
+            light = factor * light
         full = factor * self.full
         precision = 1.0 / (panels.sigma**2 + (s.blur_rad * full) ** 2)
         counts = panels.used & ((light > 0) | (panels.power > 0))
@@ -218,28 +206,19 @@ class LookThrough:
         misfit = np.minimum(square, s.cap).sum(axis=(1, 2))
         return misfit, weighted @ flat, (weighted @ gap.reshape(count, -1, 1))[..., 0]
 
-    def _directions(self, now: Settling) -> tuple[np.ndarray, np.ndarray]:
-        """Return the directions to the Sun (S, 1 + m, 3), the reference first, and their derivatives (S, 1 + m, 3, 5)."""
-        count, others = len(now.x), now.turn.shape[2]
-        here = now.sun + np.einsum("sa,sai->si", now.step, now.tangents)
-        length = np.linalg.norm(here, axis=1, keepdims=True)
-        here /= length
-        along = np.einsum("si,sai->sa", here, now.tangents)[..., None]
-        across = (now.tangents - along * here[:, None]) / length[:, None]
-        flat = now.turn.reshape(count, 8, -1)
-        q = (corner_weights(now.x)[:, None] @ flat).reshape(count, others, 4)
-        by_x = (np.swapaxes(corner_slopes(now.x), 1, 2) @ flat).reshape(count, 3, others, 4)
-        sun = np.empty((count, 1 + others, 3))
-        slope = np.zeros((count, 1 + others, 3, 5))
-        sun[:, 0], slope[:, 0, :, 3:] = here, np.swapaxes(across, 1, 2)
-        there = rotated(q, here[:, None])
-        sun[:, 1:] = there
-        for a in range(2):
-            slope[:, 1:, :, 3 + a] = rotated(q, across[:, None, a])
-        # a change p of a quaternion q turns by twice the vector part of p q* over |q|^2
-        half = np.sum(q**2, axis=-1, keepdims=True)[:, None]
-        v, w = q[:, None, :, :3], q[:, None, :, 3:]
-        dv, dw = by_x[..., :3], by_x[..., 3:]
-        turn = 2.0 * (w * dv - dw * v - cross(dv, v)) / half
-        slope[:, 1:, :, :3] = np.moveaxis(cross(turn, there[:, None]), 1, -1)
-        return sun, slope
+    def _directions(self, now: Settling) -> np.ndarray:
+        """Return the directions to the Sun (S, 1 + m, 3), the reference first."""
+        here = units(now.sun + np.einsum("sa,sai->si", now.step, now.tangents))[:, None]
+        attitude = self._interpolated(now.turn, corner_weights(now.x)[:, None])[:, 0]
+        return np.concatenate([here, rotated(attitude, here)], axis=1)
+
+    def _slopes(self, now: Settling) -> np.ndarray:
+        """Return the derivatives (S, 1 + m, 3, 5) of the directions for place and step, by differences."""
+        columns = []
+        for h in DIFFERENCE * np.eye(5):
+            ahead, back = (
+                self._directions(now._replace(x=now.x + to[:3], step=now.step + to[3:]))
+                for to in (h, -h)
+            )
+            columns.append((ahead - back) / (2 * DIFFERENCE))
+        return np.stack(columns, axis=-1)

@@ -1,7 +1,5 @@
 """Each printed advice is followed literally and has the promised effect. All telemetry is synthetic."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -14,37 +12,29 @@ import xarray as xr
 import sunspin as ss
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
-from sunspin.estimate.model import Body, Model, Noise
-from sunspin.estimate.observe import observe
 from sunspin.estimate.rates import doubts_of, rates
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.starts import fine_up_to
 from sunspin.estimate.verdict import more_effort
 from sunspin.output.check import orbit as check_words
 from sunspin.telemetry.assess import assess
-from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
 from tests.support import satellite_files
 from tests.support.orbit_cases import check_case, with_few_copies
-from tests.support.simulate import fast_body, telemetry_of
-from tests.support.vehicles import CUBE_NORMALS
+from tests.support.passes import stated_model
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, fast_body, telemetry_of
 from validation import spinners
 
-CUBE = Vehicle(
-    "cube",
-    gain_unit="W",
-    inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
-    panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", CUBE_NORMALS, strict=True)],
-)
+CUBE = replace(CUBE_WITHOUT_NOISE_STATED, inertia_kg_m2=np.diag([0.02, 0.025, 0.03]))
 TIMES = np.cumsum(10 + 4 * np.random.default_rng(3).random(12))
 QUIET = {"max_rate_rad_s": 0.05, "acceleration_noise": 1e-5}
 
 
-def seen(omega, t_s=TIMES, body=CUBE):
+def seen(omega=(0.01, 0.012, -0.01), t_s=TIMES, body=CUBE, sun=(0.6, 0.0, 0.8), rng=None):
     """Return telemetry of a cube that rotates freely, and its true rates (n, 3)."""
-    run = ss.propagate(body, omega, [0.6, 0.0, 0.8], None, t_s)
+    run, rng = ss.propagate(body, omega, sun, None, t_s), rng or np.random.default_rng(1)
     power = ss.panel_power(CUBE, run["sun_B"].values)
-    power = power + 0.01 * np.random.default_rng(1).normal(size=power.shape)
+    power = power + 0.01 * rng.normal(size=power.shape)
     return telemetry_of(CUBE, t_s, np.maximum(power, 0)), run["omega_B"].values
 
 
@@ -56,7 +46,7 @@ def printed(pattern: str, text: str) -> float:
 
 
 def test_with_the_effort_that_is_named_a_search_is_complete():
-    data, _ = seen([0.01, 0.012, -0.01])
+    data, _ = seen()
     cut = rates(CUBE, data, effort=1e-6, **QUIET)
     assert "SEARCH STOPPED" in cut.attrs["verdict"] and not cut["decided"].values[0]
     for text in (cut.attrs["verdict"], str(cut["why_not_decided"].values[0])):
@@ -81,15 +71,14 @@ def test_with_the_largest_rate_that_is_named_a_coarse_search_is_fine():
     assert limit == printed(pattern, why)
 
     def is_fine(deg_s: float) -> bool:
-        obs = observe(assess(vehicle, data)).obs
-        model = Model(obs, Body.of(vehicle), Noise(1e-4), np.radians(deg_s) / 2)
+        model = stated_model(vehicle, data, rate_sigma=np.radians(deg_s) / 2)
         return fine_up_to(model, RATES.search) == np.inf
 
     assert is_fine(limit) and not is_fine(1.02 * limit)
 
 
 def test_a_wheel_of_unknown_speed_decides_nothing_until_its_speed_is_stated():
-    data, _ = seen([0.01, 0.012, -0.01])
+    data, _ = seen()
     wheel = ss.Wheel("w", [0, 1, 0], 3e-6)
     with_wheel = replace(CUBE, wheels=(wheel,))
     silent = rates(with_wheel, data, **QUIET)
@@ -110,7 +99,7 @@ def test_without_the_sensor_that_is_named_the_rates_are_right():
     """The gyro's zero is off by 3 deg/s though it is stated to 0.01; what is printed is the option of the command line."""
     from sunspin.cli.rates import SENSOR_VARIABLES
 
-    data, omega = seen([0.01, 0.012, -0.01])
+    data, omega = seen()
     noise = 1e-4 * np.random.default_rng(2).normal(size=omega.shape)
     read = omega + np.radians([3.0, -2.0, 2.5]) + noise
     data = data.assign(gyro_B=(("time", "axis"), read))
@@ -132,14 +121,11 @@ def test_a_body_whose_inertia_is_stated_is_decided():
     inertia = [[0.0355, 0.0001, -0.0025], [0.0001, 0.0369, 0.0023], [-0.0025, 0.0023, 0.0065]]
     body = replace(CUBE, inertia_kg_m2=np.array(inertia))
     rng = np.random.default_rng(0)
-    t_s = np.cumsum(rng.uniform(10, 14, 42))
-    run = ss.propagate(body, [0.0284, -0.03, 0.0431], [-0.898, 0.146, -0.416], None, t_s)
-    power = ss.panel_power(body, run["sun_B"].values)
-    power = np.maximum(power + 0.01 * rng.normal(size=power.shape), 0.0)
-    data = telemetry_of(CUBE, t_s, power)
+    t_s, sun = np.cumsum(rng.uniform(10, 14, 42)), [-0.898, 0.146, -0.416]
+    data, omega = seen([0.0284, -0.03, 0.0431], t_s, body, sun, rng)
     known = rates(body, data)
     assert "INERTIA" not in known.attrs["verdict"] and known["decided"].values[0]
-    truth = run["omega_B"].sel(time=known["time"].values).values.mean(axis=0)
+    truth = omega[np.isin(t_s, known["time"].values)].mean(axis=0)
     off = known["omega_mean_B"].values[0, 0] - truth
     assert np.abs(off / known["omega_sigma_all_B"].values[0]).max() < 4
     unknown = rates(replace(body, inertia_kg_m2=None), data)
@@ -178,9 +164,8 @@ def test_strong_torques_of_a_body_without_an_inertia_ask_for_it(
     noise, apart_s, sphere, stated, asked
 ):
     vehicle = replace(CUBE, inertia_kg_m2=None) if sphere else CUBE
-    data, _ = seen([0.01, 0.012, -0.01], apart_s * np.arange(12))
-    obs = observe(assess(vehicle, data)).obs
-    model = Model(obs, Body.of(vehicle), Noise(1e-4), 0.025)
+    data, _ = seen(t_s=apart_s * np.arange(12))
+    model = stated_model(vehicle, data, rate_sigma=0.025)
     result = xr.Dataset(attrs={"wheels_untold": "", "gains_unknown": ""})
     fits: Any = [SimpleNamespace(cut=False)]
     solved: Any = [SimpleNamespace(noise=np.array([noise]))]
@@ -199,9 +184,8 @@ def test_the_advice_to_state_the_zero_of_a_magnetometer_gives_right_rates(tmp_pa
     written = (tmp_path / "vehicle.toml").read_text("utf-8")
     results = {}
     for sigma in ("", ", sigma = 10000"):
-        (tmp_path / "vehicle.toml").write_text(
-            re.sub("zero = .*", f"zero = {{ value = [0, 0, 0]{sigma} }}", written), "utf-8"
-        )
+        changed = re.sub("zero = .*", f"zero = {{ value = [0, 0, 0]{sigma} }}", written)
+        (tmp_path / "vehicle.toml").write_text(changed, "utf-8")
         vehicle = ss.load_vehicle(tmp_path / "vehicle.toml")
         results[sigma] = ss.rates(vehicle, ss.read_telemetry(tmp_path / "telemetry.csv", vehicle))
     exact, open_zero = results.values()
@@ -216,14 +200,12 @@ def test_the_advice_of_check_to_set_the_scale_removes_the_warning(tmp_path):
     from sunspin.output.check.files import describe_telemetry
 
     made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
-    made.vehicle.write_text(
-        made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001")
-    )
+    written = made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001")
+    made.vehicle.write_text(written)
 
     def wrong() -> list[str]:
-        lines = describe_telemetry(
-            ss.load_vehicle(made.vehicle), made.telemetry, str(made.vehicle)
-        )[2]
+        craft = ss.load_vehicle(made.vehicle)
+        lines = describe_telemetry(craft, made.telemetry, str(made.vehicle))[2]
         return [line for line in lines if "WRONG" in line]
 
     (said,) = wrong()

@@ -1,5 +1,7 @@
 """Gyro axes on a body whose strong wheel rotates the rate between samples. All telemetry is synthetic."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -8,24 +10,20 @@ import sunspin as ss
 from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle, Wheel
-from sunspin.vehicle.sensors import Gyro, Sensors
-from tests.support.simulate import telemetry_of
-from tests.support.vehicles import unit_vector
+from sunspin.vehicle.sensors import Sensors
+from tests.support.simulate import GYRO, telemetry_of
+from tests.support.vehicles import unit_vector, units
 
-AXIS = np.array([0.2, 0.9, 0.4]) / np.linalg.norm([0.2, 0.9, 0.4])
+AXIS = units(np.array([0.2, 0.9, 0.4]))
 
 
 def odd(i: int, speed_rad_s: float) -> tuple[Vehicle, xr.Dataset]:
     """Twelve panels somehow, a wheel that turns a rate round by 12 rad in an interval of 12 s at 300 rad/s, a gyro."""
     rng = np.random.default_rng(i)
-    normals = rng.normal(size=(12, 3))
-    panels = tuple(
-        Panel(f"p{k}", n / np.linalg.norm(n), rng.uniform(0.5, 1.5)) for k, n in enumerate(normals)
-    )
+    normals = units(rng.normal(size=(12, 3)))
+    panels = [Panel(f"p{k}", n, rng.uniform(0.5, 1.5)) for k, n in enumerate(normals)]
     inertia = np.array([[0.9, 0.05, 0.02], [0.05, 1.2, -0.03], [0.02, -0.03, 1.5]])
-    gyro = Gyro(
-        ("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, 1e-3), scale_sigma=0.01
-    )
+    gyro = replace(GYRO, noise_rad_s=1e-3)
     craft = Vehicle(
         "odd",
         inertia_kg_m2=inertia,
@@ -41,8 +39,8 @@ def odd(i: int, speed_rad_s: float) -> tuple[Vehicle, xr.Dataset]:
     rate = run["omega_B"].values
     read = rate * (1 + 0.01 * rng.normal()) + 1e-3 * rng.normal(size=3)
     read = read + 1e-3 * rng.normal(size=rate.shape)
-    gyro = {"gyro_B": (("time", "axis"), read)}
-    return craft, telemetry_of(craft, t, np.maximum(power, 0.0), **gyro)
+    data = telemetry_of(craft, t, np.maximum(power, 0.0), gyro_B=(("time", "axis"), read))
+    return craft, data
 
 
 @pytest.mark.parametrize(("count", "named"), [(1, 2), pytest.param(6, 12, marks=pytest.mark.long)])

@@ -12,14 +12,12 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
-from sunspin.environment.elements import parse_elements
-from sunspin.environment.orbit import in_orbit
 from sunspin.estimate import calibrate
 from sunspin.estimate.calibrate import GyroFit, calibrate_sensors, fit_gyro, gyro_keys, new_values
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
 from sunspin.vehicle.rewrite import NewValue, rewrite_values
 from sunspin.vehicle.sensors import Gyro
-from tests.support.calibration_cases import calibration_case, deviations
+from tests.support.calibration_cases import calibration_case, deviations, orbit_of_case
 
 
 @cache
@@ -29,17 +27,11 @@ def few(off: float = 1.0):
     return case._replace(telemetry=case.telemetry.isel(time=slice(None, None, 2)))
 
 
-def orbit_of(case):
-    time, epoch = case.telemetry["time"].values, case.telemetry.attrs["epoch_utc"]
-    elements = parse_elements("\n".join(case.elements), "case")
-    return in_orbit(elements, epoch, time, shift_sigma_s=case.shift_sigma_s)
-
-
-def calibrated(case, monkeypatch, verdict=Verdict.FITS):
+def calibrated(case, monkeypatch, verdict=Verdict.FITS, **said):
     """Return the calibration with the answer of the orbit check given: it has tests of its own."""
-    check = OrbitCheck(0.0, 10.0, verdict, matrix=1e-9 * np.eye(3), zero=np.zeros(3))
+    check = OrbitCheck(0.0, 10.0, verdict, matrix=1e-9 * np.eye(3), zero=np.zeros(3), **said)
     monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
-    return calibrate_sensors(case.vehicle, case.telemetry, orbit_of(case))
+    return calibrate_sensors(case.vehicle, case.telemetry, orbit_of_case(case, case.telemetry))
 
 
 @pytest.mark.evidence(
@@ -84,34 +76,25 @@ def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch
     )
     result = calibrated(case, monkeypatch)
     z = deviations(case, result)
-    names = ("zero", "matrix", "scale_T")
-    assert set(z) == {f"magnetometer.{name}" for name in names}
+    assert set(z) == {f"magnetometer.{name}" for name in ("zero", "matrix", "scale_T")}
     assert np.abs(np.concatenate(list(z.values()))).max() < 4
     matrix = result["value"].values[result["key"].values == "magnetometer.matrix"].reshape(3, 3)
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
 
 
-def test_elements_that_do_not_fit_give_no_calibration(monkeypatch):
-    what = "the elements do not fit the telemetry, which cannot be calibrated with them"
-    with pytest.raises(ss.InputError, match=what):
-        calibrated(few(), monkeypatch, Verdict.REFUSED)
-
-
 @pytest.mark.parametrize(
     ("said", "what"),
     [
+        ({"verdict": Verdict.REFUSED}, "do not fit the telemetry, which cannot be calibrated with"),
         ({"sign_turned": True}, "has the opposite sign.* change the sign of `matrix`"),
         ({"turned_axes": "the axes are others; set x"}, "axes are others, and is not .*; set x"),
     ],
 )
-def test_a_magnetometer_with_other_signs_or_axes_is_not_calibrated(said, what, monkeypatch):
-    matrix, zero = 1e-9 * np.eye(3), np.zeros(3)
-    check = OrbitCheck(0.0, 10.0, Verdict.FITS, matrix=matrix, zero=zero, **said)
-    monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
+def test_elements_signs_or_axes_that_do_not_fit_give_no_calibration(said, what, monkeypatch):
     case = few()
-    data = case.telemetry.drop_vars(["power_W", "panel"])
+    field = case._replace(telemetry=case.telemetry.drop_vars(["power_W", "panel"]))
     with pytest.raises(ss.InputError, match=what):
-        calibrate_sensors(case.vehicle, data, orbit_of(case))
+        calibrated(field, monkeypatch, **said)
 
 
 def test_without_an_orbit_only_the_panels_are_calibrated():
@@ -131,22 +114,19 @@ def test_without_an_orbit_only_the_panels_are_calibrated():
 )
 def test_a_gyro_is_calibrated_by_rates_estimated_without_it():
     rng = np.random.default_rng(1)
-    off = []
+    gyro, passes, each = Gyro(("a", "b", "c"), 1.0, np.zeros(3), 5e-4), 8, 10
+    t_s, off = np.arange(passes * each) * 30.0, []
     for _ in range(30):
-        passes, each = 8, 10
         rate = np.repeat(0.03 * rng.normal(size=(passes, 3)), each, axis=0)
         seen = rate + np.repeat(1e-3 * rng.normal(size=(passes, 3)), each, axis=0)
         read = 1.04 * rate + [0.01, -0.02, 0.005] + 5e-4 * rng.normal(size=rate.shape)
-        t_s = np.arange(len(rate)) * 30.0
-        covariance = np.tile(1e-6 * np.eye(3), (len(t_s), 1, 1))
         variables = {
             "omega_B": (("time", "axis"), seen),
-            "omega_cov_B": (("time", "a", "b"), covariance),
+            "omega_cov_B": (("time", "a", "b"), np.tile(1e-6 * np.eye(3), (len(t_s), 1, 1))),
             "pass_of": ("time", np.repeat(np.arange(passes), each)),
             "decided": ("pass_id", np.ones(passes, dtype=bool)),
         }
         result = xr.Dataset(variables, {"time": t_s})
-        gyro = Gyro(("a", "b", "c"), 1.0, np.zeros(3), 5e-4)
         data = xr.Dataset({"gyro_B": (("time", "axis"), read)}, {"time": t_s})
         fit = fit_gyro(gyro, data, result)
         sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))

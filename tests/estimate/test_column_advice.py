@@ -1,7 +1,5 @@
 """Each advice on columns, signs and axes is followed to the letter in the vehicle file, and has the promised effect."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib
@@ -12,7 +10,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.cli.rates import SENSOR_VARIABLES
-from sunspin.estimate.column_tests import SENSORS, Better, Culprit, Named
+from sunspin.estimate.column_tests import SENSORS, Better, Culprit, Named, changes_of_sensor
 from sunspin.estimate.equivalence import exchange, wheel_changes
 from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.observe import wheel_models
@@ -21,6 +19,7 @@ from sunspin.estimate.verdict import COLUMNS_UNCHECKED
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Channel, TelemetryForm
 from sunspin.vehicle.file import parse_vehicle
+from tests.support.passes import printed_rates
 from tests.support.simulate import simulated_pass, telemetry_of, uneven_times
 from tests.support.vehicles import CUBE_NORMALS
 
@@ -79,9 +78,15 @@ def estimated(text: str, path, **options):
     return rates(vehicle, ss.read_telemetry(path, vehicle), **LIMIT | options)
 
 
-def rate_in_the_middle(result) -> np.ndarray:
-    """Return the rate (3) of the first pass in deg/s, as it is printed."""
-    return np.degrees([result[f"omega_{axis}"].values[0, 0] for axis in "xyz"])
+def assert_printed(result, deg_s, atol: float) -> None:
+    """Check that the first pass is estimated with this rate (3), deg/s."""
+    np.testing.assert_allclose(np.degrees(printed_rates(result)[0][0]), deg_s, atol=atol)
+
+
+def assert_mended(result, deg_s, atol: float = 1e-3) -> None:
+    """Check that the first pass is decided with this rate (3), deg/s, and that no column is doubted."""
+    assert result["decided"].values.all() and "columns_doubt" not in result.attrs
+    assert_printed(result, deg_s, atol)
 
 
 def pair_exchanged(a: str, b: str) -> str:
@@ -90,9 +95,8 @@ def pair_exchanged(a: str, b: str) -> str:
 
 def with_columns_exchanged(text: str, advice: str) -> str:
     """Return a vehicle file in which the columns are exchanged that an advice names."""
-    match = re.search(
-        r"exchange the columns of (\w+) and (\w+) under \[telemetry\.columns\]", advice
-    )
+    asked = r"exchange the columns of (\w+) and (\w+) under \[telemetry\.columns\]"
+    match = re.search(asked, advice)
     assert match is not None, advice
     column = tomllib.loads(text)["telemetry"]["columns"]
     for name, other in (match.groups(), match.groups()[::-1]):
@@ -112,13 +116,9 @@ def test_columns_exchanged_as_advised_give_the_named_rate(readings):
     assert "columns, signs or axes" in str(doubted["why_not_decided"].values[0])
     (named,) = json.loads(doubted.attrs["columns_changes"])
     assert named["do"] == advice[1]
-    mended = estimated(with_columns_exchanged(text, advice[1]), path)
-    assert mended["decided"].values.all() and "columns_doubt" not in mended.attrs
-    np.testing.assert_allclose(rate_in_the_middle(mended), named["omega_deg_s"], atol=1e-3)
-    at = np.argmin(np.abs(run["time"].values - named["at_s"]))
-    np.testing.assert_allclose(
-        named["omega_deg_s"], np.degrees(run["omega_B"].values[at]), atol=0.1
-    )
+    assert_mended(estimated(with_columns_exchanged(text, advice[1]), path), named["omega_deg_s"])
+    true = np.degrees(run["omega_B"].sel(time=named["at_s"], method="nearest").values)
+    np.testing.assert_allclose(named["omega_deg_s"], true, atol=0.1)
 
 
 def test_a_panel_reversed_as_advised_gives_a_decided_pass(readings):
@@ -129,8 +129,7 @@ def test_a_panel_reversed_as_advised_gives_a_decided_pass(readings):
     named = changes["panel py looking the other way"]
     assert named["do"] == "reverse normal_B of panel py" and not doubted["decided"].values.any()
     mended = estimated(text.replace("[0, -1, 0]", "[0, 1, 0]", 1), path)
-    assert mended["decided"].values.all() and "columns_doubt" not in mended.attrs
-    np.testing.assert_allclose(rate_in_the_middle(mended), named["omega_deg_s"], atol=1e-3)
+    assert_mended(mended, named["omega_deg_s"])
 
 
 def test_unchecked_columns_exchanged_give_the_rate_that_is_printed(readings):
@@ -153,8 +152,7 @@ def test_unchecked_columns_exchanged_give_the_rate_that_is_printed(readings):
         advice = advice.replace("exchanged", "under [telemetry.columns]")
         exchanged = with_columns_exchanged(text_of(), advice)
         mirrored = estimated(exchanged, path, column_tests=False)
-        printed = [float(number) for number in match[1].split(",")]
-        np.testing.assert_allclose(rate_in_the_middle(mirrored), printed, atol=0.01)
+        assert_printed(mirrored, [float(number) for number in match[1].split(",")], atol=0.01)
 
 
 def test_more_effort_as_advised_tries_every_order_of_columns(readings):
@@ -213,6 +211,37 @@ def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
     assert match is not None and SENSOR_VARIABLES[match[1]] == name
 
 
+ATTITUDE = """
+[attitude]
+columns = ["qa", "qb", "qc", "qd"]
+scalar = "{scalar}"
+rotates = "{rotates}"
+sigma_rad = 0.01
+"""
+
+
+@pytest.mark.parametrize("scalar", ["first", "last"])
+@pytest.mark.parametrize("rotates", ["N_to_B", "B_to_N"])
+def test_a_quaternion_read_as_advised_is_the_one_that_was_meant(scalar, rotates):
+    text = text_of() + ATTITUDE.format(scalar=scalar, rotates=rotates)
+    vehicle = parse_vehicle(text, "vehicle.toml")
+    raw = np.random.default_rng(3).normal(size=(5, 4))
+    raw /= np.linalg.norm(raw, axis=1, keepdims=True)
+    read = vehicle.sensors.attitude.interpret(raw).values
+    ways = changes_of_sensor(vehicle, "attitude_B_from_N")
+    for way in ways[1:]:  # the first is that of the file
+        match = re.fullmatch(r"set (.*) under \[attitude\] of the vehicle file", way.do)
+        assert match is not None, way.do
+        changed = text
+        for line in match[1].split(" and "):
+            key = line.split(" = ")[0]
+            changed, count = re.subn(rf"(?m)^{key} = .*$", line, changed)
+            assert count == 1
+        sensor = parse_vehicle(changed, "vehicle.toml").sensors.attitude
+        meant = read @ way.axes["attitude_B_from_N"].T
+        np.testing.assert_allclose(sensor.interpret(raw).values, meant, atol=1e-12)
+
+
 WHEEL = """
 [[wheel]]
 name = "w"
@@ -226,9 +255,8 @@ def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path
     """Mirrors along x and z reverse the wheel too; the advice is to find out which is right before the file is changed."""
     rng = np.random.default_rng(2)
     right = parse_vehicle(text_of() + WHEEL.format(sign=""), "right")
-    data, run = simulated_pass(
-        right, [0.02, 0.03, -0.01], np.arange(20) * 10.0, rng, albedo=0.0, speed=[40.0]
-    )
+    t_s, omega = np.arange(20) * 10.0, [0.02, 0.03, -0.01]
+    data, run = simulated_pass(right, omega, t_s, rng, albedo=0.0, speed=[40.0])
     path = written(tmp_path / "telemetry.csv", data)
     wrong = text_of() + WHEEL.format(sign="-")
     limit = {"max_rate_rad_s": 0.06, "column_tests": False}
@@ -244,14 +272,10 @@ def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path
     assert np.abs(truth - rate[wheel]).max(axis=1).min() < 0.5
     np.testing.assert_allclose(rate[mirrored], rate[wheel] * np.array([1, -1, -1]), atol=1e-6)
     for change in named:
-        mended = (
-            text_of() + WHEEL.format(sign="")
-            if "wheel" in change["what"]
-            else with_columns_exchanged(wrong, change["do"])
-        )
-        result = estimated(mended, path, **limit)
-        assert result["decided"].values.all() and "columns_doubt" not in result.attrs
-        np.testing.assert_allclose(rate_in_the_middle(result), change["omega_deg_s"], atol=0.05)
+        mended = text_of() + WHEEL.format(sign="")
+        if "wheel" not in change["what"]:
+            mended = with_columns_exchanged(wrong, change["do"])
+        assert_mended(estimated(mended, path, **limit), change["omega_deg_s"], atol=0.05)
 
 
 GYRO = """
@@ -289,14 +313,11 @@ def test_a_gyro_read_as_check_advises_or_the_columns_exchanged_instead_remove_th
     match = re.search(r"set (columns = \[.*?\]) under \[gyro\]", words)
     assert match is not None, words
     assert warned(text.replace('columns = ["gx", "gy", "gz"]', match[1])) is None
-    exchanged = re.search(
-        r"which looks the same, the columns of panels (\w+) and (\w+) exch", words
-    )
+    alike = r"which looks the same, the columns of panels (\w+) and (\w+) exch"
+    exchanged = re.search(alike, words)
     assert exchanged is not None, words
-    advice = "exchange the columns of {} and {} under [telemetry.columns]".format(
-        *exchanged.groups()
-    )
-    assert warned(with_columns_exchanged(text, advice)) is None
+    advice = "exchange the columns of {} and {} under [telemetry.columns]"
+    assert warned(with_columns_exchanged(text, advice.format(*exchanged.groups()))) is None
 
 
 def test_a_gyro_resolves_the_symmetric_solutions_of_a_shared_input(with_gyro):

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.column_tests import (
     Better,
+    CostsOfSamples,
     Culprit,
     Trials,
     changes_of_sensor,
-    samples_fit_other_columns,
     what_fits_better,
 )
 from sunspin.estimate.equivalence import Observed, column_changes
@@ -113,7 +113,7 @@ def test_axes_have_48_assignments_and_a_quaternion_four_the_stated_one_first():
     np.testing.assert_array_equal(read[0], stated)
     stated, read = readings(QUATERNION)
     x, y, z, w = stated.T
-    expected = ([x, y, z, w], [-x, -y, -z, w], [w, x, y, z], [-w, -x, -y, z])
+    expected = ([x, y, z, w], [-x, -y, -z, w], [y, z, w, x], [-y, -z, -w, x])
     np.testing.assert_array_equal(read, [np.array(one).T for one in expected])
 
 
@@ -140,7 +140,7 @@ def test_axes_have_48_assignments_and_a_quaternion_four_the_stated_one_first():
         ),
         (
             QUATERNION,
-            lambda read: read[:, [1, 2, 3, 0]],
+            lambda read: read[:, [3, 0, 1, 2]],  # its columns are w, x, y, z
             "the quaternion with its scalar at the other end",
             'set scalar = "first" under [attitude]',
         ),
@@ -155,10 +155,30 @@ def test_wrong_axes_of_a_sensor_are_named(name, wrong, words, do):
 
 
 @pytest.mark.parametrize("name", [GYRO, FIELD, QUATERNION])
-def test_right_axes_of_a_sensor_are_not_doubted(name):
-    """What is in the way may still be that sensor: its zero, say."""
-    found = sought(seen(name))
-    assert isinstance(found, Culprit) and "--without" in found.words()
+def test_a_sensor_whose_readings_agree_with_the_motion_of_the_others_is_not_accused(name):
+    """Though the pass fits only without it: the model may not follow the motion, and the others not show it."""
+    assert sought(seen(name)) is None
+
+
+def with_its_end_backward(read: np.ndarray) -> np.ndarray:
+    """Return readings of which the second half come in the opposite order: no axes of a sensor read so."""
+    half = len(read) // 2
+    return np.concatenate([read[:half], read[:half:-1], read[half : half + 1]])
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "option"),
+    [
+        (GYRO, lambda read: read + np.radians([1.0, -1.0, 1.0]), "gyro"),
+        (FIELD, with_its_end_backward, "magnetometer"),
+        (QUATERNION, with_its_end_backward, "attitude"),
+    ],
+)
+def test_a_sensor_that_no_axes_explain_is_named_if_it_contradicts_the_others(name, wrong, option):
+    found = sought(seen(name, wrong))
+    assert isinstance(found, Culprit)
+    assert found.words().startswith(f"without the {found.sensor} the other readings fit")
+    assert f"`--without {option}`" in found.words()
 
 
 def test_a_gyro_with_a_wrong_zero_is_named_only_if_the_rest_fits_without_it():
@@ -231,13 +251,14 @@ def test_another_column_assignment_must_be_clearly_better_and_fit():
 def test_samples_by_themselves_show_some_exchanges():
     """Opposite panels lit together: no Sun lights them. A mirror image is not seen so."""
     right = exchanged_columns(0, 0)
-    assert samples_fit_other_columns(CUBE, exchanged_columns(1, 5))
-    assert not samples_fit_other_columns(CUBE, exchanged_columns(1, 4))
+    assert CostsOfSamples.of(CUBE, exchanged_columns(1, 5)).deny_the_columns()
+    assert not CostsOfSamples.of(CUBE, exchanged_columns(1, 4)).deny_the_columns()
     gains = zip(CUBE.panels, (1.0, 7.0, 2.0, 1.0, 7.0, 2.0), strict=True)
     unequal = replace(CUBE, panels=tuple(replace(panel, gain=gain) for panel, gain in gains))
     # a full battery dims what it reads; panels need not be equal
     for craft, factor in ((CUBE, 1.0), (CUBE, 0.3), (unequal, unequal.panel_gains)):
-        assert not samples_fit_other_columns(craft, right.assign(power_W=factor * right["power_W"]))
+        changed = right.assign(power_W=factor * right["power_W"])
+        assert not CostsOfSamples.of(craft, changed).deny_the_columns()
 
 
 def test_unlit_panels_distinguish_an_exchange_from_its_mirror():

@@ -1,7 +1,5 @@
 """Dense passes: samples between those that the search keeps, and the mean over all samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -13,23 +11,17 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.chain import Whitening
 from sunspin.estimate.dense import curve, filled, residuals_by_sensor
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
-from sunspin.estimate.observe import HELD, observe, thinned, wheel_models
+from sunspin.estimate.observe import HELD, thinned, wheel_models
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
-from sunspin.telemetry.assess import assess
-from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Friction, Wheel
+from tests.support.passes import slope_of, stated_model
 from tests.support.simulate import pulls
-from tests.support.vehicles import LOWER_CASE_FACES
+from tests.support.vehicles import small_cube
 
 WHEEL = Wheel("wheel", [0, 0, 1], 4e-5, 400.0, Friction(3e-8, 2e-10))
-CRAFT = Vehicle(
-    "uneven",
-    inertia_kg_m2=np.diag([0.045, 0.047, 0.011]),
-    wheels=[WHEEL],
-    panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-    telemetry=TelemetryForm(quantity="current_A", noise=0.02),
-)
+CRAFT = replace(small_cube(), inertia_kg_m2=np.diag([0.045, 0.047, 0.011]), wheels=(WHEEL,))
 RATE, SUN, NOISE = np.radians([1.2, -2.5, 3.3]), np.array([0.6, -0.48, 0.64]), 1e-6
 
 
@@ -41,8 +33,7 @@ def tumble():
     telemetry = ss.twin(CRAFT, truth, seed=3)
     run = ss.propagate(CRAFT, RATE, SUN, 400.0, t_s)
     (momentum,) = (value for name, value in wheel_models(CRAFT, telemetry).items() if name != HELD)
-    obs = observe(assess(CRAFT, telemetry)).obs
-    model = Model(obs, Body.of(CRAFT), Noise(NOISE), 0.05).with_momentum(momentum)
+    model = stated_model(CRAFT, telemetry, NOISE, 0.05).with_momentum(momentum)
     return telemetry, run, model, thinned(len(t_s), RATES.passes)
 
 
@@ -62,9 +53,8 @@ def known(model, attitude, omega):
 
 def filled_from(model, kept, attitude, omega):
     """Return the motion carried from the kept samples to all."""
-    some = model.seeing(kept)
+    some, noise = model.seeing(kept), np.full(len(kept) - 1, NOISE)
     motion = known(some, attitude[kept], omega[kept])
-    noise = np.full(len(kept) - 1, NOISE)
     return filled(some, motion, model.obs.t_s, model.obs.momentum, noise)
 
 
@@ -108,14 +98,14 @@ def test_derivatives_of_the_mean_rate_agree_with_differences(tumble):
     _, run, model, kept = tumble
     attitude, omega = attitudes(run), run["omega_B"].values
     answer = filled_from(model, kept, attitude, omega).mean_map[0]
+
+    def mean(change):
+        return filled_from(model, kept, attitude, omega + change).track.omega[0].mean(axis=0)
+
     for sample, axis in ((0, 0), (7, 1), (20, 2), (len(kept) - 1, 0)):
         change = np.zeros_like(omega)
         change[kept[sample], axis] = 1e-5
-        more, less = (
-            filled_from(model, kept, attitude, moved).track.omega[0].mean(axis=0)
-            for moved in (omega + change, omega - change)
-        )
-        expected = (more - less) / 2e-5
+        expected = slope_of(mean, change, 1e-5)
         np.testing.assert_allclose(answer[sample, :, 3 + axis], expected, rtol=0, atol=2e-6)
     assert np.all(answer[..., :3] == 0)  # a turn of the start turns no rate
 
@@ -133,9 +123,8 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, 
     rest = (1 - share) * span
     back = np.eye(6)
     back[:3, 3:] = -rest * np.eye(3)  # from the second end back in time
-    both = np.linalg.inv(
-        np.linalg.inv(spread(share * span)) + np.linalg.inv(back @ spread(rest) @ back.T)
-    )
+    laws = spread(share * span), back @ spread(rest) @ back.T
+    both = np.linalg.inv(sum(np.linalg.inv(law) for law in laws))
     sphere = Body(np.eye(3), np.zeros((0, 3, 3)), sphere=True)
     t_s = np.array([0.0, share * span, span])
     ends = Model(Observations(t_s[::2], np.zeros((2, 3)), ()), sphere, Noise(noise), 0.05)
@@ -185,6 +174,6 @@ def test_a_dense_pass_reports_all_samples_and_their_mean(tumble, reached):
 
 
 def test_wheels_too_fast_for_the_sampling_are_refused(tumble):
-    wheel = replace(WHEEL, speed_rad_s=1e12)
+    fast = replace(CRAFT, wheels=(replace(WHEEL, speed_rad_s=1e12),))
     with pytest.raises(InputError, match="more than can be followed"):
-        ss.rates(replace(CRAFT, wheels=(wheel,)), tumble[0], acceleration_noise=NOISE)
+        ss.rates(fast, tumble[0], acceleration_noise=NOISE)

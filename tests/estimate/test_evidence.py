@@ -1,16 +1,27 @@
-"""Evidence: sums over sizes are about those of fits under each size, and passes of one file share the strength of torques."""
+"""Evidence: sums over sizes are about those of fits under each size; passes of one file share torques, and tell aliases apart."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.special import logsumexp
 
+from sunspin.estimate import wheels
+from sunspin.estimate.between import link_passes
+from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import fit
-from sunspin.estimate.evidence import PassFits, ladder, over_shares, share_noise
-from sunspin.estimate.settings import LadderSettings, SearchSettings, SolutionSettings
+from sunspin.estimate.evidence import PassFits, ladder, leading, over_shares, share_noise
+from sunspin.estimate.observe import Pass
+from sunspin.estimate.one_pass import PassFitter, one_pass
+from sunspin.estimate.quick import MOTIONS, quick_evidence
+from sunspin.estimate.settings import RATES, LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
-from tests.estimate.test_chain import problem
+from sunspin.telemetry.assess import assess
+from tests.support.chains import problem
+from tests.support.passes import stated_model, tumbling_pass
+from tests.support.simulate import CUBE
 
 LADDER, SEARCH = LadderSettings(), SearchSettings()
 
@@ -43,6 +54,7 @@ def test_a_fit_without_unknown_sizes_is_unchanged():
 
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
     model, motions = problem()
+    assert ladder(model, motions.take(slice(0)), LADDER, SEARCH, 1e-4) == []  # no candidates
     fits = ladder(model, motions, LADDER, SEARCH, 1e-4)
     logs = {one.model.noise.acceleration: one.log_evidence[0] for one in fits}
     assert logs[5e-6] > logs[1e-3]
@@ -51,11 +63,6 @@ def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree(
     for one in fits:
         sigma = np.sqrt(np.einsum("nii->ni", one.motions.covariance[0, :, 3:, 3:]))
         assert (np.abs(one.motions.omega[0] - best.motions.omega[0]) < 3 * sigma).all()
-
-
-def test_no_candidates_give_no_fits():
-    model, motions = problem()
-    assert ladder(model, motions.take(slice(0)), LADDER, SEARCH, 1e-4) == []
 
 
 def passes_of(logs):
@@ -72,12 +79,9 @@ def passes_of(logs):
     return passes
 
 
-def test_one_pass_alone_has_an_even_prior_of_the_rungs():
+def test_passes_tell_each_other_how_strong_torques_are_and_one_alone_has_an_even_prior():
     (one,) = share_noise(passes_of([np.linspace(0, 9, 7)]), LADDER)
     assert np.allclose(one.log_rung, -np.log(7))
-
-
-def test_passes_tell_each_other_how_strong_torques_are():
     sharp, flat = np.where(np.arange(7) == 2, 0.0, -50.0), np.zeros(7)
     told = share_noise(passes_of([sharp, flat, sharp]), LADDER)[1]
     assert np.isclose(np.exp(told.log_rung).sum(), 1.0)
@@ -128,13 +132,76 @@ def test_a_motion_that_ends_on_its_way_under_the_first_torques_is_followed_down_
     poor = replace(motions, omega=motions.omega + off)
     hurried = replace(LADDER, first_steps=1, steps=3)
     first = fit(model.under(5e-6), poor, 1)
-    best, again = (
-        max(
-            one.log_evidence.max()
-            for one in ladder(model, begin, settings, SEARCH, 5e-6)
-            if one.model.noise.acceleration == 5e-6
-        )
-        for begin, settings in ((motions, LADDER), (poor, hurried))
-    )
+
+    def under_weak(begin, settings):
+        fits = ladder(model, begin, settings, SEARCH, 5e-6)
+        weak = [one for one in fits if one.model.noise.acceleration == 5e-6]
+        return max(one.log_evidence.max() for one in weak)
+
+    best, again = under_weak(motions, LADDER), under_weak(poor, hurried)
     assert first.log_evidence[0] < best - LADDER.hopeless
     assert np.isclose(again, best, atol=0.1)
+
+
+@cache
+def stated():
+    """Return the model of a pass of twenty samples."""
+    return stated_model(CUBE, tumbling_pass(CUBE, 20, 12.0, seed=4)[0])
+
+
+def test_motions_that_are_known_have_the_evidence_of_a_search():
+    model = stated()
+    known = leading(one_pass(model, RATES, Budget.of(1.0)).fits, MOTIONS, RATES.search)
+    searched = quick_evidence(model, RATES, Budget.of(1.0))
+    spared = Budget.of(1.0)
+    assert abs(quick_evidence(model, RATES, spared, known) - searched) < 0.05
+    assert spared.used == 0
+
+
+def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():
+    model, every = stated(), np.arange(20)
+    seen = assess(CUBE, xr.Dataset(coords={"time": model.obs.t_s}))
+    only = Pass(every, every)
+    fitter = PassFitter(RATES, Budget.of(1.0), lambda _, models, *__: list(models))
+    searches = wheels.search_reversed(seen, "none", model, only, fitter)
+    assert not searches.momenta and not searches.evidence
+    fits = PassFits(model, (), RATES.ladder.rungs, np.zeros(0))
+    compared = [wheels.FittedPass(only, model, fits)]
+    assert wheels.doubted_signs(model.obs, compared, searches, fitter) is None
+
+
+TIMES = np.arange(6) * 5400.0
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What neighbours are asked of the solutions of a pass."""
+
+    probability: np.ndarray
+    mean: np.ndarray
+    mean_sigma: np.ndarray
+
+
+def passes(rng, wander, misled=2):
+    """The true rate and an alias far from it in every pass; the pass `misled` likes its alias better."""
+    rate = np.array([0.01, 0.015, 0.0]) + wander * rng.normal(size=(6, 3))
+    alias = rate + 0.1 * rng.normal(size=(6, 3))
+    probability = [np.array([0.3, 0.7] if k == misled else [0.9, 0.1]) for k in range(6)]
+    sigma = np.full((2, 3), 1e-3)
+    means = [np.stack(pair) for pair in zip(rate, alias, strict=True)]
+    return [Solved(share, mean, sigma) for share, mean in zip(probability, means, strict=True)]
+
+
+@pytest.mark.parametrize("misled", [0, 2, 5])
+def test_a_wrong_alias_is_outweighed_by_neighbouring_passes(misled):
+    linked, walk = link_passes(passes(np.random.default_rng(0), 1e-3, misled), TIMES, 0.1)
+    assert linked[misled].probability[0] > 0.95 and 1e-6 <= walk < 1e-4
+    assert all(one.probability.sum() == pytest.approx(1.0) for one in linked)
+
+
+def test_passes_with_large_rate_changes_are_not_linked():
+    alone = passes(np.random.default_rng(1), 0.3)
+    linked, walk = link_passes(alone, TIMES, 0.1)
+    assert np.isnan(walk) or walk > 3e-4
+    if np.isnan(walk):
+        np.testing.assert_array_equal(linked[2].probability, alone[2].probability)

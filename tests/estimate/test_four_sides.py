@@ -1,15 +1,20 @@
-"""Panels on four sides, whose brightness does not show full sunlight: two full scales are searched, and faults mislead none."""
+"""Panels on four sides: two full scales and both mirror images are searched, neither image is decided, and faults mislead none."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sunspin.estimate.observe import observe
+from sunspin.estimate.chain import carried, defects, equations
+from sunspin.estimate.images import either_side, imaged, images_of, with_images
+from sunspin.estimate.model import Noise, Track
 from sunspin.estimate.rates import rates
+from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.panels import OTHER_SCALE
-from sunspin.telemetry.assess import assess
+from tests.support.passes import OMEGA, stated_model, tumbling_pass
 from tests.support.simulate import CUBE, FAULTS_OF_FOUR_SIDES, FOUR_SIDES, cube_with_faults
+
+SEARCH = SearchSettings()
 
 
 def nearest(result, run):
@@ -25,7 +30,7 @@ def test_another_full_scale_is_searched_only_for_panels_in_one_plane(craft, coun
     """Readings 30 % too high everywhere: four sides may have a wrong scale, six show what full Sun is."""
     data, _ = cube_with_faults((), np.random.default_rng(3), craft)
     data = data.assign(power_W=1.3 * data["power_W"])
-    panels = observe(assess(craft, data)).obs.terms[0]
+    panels = stated_model(craft, data).obs.terms[0]
     searched = panels.for_search()
     assert len(searched) == count
     if count == 2:
@@ -41,3 +46,45 @@ def test_a_dead_string_is_not_taken_for_another_motion(seed):
     data, run = cube_with_faults(FAULTS_OF_FOUR_SIDES, np.random.default_rng(seed), FOUR_SIDES)
     pull, probability = nearest(rates(FOUR_SIDES, data, max_rate_rad_s=0.15), run)
     assert np.abs(pull).max() < 3.5 and probability > 0.3
+
+
+def imaged_motion(attitude):
+    """Return the model of four sides, that of their search, a motion that begins with an attitude (3, 3), and its image."""
+    model = stated_model(FOUR_SIDES, tumbling_pass(FOUR_SIDES, 20, 12.0, seed=2)[0], rate_sigma=0.1)
+    loose = model.for_search(Noise(1e-4))[0]
+    motion = carried(loose, 0, attitude[None], OMEGA[None])
+    return model, loose, motion, imaged(motion, images_of(model)[1])
+
+
+def test_an_image_has_the_same_cost_and_obeys_the_equations():
+    attitude, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    _, loose, motion, image = imaged_motion(attitude * np.sign(np.linalg.det(attitude)))
+    assert np.allclose(np.linalg.det(image.attitude), 1.0)
+    assert np.allclose(image.omega, motion.omega * [-1, -1, 1])
+    assert np.isclose(equations(loose, image).cost[0], equations(loose, motion).cost[0], rtol=1e-9)
+    assert np.abs(defects(loose, image)[0]).max() < 1e-6
+
+
+def test_each_motion_gets_its_image_once():
+    model, _, motion, image = imaged_motion(np.eye(3))
+    assert len(with_images(motion, model, SEARCH)) == 2
+    # the second is an image of the first
+    assert len(with_images(Track.joined([motion, image]), model, SEARCH)) == 3
+
+
+def test_motions_that_see_the_sun_on_either_side_have_one_rate():
+    motion = Track(np.eye(3)[None, None].repeat(4, 1), np.tile(OMEGA, (1, 4, 1)), np.zeros((1, 0)))
+    other = Track(np.diag([1.0, -1.0, -1.0]) @ motion.attitude, motion.omega, motion.u)
+    both = Track.joined([motion, other])
+    both = replace(both, cost=np.zeros(2), covariance=np.tile(1e-6 * np.eye(6), (2, 4, 1, 1)))
+    assert either_side(both).tolist() == [True, True]
+    faster = replace(both, omega=both.omega * [[[1.0]], [[1.5]]])
+    assert either_side(faster).tolist() == [True, False]
+
+
+def test_both_images_are_listed_and_none_is_decided():
+    data, run = tumbling_pass(FOUR_SIDES, 20, 12.0, seed=2)
+    result = rates(FOUR_SIDES, data, max_rate_rad_s=0.15)
+    pull, probability = nearest(result, run)
+    assert np.abs(pull).max() < 4 and 0.4 < probability < 0.6
+    assert not result["decided"].values.any() and not result["unique"].values.any()

@@ -32,14 +32,11 @@ def with_gains(sigma: float | None):
 def seen(seed: int, weak: float = WEAK):
     """Return telemetry of the cube without -z, whose +z has a third of the cells, and the true motion."""
     rng = np.random.default_rng(seed)
-    t_s, omega = (
-        uneven_times(rng, 36, 20.0, 0.1),
-        np.radians(rng.uniform(0.7, 2.0)) * unit_vector(rng),
-    )
+    t_s = uneven_times(rng, 36, 20.0, 0.1)
+    omega = np.radians(rng.uniform(0.7, 2.0)) * unit_vector(rng)
     run = ss.propagate(CUBE, omega, unit_vector(rng), None, t_s, wheel_mode="hold")
-    power = ss.panel_power(FIVE, run["sun_B"].values) * [
-        weak if panel.name == "+z" else 1.0 for panel in FIVE.panels
-    ]
+    power = ss.panel_power(FIVE, run["sun_B"].values)
+    power[:, FIVE.panel_names.index("+z")] *= weak
     power = power + 0.01 * rng.normal(size=power.shape) + 0.01 * rng.uniform(size=power.shape)
     return telemetry_of(FIVE, t_s, np.maximum(power, 0)), run
 

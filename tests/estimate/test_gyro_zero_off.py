@@ -7,12 +7,11 @@ import pytest
 
 from sunspin.estimate.alternatives import another_zero
 from sunspin.estimate.evidence import restated
-from sunspin.estimate.model import Body, Model, Noise, Track
-from sunspin.estimate.observe import observe
+from sunspin.estimate.model import Model, Track
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import GYRO_ZEROS, RATES
-from sunspin.telemetry.assess import assess
 from sunspin.vehicle.sensors import Sensors
+from tests.support.passes import estimate, stated_model
 from validation.passes import (
     FACES,
     GYRO,
@@ -34,8 +33,7 @@ def simulated():
 
 def stated(simulated) -> Model:
     """Return the model of the pass as its vehicle file has it."""
-    obs = observe(assess(simulated.vehicle, simulated.telemetry)).obs
-    return Model(obs, Body.of(simulated.vehicle), Noise(1e-4), 0.075)
+    return stated_model(simulated.vehicle, simulated.telemetry)
 
 
 def test_a_zero_that_is_stated_is_doubted_and_one_that_is_not_is_free_anyway(simulated):
@@ -62,8 +60,7 @@ def test_an_axis_whose_zero_is_exact_has_an_unknown_as_the_others_have(simulated
     """Another zero frees all three axes, and its unknowns take the places of those of the file."""
     gyro = replace(simulated.vehicle.sensors.gyro, zero_sigma=np.array([3.0, 3.0, 0.0]))
     vehicle = replace(simulated.vehicle, sensors=replace(simulated.vehicle.sensors, gyro=gyro))
-    obs = observe(assess(vehicle, simulated.telemetry)).obs
-    model = replace(stated(simulated), obs=obs)
+    model = stated_model(vehicle, simulated.telemetry)
     (other,) = another_zero(model, RATES.alternatives)
     assert [x.name for x in model.unknowns] == [x.name for x in other.unknowns]
     sigmas = [x.sigma for x in model.unknowns if x.kind == "gyro_zero"]
@@ -77,7 +74,7 @@ def estimated_zero(result):
 
 
 def test_the_rates_are_right_and_the_gyro_is_named(simulated):
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=0.15)
+    result = estimate(simulated, max_rate_rad_s=0.15)
     row = compare_with_truth(result, simulated)
     assert not row["decided"] and row["why"] == "POOR FIT (gyro)"
     assert row["pull"] < 3 and row["miss_deg_s"] < np.degrees(ZERO_OFF) / 10
@@ -90,9 +87,10 @@ def test_the_rates_are_right_and_the_gyro_is_named(simulated):
 def test_a_gyro_with_the_zero_of_the_file_is_believed(simulated):
     off = (simulated.telemetry["gyro_B"].values - simulated.omega).mean(axis=0)
     read = simulated.telemetry["gyro_B"].values - off
-    right = simulated.telemetry.assign(gyro_B=(("time", "axis"), read))
-    result = rates(simulated.vehicle, right, max_rate_rad_s=0.15)
-    row = compare_with_truth(result, simulated._replace(telemetry=right))
+    telemetry = simulated.telemetry.assign(gyro_B=(("time", "axis"), read))
+    right = simulated._replace(telemetry=telemetry)
+    result = estimate(right, max_rate_rad_s=0.15)
+    row = compare_with_truth(result, right)
     assert row["decided"] and not row["wrong"]
     assert result["model"].values.tolist() == ["as stated"]
 

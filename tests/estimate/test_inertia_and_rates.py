@@ -1,7 +1,5 @@
 """Rates of a body whose inertia differs from its file: right with the file's sigma, confidently wrong without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,19 +8,15 @@ import pytest
 import sunspin as ss
 from sunspin.estimate.model import THINNEST, Body
 from sunspin.estimate.settings import INERTIA
-from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Fact, Vehicle
 from tests.support import any_vehicle
-from tests.support.vehicles import LOWER_CASE_FACES
+from tests.support.passes import estimate, printed_rates
+from tests.support.vehicles import small_cube
 from validation import passes
 
 TRUE = np.diag([0.0020, 0.0024, 0.0017])
 TOLD = np.diag([0.0020, 0.0023, 0.0018])
-CUBE = Vehicle(
-    "cube",
-    inertia_kg_m2=TRUE,
-    panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-    telemetry=TelemetryForm(quantity="current_A", noise=0.01),
-)
+CUBE = replace(small_cube(0.01), inertia_kg_m2=TRUE)
 
 
 def told(sigma: float | None) -> Vehicle:
@@ -33,8 +27,7 @@ def told(sigma: float | None) -> Vehicle:
 
 @pytest.fixture(scope="module")
 def spin():
-    """Turning at 12 deg/s about no axis of its own, the Sun to one side: what turns it about the line to the Sun is told by its
-    moments only."""
+    """Turning at 12 deg/s about no axis of its own: what turns it about the line to the Sun is told by its moments only."""
     t = np.arange(0.0, 500.0, 5.0)
     rate = np.radians([7.0, -6.0, 8.0])
     sun = [0.6, -0.48, 0.64]
@@ -94,16 +87,9 @@ def test_a_body_of_unknown_inertia_is_not_estimated_as_a_sphere(i):
 def test_a_small_nutation_is_not_taken_for_uniform_rotation():
     """From a sphere that turns about one axis, moments and rates across that axis change nothing unless both do."""
     made = passes.make("right model", 0, 1)
-    found = ss.rates(
-        replace(made.vehicle, inertia_kg_m2=None),
-        made.telemetry,
-        max_rate_rad_s=made.max_rate_rad_s,
-    )
+    found = estimate(made._replace(vehicle=replace(made.vehicle, inertia_kg_m2=None)))
     t = made.telemetry["time"].values
     truth = made.omega[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
-    omega, sigma = (
-        np.array([found[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
-        for name in ("omega", "sigma")
-    )
+    (omega, *_), (sigma, *_) = printed_rates(found)
     assert abs(truth[2]) > 5 * sigma[2]  # control: it nutates
     assert found["decided"].values[0] and (np.abs(omega - truth) < 3 * sigma).all()

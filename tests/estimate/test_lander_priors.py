@@ -1,7 +1,5 @@
 """What a posterior begins with: readings and a first brightness, priors and who states them, and refusals whose advice works."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -23,16 +21,14 @@ from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Fact, Friction, Vehicle, Wheel
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
+from tests.support.landers import dim_telemetry
 from tests.support.vehicles import small_cube
 from validation import posterior_cases
 
-RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)
-
 
 def samples(craft: Vehicle, count: int = 15, interval_s: float = 20.0) -> xr.Dataset:
-    """Return telemetry of a body that turns at `RATE`, in a third of the Sun's light."""
-    truth = {"omega_B": RATE, "sun_B": SUN, "t_s": interval_s * np.arange(count), "scale": 0.37}
-    return ss.twin(craft, truth, seed=1)
+    """Return telemetry of the usual motion at even times."""
+    return dim_telemetry(craft, interval_s * np.arange(count))
 
 
 def model_of(craft: Vehicle, telemetry: xr.Dataset, **priors) -> tuple[LanderModel, dict[str, str]]:
@@ -135,8 +131,9 @@ OBSERVED = {"kind": "rate", "t_s": 1.0, "value": 1.0, "sigma": 1.0}
         ({"begin_s": 1e6}, "three samples"),
         ({"observations": [OBSERVED | {"kind": "smell"}]}, "an observation has kind"),
         ({"observations": [OBSERVED | {"t_s": 1e5}]}, "outside the window"),
+        *(({"observations": [OBSERVED | {"sigma": x}]}, "positive sigma") for x in (0, -1, np.inf)),
         (
-            {"observations": [OBSERVED | {"kind": "field", "value": [0.0, 3.0, 4.0], "more": 1}]},
+            {"observations": [OBSERVED | {"kind": "field", "value": [0, 3.0, 4.0], "more": 1}]},
             "angle_rad",
         ),
         ({"seed": -1}, "seed must be a whole number"),
@@ -171,8 +168,8 @@ def test_a_wheel_too_fast_for_the_window_is_refused_with_a_window_that_works():
 @pytest.mark.parametrize("rate", [5.0, 1e3, 1e20, 1e30])
 def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit(rate):
     case = load_case("philae")
-    window = observe_window(assess(case.vehicle, case.telemetry))
     assessment = assess(case.vehicle, case.telemetry)
+    window = observe_window(assessment)
 
     def place(limit: float):
         """Return the reference of the search under a largest rate."""

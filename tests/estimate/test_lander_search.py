@@ -1,33 +1,31 @@
 """The search for a lander's motions: its grid, its fits, families, and that it lists the true motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.base.errors import InputError
 from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
-from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, in_tangents_at
-from sunspin.estimate.lander.grid import choose_reference, grid_starts, settled_starts
-from sunspin.estimate.lander.motions import Shots, Trials
-from sunspin.estimate.lander.rate_grid import RateGrid, Reached, Sphere, attitudes, without_sphere
+from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
+from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
+from sunspin.estimate.lander.motions import Shots, TrialMotions
+from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
-from sunspin.solve.rotations import move_on_sphere, tangent_basis
+from sunspin.solve.rotations import move_on_sphere
 from tests.estimate.plain_cells import (
     LookThrough,
-    Settling,
     corner_weights,
     corners_of,
     nearest_node,
     rotated,
 )
 from tests.support.landers import NOISE, OMEGA, PHILAE, SUN, lander_model, lander_telemetry, noisy
+from tests.support.passes import slope_of
+from tests.support.vehicles import units
 
 GRID, SHOOTING = POSTERIOR.grid, POSTERIOR.shooting
 
@@ -49,9 +47,8 @@ def placed(model, **changes):
 
 
 def test_the_nearest_node_is_within_its_stated_distance():
-    rng = np.random.default_rng(0)
-    nodes, sun = cube_nodes(GRID.nodes), rng.standard_normal((2000, 3))
-    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    nodes = cube_nodes(GRID.nodes)
+    sun = units(np.random.default_rng(0).standard_normal((2000, 3)))
     off = np.arccos(np.clip(np.sum(nodes[nearest_node(sun, GRID.nodes)] * sun, axis=1), -1, 1))
     assert off.max() < GRID.node_rad
     by_search = np.argmax(sun @ nodes.T, axis=1)
@@ -62,6 +59,13 @@ def rate_grid(model, reference, settings=GRID):
     """Return the grid of rates of a model with its reference where the search begins."""
     reached = Reached.of(model, reference.limit, reference.fastest)
     return RateGrid.of(model, model.obs.t_s[reference.others], reached, reference.edge, settings)
+
+
+@pytest.fixture(scope="module")
+def small_search():
+    """Return a model with its reference where the search begins, that reference, and a grid of rates up to 0.12 rad/s."""
+    model, reference = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
+    return model, reference, rate_grid(model, reference)
 
 
 def test_interpolated_attitudes_are_those_of_the_motion():
@@ -82,11 +86,10 @@ def test_interpolated_attitudes_are_those_of_the_motion():
     np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
 
 
-def test_attitudes_between_runs_are_those_of_runs():
+def test_attitudes_between_runs_are_those_of_runs(small_search):
     """To 0.1 rad for 97 of 100 rates, with one run for eight points or fewer; with the same settings as a search."""
-    model, reference = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
+    model, reference, grid = small_search
     times = model.obs.t_s[reference.others]
-    grid = rate_grid(model, reference)
     picked = np.random.default_rng(6).choice(np.flatnonzero(grid.row_of >= 0), 500)
     exact = attitudes(model, grid.rates(picked), times)
     cosine = np.abs(np.sum(exact * grid.turn[grid.row_of[picked]], axis=-1))
@@ -102,7 +105,7 @@ def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
     rng = np.random.default_rng(8)
     direction = rng.standard_normal((300, 3))
     direction[:40, :2] *= 0.02  # nearly along the wheel
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = units(direction)
     none = np.zeros((300, len(model.unknowns)))
     rows = first.rows(Shots(0.6 * direction, np.tile(SUN, (300, 1)), none))
     there = first.run(rows, np.array([800.0]), 1e-5).omega_B[:, 0]
@@ -114,16 +117,6 @@ def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
     assert 0.5 < reached.within(ball, 0.0).mean() < 0.8
 
 
-def test_of_a_sphere_without_a_wheel_its_own_turn_leaves_nothing():
-    """And of one with a wheel the same for all rates, a turn about the wheel's axis."""
-    sphere = replace(PHILAE, inertia_kg_m2=14.0 * np.eye(3), wheels=())
-    model = replace(lander_model(), vehicle=sphere, of_motion=())
-    omega = 0.05 * np.random.default_rng(7).standard_normal((20, 3))
-    left = without_sphere(model, Sphere.of(model), np.array([-40.0, 70.0]), omega)
-    np.testing.assert_allclose(np.abs(left[..., 3]), 1.0, atol=1e-6)
-    np.testing.assert_allclose(left[..., :3], 0.0, atol=2e-3)
-
-
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
     model = lander_model()
     sun = model.carried(Shots(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).seen.sun_B
@@ -133,33 +126,8 @@ def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
     assert shortfall(model.panels, -sun, 0.35, GRID).max() > GRID.limit
     allowed = possible_directions(model.panels, 0, GRID)
     assert (allowed @ SUN).max() > np.cos(GRID.directions_rad)
-    assert (allowed @ allowed.T - 2 * np.eye(len(allowed))).max() < np.cos(
-        0.9 * GRID.directions_rad
-    )
-
-
-@pytest.fixture(scope="module")
-def small_search():
-    """Return a model with its reference where the search begins, that reference, and a grid of rates up to 0.12 rad/s."""
-    model, reference = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
-    return model, reference, rate_grid(model, reference)
-
-
-def test_the_equations_by_which_a_start_settles_change_as_they_say(small_search):
-    """Directions change by place in the cell and by step as the derivatives of the plain version say."""
-    model, reference, grid = small_search
-    look = LookThrough(grid, model.panels, reference, GRID)
-    sun = np.tile(reference.suns[0], (60, 1))
-    tangents = np.stack(tangent_basis(sun), axis=1)
-    turn = corners_of(grid, grid.cells[100:160])
-    starts = Settling(turn, sun, tangents, np.full((60, 3), 0.5), np.zeros((60, 2)))
-    _, slope = look._directions(starts)
-    for axis, h in enumerate(1e-6 * np.eye(5)):
-        ahead, back = (
-            look._directions(starts._replace(x=starts.x + to[:3], step=starts.step + to[3:]))[0]
-            for to in (h, -h)
-        )
-        np.testing.assert_allclose((ahead - back) / 2e-6, slope[..., axis], atol=2e-6)
+    apart = allowed @ allowed.T - 2 * np.eye(len(allowed))
+    assert apart.max() < np.cos(0.9 * GRID.directions_rad)
 
 
 @pytest.mark.parametrize("throttled", [False, True])
@@ -195,13 +163,6 @@ def test_a_start_lies_near_the_true_motion():
     assert len(starts) < 20_000
 
 
-def test_too_large_a_ball_of_rates_is_refused_with_a_smaller_one():
-    model = lander_model(max_rate_rad_s=50.0)
-    with pytest.raises(InputError, match="starts") as refused:
-        choose_reference(model, GRID, given_rate=True)
-    assert "give" in str(refused.value)
-
-
 # ---- fits ------------------------------------------------------------------------------------------------------------------
 
 
@@ -210,55 +171,43 @@ def test_derivatives_of_the_differences_are_those_of_runs():
     model = lander_model().after(300.0, 0.6)
     count = len(model.unknowns)
     rng = np.random.default_rng(3)
-    sun = rng.standard_normal((3, 3))
-    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    sun = units(rng.standard_normal((3, 3)))
     shots = Shots(0.05 * rng.standard_normal((3, 3)), sun, 0.3 * rng.standard_normal((3, count)))
     problem = FitProblem(model, np.ones(count, dtype=bool), FINAL_ERROR)
     seen, seen_slopes = problem.derivatives(shots)
     linear = problem.differences(shots, seen, seen_slopes)
     nothing = np.zeros_like(seen_slopes)
+
+    def moved(step):
+        """Return the differences after a step."""
+        there = shots.moved(np.tile(step, (3, 1)))
+        return problem.differences(there, problem.seen(there, 1e-9)[0], nothing).value
+
     for k, coordinate in enumerate(problem.coordinates):
         size = 1e-5 if coordinate < 3 else 1e-4
-        values = []
-        for sign in (1, -1):
-            step = np.zeros((3, model.dimension))
-            step[:, coordinate] = sign * size
-            moved = shots.moved(step)
-            there, _ = problem.seen(moved, 1e-9)
-            values.append(problem.differences(moved, there, nothing).value)
-        change = (values[0] - values[1]) / (2 * size)
+        change = slope_of(moved, size * np.eye(model.dimension)[coordinate], size)
         off = np.abs(change - linear.jacobian[:, :, k])
         assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.02, coordinate
-
-
-def test_a_step_has_one_meaning_in_the_tangents_of_two_directions():
-    """Directions near each other: the derivative along it stays the same to first order."""
-    rng = np.random.default_rng(5)
-    sun = np.eye(3)
-    there = move_on_sphere(sun, 1e-4 * rng.standard_normal((3, 2)))
-    seen_slopes, step = rng.standard_normal((3, 5, 4, 3)), rng.standard_normal((3, 5))
-    after, turned = in_tangents_at(there, sun, seen_slopes, step)
-    before = np.einsum("kc,kcnw->knw", step, seen_slopes)
-    np.testing.assert_allclose(np.einsum("kc,kcnw->knw", turned, after), before, atol=1e-3)
 
 
 # ---- families --------------------------------------------------------------------------------------------------------------
 
 
-def family(count: int, spacing_rad_s: float, loose: float) -> Trials:
+def family(count: int, spacing_rad_s: float, loose: float) -> TrialMotions:
     """Return motions in a row of rates about x, which curvature leaves free by `loose` rad/s, with one unknown."""
     omega = np.zeros((count, 3))
     omega[:, 0] = spacing_rad_s * np.arange(count)
     normal = np.diag([loose**-2, 1e8, 1e8, 1e6, 1e6, 1.0])
     shots = Shots(omega, np.tile(SUN, (count, 1)), np.zeros((count, 1)), np.arange(count) * 0.1)
-    return Trials(shots, np.ones(count, dtype=int), np.tile(normal, (count, 1, 1)), np.zeros(count))
+    return TrialMotions(
+        shots, np.ones(count, dtype=int), np.tile(normal, (count, 1, 1)), np.zeros(count)
+    )
 
 
 def test_a_family_gets_neighbours_along_its_loose_direction_alone():
     """At 0.65 rad at the end of the next window; a motion that is known well gets none."""
-    reach = 100.0
+    reach, expected = 100.0, np.array([[SHOOTING.neighbour_rad, 0.0, 0.0]] * 2)
     added = with_neighbours(family(1, 1.0, 0.02), reach, 0.6, SHOOTING).shots.omega[1:] * reach
-    expected = np.array([[SHOOTING.neighbour_rad, 0.0, 0.0]] * 2)
     np.testing.assert_allclose(np.abs(added), expected, rtol=1e-6, atol=1e-6)
     assert len(with_neighbours(family(1, 1.0, 0.002), reach, 0.6, SHOOTING)) == 1
     # set once, they are not set again before the window has grown
@@ -280,14 +229,9 @@ def test_motions_of_one_ridge_or_box_are_joined_with_all_their_starts():
 
 def test_the_search_lists_the_true_motion():
     """With its rate within 4.5 sigma, as the best; an angular speed seen otherwise does not change that."""
-    speed = float(np.linalg.norm(OMEGA))
-    result = search_nominal(
-        noisy(),
-        lander_telemetry(60.0 * np.arange(12), NOISE),
-        {"max_rate_rad_s": 0.15},
-        observations=[{"kind": "rate", "t_s": 30.0, "value": speed, "sigma": 0.01}],
-        workers=1,
-    )
+    telemetry, priors = lander_telemetry(60.0 * np.arange(12), NOISE), {"max_rate_rad_s": 0.15}
+    speed = {"kind": "rate", "t_s": 30.0, "value": np.linalg.norm(OMEGA), "sigma": 0.01}
+    result = search_nominal(noisy(), telemetry, priors, observations=[speed], workers=1)
     fit = result.fit
     off = fit.motions.omega[0] - true_motion(result.carrier.model.after_s)[0]
     covariance = np.linalg.inv(fit.curvature[0])[:3, :3]
@@ -295,9 +239,18 @@ def test_the_search_lists_the_true_motion():
     assert fit.complete and fit.log_evidence[0] == fit.log_evidence.max()
 
 
+def shooting(**changes) -> tuple[Shooting, Reference]:
+    """Return the search of the usual model, and its reference."""
+    model, reference = placed(lander_model(), **changes)
+    return Shooting(model, reference, POSTERIOR, 1), reference
+
+
+def smaller_rate(said: str) -> float:
+    return float(said.split("max_rate_rad_s=")[1].split()[0])
+
+
 def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
-    model, reference = placed(lander_model())
-    carrier = Shooting(model, reference, POSTERIOR, 1)
+    carrier, _ = shooting()
     kept = carrier._at_most(family(100, 1.0, 0.02), 10, "(5 samples)")
     assert len(kept) == 10 and kept.cost[[0, -1]] == pytest.approx([0.0, 9.9])
     assert not carrier.complete and "more trial solutions" in carrier.notes[-1]
@@ -305,22 +258,19 @@ def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
 
 def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_followed(caplog):
     """They are as many as the ball of rates holds, which grows with its cube; the rate is printed with two digits."""
-    model, reference = placed(lander_model())
-    Shooting(model, reference, POSTERIOR, 1)._announce(6000, 2000, 5)
+    carrier, reference = shooting()
+    carrier._announce(6000, 2000, 5)
     (said,) = [record.getMessage() for record in caplog.records]
     assert "6000 motions may fit 5 samples; 2000 of them are followed" in said
-    smaller = float(said.split("max_rate_rad_s=")[1].split()[0])
-    assert 6000 * (smaller / reference.given) ** 3 == pytest.approx(2000, rel=0.1)
+    assert 6000 * (smaller_rate(said) / reference.given) ** 3 == pytest.approx(2000, rel=0.1)
 
 
 def test_a_long_search_for_starts_is_announced_with_a_rate_that_shortens_it_to_a_minute(caplog):
     """Cells are as many as the ball of rates holds, which grows with its cube."""
-    model, reference = placed(lander_model())
-    Shooting(model, reference, POSTERIOR, 1).announce_starts()
+    usual, reference = shooting()
+    usual.announce_starts()
     assert not caplog.records
-    fine = replace(reference, edge=reference.limit / 150)
-    Shooting(model, fine, POSTERIOR, 1).announce_starts()
+    shooting(edge=reference.limit / 150)[0].announce_starts()
     (said,) = [record.getMessage() for record in caplog.records]
-    smaller = float(said.split("max_rate_rad_s=")[1].split()[0])
     minutes = float(said.split("about ")[1].split()[0])
-    assert minutes * (smaller / reference.given) ** 3 == pytest.approx(1.0, rel=0.1)
+    assert minutes * (smaller_rate(said) / reference.given) ** 3 == pytest.approx(1.0, rel=0.1)

@@ -1,5 +1,6 @@
 """Lines through clouds of points: recovery, the smallest sum of distances, independence of order."""
 
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -28,10 +29,8 @@ def test_the_published_lines_are_recovered_from_unlabelled_points(seed, reached)
     points, lines = cloud(seed, 0.008)
     fitted = ss.fit_lines(points, 4, seed=seed)
     for index, line in zip(match_lines(fitted, lines), lines, strict=True):
-        found = (fitted["point"].values[index], fitted["direction"].values[index])
-        deviation = line_deviation(found, line)
-        assert deviation["mean"] < 0.01
-        assert np.degrees(deviation["angle_rad"]) < 3
+        deviation = line_deviation(of_line(fitted, index), line)
+        assert deviation["mean"] < 0.01 and np.degrees(deviation["angle_rad"]) < 3
         reached("largest mean deviation", deviation["mean"], "rad/s", 0.01)
         reached("largest angle", np.degrees(deviation["angle_rad"]), "deg", 3.0)
 
@@ -53,6 +52,10 @@ def test_fitted_lines_do_not_depend_on_the_order_of_points():
     np.testing.assert_array_equal(a["member"].values[order], b["member"].values)
 
 
+def of_line(fitted, index):
+    return fitted["point"].values[index], fitted["direction"].values[index]
+
+
 def sum_of_distances(x, points):
     return distances(points, x[None, :3], x[None, 3:] / np.linalg.norm(x[3:]))[0].sum()
 
@@ -67,16 +70,10 @@ def test_one_line_reaches_the_smallest_sum_of_distances(guess, reached):
         i, j = np.argsort(points @ axis)[[8, 30]]
         middle, axis = points[i], (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
     ours = sum_of_distances(np.concatenate(line_through(points, middle, axis)), points)
-    best = min(
-        minimize(
-            sum_of_distances,
-            np.concatenate([middle, axis]) + rng.normal(size=6) * 0.02,
-            args=(points,),
-            method="Nelder-Mead",
-            options={"maxiter": 20_000, "maxfev": 20_000, "xatol": 1e-9, "fatol": 1e-11},
-        ).fun
-        for _ in range(3)
-    )
+    start, limits = np.concatenate([middle, axis]), {"maxiter": 20_000, "maxfev": 20_000}
+    find = partial(minimize, sum_of_distances, args=(points,), method="Nelder-Mead")
+    options = limits | {"xatol": 1e-9, "fatol": 1e-11}
+    best = min(find(start + rng.normal(size=6) * 0.02, options=options).fun for _ in range(3))
     assert ours <= best * (1 + 1e-6)
     reached("relative excess of the sum", ours / best - 1, "", 1e-6)
 
@@ -86,7 +83,6 @@ def test_one_line_reaches_the_smallest_sum_of_distances(guess, reached):
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
 )
 def test_two_lines_through_few_points_are_the_best_of_all_assignments(seed):
-    """Brute force: every way to share eight points between two lines."""
     points = np.random.default_rng(seed).uniform(-1, 1, (8, 3))
 
     def cost(mine):
@@ -109,8 +105,7 @@ def test_lines_are_fitted_to_few_irregular_points(per_line):
     points = np.concatenate([p + np.linspace(-0.4, 0.4, per_line)[:, None] * d for p, d in lines])
     fitted = ss.fit_lines(points + rng.normal(size=points.shape) * 1e-4, 4)
     for index, line in zip(match_lines(fitted, lines), lines, strict=True):
-        ours = fitted["point"].values[index], fitted["direction"].values[index]
-        assert line_deviation(ours, line)["max"] < 2e-3
+        assert line_deviation(of_line(fitted, index), line)["max"] < 2e-3
     assert fitted["count"].values.tolist() == [per_line] * 4
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.environment.elements import parse_elements
 from sunspin.environment.field import MODEL_SIGMA_T
-from sunspin.environment.orbit import SunAlongZ, in_orbit
+from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.attitudes import SENSORS, AttitudeLaw, OrbitState
 from sunspin.estimate.orbit.calibration import (
     Calibration,
@@ -32,8 +31,10 @@ from sunspin.estimate.orbit.invariants import (
 )
 from sunspin.estimate.orbit.readings import Readings, read
 from sunspin.telemetry.assess import assess
-from tests.support.calibration_cases import calibration_case
+from tests.support.calibration_cases import calibration_case, orbit_of_case
 from tests.support.orbit_cases import check_case, orbit_of
+from tests.support.passes import slope_of
+from tests.support.vehicles import units
 
 SCALE_T = 6e-8
 
@@ -48,18 +49,14 @@ def shown(field, sun, sun_sigma=0.1):
     return Readings(t_s, field, sun, covariance, np.ones(n), no_angle, no_turn, sun, sigma, pass_of)
 
 
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def aligned(rng, n=200, noise=12.0):
     """A satellite that its dipole holds along the field, so that readings vary little, with a zero that the file does not know."""
     strength = rng.uniform(2.2e-5, 4.5e-5, n)
-    field = strength[:, None] * unit([-0.4, -0.9, 0.0] + 0.15 * rng.normal(size=(n, 3)))
-    sun = unit(rng.normal(size=(n, 3)))
+    field = strength[:, None] * units([-0.4, -0.9, 0.0] + 0.15 * rng.normal(size=(n, 3)))
+    sun = units(rng.normal(size=(n, 3)))
     reading = (field - field.mean(axis=0)) / SCALE_T + noise * rng.normal(size=(n, 3))
     toward = (field * sun).sum(axis=1)
-    seen = unit(sun + 0.1 * rng.normal(size=(n, 3)))
+    seen = units(sun + 0.1 * rng.normal(size=(n, 3)))
     return shown(reading, seen), Predicted(strength[None], toward[None], np.ones((1, n)))
 
 
@@ -71,19 +68,20 @@ def test_the_jacobian_of_strength_and_angle_is_that_of_their_residuals(of_readin
     scatter, scale = np.array([[0.1, 0.7]]), np.ones(1)
     parts = (predicted.strength / 3e-5, predicted.toward / 3e-5, scatter, scale)
     state = MagnetometerState(unknown, *parts)
-    jacobians = [jacobian for _, jacobian in law.residuals(state)]
-    for k, step in enumerate(1e-6 * np.eye(12)):
-        sides = [law.residuals(state._replace(unknown=unknown + sign * step)) for sign in (1, -1)]
-        for which, jacobian in enumerate(jacobians):
-            slope = (sides[0][which][0] - sides[1][which][0]) / 2e-6
-            atol = 1e-5 * np.abs(jacobian).max()
-            np.testing.assert_allclose(jacobian[..., k], slope, rtol=1e-5, atol=atol)
+    for which, (_, jacobian) in enumerate(law.residuals(state)):
+
+        def residual(step, which=which):
+            return law.residuals(state._replace(unknown=unknown + step))[which][0]
+
+        for k, step in enumerate(1e-6 * np.eye(12)):
+            expected, atol = slope_of(residual, step, 1e-6), 1e-5 * np.abs(jacobian).max()
+            np.testing.assert_allclose(jacobian[..., k], expected, rtol=1e-5, atol=atol)
 
 
 def test_the_sphere_through_exact_readings_has_their_zero_and_scale():
     rng = np.random.default_rng(4)
     strength = rng.uniform(2.0, 5.0, (1, 60))
-    field = strength[0][:, None] * unit(rng.normal(size=(60, 3)))
+    field = strength[0][:, None] * units(rng.normal(size=(60, 3)))
     zero, scale = fit_sphere(field / 0.7 + [4.0, -2.0, 9.0], strength)
     np.testing.assert_allclose(zero[0], [4.0, -2.0, 9.0], rtol=1e-5)
     np.testing.assert_allclose(scale[0], 0.7, rtol=1e-5)
@@ -95,9 +93,8 @@ def test_a_zero_that_is_exact_on_one_axis_has_a_sigma_that_can_be_inverted():
     stated = replace(sensors.magnetometer, zero_sigma=np.array([30.0, 0.0, 30.0]))
     vehicle = replace(vehicle, sensors=replace(sensors, magnetometer=stated))
     field = 1e3 * np.random.default_rng(6).normal(size=(20, 3))
-    prior = priors(
-        vehicle, shown(field, unit(field)), orbit_of(elements[0], telemetry, elements[1])
-    )
+    orbit = orbit_of(elements[0], telemetry, elements[1])
+    prior = priors(vehicle, shown(field, units(field)), orbit)
     np.testing.assert_allclose(prior[ZERO], [30.0, 0.03, 30.0])
 
 
@@ -129,17 +126,13 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
 def test_the_gradient_with_attitudes_projected_out_is_that_of_the_cost():
     """Of every unknown: matrix, zero, offset, drift, and biases and scales of two Sun sensors, one of them with a rotated y."""
     case = calibration_case(2, 1, gyro=False)
-    elements, epoch = parse_elements("\n".join(case.elements), "case"), case.telemetry.epoch_utc
     data = case.telemetry.isel(time=slice(0, None, 4))
-    orbit = in_orbit(elements, epoch, data["time"].values, shift_sigma_s=case.shift_sigma_s)
+    orbit = orbit_of_case(case, data)
     sensors = replace(case.vehicle.sensors, sun_sensors=case.vehicle.sensors.sun_sensors[:2])
     vehicle = replace(case.vehicle, sensors=sensors)
     readings = read(assess(case.vehicle, data), 100)
-    readings = readings._replace(
-        field=readings.field / 4e4,
-        angle=readings.angle[:, :2],
-        y_turned=readings.t_s[:, None] % 50 < [0, 25],
-    )
+    field, turned = readings.field / 4e4, readings.t_s[:, None] % 50 < [0, 25]
+    readings = readings._replace(field=field, angle=readings.angle[:, :2], y_turned=turned)
     sky = Sky.along(orbit, readings.t_s, np.arange(-60.0, 61.0, 20.0))
     rng = np.random.default_rng(0)
     unknown = 0.05 * rng.normal(size=24)
@@ -149,13 +142,13 @@ def test_the_gradient_with_attitudes_projected_out_is_that_of_the_cost():
         attitude = law.settle(unknown, attitude).attitude
     state = OrbitState(unknown[None], attitude[None])
     gradient = law.linearise(state).slope[0]
+
+    def cost(step):
+        return law.linearise(state._replace(unknown=state.unknown + step)).cost[0]
+
     for k, step in enumerate(1e-5 * np.eye(24)):
-        ahead, behind = (
-            law.linearise(state._replace(unknown=state.unknown + sign * step)).cost[0]
-            for sign in (1, -1)
-        )
-        slope = (ahead - behind) / 2e-5
-        assert abs(slope - gradient[k]) < 0.02 * abs(gradient[k]) + 1e-3, k
+        off = abs(slope_of(cost, step, 1e-5) - gradient[k])
+        assert off < 0.02 * abs(gradient[k]) + 1e-3, k
     assert (np.abs(gradient) > 0.01).all()
 
 
@@ -210,20 +203,18 @@ def numbers(fit: Calibration) -> np.ndarray:
 
 def test_errors_of_matrix_zero_and_place_follow_from_the_covariance_of_the_fit():
     fit = fit_of_one_sensor()
-    slopes = []
-    for step in 1e-6 * np.eye(19):
-        ahead, behind = (replace(fit, values=fit.values + sign * step) for sign in (1, -1))
-        slopes.append((numbers(ahead) - numbers(behind)) / 2e-6)
-    slope = np.stack(slopes, axis=1)
+
+    def changed(step):
+        return numbers(replace(fit, values=fit.values + step))
+
+    slope = np.stack([slope_of(changed, step, 1e-6) for step in 1e-6 * np.eye(19)], axis=1)
     calibration = fit.of_field(fit.shift_s, fit.shift_sigma_s)
     expected = slope @ fit.covariance @ slope.T
     expected[12] /= fit.shift_sigma_s
     expected[:, 12] /= fit.shift_sigma_s
     size = np.sqrt(np.diag(expected))
-    ours = calibration.errors.T @ calibration.errors
-    np.testing.assert_allclose(
-        ours / np.outer(size, size), expected / np.outer(size, size), atol=1e-6
-    )
+    ours, scale = calibration.errors.T @ calibration.errors, np.outer(size, size)
+    np.testing.assert_allclose(ours / scale, expected / scale, atol=1e-6)
     np.testing.assert_allclose(np.diag(fit.covariance)[1], 4 * np.diag(fit.model)[1], rtol=1e-9)
     assert (np.diag(fit.covariance) >= np.diag(fit.model)).all()
     assert fit.bias.shape == (1, 2) and fit.scale[0, 0] == 1 + fit.values[SENSORS + 2]
@@ -276,17 +267,15 @@ def test_the_calibration_along_an_orbit_is_within_its_errors_of_the_true_sensor(
         case = calibration_case(3, i, gyro=False)
         data = case.telemetry.drop_vars(["sun_sensor_angle", "sun_sensor_y_turned"])
         data = data.isel(time=slice(None, None, 2))
-        elements, epoch = parse_elements("\n".join(case.elements), "case"), data.attrs["epoch_utc"]
-        orbit = in_orbit(elements, epoch, data["time"].values, shift_sigma_s=case.shift_sigma_s)
+        orbit = orbit_of_case(case, data)
         sensors = replace(case.vehicle.sensors, sun_sensors=())
         assessment = assess(replace(case.vehicle, sensors=sensors), data)
         calibration = along_orbit(SunAlongZ(orbit), assessment)
         scale = case.truth["magnetometer.scale_T"]
         true_matrix = (case.truth["magnetometer.matrix"] * scale).reshape(3, 3)
         true_zero = true_matrix @ case.truth["magnetometer.zero"]
-        off = np.concatenate(
-            [(true_matrix - calibration.matrix).ravel(), true_zero - calibration.zero]
-        )
+        off_matrix, off_zero = true_matrix - calibration.matrix, true_zero - calibration.zero
+        off = np.concatenate([off_matrix.ravel(), off_zero])
         covariance = calibration.errors[:, :12].T @ calibration.errors[:, :12]
         squares.append(off @ np.linalg.solve(covariance, off) / 12)
         assert 1.5e-7 < calibration.noise_T < 6e-7  # 300 nT

@@ -1,10 +1,9 @@
 """Posteriors of a cube without a wheel whose panels have relative gains: what they decide, and advice that works."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,21 +14,23 @@ from sunspin.base.errors import SunspinError
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import posterior
 from sunspin.telemetry.assess import assess
-from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Fact, Friction, Vehicle, Wheel
 from tests.support.any_vehicle import judge_posterior, posterior_case
-from tests.support.landers import FEW, sigmas_off
-from tests.support.vehicles import LOWER_CASE_FACES, small_cube
+from tests.support.landers import DIM_OMEGA, DIM_SUN, FEW, dim_telemetry, sigmas_off
+from tests.support.vehicles import small_cube, unit_vector
 from validation.calibrate import NEAR_SIGMAS
 
-RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)
 PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0, "inertia": 0.0}
 
 
 def samples(craft: Vehicle, count: int = 15, interval_s: float = 20.0) -> xr.Dataset:
-    """Return telemetry of a body that turns at `RATE`, in a third of the Sun's light, at uneven times."""
+    """Return telemetry of the usual motion at uneven times."""
     off = np.random.default_rng(0).uniform(-3, 3, count - 1)
-    t_s = interval_s * np.arange(count) + np.append(0.0, off)
-    return ss.twin(craft, {"omega_B": RATE, "sun_B": SUN, "t_s": t_s, "scale": 0.37}, seed=1)
+    return dim_telemetry(craft, interval_s * np.arange(count) + np.append(0.0, off))
+
+
+few = partial(posterior, workers=1, settings=FEW)
+"""The posterior with few draws."""
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +52,8 @@ def test_the_posterior_holds_the_truth_whatever_single_readings_say(telemetry):
     assert len(window.obs) == 14
     assert np.argwhere(~window.obs.terms[0].used).tolist() == [[3, 2], [4, 1]]
     assert any("a reading beyond full Sun" in remark for remark in window.remarks)
-    tree = posterior(craft, wild, PRIORS, workers=1, settings=FEW)
-    assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, RATE)[0] < 4
+    tree = few(craft, wild, PRIORS)
+    assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, DIM_OMEGA)[0] < 4
     assert np.exp(tree["posterior"]["log_scale"].values).mean() == pytest.approx(0.37, rel=0.05)
 
 
@@ -65,9 +66,9 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
     """A mirror changes the direction to the Sun, and the rate as a rotation by half a turn about z does."""
     craft = small_cube()
     craft = replace(craft, panels=craft.panels[:4])
-    tree = posterior(craft, samples(craft, 20, 15.0), PRIORS, workers=1, settings=FEW)
+    tree = few(craft, samples(craft, 20, 15.0), PRIORS)
     probability = tree["solutions"]["probability"].values
-    for rate in (RATE, RATE * [-1, -1, 1]):
+    for rate in (DIM_OMEGA, DIM_OMEGA * [-1, -1, 1]):
         near = sigmas_off(tree, rate) < NEAR_SIGMAS
         assert probability[near].sum() == pytest.approx(0.5, abs=0.1)
     assert tree.attrs["verdict_word"] == "aliases"
@@ -76,11 +77,9 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
 def test_the_advice_to_raise_the_rate_limit_gives_a_decided_pass(telemetry):
     """A body near a sphere, whose largest rate is given 3 % too small: if the advice is followed, the motion is decided."""
     ball = replace(small_cube(), inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
-    size = float(np.linalg.norm(RATE))
-    short, long = (
-        posterior(ball, samples(ball), PRIORS | {"max_rate_rad_s": most}, workers=1, settings=FEW)
-        for most in (size / 1.03, 1.5 * size)
-    )
+    size = float(np.linalg.norm(DIM_OMEGA))
+    limits = ({"max_rate_rad_s": most} for most in (size / 1.03, 1.5 * size))
+    short, long = (few(ball, samples(ball), PRIORS | limit) for limit in limits)
     advice = "the rates reach the limit of the search; raise max_rate_rad_s"
     assert advice in short.attrs["verdict"] and not short["passes"]["decided"].values[0]
     assert "raise" not in long.attrs["verdict"] and long["passes"]["decided"].values[0]
@@ -98,10 +97,10 @@ def test_two_rounds_of_draws_suffice_if_no_motion_fits(most, word, telemetry):
 @pytest.mark.long
 def test_a_wheel_of_unknown_speed_leaves_the_posterior_undecided(telemetry):
     craft = replace(small_cube(), wheels=(Wheel("fly", [0, 0, 1], 1e-4),))
-    standing = posterior(craft, telemetry, PRIORS, workers=1, settings=FEW)
+    standing = few(craft, telemetry, PRIORS)
     speeds = np.zeros((telemetry.sizes["time"], 1))
     read = telemetry.assign(wheel_speed_rad_s=(("time", "wheel"), speeds))
-    measured = posterior(craft, read, PRIORS, workers=1, settings=FEW)
+    measured = few(craft, read, PRIORS)
     assert "WHEEL SPEED UNKNOWN (fly)" in standing.attrs["verdict"]
     assert not standing["passes"]["decided"].values[0]
     assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]
@@ -112,15 +111,15 @@ def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(telemetry):
     """The advice followed: without the dark samples the truth is found."""
     shadow = telemetry.copy(deep=True)
     shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values
-    tree = posterior(small_cube(), shadow, PRIORS, workers=1, settings=FEW)
+    tree = few(small_cube(), shadow, PRIORS)
     says = tree.attrs["verdict"]
     assert tree.attrs["verdict_word"] in ("not explained", "not sure") and "failed" not in says
     begins = re.search(r"from ([\d.]+) to [\d.]+ s .6 samples.. If this is an eclipse", says)
     assert begins is not None, says
     end_s = float(begins[1]) - 1.0
-    lit = posterior(small_cube(), shadow, PRIORS, end_s=end_s, workers=1, settings=FEW)
+    lit = few(small_cube(), shadow, PRIORS, end_s=end_s)
     assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"]
-    assert sigmas_off(lit, RATE).min() < 4
+    assert sigmas_off(lit, DIM_OMEGA).min() < 4
 
 
 @pytest.mark.long
@@ -146,25 +145,17 @@ def random_case(number: int) -> tuple[Vehicle, xr.Dataset, dict[str, float]]:
     relative, products = rng.uniform(0.0, 2.0), rng.choice([0.0, rng.uniform(0.0, 1.0)])
     sigma = np.diag(relative * np.diag(tensor))
     sigma += relative * products * np.diag(tensor).min() * (1 - np.eye(3))
-    axis = rng.standard_normal(3)
-    axis /= np.linalg.norm(axis)
+    axis = unit_vector(rng)
     small = 10 ** rng.uniform(-4, -1) / (axis @ np.linalg.solve(tensor, axis))
     wheel = Wheel("w", axis, small, 10 ** rng.uniform(0, 2.5), Friction(1e-6, 1e-8))
-    vehicle = Vehicle(
-        "random",
-        inertia_kg_m2=tensor,
-        panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-        wheels=[wheel] if number % 3 == 2 else [],
-        telemetry=TelemetryForm(quantity="current_A", noise=rng.uniform(0.01, 0.1)),
-        facts={"body.inertia_kg_m2": Fact(tensor, sigma=sigma)},
-    )
+    facts = {"body.inertia_kg_m2": Fact(tensor, sigma=sigma)}
+    vehicle = replace(small_cube(rng.uniform(0.01, 0.1)), inertia_kg_m2=tensor, facts=facts)
+    vehicle = replace(vehicle, wheels=(wheel,) if number % 3 == 2 else ())
     deg_s = rng.choice([0.0, 0.01, 0.3, 3.0, 60.0])
     step_s = min(rng.choice([1.0, 10.0, 120.0]), 60.0 / max(deg_s, 0.5))
-    truth = {
-        "omega_B": np.radians(deg_s) * np.array([0.36, -0.48, 0.8]),
-        "sun_B": SUN,
-        "t_s": step_s * np.arange(int(rng.choice([5, 12, 20]))),
-    }
+    omega = np.radians(deg_s) * np.array([0.36, -0.48, 0.8])
+    t_s = step_s * np.arange(int(rng.choice([5, 12, 20])))
+    truth = {"omega_B": omega, "sun_B": DIM_SUN, "t_s": t_s}
     priors = {"max_rate_rad_s": float(max(1.2 * np.radians(deg_s), 0.3 / step_s / 2))}
     return vehicle, ss.twin(vehicle, truth, seed=1), priors | {"steady_torque": 0.0}
 

@@ -1,7 +1,5 @@
 """Draws of a posterior at other times: against the reference propagator, under each draw's own body, wheels and torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,22 +14,15 @@ from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
 from tests.support.philae import AS_DRAWN, philae_draws
 from tests.support.posteriors import tree_of
 
+PHILAE = AS_DRAWN.vehicle
 TOUCHDOWN, LATER = 25143.98, 31800.0
 SUN = np.array([0.48, 0.6, 0.64])
 
 
-@pytest.fixture(scope="module")
-def craft() -> Vehicle:
-    """Return Philae with panels exactly as drawn."""
-    return AS_DRAWN.vehicle
-
-
 def box(*wheels: Wheel) -> Vehicle:
     """Return a 3U CubeSat with one panel and wheels."""
-    inertia = np.diag([0.042, 0.040, 0.009])
-    return Vehicle(
-        "box", inertia_kg_m2=inertia, panels=[Panel("+x", (1, 0, 0), 7.0)], wheels=wheels
-    )
+    panel, inertia = Panel("+x", (1, 0, 0), 7.0), np.diag([0.042, 0.040, 0.009])
+    return Vehicle("box", inertia_kg_m2=inertia, panels=[panel], wheels=wheels)
 
 
 def own_vehicle(vehicle: Vehicle, tree: xr.DataTree, draw: int) -> Vehicle:
@@ -42,30 +33,27 @@ def own_vehicle(vehicle: Vehicle, tree: xr.DataTree, draw: int) -> Vehicle:
             inertia[k, k] = draws[f"inertia_{axis}{axis}"].values[0, draw]
     wheels = []
     for wheel in vehicle.wheels:
-        tail = "" if len(vehicle.wheels) == 1 else f"_{wheel.name}"
-        log = {
-            kind: draws[f"log_{kind}{tail}"].values[0, draw] if f"log_{kind}{tail}" in draws else 0
-            for kind in ("coulomb", "viscous", "wheel_inertia")
-        }
-        friction = Friction(
-            wheel.friction.coulomb_N_m * np.exp(log["coulomb"]),
-            wheel.friction.viscous_N_m_s * np.exp(log["viscous"]),
+        tail, stated = "" if len(vehicle.wheels) == 1 else f"_{wheel.name}", wheel.friction
+        names = (f"log_{kind}{tail}" for kind in ("coulomb", "viscous", "wheel_inertia"))
+        dry, viscous, axial = (
+            np.exp(draws[name].values[0, draw]) if name in draws else 1.0 for name in names
         )
-        axial = wheel.inertia_kg_m2 * np.exp(log["wheel_inertia"])
-        wheels.append(replace(wheel, friction=friction, inertia_kg_m2=axial))
+        friction = Friction(dry * stated.coulomb_N_m, viscous * stated.viscous_N_m_s)
+        own = {"friction": friction, "inertia_kg_m2": axial * wheel.inertia_kg_m2}
+        wheels.append(replace(wheel, **own))
     return replace(vehicle, inertia_kg_m2=inertia, wheels=tuple(wheels))
 
 
 @pytest.mark.evidence(
     "posterior", "verified", "the reference propagator, through the wheel stop and backward"
 )
-def test_predicted_draws_agree_with_the_reference_through_the_wheel_stop_and_backward(craft):
+def test_predicted_draws_agree_with_the_reference_through_the_wheel_stop_and_backward():
     """Each with its own inertia, friction and wheel speed; the wheel stops at about 2500 s."""
     tree = philae_draws(3, 0.003)
     times = [TOUCHDOWN, 25200.0, 27000.0, LATER]
-    predicted, draws = predict(craft, tree, times), tree["posterior"]
+    predicted, draws = predict(PHILAE, tree, times), tree["posterior"]
     for i in range(3):
-        own = own_vehicle(craft, tree, i)
+        own = own_vehicle(PHILAE, tree, i)
         state = [draws[name].values[0, i] for name in ("omega_B", "sun_B", "wheel_speed_rad_s")]
         back = ss.propagate(own, *state, [0.0, TOUCHDOWN - 25200.0])
         on = ss.propagate(own, *state, np.array(times[1:]) - 25200.0)
@@ -97,10 +85,8 @@ def test_each_draw_moves_under_its_own_torque_in_body_axes_and_in_space():
 
 
 def test_draws_of_several_wheels_run_down_with_their_own_numbers():
-    craft = box(
-        Wheel("a", (1, 0, 0), 1e-5, 100.0, Friction(1e-6, 1e-9)),
-        Wheel("b", (0, 1, 0), 2e-5, -60.0, Friction(2e-6, 1e-9)),
-    )
+    a = Wheel("a", (1, 0, 0), 1e-5, 100.0, Friction(1e-6, 1e-9))
+    craft = box(a, Wheel("b", (0, 1, 0), 2e-5, -60.0, Friction(2e-6, 1e-9)))
     unknowns = {
         "wheel_speed_rad_s": np.array([[101.0, -60.0], [100.0, -63.0]]),
         "log_coulomb_a": np.array([0.2, 0.0]),
@@ -120,26 +106,26 @@ def test_draws_of_several_wheels_run_down_with_their_own_numbers():
             np.testing.assert_allclose(predicted[name].values[0, i, 0], expected, atol=tolerance)
 
 
-def test_predictions_do_not_depend_on_the_number_of_workers_or_the_order_of_times(craft):
+def test_predictions_do_not_depend_on_the_number_of_workers_or_the_order_of_times():
     tree = philae_draws(200, 0.003)
-    one, two = (predict(craft, tree, [26000.0, TOUCHDOWN], workers) for workers in (1, 2))
+    one, two = (predict(PHILAE, tree, [26000.0, TOUCHDOWN], workers) for workers in (1, 2))
     np.testing.assert_allclose(one["omega_B"].values, two["omega_B"].values, rtol=1e-9)
     assert one["predicted_s"].values.tolist() == [TOUCHDOWN, 26000.0]
-    motions = DrawnMotions.of(craft, tree)
+    motions = DrawnMotions.of(PHILAE, tree)
     backward = motions.at([26000.0, TOUCHDOWN, 26000.0]).omega_B
     np.testing.assert_allclose(backward[:, [1, 0]], one["omega_B"].values[0], rtol=1e-9)
     np.testing.assert_array_equal(backward[:, 0], backward[:, 2])
 
 
 @pytest.mark.parametrize("times", [[], [np.nan], [25200.0 + 8 * 86400]])
-def test_predictions_at_invalid_times_are_refused(craft, times):
+def test_predictions_at_invalid_times_are_refused(times):
     with pytest.raises(InputError, match="times to predict must be numbers, at most a week"):
-        predict(craft, philae_draws(1), times)
+        predict(PHILAE, philae_draws(1), times)
 
 
-def test_a_prediction_with_another_vehicle_is_refused(craft):
-    heavier = replace(craft, inertia_kg_m2=1.1 * np.array(craft.inertia_kg_m2))
-    renamed = replace(craft, wheels=(replace(craft.wheels[0], name="another"),))
+def test_a_prediction_with_another_vehicle_is_refused():
+    heavier = replace(PHILAE, inertia_kg_m2=1.1 * np.array(PHILAE.inertia_kg_m2))
+    renamed = replace(PHILAE, wheels=(replace(PHILAE.wheels[0], name="another"),))
     for vehicle in (heavier, renamed):
         with pytest.raises(InputError, match="not of this vehicle"):
             predict(vehicle, philae_draws(1), [LATER])

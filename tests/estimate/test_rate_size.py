@@ -9,7 +9,6 @@ import sunspin as ss
 from sunspin.estimate.model import States
 from sunspin.estimate.rates import rates
 from sunspin.estimate.terms.rate_size import RateSize as SizeTerm
-from sunspin.estimate.terms.term import student
 from sunspin.vehicle.sensors import RateSize, Sensors
 from validation.passes import FACES, observe, spin
 
@@ -80,18 +79,6 @@ def test_a_body_at_rest_has_a_residual_and_no_slope():
     still = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.zeros((1, 2, 3)))
     residual = next(term.residuals(still, np.zeros((1, 0))))
     assert residual.value[0, :, 0].tolist() == [-2.0, 0.0] and not residual.by_rate.any()
-
-
-def test_a_reading_left_out_has_the_density_of_sizes_that_are_read():
-    term = SizeTerm(np.array([0.1, 0.2, 0.05, np.nan]), 0.01)
-    left, log_density = term.without(1)
-    assert left.present().tolist() == [True, False, True, False]
-    # the mean of exp(-cost) over sizes drawn from half of a normal law, times what one reading tells of the motion: by a sum
-    grid = np.linspace(-10.0, 10.0, 2_000_001)
-    filled = np.exp(-student(grid[:, None] / 0.01)[0]).sum() * (grid[1] - grid[0])
-    square = np.mean(np.square([0.1, 0.2, 0.05]))
-    normal = 2 * np.exp(-(0.2**2) / (2 * square)) / np.sqrt(2 * np.pi * square)
-    assert log_density == pytest.approx(np.log(filled * normal), abs=1e-3)
 
 
 def test_the_column_of_a_size_is_read_in_its_unit(tmp_path):

@@ -1,6 +1,7 @@
 """Passes in an orbit, spinners, a field alone, sensors that are late, and gravity: whole passes. All telemetry is synthetic."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,11 +25,12 @@ from sunspin.estimate.verdict import COLUMNS_UNCHECKED
 from sunspin.output.export import build_attitude
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.synthetic import telemetry_dataset
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.sensors import Clock, Disturbance, Magnetometer, Sensors
 from tests.support.orbit_cases import one_pass, orbit_of, pass_against_truth, rates_case
-from tests.support.simulate import cube_with_late_sensor, cube_with_sensor, pulls
-from tests.support.vehicles import small_cube
+from tests.support.passes import printed_rates
+from tests.support.simulate import cube_with_late_sensor, cube_with_sensor, pulls, telemetry_of
+from tests.support.vehicles import small_cube, units
 from validation import spinners
 
 
@@ -41,15 +43,12 @@ def case():
     return vehicle, data, orbit, calibration, truth, about["begin_s"][0]
 
 
-def middle_rate(result, k=0):
-    """Return rate and sigma (3) of pass `k` at its middle sample, and the time of that."""
-    t_s = result["time"].values[result["pass_of"].values == k]
-    at_s = t_s[np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2))]
-    rate, sigma = (
-        np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
-        for name in ("omega", "sigma")
-    )
-    return rate, sigma, at_s
+def pull_in_the_middle(result, true_rad_s, t_s):
+    """Return the error (3) of the first pass's rate in its sigmas at the middle sample, by true rates (n, 3) at times (n)."""
+    used = result["time"].values[result["pass_of"].values == 0]
+    at_s = used[np.argmin(np.abs(used - (used[0] + used[-1]) / 2))]
+    (rate, *_), (sigma, *_) = printed_rates(result)
+    return (rate - true_rad_s[np.abs(np.array(t_s) - at_s).argmin()]) / sigma
 
 
 def test_a_sample_in_the_shadow_uses_its_field_and_requires_dark_panels(case):
@@ -72,15 +71,11 @@ def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
     t_s = 5.0 * np.arange(60)
     power = np.zeros((60, len(vehicle.panels)))
     power[:15, 0] = power[-15:, 0] = 1.0  # 150 s without a Sun
-    alone = telemetry_dataset(
-        vehicle, t_s, power, np.tile([1.0, 0.0, 0.0], (60, 1)), "2026-01-01T00:00:00Z", {}
-    )
+    alone = telemetry_of(vehicle, t_s, power)
     turned = Rotation.from_rotvec(0.02 * t_s[:, None] * [[0.0, 0.0, 1.0]])
     field = alone.assign(field_B=(("time", "axis"), 3e4 * turned.apply([0.6, 0.0, 0.8])))
-    counts = [
-        len(split(observe(assess(vehicle, each)), None, RATES.passes)) for each in (alone, field)
-    ]
-    assert counts == [2, 1]
+    for data, count in ((alone, 2), (field, 1)):
+        assert len(split(observe(assess(vehicle, data)), None, RATES.passes)) == count
 
 
 @pytest.mark.parametrize(("count", "sunlit"), [(41, 0), (200, 0), (3000, 0), (400, 200)])
@@ -147,19 +142,10 @@ def test_a_field_that_an_orbit_knows_leads_the_search_without_a_sun(case):
     assert max(np.abs(found["pulls"])) < 5
 
 
-CUBE = Vehicle(
-    "cube",
-    np.diag([0.02, 0.028, 0.012]),
-    panels=(Panel("+X", [1, 0, 0], 1.0),),
-    gain_unit="W",
-    telemetry=TelemetryForm(noise=0.01),
-    sensors=Sensors(
-        magnetometer=Magnetometer(
-            ("x", "y", "z"), np.zeros(3), 400.0, zero_sigma=np.full(3, 300.0)
-        ),
-        disturbance=Disturbance(acceleration_noise=2e-5, max_rate_rad_s=0.05),
-    ),
-)
+MAGNETOMETER = Magnetometer(("x", "y", "z"), np.zeros(3), 400.0, zero_sigma=np.full(3, 300.0))
+SENSORS = Sensors(magnetometer=MAGNETOMETER, disturbance=Disturbance(2e-5, max_rate_rad_s=0.05))
+PANEL, INERTIA = Panel("+X", [1, 0, 0], 1.0), np.diag([0.02, 0.028, 0.012])
+CUBE = Vehicle("cube", INERTIA, panels=(PANEL,), gain_unit="W", sensors=SENSORS)
 
 
 def field_alone(seed):
@@ -167,14 +153,11 @@ def field_alone(seed):
     rng = np.random.default_rng(seed)
     t_s = 15.0 * np.arange(24)
     run = ss.propagate(CUBE, np.radians(1.5) * rng.normal(size=3), [0.6, 0.0, 0.8], None, t_s)
-    axis = rng.normal(size=3)
-    turned = Rotation.from_rotvec(1.7e-3 * t_s[:, None] * axis / np.linalg.norm(axis))
+    turned = Rotation.from_rotvec(1.7e-3 * t_s[:, None] * units(rng.normal(size=3)))
     field = Rotation.from_quat(run["B_from_N"].values).apply(3e4 * turned.apply([0.2, 0.5, -0.8]))
     read = field + 400 * rng.normal(size=field.shape)
-    sun = run["sun_B"].values
-    data = telemetry_dataset(CUBE, t_s, np.ones((24, 1)), sun, "2026-01-01T00:00:00Z", {})
-    data = data.assign(field_B=(("time", "axis"), read)).drop_vars(["power_W", "panel"])
-    return data, run["omega_B"].values
+    data = telemetry_of(CUBE, t_s, np.ones((24, 1)), field_B=(("time", "axis"), read))
+    return data.drop_vars(["power_W", "panel"]), run["omega_B"].values
 
 
 @pytest.mark.evidence("rates", "modelled", "a simulated magnetometer alone, without an orbit")
@@ -183,8 +166,8 @@ def test_rates_of_a_field_alone_are_right_and_the_sun_is_unknown():
     for seed in (1, 2, 3):
         data, omega = field_alone(seed)
         result = rates(CUBE, data)
-        rate, sigma, at_s = middle_rate(result)
-        pulls.append((rate - omega[data["time"].values == at_s][0]) / sigma)
+        pulls.append(pull_in_the_middle(result, omega, data["time"].values))
+        sigma = printed_rates(result)[1][0]
         assert np.all(sigma > FIELD_TURN / np.sqrt(3)) and result.attrs["frame_N"] == FIELD_Z_LOCAL
         assert np.isnan(result["sun_B"].values).all()
         assert np.isfinite(result["field_direction_B"].values).all()
@@ -195,8 +178,8 @@ def test_rates_of_a_field_alone_are_right_and_the_sun_is_unknown():
 
 
 def test_a_field_alone_needs_its_noise():
-    part = replace(CUBE.sensors.magnetometer, noise=None)
-    blunt = replace(CUBE, sensors=replace(CUBE.sensors, magnetometer=part))
+    silent = replace(MAGNETOMETER, noise=None)
+    blunt = replace(CUBE, sensors=replace(SENSORS, magnetometer=silent))
     with pytest.raises(InputError, match="needs its `noise` in the vehicle file, or an orbit"):
         rates(blunt, field_alone(1)[0])
 
@@ -232,10 +215,8 @@ def test_a_spinner_with_a_large_zero_has_the_true_rate(tmp_path):
     truth = spinners.make(spinners.Case(*body, spinners.AS_MOUNTED, zero, *rest), tmp_path)
     craft = ss.load_vehicle(tmp_path / "vehicle.toml")
     result = rates(craft, ss.read_telemetry(tmp_path / "telemetry.csv", craft))
-    rate, sigma, at_s = middle_rate(result)
-    at = np.abs(np.array(truth["t_s"]) - at_s).argmin()
-    true = np.radians(truth["rates_deg_s"][at])
-    assert np.abs((rate - true) / sigma).max() < 4 and result["fits"].values[0]
+    pull = pull_in_the_middle(result, np.radians(truth["rates_deg_s"]), truth["t_s"])
+    assert np.abs(pull).max() < 4 and result["fits"].values[0]
 
 
 ORBIT = circular(1.1e-3, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
@@ -266,23 +247,14 @@ def test_gravity_determines_the_turn_about_the_sun():
 
 
 def test_a_torque_without_the_environment_that_it_needs_is_refused():
-    t_s = np.arange(0.0, 100.0, 10.0)
-    sun = np.tile([1.0, 0.0, 0.0], (10, 1))
-    data = telemetry_dataset(CUBE, t_s, np.ones((10, 1)), sun, "2026-01-01T00:00:00Z", {})
+    data = telemetry_of(CUBE, 10.0 * np.arange(10), np.ones((10, 1)))
     with pytest.raises(ss.MotionError, match="'gravity_gradient' needs an environment"):
         rates(CUBE, data, torques=("gravity_gradient",))
 
 
 def test_an_environment_whose_sun_is_not_along_z_is_refused():
-    class Aside:
-        """An environment with the Sun along x."""
-
-        frame_N = "x"
-
-        def at(self, t_s):
-            """Return surroundings with the Sun along x."""
-            here = ORBIT.at(t_s)
-            return replace(here, sun_N=np.tile([1.0, 0.0, 0.0], (np.size(t_s), 1)))
+    def aside(t_s):
+        return replace(ORBIT.at(t_s), sun_N=np.tile([1.0, 0.0, 0.0], (np.size(t_s), 1)))
 
     with pytest.raises(InputError, match="z of its N to the Sun"):
-        along_the_sun(Aside())
+        along_the_sun(SimpleNamespace(frame_N="x", at=aside))

@@ -2,27 +2,34 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 
+import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
+from sunspin.cli.rates import rates as command
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
+from sunspin.output.template import write_templates
+from tests.support.passes import judged
+from tests.support.schemas import schema, stored_schema
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls, simulated_pass, uneven_times
-from validation.passes import FACES, MOMENTS, compare_with_truth, make, spin
+from validation.passes import FACES, MOMENTS, spin
 from validation.passes import observe as observe_passes
 
 
+@cache
 def two_passes():
-    """Return vehicle, telemetry of two passes an hour apart, and the true rates."""
+    """Return vehicle, telemetry of two passes an hour apart, and the true rates; they are shared and never changed."""
     rng = np.random.default_rng(3)
     runs, data = [], []
     for begin, omega in ((0.0, [0.02, -0.03, 0.04]), (3600.0, [0.021, -0.029, 0.04])):
-        seen, run = simulated_pass(
-            CUBE_WITHOUT_NOISE_STATED, omega, uneven_times(rng, 20, 15.0, 0.2), rng, albedo=0.0
-        )
+        t_s = uneven_times(rng, 20, 15.0, 0.2)
+        seen, run = simulated_pass(CUBE_WITHOUT_NOISE_STATED, omega, t_s, rng, albedo=0.0)
         data.append(seen.assign_coords(time=seen["time"] + begin))
         runs.append(run.assign_coords(time=run["time"] + begin))
     telemetry = xr.concat(data, "time", data_vars="minimal", combine_attrs="override")
@@ -49,42 +56,33 @@ def test_a_bar_of_passes_is_shown_if_progress_is_asked_for(capsys):
     assert shown[0] == "0" and shown[-1] in "12"
 
 
-def test_one_pass_of_a_file_can_be_asked_for():
+def test_one_pass_a_strength_of_torques_and_settings_can_be_asked_for():
     vehicle, telemetry, _ = two_passes()
-    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=1)
+    windows: list[slice] = []
+    watch = replace(RATES.search, watch=lambda window, motions: windows.append(window))
+    asked = {"pass_id": 1, "acceleration_noise": 2e-4, "settings": replace(RATES, search=watch)}
+    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, **asked)
+    assert windows[-1] == slice(0, 20)
+    assert result.attrs["acceleration_noise"] == 2e-4
+    assert result.attrs["acceleration_noise_from"] == "given"
     assert result["pass_id"].values.tolist() == [1] and result["time"].values.min() >= 3600
     assert (result["why"].values[:20] == "dropped: in another pass than the one asked for").all()
     with pytest.raises(InputError, match="there is no such pass"):
         rates(vehicle, telemetry, pass_id=2)
 
 
-def compared(kind: str, number: int):
-    """Return the result of a simulated pass, and how it compares with the truth."""
-    simulated = make(kind, 0, number)
-    limit = simulated.max_rate_rad_s
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=limit)
-    return result, compare_with_truth(result, simulated)
-
-
 @pytest.mark.parametrize(
     "kind", ["right model", "steady torque", "step of the rate", "slow", "jitter"]
 )
 def test_simulated_passes_are_not_decided_and_wrong(kind):
-    _, row = compared(kind, 0)
+    _, row = judged(kind, 0, 0)
     assert row["listed"] and not (row["decided"] and row["wrong"])
 
 
 def test_a_step_of_the_rate_is_named_and_its_pass_decided():
-    result, row = compared("step of the rate", 9)
+    result, row = judged("step of the rate", 0, 9)
     assert "step of the rate" in str(result["model"].values[0])
     assert row["decided"] and row["pull"] < 3
-
-
-def test_a_stated_strength_of_torques_is_used():
-    vehicle, telemetry, _ = two_passes()
-    result = rates(vehicle, telemetry, max_rate_rad_s=0.15, acceleration_noise=2e-4, pass_id=0)
-    assert result.attrs["acceleration_noise"] == 2e-4
-    assert result.attrs["acceleration_noise_from"] == "given"
 
 
 @pytest.mark.parametrize(
@@ -97,7 +95,10 @@ def test_a_stated_strength_of_torques_is_used():
         ),
         ({"source": "sun_sensor"}, "no Sun from sun_sensor"),
         ({"source": "stars"}, "no Sun from stars"),
-        ({"effort": 0}, "effort must be a positive number"),
+        *(
+            ({"effort": bad}, "effort must be a positive number")
+            for bad in (0, -1, np.nan, True, "ten", None)
+        ),
         ({"gap_s": 1e-3}, "no pass has three samples"),
     ],
 )
@@ -121,14 +122,6 @@ def test_telemetry_without_rates_is_refused(change, words):
         rates(vehicle, change(telemetry))
 
 
-def test_settings_are_taken():
-    vehicle, telemetry, _ = two_passes()
-    windows = []
-    watch = replace(RATES.search, watch=lambda window, motions: windows.append(window))
-    rates(vehicle, telemetry, max_rate_rad_s=0.15, pass_id=0, settings=replace(RATES, search=watch))
-    assert windows[-1] == slice(0, 20)
-
-
 @pytest.mark.parametrize("frame", ["body axes", "axes fixed in space"])
 def test_an_unmodelled_torque_is_named_and_the_rates_are_right(frame):
     torque = 1e-4 * np.array([1.0, -0.5, 0.5])  # rad/s2 over the mean moment
@@ -144,3 +137,17 @@ def test_an_unmodelled_torque_is_named_and_the_rates_are_right(frame):
     sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
     truth = omega[np.isin(t_s, result["time"].values)]
     assert np.abs((result["omega_B"].values - truth) / sigma).max() < 4.5
+
+
+def test_result_of_rates_has_the_stored_schema(tmp_path):
+    vehicle, telemetry = write_templates(tmp_path)
+    craft = ss.load_vehicle(vehicle)
+    result = ss.rates(craft, ss.read_telemetry(telemetry, craft))
+    assert schema(result) == stored_schema("rates")
+
+
+@pytest.mark.parametrize("given", ["0", "nan", "-3"])
+def test_the_option_effort_refuses_what_is_not_positive(given):
+    done = CliRunner().invoke(command, ["vehicle", "telemetry", "--effort", given])
+    assert isinstance(done.exception, ss.InputError)
+    assert "--effort must be a positive number or inf" in str(done.exception)

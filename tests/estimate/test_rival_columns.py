@@ -4,16 +4,18 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.column_tests import gains_of_silent
+from sunspin.estimate.column_tests import CostsOfSamples, gains_of_silent
 from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time
 from sunspin.estimate.equivalence import AS_WRITTEN, exchange
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.verdict import COLUMNS_UNCHECKED, rates_words
 from sunspin.telemetry.assess import assess
-from tests.support.simulate import FOUR_SIDES, simulated_pass, uneven_times
+from tests.support.passes import estimate, printed_rates, tumbling_pass
+from tests.support.simulate import FOUR_SIDES
 from validation.exchanges import draw_satellite, files
 from validation.passes import make
 
@@ -27,11 +29,6 @@ HIDDEN = 7, 1
 @pytest.fixture(scope="module")
 def spinner():
     return make(*CASE)
-
-
-def estimate(simulated, telemetry):
-    limit = simulated.max_rate_rad_s
-    return rates(simulated.vehicle, telemetry, max_rate_rad_s=limit, column_tests=True)
 
 
 def of_satellite(number, order):
@@ -53,7 +50,7 @@ def is_not_accused(result) -> bool:
 
 
 def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
-    named = fits_and_names(estimate(spinner, spinner.telemetry))
+    named = fits_and_names(estimate(spinner, column_tests=True))
     right = named.pop("the columns of panels -x and -y exchanged")
     at = np.argmin(np.abs(spinner.telemetry["time"].values - right["at_s"]))
     np.testing.assert_allclose(right["omega_deg_s"], np.degrees(spinner.omega[at]), atol=0.3)
@@ -63,11 +60,11 @@ def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fit
 
 def test_a_right_file_with_dark_columns_is_not_accused(spinner):
     power = spinner.telemetry["power_W"].values[:, [0, 1, 2, 4, 3, 5]]
-    result = estimate(spinner, spinner.telemetry.assign(power_W=(("time", "panel"), power)))
+    right = spinner.telemetry.assign(power_W=(("time", "panel"), power))
+    result = estimate(spinner._replace(telemetry=right), column_tests=True)
     assert is_not_accused(result)
-    omega = [result[f"omega_{axis}"].values[0, 0] for axis in "xyz"]
-    at = len(spinner.omega) // 2
-    assert np.degrees(np.linalg.norm(omega - spinner.omega[at])) < 0.5
+    off = printed_rates(result)[0][0] - spinner.omega[len(spinner.omega) // 2]
+    assert np.degrees(np.linalg.norm(off)) < 0.5
 
 
 def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
@@ -82,6 +79,30 @@ def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
     assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
     assert checked.attrs["column_tests_cut"] == 1
     assert "not every other order of columns was tried" in rates_words(checked)
+
+
+def test_of_several_passes_the_samples_of_the_longest_decided_one_choose_the_columns(
+    spinner, monkeypatch
+):
+    """The longest pass is not decided, and its samples would allow other columns."""
+    whole = spinner.telemetry
+    part = whole.isel(time=slice(16)).assign_coords(time=whole["time"].values[:16] + 1e5)
+    data = xr.concat([whole, part], "time")
+    assessment = assess(spinner.vehicle, data)
+    result = rates(spinner.vehicle, assessment, max_rate_rad_s=spinner.max_rate_rad_s)
+    assert result["samples"].values.tolist() == [24, 16]
+    asked = []
+    monkeypatch.setattr(
+        "sunspin.estimate.columns.better_rivals", lambda *given: asked.append(given[1:3])
+    )
+    for decided in ([True, True], [False, True]):
+        known = result.assign(decided=("pass_id", decided), fits=("pass_id", [True, True]))
+        check_columns(known, assessment, None, rates, RATES, Budget(1.0))
+    for samples, (compared, costs) in zip((24, 16), asked, strict=True):
+        assert compared.sizes["time"] == samples
+        expected = CostsOfSamples.of(spinner.vehicle, compared)
+        assert costs.as_written == expected.as_written
+        np.testing.assert_array_equal(costs.of_changes, expected.of_changes)
 
 
 def test_exchanged_lit_columns_are_named_with_the_true_rate_though_the_file_fits():
@@ -116,32 +137,43 @@ def test_a_pass_is_not_decided_if_other_columns_fit_a_little_better():
     _, result = of_satellite((7, 58), [2, 1, 0, 3, 4])
     assert not result["decided"].values.any()
     assert result["columns_checked"].values.tolist() == [COLUMNS_UNCHECKED]
-    words = "the data fit as well with the columns of panels +Y and -X exchanged"
+    words = "the data fit as well with the columns of panels +Y and -X exchanged: find out which"
     assert words in result.attrs["verdict"] and "CHECK" not in result.attrs["verdict"]
 
 
+def test_with_the_columns_that_fit_a_little_better_the_pass_is_decided_along_the_truth():
+    """The advice is to find out which columns are right: those of the simulator are."""
+    craft, result = of_satellite((7, 58), range(5))
+    assert is_not_accused(result)
+    (omega, *_), (sigma, *_) = printed_rates(result)
+    middle_s = (craft.t_s[0] + craft.t_s[-1]) / 2
+    truth = craft.omega[np.argmin(np.abs(craft.t_s - middle_s))]
+    assert (np.abs(omega - truth) < 4 * sigma).all()
+
+
 def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tests():
-    """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels."""
+    """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels.
+
+    The advice is to estimate with `column_tests=True`: it names the exchange.
+    """
     simulated = make("columns exchanged", 7, 4)
-    most = simulated.max_rate_rad_s
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=most)
-    assert result["fits"].values.all()
-    assert not result["decided"].values.any()
+    result = estimate(simulated)
+    assert result["fits"].values.all() and not result["decided"].values.any()
     assert SAMPLES_DENY in str(result["why_not_decided"].values[0])
-    assert "estimate with column tests" in result.attrs["columns_doubt"]
+    assert "estimate with `column_tests=True`" in result.attrs["columns_doubt"]
+    tested = estimate(simulated, column_tests=True)
+    named = [change["what"] for change in json.loads(tested.attrs["columns_changes"])]
+    assert f"the columns of panels {' and '.join(simulated.exchanged)} exchanged" in named
 
 
 def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():
     """Panels on four sides list both images; with one of them taken away the pass must not become unique."""
-    rng, omega = np.random.default_rng(4), np.array([0.02, -0.03, 0.04])
-    t_s = uneven_times(rng, 24, 12.0, 0.2)
-    data, _ = simulated_pass(FOUR_SIDES, omega, t_s, rng, albedo=0.0)
+    data, _ = tumbling_pass(FOUR_SIDES, 24, 12.0, seed=4)
     result = rates(FOUR_SIDES, data, max_rate_rad_s=0.15)
     assert result.sizes["solution"] >= 2 and result.attrs["symmetric_unlisted"] == 0
     yes, no_words = ("pass_id", [True]), ("pass_id", [""])
     alone = result.isel(solution=[0]).assign(unique=yes, decided=yes, why_not_decided=no_words)
-    assessment = assess(FOUR_SIDES, data)
-    checked = check_columns(alone, assessment, None, None, RATES, Budget(np.inf))
+    checked = check_columns(alone, assess(FOUR_SIDES, data), None, None, RATES, Budget(np.inf))
     assert checked.attrs["symmetric_unlisted"] == 1
     assert not checked["unique"].values.any() and not checked["decided"].values.any()
 

@@ -1,7 +1,5 @@
 """Draws along ridges against densities whose integral, weights and moments are known in closed form."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +15,7 @@ from sunspin.estimate.lander.target import Equations, MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
 from sunspin.solve.rotations import tangent_basis
+from tests.support.passes import slope_of
 
 RATE, TURN = np.array([2e-4, 1e-4, 3e-4]), 0.02
 """Sigmas of the rates (rad/s) about a ridge, and of the direction (rad)."""
@@ -180,7 +179,8 @@ def pair(weight: float) -> Bananas:
     return Bananas(omega, sun, np.array([weight, 1 - weight]))
 
 
-def drawn(target: Bananas, fit: ShotFit, seed: int = 0, **changes) -> Draws:
+def drawn(target: Bananas, fit: ShotFit | None = None, seed: int = 0, **changes) -> Draws:
+    fit = fit or target.fit([0])
     return sample(target, fit, np.random.default_rng(seed), replace(SAMPLING, **changes))
 
 
@@ -202,7 +202,7 @@ def moments(draws: Draws) -> tuple[float, float]:
 def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
     """The ridge is 8 mrad/s long, and as wide as 0.2."""
     target = one()
-    draws = drawn(target, target.fit([0]))
+    draws = drawn(target)
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
     assert draws.effective > 0.625 * len(draws) and draws.tail < 0.3 and draws.outside == 0.0
     mean, sigma = moments(draws)
@@ -218,11 +218,9 @@ def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
     """Evidence by quadrature; laws that know no bend leave fewer effective draws."""
     target = one(Tied)
     few = {"draws": 1000, "rounds": 6, "wanted": 1e9}
-    draws = drawn(target, target.fit([0]), **few)
-    straight = drawn(target, target.fit([0]), thin=0.0, **few)
+    draws, straight = drawn(target, **few), drawn(target, thin=0.0, **few)
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.06)
-    assert draws.effective > 1.5 * straight.effective
-    assert draws.effective > 1000
+    assert draws.effective > max(1000, 1.5 * straight.effective)
 
 
 def curve(n: int, seed: int = 0) -> np.ndarray:
@@ -234,15 +232,13 @@ def curve(n: int, seed: int = 0) -> np.ndarray:
 def test_a_bend_straightens_a_thin_curve_and_keeps_volumes():
     y = curve(4000)
     law = Bend.of(y, np.full(4000, 1 / 4000), SAMPLING)
-    assert law is not None
-    assert law.across.shape == (3, 1)
+    assert law is not None and law.across.shape == (3, 1)
     straight = law.straight(y)
     assert law.bent(straight) == pytest.approx(y, abs=1e-9)
     thinnest = np.sqrt(np.linalg.eigvalsh(np.cov(straight.T))[0])
     assert thinnest < 0.25 * np.sqrt(np.linalg.eigvalsh(np.cov(y.T))[0])
-    at, size = y[:1], 1e-6
-    columns = [(law.straight(at + size * e) - law.straight(at - size * e))[0] for e in np.eye(3)]
-    assert np.linalg.det(np.array(columns) / (2 * size)) == pytest.approx(1.0, abs=1e-6)
+    columns = [slope_of(lambda h: law.straight(y[:1] + h)[0], h, 1e-6) for h in 1e-6 * np.eye(3)]
+    assert np.linalg.det(np.array(columns)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_draws_that_are_round_or_few_have_no_bend():
@@ -321,25 +317,28 @@ def test_walkers_leave_proposals_that_are_too_narrow():
     target = one()
     narrow = drawn(target, target.fit([0], sharper=1000.0), rounds=1, defence=0.0)
     assert narrow.outside > 0.02
-    assert drawn(target, target.fit([0]), rounds=1).outside <= 0.02
+    assert drawn(target, rounds=1).outside <= 0.02
 
 
 def test_a_seed_gives_the_same_draws():
     target = one()
-    few = {"rounds": 2, "draws": 200}
-    first, again, other = (drawn(target, target.fit([0]), seed, **few) for seed in (1, 1, 2))
+    first, again, other = (drawn(target, seed=seed, rounds=2, draws=200) for seed in (1, 1, 2))
     assert np.array_equal(first.shots.omega, again.shots.omega)
     assert not np.array_equal(first.shots.omega, other.shots.omega)
 
 
-def test_coordinates_of_a_chart_are_inverse_to_its_motions():
-    target = pair(0.5)
+def charted(target):
+    """Return the chart about the first motion, and that motion."""
     fit = target.fit([0])
-    chart = Chart.about(target, fit.motions, np.linalg.inv(fit.curvature[0]), SAMPLING)
+    return Chart.about(target, fit.motions, np.linalg.inv(fit.curvature[0]), SAMPLING), fit.motions
+
+
+def test_coordinates_of_a_chart_are_inverse_to_its_motions():
+    chart, first = charted(pair(0.5))
     rng = np.random.default_rng(0)
     y = rng.normal(size=(50, chart.dimensions))
     z = 0.3 * rng.normal(size=(50, chart.stiff))
-    shots = chart.motions(y, z, np.tile(fit.motions.u, (50, 1)))
+    shots = chart.motions(y, z, np.tile(first.u, (50, 1)))
     back_y, back_z = chart.coordinates(shots)
     assert back_y == pytest.approx(y, abs=1e-9) and back_z == pytest.approx(z, abs=1e-9)
     # a step along a stiff coordinate, in the motion's own tangents, leads where the chart leads
@@ -353,22 +352,18 @@ def test_coordinates_of_a_chart_are_inverse_to_its_motions():
 
 
 def test_volume_of_a_chart_is_that_of_rates_and_solid_angle():
-    """The volume per unit of coordinates against differences of the motions."""
-    target = one()
-    fit = target.fit([0])
-    chart = Chart.about(target, fit.motions, np.linalg.inv(fit.curvature[0]), SAMPLING)
+    chart, first = charted(one())
     y, z = np.full((1, chart.dimensions), 0.2), np.full((1, chart.stiff), 0.4)
-    at = np.concatenate([y[:, : chart.softs], z], axis=1)
-    columns = []
-    for i in range(5):
-        ends = []
-        for sign in (1, -1):
-            moved = at + sign * 1e-5 * np.eye(5)[i]
-            along = np.concatenate([moved[:, : chart.softs], y[:, chart.softs :]], axis=1)
-            ends.append(chart.motions(along, moved[:, chart.softs :], fit.motions.u))
-        middle = chart.motions(y, z, fit.motions.u)
-        step = [end.from_centre(middle)[0, :5] for end in ends]
-        columns.append((step[0] - step[1]) / 2e-5)
+    middle = chart.motions(y, z, first.u)
+
+    def moved(step):
+        """Return rate and direction after a step of the coordinates, soft ones first."""
+        along = y.copy()
+        along[:, : chart.softs] += step[: chart.softs]
+        end = chart.motions(along, z + step[chart.softs :], first.u)
+        return end.from_centre(middle)[0, :5]
+
+    columns = [slope_of(moved, step, 1e-5) for step in 1e-5 * np.eye(5)]
     volume = np.log(abs(np.linalg.det(np.array(columns))))
     assert chart.log_volume(y, z)[0] == pytest.approx(volume, abs=1e-6)
 
@@ -379,10 +374,8 @@ def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
     region = np.arange(n) % len(region_at)
     omega = 1e-4 * rng.normal(size=(n, 3))
     omega[:, 0] += np.array(region_at)[region]
-    sun = np.tile([0.0, 0.0, 1.0], (n, 1))
-    shots = Shots(omega, sun, rng.normal(size=(n, 2)))
-    weight = np.full(n, evidence)
-    return Draws(shots, weight, np.zeros(n, int), region, float(n), 0.0, evidence)
+    shots = Shots(omega, np.tile([0.0, 0.0, 1.0], (n, 1)), rng.normal(size=(n, 2)))
+    return Draws(shots, np.full(n, evidence), np.zeros(n, int), region, float(n), 0.0, evidence)
 
 
 def test_models_are_weighed_by_evidence_and_prior():
@@ -411,12 +404,12 @@ def test_resampled_draws_are_proportional_to_the_weights():
 def test_readings_that_no_motion_explains_have_no_chance():
     """Six readings off by a sigma each are usual; off by six sigmas they come from no motion."""
     target = one()
-    fit = target.fit([0])
+    motion = target.fit([0]).motions
     for sigmas, low, high in ((1.0, 0.2, 0.8), (6.0, 0.0, 0.002)):
-        omega = np.tile(fit.motions.omega + sigmas * RATE, (100, 1))
+        omega = np.tile(motion.omega + sigmas * RATE, (100, 1))
         u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
         side = sigmas * TURN * np.array([[0.0, 0, 0, 1, 1, 0, 0]])
-        sun = np.tile(fit.motions.moved(side).sun, (100, 1))
+        sun = np.tile(motion.moved(side).sun, (100, 1))
         checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
         assert low <= checked.p <= high
 
@@ -432,7 +425,7 @@ class Mistaken(Bananas):
 def test_of_several_sets_of_reading_unknowns_one_is_kept_by_its_weight():
     """The proposals are wrong by 1.5 sigmas, so that the first or a random one of the sets would be too."""
     target = one(Mistaken)
-    few, many = (drawn(target, target.fit([0]), rounds=6, reading_draws=count) for count in (1, 16))
+    few, many = (drawn(target, rounds=6, reading_draws=count) for count in (1, 16))
     expected = (BRIGHT + 1.5 * READ) / (1 + READ**2)
     sigma = READ / np.hypot(READ, 1)
     kept = many.shots.u[:, 1]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.budget import Budget
+from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.chain import Chain, carried, fit
-from sunspin.estimate.copies import Outline, distinct
+from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.search import grown, search
 from sunspin.estimate.settings import AlternativeSettings, SearchSettings
@@ -23,6 +23,7 @@ from sunspin.estimate.starts import (
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
+from tests.support.vehicles import units
 
 SEARCH = SearchSettings()
 
@@ -36,33 +37,15 @@ def watched(deg_s, apart_s=20.0, count=20, sigma=0.03, max_deg_s=8.0, seed=0):
     moments = rng.uniform(0.8, 1.2, 3)
     body = Body(np.diag(moments / moments.mean()), np.zeros((0, 3, 3)))
     t_s = apart_s * np.arange(count)
-    axis = rng.normal(size=3)
-    omega = np.radians(deg_s) * axis / np.linalg.norm(axis)
+    omega = np.radians(deg_s) * units(rng.normal(size=3))
     attitude, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     attitude *= np.sign(np.linalg.det(attitude))
     still = Observations(t_s, np.zeros((count, 3)), ())
     model = Model(still, body, Noise(1e-4), np.radians(max_deg_s) / 2)
     truth = carried(model, 0, attitude[None], omega[None])
-    sun = truth.sun_B[0] + sigma * rng.normal(size=(count, 3))
-    sun /= np.linalg.norm(sun, axis=1, keepdims=True)
+    sun = units(truth.sun_B[0] + sigma * rng.normal(size=(count, 3)))
     term = SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (count, 1, 1)))
     return replace(model, obs=replace(still, terms=(term,))), truth
-
-
-def found(model, s=SEARCH):
-    """Return the motions that a search finds."""
-    return search(Chain(model, s), pair_starts(model, s), s, Budget(np.inf), pairs_to_try(model, s))
-
-
-def holds(motions, truth, apart_rad=0.35):
-    """Return whether one of the motions turns as the truth does from the middle of the stretch to both ends, in its basin."""
-    t_s = 20.0 * np.arange(truth.omega.shape[1])
-    outline = Outline.of(truth, t_s)
-    others = Outline.of(motions, t_s)
-    far = np.linalg.norm(others.whole - outline.whole[0], axis=-1).max(axis=1)
-    sigma = np.sqrt(np.einsum("knii->kni", motions.covariance[..., 3:, 3:]))
-    pull = (np.abs(motions.omega - truth.omega) / sigma).max(axis=(1, 2))
-    return bool(((far < apart_rad) | (pull < 4)).any())
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.3, 2.0, np.pi])
@@ -83,11 +66,9 @@ def test_every_turn_between_two_directions_has_a_start_in_its_basin(whole):
     """Also nearly whole turns about any axis, which leave a direction where it is."""
     rng, dt, rate_max = np.random.default_rng(5), 20.0, 0.6
     for _ in range(100):
-        omega = rng.normal(size=3)
+        axis = units(rng.normal(size=3))
         size = (2 * np.pi + 0.1 * rng.normal()) / dt if whole else rate_max * rng.random()
-        omega *= size / np.linalg.norm(omega)
-        first = rng.normal(size=3)
-        first /= np.linalg.norm(first)
+        omega, first = size * axis, units(rng.normal(size=3))
         second = rotate_attitude(np.eye(3), omega * dt) @ first
         rates = constant_rates(first, second, dt, rate_max, SEARCH.step_rad)
         if first @ second > np.cos(0.5):
@@ -107,9 +88,18 @@ def test_a_search_from_a_grid_begins_at_one_pair_if_a_magnetometer_determines_wh
 
 
 def test_more_turns_than_can_be_tried_are_refused():
-    model, _ = watched(2.0)
+    fast, s = replace(watched(2.0)[0], rate_sigma=100.0), SEARCH
     with pytest.raises(InputError, match="too many whole turns"):
-        found(replace(model, rate_sigma=100.0))
+        search(Chain(fast, s), pair_starts(fast, s), s, Budget(np.inf), pairs_to_try(fast, s))
+
+
+def test_a_budget_that_is_spent_says_that_something_was_left_out():
+    budget = Budget.of(2.0)
+    budget.spend(USUAL)
+    assert not budget.exhausted() and not budget.cut
+    budget.spend(USUAL)
+    assert budget.exhausted() and budget.cut
+    assert Budget.of(np.inf).most == np.inf
 
 
 def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate():

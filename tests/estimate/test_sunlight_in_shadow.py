@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
@@ -25,7 +24,7 @@ from sunspin.vehicle.sensors import Sensors, SunSensor
 from tests.support.flights import CUBE, RELATIVE
 from tests.support.flights import Flight as Simulated
 from tests.support.orbit_cases import with_few_copies
-from tests.support.orbits import EPOCH, with_check_digit
+from tests.support.orbits import with_check_digit
 from tests.support.vehicles import CUBE_NORMALS
 
 SEEDS = (0, 1, 5)
@@ -41,8 +40,8 @@ class Flight(Simulated):
 
 @pytest.mark.parametrize("late_s", [0.0, 10.0, -10.0])
 def test_right_elements_with_a_clock_off_by_seconds_do_not_contradict_the_light(late_s):
-    for seed in range(2):
-        flight = Flight(seed, step_s=5.0 if seed % 2 else 20.0)
+    for seed, step_s in ((0, 20.0), (1, 5.0)):
+        flight = Flight(seed, step_s=step_s)
         data = flight.telemetry(late_s, albedo=0.3)
         assert not flight.against(data).samples
         assert clear_sun(assess(CUBE, data))[1].sum() > 100
@@ -133,12 +132,10 @@ def test_a_sun_sensor_that_freezes_in_the_shadow_contradicts_nothing():
         for k, face in enumerate(CUBE_NORMALS)
     )
     craft = Vehicle("cube", sensors=Sensors(sun_sensors=sensors))
-    flag = ("time", np.zeros(len(read), dtype=np.uint8))
-    attrs = {"epoch_utc": EPOCH.isoformat() + "Z", "synthetic": 1}
+    data = flight.dataset(np.zeros((len(read), len(CUBE_NORMALS)))).drop_dims("panel")
     for directions in (read, frozen):
-        variables = {"sun_sensor_B": (("time", "axis"), directions), "flag": flag}
-        data = xr.Dataset(variables, {"time": flight.t}, attrs)
-        assert not flight.against(data, craft).samples
+        seen = data.assign(sun_sensor_B=(("time", "axis"), directions))
+        assert not flight.against(seen, craft).samples
 
 
 TLE = """MYCUBE
@@ -179,11 +176,10 @@ def test_check_reports_elements_that_do_not_fit_and_rates_ignore_them(satellite)
 
 
 def test_the_advice_to_correct_the_clock_makes_the_elements_usable(satellite):
-    minutes = run("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle").output
-    behind, ahead = (
-        60 * int(re.search(rf"(\d+) min or more if it is {side} UTC", minutes)[1])
-        for side in ("behind", "ahead of")
-    )
+    checked = ("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle")
+    minutes = run(*checked).output
+    sides = (rf"(\d+) min or more if it is {side} UTC" for side in ("behind", "ahead of"))
+    behind, ahead = (60 * int(re.search(side, minutes)[1]) for side in sides)
     # the vehicle file says by how much UTC is ahead of the clock
     for clock_s in (behind + 180, -ahead - 180):
         text = (satellite / "vehicle.toml").read_text("utf-8")
@@ -191,11 +187,8 @@ def test_the_advice_to_correct_the_clock_makes_the_elements_usable(satellite):
         (satellite / "clock.toml").write_text(text, "utf-8")
         done = run("check", "clock.toml", "telemetry.csv", "--tle", "my.tle", "--json")
         assert json.loads(done.stdout)["orbit"]["verdict"] != "refused"
-    off_s = min(behind, ahead)
-    wider = run(
-        *("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"),
-        *("--tle-shift-sigma", str((off_s + 90) / ORBIT.span), "--json"),
-    )
+    sigma = str((min(behind, ahead) + 90) / ORBIT.span)
+    wider = run(*checked, "--tle-shift-sigma", sigma, "--json")
     assert json.loads(wider.stdout)["orbit"]["verdict"] != "refused"
 
 

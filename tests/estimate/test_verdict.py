@@ -21,22 +21,15 @@ from sunspin.estimate.verdict import (
 SOUND = {"Sun": Misfit(40, 0.0, 1.0)}
 
 
-def said(
-    omega=(1.0, 0.0, 0.0),
-    sigma=(0.1, 0.1, 0.1),
-    rate_sigma=1.0,
-    probability=(1.0,),
-    misfits=SOUND,
-    explained=True,
-    cure="",
-):
+def said(omega=(1.0, 0.0, 0.0), sigma=(0.1,) * 3, rate_sigma=1.0, probability=(1.0,), **checks):
     """Return the answers for solutions (K, 3) with independent components, the first of which is another one than the rest."""
+    checks = {"misfits": SOUND, "explained": True, "cure": ""} | checks
     omega, sigma = np.atleast_2d(omega), np.atleast_2d(sigma)
     covariance = np.stack([np.diag(one**2) for one in sigma])
     first = np.arange(len(omega)) == 0
     shares = np.array(probability)
     motions = AtOnce(shares, omega, covariance, first)
-    return answers(motions, rate_sigma, misfits, explained, cure)
+    return answers(motions, rate_sigma, **checks)
 
 
 TWO = {"omega": np.eye(3)[[0, 0]], "sigma": np.full((2, 3), 0.1), "probability": (0.8, 0.2)}

@@ -52,12 +52,7 @@ def test_a_tumbling_body_is_not_accused_and_a_driven_one_is():
     assert said(BODY, driven, t_s, sigma=0.05) == ""
     assert said(BODY, driven[5:7], t_s[5:7]) == "" and FEWEST_WINDOWS > 2
     assert said(BODY, driven, t_s, fits=np.arange(12) % 3 > 0) == ""
-
-
-def test_an_uncertain_inertia_allows_more():
-    t_s = np.linspace(0.0, 900.0, 12)
-    driven, _ = spin(START, t_s)
-    driven[6:] *= 1.3
+    # an uncertain inertia allows more
     assert said(Vehicle("no inertia"), driven, t_s) == ""
     assert said(Vehicle("no inertia"), driven * np.where(t_s < 450, 0.1, 1.0)[:, None], t_s)
 
@@ -70,12 +65,10 @@ def test_a_wheel_whose_speed_is_known_is_counted_in():
     speed = np.where(t_s < 45, 0.0, 6.0)
     omega = np.zeros((10, 3))
     omega[:, 2] = (MOMENTS[2] * 0.04 - 1e-4 * speed) / MOMENTS[2]
-    telemetry = xr.Dataset(
-        {"wheel_speed_rad_s": (("time", "wheel"), speed[:, None])}, {"time": t_s}
-    )
-    part = table(omega, t_s)
-    assert short_windows._as_no_free_body(vehicle, telemetry, part) == ""
-    assert short_windows._as_no_free_body(vehicle, telemetry.drop_vars("wheel_speed_rad_s"), part)
+    unread, part = xr.Dataset(coords={"time": t_s}), table(omega, t_s)
+    read = unread.assign(wheel_speed_rad_s=(("time", "wheel"), speed[:, None]))
+    assert short_windows._as_no_free_body(vehicle, read, part) == ""
+    assert short_windows._as_no_free_body(vehicle, unread, part)
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,22 @@
-"""What a posterior says: by the probabilities of solutions, the quality of the draws, and the predictive check."""
-
-from __future__ import annotations
+"""What a posterior says and lists: by the probabilities of solutions, the quality of the draws, and the predictive check."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from sunspin.estimate.lander.verdict import Findings, accused_panels, dark_stretch, posterior_words
+from sunspin.estimate.lander.mixture import First
+from sunspin.estimate.lander.tree import _listed, _of_proposed
+from sunspin.estimate.lander.verdict import (
+    PosteriorFindings,
+    accused_panels,
+    dark_stretch,
+    posterior_words,
+)
 
-GOOD = Findings(
+GOOD = PosteriorFindings(
     probability=np.array([1.0]),
     rate=np.array([[0.1, 0.0, 0.0]]),
     length=np.array([1e-3]),
@@ -27,7 +34,7 @@ GOOD = Findings(
 )
 
 
-def aliases(*probability: float, apart: float = 0.1) -> Findings:
+def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
     """Return findings of solutions with these probabilities, `apart` (rad/s) from one to the next along x."""
     count = len(probability)
     rate = np.stack([apart * np.arange(1, count + 1), np.zeros(count), np.zeros(count)], axis=1)
@@ -90,3 +97,28 @@ def test_the_longest_stretch_without_light_is_named_from_three_samples_on():
     lit = np.array([True, False, False, True, False, False, False, True])
     assert dark_stretch(t_s, lit) == "no panel lit from 40 to 60 s (3 samples)"
     assert dark_stretch(t_s, lit | (t_s == 50.0)) == ""
+
+
+@pytest.mark.parametrize(
+    ("share", "effective", "count"),
+    [(0.005, 5.0, 1), (0.005, 11.0, 2), (0.02, 5.0, 2), (5e-5, 400.0, 1)],
+)
+def test_a_solution_of_few_draws_is_listed_only_with_a_large_probability(share, effective, count):
+    """At least 1e-4; below 1 % it must rest on ten draws."""
+    mix: Any = SimpleNamespace(
+        share=np.array([1 - share, share]), effective=lambda region: (500.0, effective)[region]
+    )
+    assert _listed(mix) == count
+
+
+def test_a_solution_with_too_few_draws_has_the_spread_of_the_proposal():
+    """One draw alone would have a sigma of zero; where next to nothing was proposed, that of the prior is left."""
+    omega = 0.02 * np.random.default_rng(0).standard_normal((3000, 3))
+    none = np.zeros((3000, 0))
+    mix: Any = SimpleNamespace(first=lambda index: First(omega[index], omega[index], none, none))
+    spread = _of_proposed(mix, np.arange(3000), np.array([0.01, 0.0, 0.0]), 0.5)
+    expected = 0.02**2 * np.eye(3)
+    expected[0, 0] += 0.01**2
+    np.testing.assert_allclose(spread, expected, atol=3e-5)
+    few = _of_proposed(mix, np.arange(9), np.zeros(3), 0.5)
+    np.testing.assert_allclose(few, 0.25 * np.eye(3))

@@ -35,19 +35,14 @@ def test_philae_rests_on_three_legs_and_panels_share_corners():
     assert shape.facet_kind[standing[0]] == 0
     upside_down = c.rest_facet(shape, np.array([[0.0, 0.0, -1.0]]))
     assert shape.facet_kind[upside_down[0]] == 1
-    assert c.is_leg_lowest(shape, np.array([0.0, 0.0, 1.0])) and not c.is_leg_lowest(
-        shape, np.array([0.0, 0.0, -1.0])
-    )
+    assert c.is_leg_lowest(shape, np.array([0.0, 0.0, 1.0]))
+    assert not c.is_leg_lowest(shape, np.array([0.0, 0.0, -1.0]))
 
 
 def test_a_hull_corner_at_a_leg_tip_counts_as_leg_and_others_as_body():
-    panel = Panel("top", [0, 0, 1], 1.0)
-    vehicle = Vehicle(
-        "v",
-        panels=[panel],
-        legs=[Leg("a", BOX[0])],
-        hull=[HullPart("lid", BOX[1:3], "top"), HullPart("b", BOX)],
-    )
+    panels, parts = [Panel("top", [0, 0, 1], 1.0)], [HullPart("lid", BOX[1:3], "top")]
+    parts.append(HullPart("b", BOX))
+    vehicle = Vehicle("v", panels=panels, legs=[Leg("a", BOX[0])], hull=parts)
     shape = c.build_shape(vehicle)
     assert len(shape.points_B_m) == 8
     assert sorted(shape.kind) == [0, 1, 1, 2, 2, 2, 2, 2]
@@ -58,9 +53,8 @@ def test_a_centred_box_rests_on_the_face_below_its_centre_of_mass():
     assert len(shape.outward_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
     up = unit(np.random.default_rng(2).normal(size=(300, 3)))
     facet = c.rest_facet(shape, up)
-    expected = np.argmax(
-        np.abs(up) / [1, 2, 3], axis=1
-    )  # the face that the ray from the centre leaves through
+    # the face that the ray from the centre leaves through
+    expected = np.argmax(np.abs(up) / [1, 2, 3], axis=1)
     np.testing.assert_array_equal(np.argmax(np.abs(shape.outward_B[facet]), axis=1), expected)
     assert np.all(np.sum(shape.outward_B[facet] * -up, axis=1) > 0)
 
@@ -129,21 +123,17 @@ def test_the_contact_of_a_rotating_rod_agrees_with_a_dense_search():
     assert np.all(late > -2e-3) and np.max(late) < 0.4 / c.REFINE + 1e-2
 
 
+NO_POINTS = "points_B_m of hull part 'a' must be points of three finite numbers"
+NO_CONE = "opening_rad must be an angle above 0 and at most 2 pi"
+NO_PANEL = "hull part 'a' names a panel that the vehicle does not have"
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (
-            lambda: HullPart("a", [[1, 2]]),
-            "points_B_m of hull part 'a' must be points of three finite numbers",
-        ),
-        (
-            lambda: ss.Antenna([0, 0, 1], 7.0),
-            "opening_rad must be an angle above 0 and at most 2 pi",
-        ),
-        (
-            lambda: Vehicle("v", hull=[HullPart("a", BOX, "7")]),
-            "hull part 'a' names a panel that the vehicle does not have",
-        ),
+        (lambda: HullPart("a", [[1, 2]]), NO_POINTS),
+        (lambda: ss.Antenna([0, 0, 1], 7.0), NO_CONE),
+        (lambda: Vehicle("v", hull=[HullPart("a", BOX, "7")]), NO_PANEL),
         (lambda: Vehicle("v", hull=[HullPart("a", BOX)] * 2), "two hull share the name 'a'"),
     ],
 )
@@ -161,7 +151,6 @@ def test_antenna_and_walls_of_philae_are_those_of_the_paper():
         if part.panel:
             normal = case.vehicle.panels[case.vehicle.panel_names.index(part.panel)].normal_B
             heights = part.points_B_m @ normal
-            assert np.ptp(heights) < 2e-3 and np.all(
-                heights > 0
-            )  # each panel is flat and faces as its normal says
+            # each panel is flat and faces as its normal says
+            assert np.ptp(heights) < 2e-3 and np.all(heights > 0)
     assert replace(case.vehicle, hull=()).hull == ()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.dynamics.batch import Rows
@@ -34,29 +35,16 @@ def test_a_chain_of_kernel_runs_agrees_with_the_reference_schedule(name):
     momentum = fly(vehicle, start, SCHEDULES[name], 0.0, np.array([1e-3])).momentum_B[:, 0]
     carried = transfer_directions(fixed, (momentum, start.sun_B), (track.momentum_B, track.sun_B))
     for i in range(len(start)):
-        run = ss.propagate(
-            vehicle,
-            start.omega_B[i],
-            SUN,
-            865.0,
-            [0.0, *times],
-            wheel_mode=list(SCHEDULES[name]),
-            rtol=1e-11,
-        )
-        np.testing.assert_allclose(track.sun_B[i], run["sun_B"].values[1:], atol=2e-2)
-        np.testing.assert_allclose(track.omega_B[i], run["omega_B"].values[1:], atol=1e-2)
-        np.testing.assert_allclose(
-            track.wheel_speed_rad_s[i], run["wheel_speed_rad_s"].values[1:], atol=0.02
-        )
-        x, y, z, w = run["B_from_N"].values[1:].T
-        image = np.stack(
-            [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=-1
-        )  # of N's first axis
+        flight = start.omega_B[i], SUN, 865.0, [0.0, *times]
+        run = ss.propagate(vehicle, *flight, wheel_mode=list(SCHEDULES[name]), rtol=1e-11)
+        for key, tolerance in (("sun_B", 2e-2), ("omega_B", 1e-2), ("wheel_speed_rad_s", 0.02)):
+            found = getattr(track, key)[i]
+            np.testing.assert_allclose(found, run[key].values[1:], atol=tolerance)
+        # of N's first axis
+        image = Rotation.from_quat(run["B_from_N"].values[1:]).apply([1.0, 0.0, 0.0])
         first = np.tile([1.0, 0.0, 0.0], (6, 1))
-        got = transfer_directions(first, (momentum, start.sun_B), (track.momentum_B, track.sun_B))[
-            i
-        ]
-        np.testing.assert_allclose(got, image, atol=5e-2)
+        turned = (momentum, start.sun_B), (track.momentum_B, track.sun_B)
+        np.testing.assert_allclose(transfer_directions(first, *turned)[i], image, atol=5e-2)
     np.testing.assert_allclose(np.linalg.norm(carried, axis=-1), 1.0, atol=1e-9)
 
 
@@ -76,15 +64,8 @@ def test_shares_of_time_agree_with_a_dense_track_and_sum_to_one():
     assert not outcome.any()
     t = np.arange(0.0, 1400.0, 0.25)
     for i in range(3):
-        run = ss.propagate(
-            vehicle,
-            start.omega_B[i],
-            SUN,
-            865.0,
-            t,
-            wheel_mode=list(SCHEDULES["delayed"]),
-            rtol=1e-9,
-        )
+        flight, schedule = (start.omega_B[i], SUN, 865.0, t), list(SCHEDULES["delayed"])
+        run = ss.propagate(vehicle, *flight, wheel_mode=schedule, rtol=1e-9)
         dense = np.histogram(run["sun_B"].values[:, 2], 80, (-1, 1))[0] / t.size
         assert np.abs(np.cumsum(share[i]) - np.cumsum(dense)).max() < 0.01
 
@@ -95,7 +76,6 @@ def test_shares_of_time_weigh_each_part_of_the_flight_by_its_duration():
     craft = Vehicle("wheel on x", np.diag([3.0, 2.5, 2.0]), wheels=[wheel])
     start = Rows(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([[100.0]]))
     share, _ = rz_time_shares(craft, start, SCHEDULES["delayed"], 0.0, 1000.0, 80)
-    moved = np.sqrt(
-        2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4
-    )  # s until r_z leaves the highest bin
+    # s until r_z leaves the highest bin
+    moved = np.sqrt(2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4)
     assert share[0, -1] == pytest.approx((700 + moved) / 1000, abs=0.01)

@@ -62,7 +62,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         with small():
-            reproduction.reproduce(folder, coarser=25, calibrate=REBOUNDS, posterior=False)
+            reproduction.reproduce(folder, **SMALL_STUDY)
 
     return shared_folder(tmp_path_factory, "study", make)
 
@@ -83,18 +83,15 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for k in (k for k, column in enumerate(names) if column.endswith("_W")):
                 table[at, k] = table[rng.permutation(at), k]
         telemetry = root / "shuffled.csv"
-        telemetry.write_text(
-            "\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8"
-        )
+        text = "\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n"
+        telemetry.write_text(text, "utf-8")
         with small():
-            reproduction.reproduce(
-                root / "results", telemetry, coarser=25, calibrate=REBOUNDS, posterior=False
-            )
+            reproduction.reproduce(root / "results", telemetry, **SMALL_STUDY)
 
     return shared_folder(tmp_path_factory, "shuffled", make) / "results"
 
 
-REBOUNDS = 30
+SMALL_STUDY = {"coarser": 25, "calibrate": 30, "posterior": False}
 """Synthetic rebounds of the calibration: enough for a 90 % level."""
 
 
@@ -109,9 +106,8 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
         def sunspin(*arguments: str) -> None:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(
-                    sys, "argv", ["sunspin", *arguments]
-                )  # kept with the results as the line that repeats them
+                # kept with the results as the line that repeats them
+                patch.setattr(sys, "argv", ["sunspin", *arguments])
                 if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
                     patch.setattr(figures, "render", blank)
                 done = run.invoke(cli, arguments, catch_exceptions=False)
@@ -120,9 +116,8 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         sunspin("init", str(root / "mine"))
         vehicle, telemetry = root / "mine" / "vehicle.toml", root / "mine" / "telemetry.csv"
         text = vehicle.read_text("utf-8").replace('name = "my satellite"', f"name = '{HOSTILE}'")
-        text = text.replace(
-            "# acceleration_noise = 1e-5", "acceleration_noise = 1e-5"
-        )  # finding it takes as long again
+        # finding it takes as long again
+        text = text.replace("# acceleration_noise = 1e-5", "acceleration_noise = 1e-5")
         assert HOSTILE in text and "\nacceleration_noise" in text
         vehicle.write_text(text, "utf-8")
         lines = telemetry.read_text("utf-8").splitlines(keepends=True)
@@ -132,27 +127,14 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         sunspin("rates", *data, "--max-rate-deg-s", "5", "--out", str(root / "rates"))
         grid = [f"--omega-{axis}-deg-s=-6:6:3" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
-        known = [
-            f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed", "steady_torque")
-        ]
-        sunspin(
-            "posterior",
-            *data,
-            "--prior=max_rate_rad_s=0.1",
-            *known,
-            "--draws=200",  # half the time of the default
-            "--predict=0,600",
-            "--out",
-            str(root / "posterior"),
-        )
-        motion = "--omega-deg-s", "1.146,-1.719,2.865", "--sun", "0.5,0.4,0.768"
-        sunspin(
-            "simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate")
-        )
-        sunspin(
-            *"outcomes philae --runs 20 --strategy off --strategy held --out".split(),
-            str(root / "outcomes"),
-        )
+        known = [f"--prior={key}=0" for key in "inertia friction wheel_speed steady_torque".split()]
+        # half the draws of the default take half the time
+        few = "--prior=max_rate_rad_s=0.1", "--draws=200", "--predict=0,600"
+        sunspin("posterior", *data, *known, *few, "--out", str(root / "posterior"))
+        motion = "--omega-deg-s=1.146,-1.719,2.865", "--sun=0.5,0.4,0.768", "--duration=300"
+        sunspin("simulate", str(vehicle), *motion, "--out", str(root / "simulate"))
+        runs = "outcomes philae --runs 20 --strategy off --strategy held --out".split()
+        sunspin(*runs, str(root / "outcomes"))
         for name in RUNS:
             sunspin("report", str(root / name))
 

@@ -68,17 +68,10 @@ def studies(tmp_path):
         ["It turned once in 8.6 min.", f"It fits {share}% of 2.5 or so.", "Same."]
         for share in (73, 58)
     ]
-    changes = ["wheel.speed_rad_s = 833"]
+    second = {"headline": headlines[1], "changes": ["wheel.speed_rad_s = 833"]}
     return (
         folder(tmp_path / "a", "reproduce", figures=a, inputs=inputs, headline=headlines[0]),
-        folder(
-            tmp_path / "b",
-            "reproduce",
-            figures=b,
-            inputs=inputs,
-            headline=headlines[1],
-            changes=changes,
-        ),
+        folder(tmp_path / "b", "reproduce", figures=b, inputs=inputs, **second),
     )
 
 

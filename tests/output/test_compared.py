@@ -39,26 +39,20 @@ def drawn_result(seed: int, frame: str = "J2000") -> tuple[xr.Dataset, Rotation,
     error = rng.normal(size=(SIZE, 3)) * SUN_SIGMA / np.sqrt(2)
     error += sun * (rng.normal(size=(SIZE, 1)) * TURN_SIGMA - np.sum(error * sun, 1, keepdims=True))
     attitude = Rotation.from_rotvec(error) * truth
+    covariance = np.tile(RATE_SIGMA**2 * np.eye(3), (SIZE, 1, 1))
+    attrs = {"kind": "rates", "frame_N": frame, "vehicle": "a cube"}
     data = xr.Dataset(
         {
             "B_from_N": (("time", "quaternion"), attitude.as_quat()),
             "omega_B": (("time", "axis"), omega + RATE_SIGMA * rng.normal(size=omega.shape)),
-            "omega_cov_B": (
-                ("time", "axis", "axis2"),
-                np.tile(RATE_SIGMA**2 * np.eye(3), (SIZE, 1, 1)),
-            ),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance),
             "sun_B": (("time", "axis"), attitude.apply([0.0, 0.0, 1.0])),
             "sun_sigma_rad": ("time", np.full(SIZE, SUN_SIGMA)),
             "pass_of": ("time", np.repeat([0, 1], SIZE // 2)),
             "decided": ("pass_id", np.array([True, True])),
         },
         {"time": np.arange(SIZE) * 10.0, "pass_id": [0, 1]},
-        {
-            "kind": "rates",
-            "frame_N": frame,
-            "vehicle": "a cube",
-            "epoch_utc": "2026-01-01T00:00:00Z",
-        },
+        attrs | {"epoch_utc": "2026-01-01T00:00:00Z"},
     )
     if frame == "J2000":
         data = data.assign(turn_sigma_rad=("time", np.full(SIZE, TURN_SIGMA)))
@@ -79,11 +73,9 @@ def test_differences_of_rates_over_their_joint_sigma_have_mean_square_one(vehicl
     np.testing.assert_allclose(rms, 1.0, atol=0.12)
     np.testing.assert_allclose(found["compared_rate_difference"], result["omega_B"] - omega - noise)
     entries, lines = compared_summary(found)
-    assert entries["compared"]["rate"]["readings"] == SIZE
-    assert "300 readings in decided passes" in lines[0]
-    np.testing.assert_allclose(
-        entries["compared"]["rate"]["rms_deg_s"], np.hypot(0.08, 0.1), rtol=0.1
-    )
+    entry = entries["compared"]["rate"]
+    assert entry["readings"] == SIZE and "300 readings in decided passes" in lines[0]
+    np.testing.assert_allclose(entry["rms_deg_s"], np.hypot(0.08, 0.1), rtol=0.1)
 
 
 @pytest.mark.parametrize(
@@ -142,9 +134,8 @@ def test_passes_that_are_not_decided_are_listed_but_do_not_count(vehicle):
     result, _, omega = drawn_result(9)
     result["decided"] = ("pass_id", np.array([True, False]))
     wrong = omega + np.where(result["pass_of"].values[:, None] == 1, 1.0, 0.0)
-    found = compare_with(
-        result, parse_withheld("x,y,z:rad/s", vehicle), readings(result, wrong, "axis")
-    )
+    read = readings(result, wrong, "axis")
+    found = compare_with(result, parse_withheld("x,y,z:rad/s", vehicle), read)
     entry = compared_summary(found)[0]["compared"]["rate"]
     assert entry["readings"] == SIZE // 2 and max(entry["rms_deg_s"]) < 0.2
     (table,) = compared_tables(found)
@@ -166,9 +157,8 @@ def test_a_sensor_whose_readings_are_older_is_compared_at_the_time_of_its_readin
     read = readings(result, (rate - 4e-6)[:, None] * [0, 0, 1], "axis")
     found = compare_with(result, withheld, read)["compared_rate_difference"].values
     np.testing.assert_allclose(found[np.isfinite(found).all(axis=1)], 0.0, atol=1e-8)
-    assert (
-        np.isfinite(found).all(axis=1).sum() == SIZE - 2
-    )  # the first sample of each pass has no motion before it
+    # the first sample of each pass has no motion before it
+    assert np.isfinite(found).all(axis=1).sum() == SIZE - 2
 
 
 @pytest.mark.parametrize(
@@ -227,13 +217,11 @@ def test_the_estimate_does_not_use_the_sensor_with_which_it_is_compared(
 ):
     monkeypatch.chdir(place)
     run, declared = CliRunner(), ["rates", "gyro.toml", *RATES[2:]]
+    both = "--compare wx,wy,wz:deg/s+-0.2 --compare q0,q1,q2,q3:first --out columns".split()
     for arguments in (
         [*declared, "--without", "gyro", "--out", "without"],
         [*declared, "--compare", "gyro", "--out", "withheld"],
-        [
-            *RATES,
-            *"--compare wx,wy,wz:deg/s+-0.2 --compare q0,q1,q2,q3:first --out columns".split(),
-        ],
+        [*RATES, *both],
     ):
         done = run.invoke(cli, arguments)
         assert done.exit_code == 0, done.output
@@ -250,9 +238,8 @@ def test_the_estimate_does_not_use_the_sensor_with_which_it_is_compared(
     assert "withheld rates (wx, wy, wz): 40 readings" in done.output
     assert "a constant rotation of each pass is removed" in done.output
     page = run.invoke(cli, ["report", "columns"])
-    assert page.exit_code == 0 and "Sensors that were withheld" in (
-        place / "columns" / "report.html"
-    ).read_text("utf-8")
+    html = (place / "columns" / "report.html").read_text("utf-8")
+    assert page.exit_code == 0 and "Sensors that were withheld" in html
 
 
 def test_missing_columns_and_two_comparisons_of_a_kind_are_refused(place, monkeypatch):
@@ -265,12 +252,10 @@ def test_missing_columns_and_two_comparisons_of_a_kind_are_refused(place, monkey
         options = [part for text in compared for part in ("--compare", text)]
         done = CliRunner().invoke(cli, [*RATES, *options])
         assert isinstance(done.exception, ss.SunspinError) and says in str(done.exception)
-    done = CliRunner().invoke(
-        cli, ["rates", "gyro.toml", *RATES[2:], "--compare", "wx,wy,wz:deg/s"]
-    )
-    assert isinstance(done.exception, InputError) and "which the estimate uses" in str(
-        done.exception
-    )
+    words = ["rates", "gyro.toml", *RATES[2:], "--compare", "wx,wy,wz:deg/s"]
+    done = CliRunner().invoke(cli, words)
+    assert isinstance(done.exception, InputError)
+    assert "which the estimate uses" in str(done.exception)
 
 
 def test_stored_telemetry_is_not_compared_with_the_sensor_that_it_holds(vehicle, tmp_path):

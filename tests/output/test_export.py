@@ -86,17 +86,15 @@ def test_another_library_reads_the_attitude_message(form, result, tmp_path):
     assert len(segments) == 2 and segments[0].metadata.ref_frame_a == LOCAL_FRAME
     state = segments[0].data.attitude_state[1]
     q = (state.quaternion_state if form == "1.0" else state.quaternion_ephemeris).quaternion
-    assert (
-        np.abs(matrix_of_standard([q.q1, q.q2, q.q3, q.qc]) - body_from_n(result)[1]).max() < 1e-9
-    )
+    rotation = matrix_of_standard([q.q1, q.q2, q.q3, q.qc])
+    assert np.abs(rotation - body_from_n(result)[1]).max() < 1e-9
 
 
 def test_a_celestial_frame_is_refused_without_a_second_direction(result):
     with pytest.raises(ss.InputError, match="axes are those of the body at the start of the run"):
         build_attitude(result, "EME2000")
-    with pytest.raises(
-        ss.InputError, match="rotation about it is arbitrary.*an orbit and a magnetometer"
-    ):
+    words = "rotation about it is arbitrary.*an orbit and a magnetometer"
+    with pytest.raises(ss.InputError, match=words):
         build_attitude(result.assign_attrs(frame_N="sun_z_local"), "EME2000")
     known = result.assign_attrs(celestial_frame="EME2000")
     assert build_attitude(known, "EME2000").frame == "EME2000"
@@ -154,14 +152,9 @@ def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reac
 
 
 @pytest.mark.parametrize(
+    # J2000 is 64.184 s before noon UTC, less a periodic term; TDB - UTC of the landing kernel is 67.184 s
     ("utc", "et"),
-    [
-        (
-            "2000-01-01T12:00",
-            64.183927,
-        ),  # known: J2000 is 64.184 s before noon UTC, less a periodic term
-        ("2014-11-12T15:34:04", 469078511.183),  # 67.184 s of TDB - UTC, as of the landing kernel
-    ],
+    [("2000-01-01T12:00", 64.183927), ("2014-11-12T15:34:04", 469078511.183)],
 )
 def test_ephemeris_time_of_a_utc_is_the_known_one(utc, et):
     assert ephemeris_time(utc) == pytest.approx(et, abs=2e-3)
@@ -183,12 +176,8 @@ def sparse():
         curve_pass_of=("curve_time", (np.arange(67) >= 36).astype(int)),
     ).assign_coords(curve_time=curve["time"].values)
     keep = np.delete(np.arange(67), range(31, 36))  # no curve between the passes
-    run.attrs |= {
-        "epoch_utc": "2014-11-12T15:34:04Z",
-        "vehicle": "made up",
-        "frame_N": "sun_z_local",
-    }
-    return run.isel(curve_time=keep)
+    run.attrs |= {"epoch_utc": "2014-11-12T15:34:04Z", "vehicle": "made up"}
+    return run.isel(curve_time=keep).assign_attrs(frame_N="sun_z_local")
 
 
 @pytest.mark.parametrize("form", ["1.0", "2.0", "xml"])
@@ -228,25 +217,16 @@ def test_a_motion_too_coarse_to_interpolate_is_refused_in_one_sentence(sparse):
 
 @pytest.mark.parametrize("form", ["1.0", "2.0", "xml"])
 def test_object_and_centre_of_a_message_come_from_the_elements(form, sparse, tmp_path):
-    def said(key, **attrs):
-        text = write_aem(
-            tmp_path / "a.aem", build_attitude(sparse.assign_attrs(**attrs)), form
-        ).read_text()
-        line = next(line for line in text.splitlines() if key in line)
-        return line.replace(f"</{key}>", "").split(">" if form == "xml" else "= ")[1]
+    def said(**attrs):
+        attitude = build_attitude(sparse.assign_attrs(**attrs))
+        lines = write_aem(tmp_path / "a.aem", attitude, form).read_text().splitlines()
+        for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME"):
+            line = next(line for line in lines if key in line).replace(f"</{key}>", "")
+            yield line.split(">" if form == "xml" else "= ")[1]
 
-    assert [said(key) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == [
-        "made up",
-        "made up",
-        "UNKNOWN",
-    ]
-    by_elements = {"orbit": 42789, "orbit_name": "SKCUBE\n\u00e9"}
-    assert [said(key, **by_elements) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == [
-        "SKCUBE__",
-        "42789",
-        "EARTH",
-    ]
-    assert said("OBJECT_NAME", orbit=42789) == "made up"  # two lines without a name
+    assert [*said()] == ["made up", "made up", "UNKNOWN"]
+    assert [*said(orbit=42789, orbit_name="SKCUBE\n\u00e9")] == ["SKCUBE__", "42789", "EARTH"]
+    assert next(said(orbit=42789)) == "made up"  # two lines without a name
 
 
 def test_exported_netcdf_and_parquet_state_frame_and_units(result, tmp_path):

@@ -36,31 +36,24 @@ def result():
     """Return rates of a body that spins about z, 60 degrees from the Sun, whose inertia is known."""
     t = np.arange(0.0, 600.0, 20.0)
     phase = SPIN * t
-    sun = np.stack(
-        [np.cos(phase), -np.sin(phase), np.full(t.size, np.tan(np.radians(30.0)))], axis=1
-    )
+    sun = np.stack([np.cos(phase), -np.sin(phase), np.full(t.size, np.tan(np.pi / 6))], axis=1)
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)
-    return ss.rates(
-        parse_vehicle(VEHICLE, "test"), directions(t, sun), max_rate_rad_s=np.radians(3.0)
-    )
+    vehicle = parse_vehicle(VEHICLE, "test")
+    return ss.rates(vehicle, directions(t, sun), max_rate_rad_s=np.radians(3.0))
 
 
-def save(
-    result, folder, day, speed_factor=1.0, decided=True, name="a spinner", text_of_vehicle=VEHICLE
-):
+def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner", text=VEHICLE):
     """Save the rates as if the pass had been on another day and the body had had another speed."""
     utc = np.datetime64("2026-03-01T12:00:00", "ms") + np.timedelta64(round(day * 86_400_000), "ms")
     changed = result.copy(deep=True).assign_attrs(vehicle=name)
     for variable in ("speed_median", "speed_low", "speed_high", "omega_x", "omega_y", "omega_z"):
         changed[variable] = changed[variable] * speed_factor
     changed["omega_B"] = changed["omega_B"] * speed_factor
-    changed["utc_at"] = changed["utc_at"].astype(object)
-    changed["utc_at"][:] = f"{utc}Z"
-    changed["utc_at"] = changed["utc_at"].astype(str)
+    changed["utc_at"] = changed["utc_at"].dims, np.full(changed["utc_at"].shape, f"{utc}Z")
     changed["decided"] = changed["decided"] & decided
     vehicle = folder.parent / f"{folder.name}.toml"
     vehicle.parent.mkdir(exist_ok=True)
-    vehicle.write_text(text_of_vehicle.replace("a spinner", name), "utf-8")
+    vehicle.write_text(text.replace("a spinner", name), "utf-8")
     changed.sunspin.save(folder, vehicle=vehicle)
     return folder
 
@@ -107,7 +100,7 @@ def test_vehicle_files_of_one_name_that_differ_are_named_and_those_that_agree_ar
     other = VEHICLE.replace("0.02, 0, 0", "0.05, 0, 0")
     for name, text in (("alike", VEHICLE), ("apart", other)):
         save(result, tmp_path / name / "0", 0.0)
-        save(result, tmp_path / name / "1", 1.0, text_of_vehicle=text)
+        save(result, tmp_path / name / "1", 1.0, text=text)
         lines = "\n".join(ss.history([tmp_path / name]).sunspin.summary().lines)
         assert ("VEHICLE FILES DIFFER" in lines) is (name == "apart")
 

@@ -113,6 +113,15 @@ def test_no_label_ends_the_script_that_contains_it(text):
     assert "</script" not in _script(f"x = '{text}'") and "<!--" not in _script(text)
 
 
+CUBE = Vehicle("cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0),))
+
+
+def simulated(run, vehicle=CUBE):
+    """Return what the page reads of a simulated motion."""
+    results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=vehicle)
+    return results, read_motions(results)
+
+
 def corners_of(view):
     """Of each frame the corners (n, 3) of the body."""
     return [np.array([frame["data"][0][axis] for axis in "xyz"]).T for frame in view.frames]
@@ -144,13 +153,9 @@ def test_the_attitude_on_the_page_is_the_stored_one(user_runs):
 
 def test_the_page_shows_fast_motions_in_part_and_motions_at_rest_whole():
     """No two frames are a third of a radian apart, whatever the rate; a body that does not turn has frames too."""
-    cube = Vehicle(
-        "cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 0, 1], 1.0))
-    )
     for rate in (0.0, 0.01, 3.0):
-        run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 600.0, 0.05))
-        results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-        (view,) = body_in_motion(results, read_motions(results))
+        run = ss.propagate(CUBE, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 600.0, 0.05))
+        (view,) = body_in_motion(*simulated(run))
         corners = corners_of(view)
         assert 2 <= len(corners) <= 300
         size = np.linalg.norm(corners[0], axis=1).max()
@@ -159,11 +164,9 @@ def test_the_page_shows_fast_motions_in_part_and_motions_at_rest_whole():
 
 def test_the_page_shows_a_slow_motion_to_its_end_and_a_coarse_one_not_at_all():
     """Of few instants all are shown; where the body turns by more than 2 rad between two, nobody knows which way."""
-    cube = Vehicle("cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0),))
     for rate, number in ((0.05, 1), (0.3, 0)):
-        run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 200.0, 10.0))
-        results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-        views = list(body_in_motion(results, read_motions(results)))
+        run = ss.propagate(CUBE, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 200.0, 10.0))
+        views = list(body_in_motion(*simulated(run)))
         assert len(views) == number
         for view in views:
             labels = [step.label for step in view.figure.layout.sliders[0].steps]
@@ -172,11 +175,9 @@ def test_the_page_shows_a_slow_motion_to_its_end_and_a_coarse_one_not_at_all():
 
 @pytest.mark.parametrize("sun_B", [[0.1, 0, 0.995], [1, 0, 0], [-0.8, 0, 0.6]])
 def test_the_names_of_sun_and_axis_stand_on_sides_that_do_not_meet(sun_B):
-    cube = Vehicle("cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0),))
     toward_sun = np.array(sun_B) / np.linalg.norm(sun_B)
-    run = ss.propagate(cube, [0, 0, 0.05], toward_sun, None, np.arange(0.0, 200.0, 10.0))
-    results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-    (view,) = body_in_motion(results, read_motions(results))
+    run = ss.propagate(CUBE, [0, 0, 0.05], toward_sun, None, np.arange(0.0, 200.0, 10.0))
+    (view,) = body_in_motion(*simulated(run))
     sun, axis = view.figure.data[2:4]
     right = view.figure.layout.scene.camera.eye.y < 0  # seen from there x is to the right
     assert right and sun.x[1] >= axis.x[1] - 1e-6
@@ -185,15 +186,10 @@ def test_the_names_of_sun_and_axis_stand_on_sides_that_do_not_meet(sun_B):
 
 def test_the_page_lights_panels_of_a_shared_input_one_by_one():
     """The view colours panels, not inputs: a pair of opposite panels on one channel is lit on one side at a time."""
-    cube = replace(
-        Vehicle(
-            "cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0), Panel("b", [-1, 0, 0], 1.0))
-        ),
-        channels=(Channel("x", ("a", "b"), "sum"),),
-    )
+    pair = (Panel("a", [1, 0, 0], 1.0), Panel("b", [-1, 0, 0], 1.0))
+    cube = replace(CUBE, panels=pair, channels=(Channel("x", ("a", "b"), "sum"),))
     run = ss.propagate(cube, [0, 0, 0.5], [1, 0, 0], None, np.arange(0.0, 12.0, 0.1))
-    results = Results(Path("."), "simulate", data={"t": run}, vehicle=cube)
-    (view,) = body_in_motion(results, read_motions(results))
+    (view,) = body_in_motion(*simulated(run, cube))
     colours = np.array([frame["data"][0]["facecolor"] for frame in view.frames])
     assert {colours[0][0], colours[0][2]} == {"#facd3c", "#283c6e"}
     assert len(set(colours[:, 0])) > 5
@@ -201,10 +197,9 @@ def test_the_page_lights_panels_of_a_shared_input_one_by_one():
 
 def test_panels_of_one_side_share_a_label_on_the_sphere():
     panels = (Panel("a", [1, 0, 0], 1.0), Panel("b", [1, 0, 0], 1.0), Panel("c", [0, 0, 1], 1.0))
-    cube = Vehicle("cube", np.eye(3), panels=panels)
+    cube = replace(CUBE, panels=panels)
     run = ss.propagate(cube, [0, 0, 0.1], [1, 0, 0], None, np.arange(9.0))
-    results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-    view = sun_on_sphere(results, read_motions(results))
+    view = sun_on_sphere(*simulated(run, cube))
     assert sorted(view.figure.data[-1].text) == ["a, b", "c"]
 
 
@@ -227,9 +222,8 @@ def test_tables_on_the_page_are_those_of_the_files(user_runs):
     for value in passes[["speed_median_deg_s", "omega_x_deg_s", "sigma_x_deg_s"]].values.ravel():
         assert f"{value:.4g}" in text
     strategies = Page(user_runs["outcomes"] / "report.html").part("tables")
-    assert (
-        "off at touchdown" in strategies and "m/s" in strategies and "touch_leg" not in strategies
-    )
+    assert "off at touchdown" in strategies and "m/s" in strategies
+    assert "touch_leg" not in strategies
 
 
 def test_report_refuses_folders_that_sunspin_did_not_write(tmp_path):
@@ -263,8 +257,6 @@ def test_the_motion_shown_of_a_posterior_is_its_likeliest_draw(user_runs):
 
 
 def test_report_prints_the_path_of_the_page(user_runs):
-    done = CliRunner().invoke(
-        cli, ["report", str(user_runs["scan"]), "--json"], catch_exceptions=False
-    )
-    said = json.loads(done.output)
+    words = ["report", str(user_runs["scan"]), "--json"]
+    said = json.loads(CliRunner().invoke(cli, words, catch_exceptions=False).output)
     assert Path(said["report"]).stat().st_size == said["bytes"]

@@ -18,9 +18,8 @@ MOTION = "[data-plot='motion-0']"
 def page(browser, study) -> Browser:
     """The study's page with every open view drawn."""
     browser.open(study / "report.html", 900, 640)
-    for name in browser.js(
-        "[...document.querySelectorAll('details[open] [data-plot]')].map(e => e.dataset.plot)"
-    ):
+    drawings = "[...document.querySelectorAll('details[open] [data-plot]')]"
+    for name in browser.js(f"{drawings}.map(e => e.dataset.plot)"):
         browser.show(f"[data-plot='{name}']")
     return browser
 
@@ -52,9 +51,8 @@ def test_entries_on_the_page_can_be_filtered(page, study):
         total += shown
     assert labels[0] == ["", "all"] and total == len(summary["figures"])
     page.js("document.querySelector(\"button[data-filter='differs']\").click()")
-    rows = page.js(
-        "[...document.querySelectorAll('tr[data-row]:not([hidden])')].map(r => r.dataset.row)"
-    )
+    shown = "[...document.querySelectorAll('tr[data-row]:not([hidden])')]"
+    rows = page.js(f"{shown}.map(r => r.dataset.row)")
     assert set(rows) == {r["id"] for r in summary["figures"] if r["agrees"] is False} != set()
     page.js("document.querySelector(\"button[data-filter='']\").click()")
 
@@ -70,18 +68,16 @@ def test_the_page_is_legible_in_a_narrow_and_a_dark_window(browser, study, width
     assert light < 60 if dark else light > 230
     ink = browser.js(f'document.querySelector("{MOTION}")._fullLayout.font.color')
     assert (sum(int(ink[k : k + 2], 16) for k in (1, 3, 5)) / 3 > 180) is dark
-    bar = browser.js(
-        "document.querySelector('nav').scrollWidth <= document.querySelector('nav').clientWidth"
-    )
+    wide = "document.querySelector('nav').scrollWidth"
+    bar = browser.js(f"{wide} <= document.querySelector('nav').clientWidth")
     assert bar and browser.complaints() == []
 
 
 @pytest.mark.long
 def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusion):
     browser.open(no_conclusion / "report.html", 400, 844)
-    box = json.loads(
-        browser.js("JSON.stringify(document.querySelector('.badge.stop').getBoundingClientRect())")
-    )
+    place = "document.querySelector('.badge.stop').getBoundingClientRect()"
+    box = json.loads(browser.js(f"JSON.stringify({place})"))
     assert 0 < box["top"] and box["bottom"] < 844 and 0 <= box["left"] and box["right"] <= 400
 
 

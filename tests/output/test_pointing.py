@@ -27,6 +27,8 @@ ELEMENTS = """1 99999U 21001A   21073.25000000  .00001000  00000-0  50000-4 0  9
 2 99999  97.5000  20.0000 0010000  50.0000 100.0000 15.20000000    16"""
 """A low, polar orbit."""
 
+PARSED = tuple(parse_elements(ELEMENTS, "test"))
+
 STATION = ("bratislava", 48.15, 17.11, 150.0)
 AXES = {"+z": [0, 0, 1], "-x": [-1, 0, 0]}
 
@@ -38,14 +40,14 @@ def rates_with(
 
     `sigmas_rad`: of the Sun direction (both components together), and of the rotation about it.
     """
-    orbit = in_orbit(
-        tuple(parse_elements(ELEMENTS, "test")), EPOCH, t_s, shift_sigma_s=1e-3, clock_sigma_s=1e-3
-    )
+    orbit = in_orbit(PARSED, EPOCH, t_s, shift_sigma_s=1e-3, clock_sigma_s=1e-3)
     position, _ = orbit.states(orbit.instants(t_s))
     sun = sun_J2000_m(orbit.instants(t_s)) - position
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)
     n, half = len(t_s), len(t_s) // 2
     pass_of = np.repeat([0, 1], [half, n - half])
+    why = ["" if one else "several solutions" for one in decided]
+    attrs = {"kind": "rates", "frame_N": "J2000", "orbit": "99999", "epoch_utc": EPOCH}
     result = xr.Dataset(
         {
             "B_from_N": (("time", "quaternion"), attitude.as_quat()),
@@ -54,16 +56,10 @@ def rates_with(
             "turn_sigma_rad": ("time", np.full(n, sigmas_rad[1])),
             "pass_of": ("time", pass_of),
             "decided": ("pass_id", np.array(decided)),
-            "why_not_decided": ("pass_id", ["" if one else "several solutions" for one in decided]),
+            "why_not_decided": ("pass_id", why),
         },
         {"time": t_s, "pass_id": [0, 1]},
-        {
-            "kind": "rates",
-            "frame_N": "J2000",
-            "orbit": "99999",
-            "epoch_utc": EPOCH,
-            "vehicle": "a cube",
-        },
+        attrs | {"vehicle": "a cube"},
     )
     return with_track(result, orbit)
 
@@ -78,22 +74,18 @@ def random_attitudes(seed: int = 1) -> Rotation:
 @pytest.fixture(scope="module")
 def directions_by_astropy():
     """Directions (n, 3) to nadir, ram and the station in GCRS, and the station's elevation (n, deg), all by astropy."""
-    orbit = in_orbit(tuple(parse_elements(ELEMENTS, "test")), EPOCH, TIMES)
+    orbit = in_orbit(PARSED, EPOCH, TIMES)
     position, velocity = orbit.states(orbit.instants(TIMES))
     with iers.conf.set_temp("auto_download", False):
         when = Time(EPOCH.rstrip("Z"), scale="utc") + TIMES * u.s
-        place = EarthLocation.from_geodetic(
-            STATION[2] * u.deg, STATION[1] * u.deg, STATION[3] * u.m
-        )
+        latitude, longitude = STATION[1] * u.deg, STATION[2] * u.deg
+        place = EarthLocation.from_geodetic(longitude, latitude, STATION[3] * u.m)
         station = place.get_gcrs_posvel(when)[0].xyz.to_value(u.m).T
         craft = GCRS(CartesianRepresentation(position.T * u.m), obstime=when)
         fixed = craft.transform_to(ITRS(obstime=when)).cartesian.xyz.to_value(u.m).T
-    origin = np.array([place.x.to_value(u.m), place.y.to_value(u.m), place.z.to_value(u.m)])
-    up = [np.cos(np.radians(STATION[1])) * np.cos(np.radians(STATION[2]))]
-    up += [
-        np.cos(np.radians(STATION[1])) * np.sin(np.radians(STATION[2])),
-        np.sin(np.radians(STATION[1])),
-    ]
+    origin = np.array([each.to_value(u.m) for each in place.geocentric])
+    level = np.cos(latitude)
+    up = [level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)]
     line = fixed - origin
     elevation = np.degrees(np.arcsin(line @ np.array(up) / np.linalg.norm(line, axis=1)))
     return {"nadir": -position, "ram": velocity, "bratislava": station - position}, elevation
@@ -128,14 +120,12 @@ def test_the_errors_of_angles_are_those_of_fifty_draws_of_the_attitude(sigmas):
     rng, ratios = np.random.default_rng(8), []
     for _ in range(50):
         error = rng.normal(size=(len(TIMES), 3)) * sigmas[0] / np.sqrt(2)
-        error += sun * (
-            rng.normal(size=(len(TIMES), 1)) * sigmas[1] - np.sum(error * sun, 1, keepdims=True)
-        )
+        about = rng.normal(size=(len(TIMES), 1)) * sigmas[1]
+        error += sun * (about - np.sum(error * sun, 1, keepdims=True))
         drawn = rates_with(Rotation.from_rotvec(error) * truth, TIMES, sigmas)
         found = ss.pointing(drawn, list(AXES), [STATION])
-        ratios.append(
-            ((found["pointing_angle"] - exact["pointing_angle"]) / found["pointing_sigma"]).values
-        )
+        off = found["pointing_angle"] - exact["pointing_angle"]
+        ratios.append((off / found["pointing_sigma"]).values)
     ratio = np.array(ratios)
     assert np.isfinite(ratio).all()
     np.testing.assert_allclose(np.sqrt((ratio**2).mean(axis=(0, 3))), 1.0, atol=0.1)
@@ -192,13 +182,12 @@ def test_an_angle_whose_error_is_too_large_is_not_given():
 @pytest.mark.parametrize("lacking", ["orbit", "frame", "track"])
 def test_without_a_known_attitude_only_the_angle_to_the_sun_is_given(lacking):
     rates = rates_with(random_attitudes(), TIMES, (0.01, 0.02))
+    local = {"kind": "rates", "frame_N": "sun_z_local", "vehicle": "a"}
     rates = {
-        "orbit": lambda: rates.drop_attrs().assign_attrs(
-            kind="rates", frame_N="sun_z_local", vehicle="a"
-        ),
-        "frame": lambda: rates.assign_attrs(frame_N="sun_z_local"),
-        "track": lambda: rates.drop_vars(list(TRACK)),
-    }[lacking]()
+        "orbit": rates.drop_attrs().assign_attrs(local),
+        "frame": rates.assign_attrs(frame_N="sun_z_local"),
+        "track": rates.drop_vars(list(TRACK)),
+    }[lacking]
     found = ss.pointing(rates)
     assert found["target"].values.tolist() == ["sun"]
     assert "only the angle to the Sun is given" in str(found.sunspin.summary())
@@ -230,22 +219,13 @@ def test_the_command_reads_the_results_folder_of_rates(tmp_path, undrawn, monkey
     assert run.invoke(cli, ["init", "."]).exit_code == 0
     given = ["rates", "vehicle.toml", "telemetry.csv", "--max-rate-deg-s", "5", "--quiet"]
     assert run.invoke(cli, [*given, "--out", "rates"]).exit_code == 0
-    done = run.invoke(
-        cli, ["pointing", "rates", "--axis", "+z", "--axis", "0,0.6,0.8", "--out", "p"]
-    )
+    words = ["pointing", "rates", "--axis", "+z", "--axis", "0,0.6,0.8", "--out", "p"]
+    done = run.invoke(cli, words)
     assert done.exit_code == 0, done.output
     assert "+z: sun" in done.output and "estimated without an orbit" in done.output
     table = pd.read_csv("p/pointing.csv", comment="#")
-    columns = [
-        "time_s",
-        "utc",
-        "pass_id",
-        "decided",
-        "axis",
-        "sun_angle_deg",
-        "sun_angle_sigma_deg",
-    ]
-    assert table.columns.tolist() == [*columns, "why_no_angle"]
+    columns = "time_s utc pass_id decided axis sun_angle_deg sun_angle_sigma_deg why_no_angle"
+    assert table.columns.tolist() == columns.split()
     rates = pd.read_csv("rates/rates.csv", comment="#")
     expected = np.degrees(np.arccos(rates["sun_z_B"]))
     np.testing.assert_allclose(table[table["axis"] == "+z"]["sun_angle_deg"], expected, atol=1e-5)
@@ -280,7 +260,7 @@ def test_angles_between_the_samples_are_those_of_the_motion_with_growing_errors(
     at_samples = ss.pointing(rates, stations=[STATION])
     t = found["time"].values
     attitude = Rotation.from_rotvec(-t[:, None] * rates["omega_B"].values[0])
-    orbit = in_orbit(tuple(parse_elements(ELEMENTS, "test")), EPOCH, t)
+    orbit = in_orbit(PARSED, EPOCH, t)
     position, _ = orbit.states(orbit.instants(t))
     nadir = attitude.apply(-position / np.linalg.norm(position, axis=1, keepdims=True))
     angle = found["pointing_angle"].sel(body_axis="+z", target="nadir").values
@@ -313,21 +293,18 @@ def test_a_step_that_is_no_step_or_too_small_is_refused(step, says):
         ss.pointing(spinner(1e-3), step_s=step)
 
 
+OTHERS = "something else than `rates` writes"
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         (lambda rates: rates.assign_attrs(kind="scan"), "needs a result of `rates`"),
         (lambda rates: rates.drop_vars("sun_sigma_rad"), "needs a result of `rates`"),
         (lambda rates: rates.assign(sun_B=rates["sun_B"] * np.nan), "knows no Sun direction"),
-        (
-            lambda rates: rates.assign(pass_of=rates["pass_of"] + 7),
-            "something else than `rates` writes",
-        ),
-        (lambda rates: rates.assign_attrs(epoch_utc="noon"), "something else than `rates` writes"),
-        (
-            lambda rates: rates.assign(B_from_N=rates["B_from_N"] * 0),
-            "something else than `rates` writes",
-        ),
+        (lambda rates: rates.assign(pass_of=rates["pass_of"] + 7), OTHERS),
+        (lambda rates: rates.assign_attrs(epoch_utc="noon"), OTHERS),
+        (lambda rates: rates.assign(B_from_N=rates["B_from_N"] * 0), OTHERS),
     ],
 )
 def test_a_result_that_is_none_of_rates_is_refused(change, says):

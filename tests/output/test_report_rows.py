@@ -43,6 +43,10 @@ def page_of(folder: Path, **summary: Any) -> Page:
     return Page(write_report(folder))
 
 
+def shown_rows(page: Page) -> list[dict]:
+    return [attrs for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs]
+
+
 @pytest.mark.parametrize(
     ("given", "verdict"),
     [
@@ -75,23 +79,16 @@ def test_only_an_informative_test_agrees_or_differs(given, verdict):
 def test_entries_and_filters_have_the_counts_of_the_summary(study):
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     page = Page(study / "report.html")
-    shown = {
-        attrs["data-row"]: attrs["data-verdict"]
-        for tag, attrs in page.tags
-        if tag == "tr" and "data-row" in attrs
-    }
+    shown = {attrs["data-row"]: attrs["data-verdict"] for attrs in shown_rows(page)}
     assert len(shown) == len(summary["figures"])
     found = Counter(shown.values())
     filters = [re.fullmatch(r"(.+) \((\d+)\)", label) for label in page.buttons()[1:]]
-    assert {each[1]: int(each[2]) for each in filters} == {
-        VERDICTS[key][2:]: n for key, n in found.items()
-    }
+    expected = {VERDICTS[key][2:]: n for key, n in found.items()}
+    assert {each[1]: int(each[2]) for each in filters} == expected
     counts = summary["counts"]
     every = [counts, counts["without_telemetry"], counts["paper"]]
-    total = {
-        key: sum(part[key] for part in every)
-        for key in ("agree", "differ", "uninformative", "put_in", "not_comparable")
-    }
+    kinds = "agree differ uninformative put_in not_comparable".split()
+    total = {key: sum(part[key] for part in every) for key in kinds}
     assert found["agrees"] == total["agree"] and found["differs"] == total["differ"]
     assert found["uninformative"] == total["uninformative"]
     assert found["comes-back"] + found["not-back"] + found["put-in"] == total["put_in"]
@@ -110,16 +107,9 @@ def test_contradictions_are_a_table_of_the_unchanged_study_alone(study, no_concl
 
 
 def test_an_entry_shows_its_interval_the_possible_range_and_its_source(tmp_path):
+    ranges = {"low": 0.0912, "high": 1.44, "prior_low": 0.00712, "prior_high": 1.45}
     rows = [
-        row(
-            id="a",
-            low=0.0912,
-            high=1.44,
-            prior_low=0.00712,
-            prior_high=1.45,
-            informative=False,
-            chain="scan",
-        ),
+        row(id="a", informative=False, chain="scan", **ranges),
         row(id="b", low=[1.0, 3.0], high=[2.0, 4.0], chain="mine.csv", agrees=True, tolerance=0.5),
         row(id="c", low=None, high=2.0, chain="none", agrees=False),
     ]
@@ -143,8 +133,8 @@ def test_texts_of_entries_and_of_the_first_screen_are_escaped(tmp_path):
     page = page_of(tmp_path / "bad", figures=rows, **texts)
     assert [attrs.get("id") for tag, attrs in page.tags if tag == "script"] == ["data", None]
     assert page.text.count(" ".join(HOSTILE.split())) > 30
-    rows = [attrs["data-row"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs]
-    assert rows == [f"{HOSTILE}0", f"{HOSTILE}1", "rate_at_touchdown_bound"]
+    ids = [f"{HOSTILE}0", f"{HOSTILE}1", "rate_at_touchdown_bound"]
+    assert [attrs["data-row"] for attrs in shown_rows(page)] == ids
 
 
 @pytest.mark.parametrize(
@@ -158,9 +148,8 @@ def test_texts_of_entries_and_of_the_first_screen_are_escaped(tmp_path):
     ],
 )
 def test_a_damaged_summary_still_gives_a_page(tmp_path, figures):
-    page = page_of(
-        tmp_path / "odd", figures=figures, missing=[1], carries=3, score="x", headline=["one"]
-    )
+    odd = {"missing": [1], "carries": 3, "score": "x", "headline": ["one"]}
+    page = page_of(tmp_path / "odd", figures=figures, **odd)
     assert "one" in page.part("summary")
 
 
@@ -183,14 +172,11 @@ def test_a_page_without_conclusions_gives_the_reason_and_no_result(no_conclusion
     summary = json.loads((no_conclusion / "summary.json").read_text("utf-8"))
     page = Page(no_conclusion / "report.html")
     first = page.part("summary")
-    assert {"candidates", "touchdown", "collision", "strategies", "motions"} <= set(
-        summary["missing"]
-    ) and "could not be" not in page.text
+    lacking = {"candidates", "touchdown", "collision", "strategies", "motions"}
+    assert lacking <= set(summary["missing"]) and "could not be" not in page.text
     assert not any((no_conclusion / f"{name}.nc").exists() for name in FILES_OF_CANDIDATES)
-    assert (
-        "No conclusion. Nothing follows from this telemetry about the motion after the first touchdown:"
-        in first
-    )
+    said = "No conclusion. Nothing follows from this telemetry about the motion after the first"
+    assert f"{said} touchdown:" in first
     missing = summary["missing"]
     told = next(
         text for name in ("candidates", "level_set") if ", as " in (text := missing.get(name, ""))
@@ -200,7 +186,4 @@ def test_a_page_without_conclusions_gives_the_reason_and_no_result(no_conclusion
     assert not re.search(r"rad/s|once in|at least|all that fits|families|four lines", seen)
     assert not any(name.startswith(("motion", "speed")) for name in json.loads(page.data))
     assert not (no_conclusion / "speed.svg").exists() and "four families" not in page.text.lower()
-    verdicts = {
-        attrs["data-verdict"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs
-    }
-    assert "uninformative" not in verdicts
+    assert "uninformative" not in {attrs["data-verdict"] for attrs in shown_rows(page)}

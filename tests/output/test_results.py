@@ -18,38 +18,18 @@ from sunspin.output.kinds import MODULES
 from sunspin.output.text import rate_text
 
 NO_FIGURE = {"impact", "lines", "calibration"}
-
-
-def vehicle():
-    return ss.load_vehicle("philae")
-
-
-def telemetry():
-    return ss.load_case("philae").telemetry
+PHILAE = ss.load_case("philae")
+VEHICLE, TELEMETRY = PHILAE.vehicle, PHILAE.telemetry
+OMEGA, SUN, SPEED = [0.1, 0.0, 0.2], [0.0, 0.6, 0.8], VEHICLE.wheels[0].speed_rad_s
 
 
 def motion():
-    return ss.propagate(
-        vehicle(),
-        [0.1, 0.0, 0.2],
-        [0.0, 0.6, 0.8],
-        vehicle().wheels[0].speed_rad_s,
-        np.linspace(0.0, 60.0, 61),
-    )
+    return ss.propagate(VEHICLE, OMEGA, SUN, SPEED, np.linspace(0.0, 60.0, 61))
 
 
 def scan():
-    axis = [-0.1, 0.0, 0.1]
-    return ss.scan(
-        vehicle(),
-        [0.1, 0.3, 0.6],
-        [0.0, 0.6, 0.8],
-        axis,
-        axis,
-        [0.0, 0.1],
-        vehicle().wheels[0].speed_rad_s,
-        300.0,
-    )
+    grid = [-0.1, 0.0, 0.1], [-0.1, 0.0, 0.1], [0.0, 0.1]
+    return ss.scan(VEHICLE, [0.1, 0.3, 0.6], SUN, *grid, SPEED, 300.0)
 
 
 def rates():
@@ -64,41 +44,27 @@ def directions(t, sun):
     data = {
         "sun_sensor_B": (("time", "axis"), sun),
         "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance),
+        "flag": ("time", np.zeros(t.size, dtype=np.uint8)),
     }
-    flag = ("time", np.zeros(t.size, dtype=np.uint8))
-    return xr.Dataset(
-        data | {"flag": flag},
-        {"time": t, "axis": ["x", "y", "z"]},
-        {"epoch_utc": "2024-01-01T00:00:00Z"},
-    )
+    attrs = {"epoch_utc": "2024-01-01T00:00:00Z"}
+    return xr.Dataset(data, {"time": t, "axis": ["x", "y", "z"]}, attrs)
 
 
-def impact():
-    return ss.impact(
-        vehicle(), [0.1, 0.0, 0.2], vehicle().wheels[0].speed_rad_s, [0.0, 0.0, -0.3], 0
-    )
-
-
-def outcomes():
-    return ss.outcomes(vehicle(), [[0.1, 0.0, 0.2]], "off", 20, 0)
-
-
+RUNNING_DOWN = [0.0, 60.0, 120.0, 180.0], [864.0, 830.0, 800.0, 771.0]
 MADE = {
-    "telemetry": telemetry,
-    "sun_directions": lambda: ss.sun_directions(vehicle(), telemetry()),
-    "panel_quality": lambda: ss.panel_quality(vehicle(), telemetry()),
-    "panel_health": lambda: ss.panel_health(vehicle(), telemetry()),
-    "spin_down": lambda: ss.fit_spin_down(
-        [0.0, 60.0, 120.0, 180.0], [864.0, 830.0, 800.0, 771.0], 0.0058
-    ),
-    "calibration": lambda: ss.calibrate_sensors(vehicle(), telemetry()),
+    "telemetry": lambda: TELEMETRY,
+    "sun_directions": lambda: ss.sun_directions(VEHICLE, TELEMETRY),
+    "panel_quality": lambda: ss.panel_quality(VEHICLE, TELEMETRY),
+    "panel_health": lambda: ss.panel_health(VEHICLE, TELEMETRY),
+    "spin_down": lambda: ss.fit_spin_down(*RUNNING_DOWN, 0.0058),
+    "calibration": lambda: ss.calibrate_sensors(VEHICLE, TELEMETRY),
     "rates": rates,
     "pointing": lambda: ss.pointing(rates()),
     "trajectory": motion,
-    "impact": impact,
+    "impact": lambda: ss.impact(VEHICLE, OMEGA, SPEED, [0.0, 0.0, -0.3], 0),
     "scan": scan,
     "lines": lambda: ss.fit_lines(np.random.default_rng(1).normal(size=(30, 3)), 2),
-    "outcomes": outcomes,
+    "outcomes": lambda: ss.outcomes(VEHICLE, [OMEGA], "off", 20, 0),
 }
 """Kind -> how a public function makes it, small."""
 
@@ -182,43 +148,31 @@ def test_outcomes_of_strategies_are_printed_side_by_side(user_runs):
 
 
 def test_simulated_telemetry_is_saved_as_telemetry():
-    truth = {
-        "omega_B": [0.1, 0.0, 0.2],
-        "sun_B": [0.0, 0.6, 0.8],
-        "t_s": np.arange(0.0, 300.0, 60.0),
-    }
-    assert ss.twin(vehicle(), truth, seed=1).attrs["kind"] == "telemetry"
+    truth = {"omega_B": OMEGA, "sun_B": SUN, "t_s": np.arange(0.0, 300.0, 60.0)}
+    assert ss.twin(VEHICLE, truth, seed=1).attrs["kind"] == "telemetry"
 
 
 def test_panel_health_keeps_its_panel_names():
     """Scripts ask a health by these names and iterate over them; a Dataset is what is stored."""
-    health = ss.panel_health(vehicle(), telemetry())
-    assert isinstance(health, xr.Dataset) and health["lost"].values.tolist() == [
-        [True, *5 * [False]]
-    ]
-    assert health["explanations"] == [("1",)]
-    assert len(health["allowed"]) == 16
+    health = ss.panel_health(VEHICLE, TELEMETRY)
+    assert isinstance(health, xr.Dataset)
+    assert health["lost"].values.tolist() == [[True, *5 * [False]]]
+    assert health["explanations"] == [("1",)] and len(health["allowed"]) == 16
     assert all(n > 0 for n in health["impossible"].values())
-    assert list(health["noise"]) == list(health["impossible"]) and all(
-        v.log10_together < 0 for v in health["noise"].values()
-    )
-    directions = ss.panel_health(vehicle(), ss.sun_directions(vehicle(), telemetry()))
+    assert list(health["noise"]) == list(health["impossible"])
+    assert all(one.log10_together < 0 for one in health["noise"].values())
+    directions = ss.panel_health(VEHICLE, ss.sun_directions(VEHICLE, TELEMETRY))
     assert directions["noise"] == {} and np.isnan(directions["largest"]).all()
-    none = ss.panel_health(vehicle(), ss.panel_power(vehicle(), [[0.0, 0.6, 0.8]]))
-    assert none["impossible"] == {}
-    assert none["explanations"] == []
+    none = ss.panel_health(VEHICLE, ss.panel_power(VEHICLE, [SUN]))
+    assert none["impossible"] == {} and none["explanations"] == []
     assert "all illumination patterns" in str(none.sunspin.summary())
     assert isinstance(none.sunspin.plot(), Figure)
 
 
 @pytest.mark.parametrize("attrs", [{}, {"kind": "house"}, {"kind": 3}])
 def test_a_dataset_that_is_no_result_is_refused_in_one_sentence(attrs, tmp_path):
-    data = xr.Dataset(attrs=attrs)
-    for use in (
-        data.sunspin.summary,
-        data.sunspin.plot,
-        lambda: data.sunspin.save(tmp_path / "never"),
-    ):
+    result = xr.Dataset(attrs=attrs).sunspin
+    for use in (result.summary, result.plot, lambda: result.save(tmp_path / "never")):
         with pytest.raises(ss.InputError, match="this Dataset is no result of sunspin") as told:
             use()
         assert "\n" not in str(told.value)

@@ -75,9 +75,8 @@ def test_the_last_line_and_the_summary_name_the_section_to_read(tmp_path):
         lines = CliRunner().invoke(cli, words, catch_exceptions=False).output.splitlines()
         assert lines[-1].startswith("For what this means: sunspin explain ")
         assert "sun-status" in lines[-1].split()
-    assert (
-        PAGE + "#sun-status" in json.loads((tmp_path / "sun/summary.json").read_text())["explained"]
-    )
+    summary = json.loads((tmp_path / "sun/summary.json").read_text())
+    assert PAGE + "#sun-status" in summary["explained"]
 
 
 def test_explain_prints_the_section_of_the_page(tmp_path):

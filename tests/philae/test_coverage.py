@@ -42,18 +42,16 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
     found = table.volume(z)
     for x, y, w in ((-0.2, 0.5, 0.2), (0.3, 0.1, -0.1)):
         reference = emd(simulate_rz(CASE, np.array([x, y, w])), z)
-        assert found.sel(omega_x=x, omega_y=y, omega_z=w).item() == pytest.approx(
-            reference, abs=2e-3
-        )
+        distance = found.sel(omega_x=x, omega_y=y, omega_z=w).item()
+        assert distance == pytest.approx(reference, abs=2e-3)
 
 
 def test_rates_at_the_end_of_the_rebound_agree_with_the_reference():
     starts = np.array([[0.1, -0.3, 0.2], [0.0, 0.0, 0.0], [-0.4, 0.6, -0.2]])
     back = rb.rates_at_touchdown(CASE, starts, 865.0)
     for omega, found in zip(starts, back, strict=True):
-        run = propagate(
-            CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -rb.first_sample_lead_s(CASE)]
-        )
+        times = [0.0, -rb.first_sample_lead_s(CASE)]
+        run = propagate(CASE.vehicle, omega, rb.first_sun(CASE), 865.0, times)
         np.testing.assert_allclose(found, run["omega_B"].values[-1], atol=1e-9)
 
 
@@ -71,9 +69,8 @@ def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
     states = rb.start_states(CASE, np.array([truth, other]), rb.first_sun(CASE))
     target = simulate_rz(CASE, truth), None
-    own, wrong = threshold.emd_of_truths(
-        CASE, states, rb.published_window_s(CASE), [target, target]
-    )
+    window = rb.published_window_s(CASE)
+    own, wrong = threshold.emd_of_truths(CASE, states, window, [target, target])
     assert own < 1e-3 and wrong > 0.02
 
 
@@ -123,29 +120,17 @@ def test_the_coverage_study_resumes_and_writes_table_and_figure(tmp_path, capsys
 
 
 def test_a_scan_takes_a_calibrated_threshold():
-    arguments = [
-        "scan",
-        "philae",
-        str(CASE.folder / "telemetry.csv"),
-        "--from=25200",
-        "--to=27899",
-        "--omega-x-deg-s=-18:18:18",
-        "--omega-y-deg-s=-18:18:18",
-        "--omega-z-deg-s=0:12:12",
-        "--lines=0",
-        "--json",
-    ]
-    found = [
+    grid = "--omega-x-deg-s=-18:18:18 --omega-y-deg-s=-18:18:18 --omega-z-deg-s=0:12:12"
+    options = f"--from=25200 --to=27899 {grid} --lines=0 --json".split()
+    arguments = ["scan", "philae", str(CASE.folder / "telemetry.csv"), *options]
+    usual, wide = (
         json.loads(CliRunner().invoke(cli, [*arguments, *more]).output)
         for more in ([], ["--threshold=1"])
-    ]
-    assert (
-        found[0]["near_minimum_points"] < found[1]["near_minimum_points"] <= found[1]["rows"] == 18
     )
+    assert usual["near_minimum_points"] < wide["near_minimum_points"] <= wide["rows"] == 18
     refused = CliRunner().invoke(cli, [*arguments, "--threshold=1e-9"])
-    assert refused.exit_code != 0 and "no motion of the grid comes below --threshold" in str(
-        refused.exception or refused.output
-    )
+    said = str(refused.exception or refused.output)
+    assert refused.exit_code != 0 and "no motion of the grid comes below --threshold" in said
 
 
 def test_the_readme_states_the_coverage_of_the_study_page():

@@ -42,16 +42,14 @@ def test_the_landing_kernel_is_read_in_inertial_axes(tmp_path, monkeypatch):
     before = np.concatenate([place, [0.1, 0.2, -0.1]])
     after = np.concatenate([place, before[3:] + comet_from_J2000(tdb) @ change])
     down = np.concatenate([comet_from_J2000(landed) @ [0.0, 0.0, 2000.0], np.zeros(3)])
-    monkeypatch.setattr(
-        im, "read_kernel_states", lambda path, times: np.array([down, before, after])
-    )
+    states = np.array([down, before, after])
+    monkeypatch.setattr(im, "read_kernel_states", lambda path, times: states)
     sun = tmp_path.joinpath(*im.SUN)
     sun.parent.mkdir()
     sun.write_text("utc,et_s,x,y,z,au\n" + "".join(f"t,{tdb + dt},1,0,0,3\n" for dt in (-60, 60)))
     seen = im.read_velocity_change(CASE, tmp_path)
-    assert seen.change_m_s == pytest.approx(0.2, abs=1e-4) and np.degrees(
-        seen.to_sun_rad
-    ) == pytest.approx(40, abs=0.1)
+    assert seen.change_m_s == pytest.approx(0.2, abs=1e-4)
+    assert np.degrees(seen.to_sun_rad) == pytest.approx(40, abs=0.1)
     assert np.degrees(seen.about_sun_rad) == pytest.approx(-90, abs=0.5)  # from z about x
     sun.write_text("utc,et_s,x,y,z,au\nt,1,1,0,0,3\n")
     with pytest.raises(ss.InputError, match="no direction of the Sun at the collision"):
@@ -95,7 +93,6 @@ def test_the_impulse_study_without_its_data_ends_with_one_sentence(tmp_path, mon
 def test_the_impulse_of_the_landing_kernel_is_the_recorded_one(data_dir):
     pytest.importorskip("spiceypy")
     seen = im.read_velocity_change(CASE, data_dir)
-    assert seen.change_m_s == pytest.approx(
-        CASE.published["kernel_velocity_change"].value, abs=2e-4
-    )
+    recorded = CASE.published["kernel_velocity_change"].value
+    assert seen.change_m_s == pytest.approx(recorded, abs=2e-4)
     assert np.degrees(seen.to_sun_rad) == pytest.approx(18.7, abs=0.1)

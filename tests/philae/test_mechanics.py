@@ -9,11 +9,8 @@ from sunspin.vehicle import Friction, Vehicle, Wheel
 
 CASE = ss.load_case("philae")
 FRICTION = Friction(1e-3, 2.7e-6)
-SYMMETRIC = Vehicle(
-    "symmetric",
-    np.diag([13.0, 13.0, 16.5]),
-    wheels=[Wheel("w", [0, 0, 1], 0.0058, 865.0, FRICTION)],
-)
+WHEEL = Wheel("w", [0, 0, 1], 0.0058, 865.0, FRICTION)
+SYMMETRIC = Vehicle("symmetric", np.diag([13.0, 13.0, 16.5]), wheels=[WHEEL])
 FIRST = np.array([0.1959, 0.5690, 0.7986])
 
 
@@ -41,9 +38,8 @@ def test_a_symmetric_body_keeps_its_nutation_angle_and_range_while_the_wheel_slo
 def test_an_asymmetric_body_without_the_wheel_s_momentum_does_not_keep_its_nutation():
     """Negative control: about z, the middle axis, the body flips."""
     body = Vehicle("flips", np.diag([1.0, 3.0, 2.0]))
-    motion = mechanics.precession_amplitudes(
-        body, [0.001, 0.001, 0.3], [0, 0.6, 0.8], None, 600.0, compared_s=60.0
-    )
+    start = [0.001, 0.001, 0.3], [0, 0.6, 0.8], None, 600.0
+    motion = mechanics.precession_amplitudes(body, *start, compared_s=60.0)
     assert np.ptp(motion["nutation"]) > 170.0
 
 
@@ -64,9 +60,8 @@ def test_entries_of_the_precession_agree_with_the_paper_except_the_axis_swing(re
         assert rows[key].agrees, key
     assert rows["axis_swing"].agrees is False
     assert min(rows["axis_swing"].ours[:2]) > 110 and max(rows["axis_swing"].ours[2:]) < 75
-    assert all(
-        row.chain in ("", "none") for row in rows.values()
-    )  # nothing of a telemetry is in them
+    # nothing of a telemetry is in them
+    assert all(row.chain in ("", "none") for row in rows.values())
 
 
 @pytest.mark.parametrize(("phase", "expected"), [(np.linspace(0, 200, 20001), 2), (None, 1)])

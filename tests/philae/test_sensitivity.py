@@ -15,12 +15,8 @@ from tests.support.philae import CASE, SUN
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 FACES = [Panel(str(k), corner, 1.0) for k, corner in enumerate(CORNERS)]
 ROUND = Vehicle("round, no wheel", np.diag([2.0, 2.0, 3.0]), panels=FACES)
-SIDEWAYS = Vehicle(
-    "wheel on x",
-    np.diag([3.0, 2.5, 2.0]),
-    panels=FACES,
-    wheels=[Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 1e-7))],
-)
+ON_X = Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 1e-7))
+SIDEWAYS = Vehicle("wheel on x", np.diag([3.0, 2.5, 2.0]), panels=FACES, wheels=[ON_X])
 CRAFT = [(ROUND, None), (SIDEWAYS, 100.0)]
 
 
@@ -46,19 +42,14 @@ def test_maps_of_E_agree_with_single_runs(craft, speed):
     parameters = gr.parameter_map(motion, track, values)
     for i in range(2):
         for j in range(2):
-            run = ss.propagate(
-                craft, [axes[0][i], axes[1][j], -0.08], [0.6, 0.0, 0.8], speed, times
-            )
+            start = [axes[0][i], axes[1][j], -0.08]
+            run = ss.propagate(craft, start, [0.6, 0.0, 0.8], speed, times)
             assert rates.values[i, j, 0] == pytest.approx(ss.direction_error(run, track), abs=1e-4)
-            other = gr.with_parameter(
-                gr.with_parameter(craft, "theta_xx", values["theta_xx"][i]),
-                second,
-                values[second][j],
-            )
+            other = gr.with_parameter(craft, "theta_xx", values["theta_xx"][i])
+            other = gr.with_parameter(other, second, values[second][j])
             run = ss.propagate(other, omega, [0.6, 0.0, 0.8], speed, times)
-            assert parameters.values[i, j] == pytest.approx(
-                ss.direction_error(run, track), abs=1e-4
-            )
+            expected = ss.direction_error(run, track)
+            assert parameters.values[i, j] == pytest.approx(expected, abs=1e-4)
     assert rates.values[1, 0, 0] < 1e-6  # the truth
     assert parameters.values.min() > 1e-6  # not among these
 
@@ -68,9 +59,8 @@ def test_E_of_a_scaled_start_direction_agrees_with_the_formula():
     track = np.array([[0.6, 0, 0.8], [0, 1, 0]])
     measured = np.array([[0, 0, 1], [0, 0.8, 0.6]])
     direct = ss.direction_error(0.9646 * track, measured)
-    assert gr.error_of_start_length(ss.direction_error(track, measured), 0.9646) == pytest.approx(
-        direct, abs=1e-15
-    )
+    found = gr.error_of_start_length(ss.direction_error(track, measured), 0.9646)
+    assert found == pytest.approx(direct, abs=1e-15)
     assert gr.error_of_start_length(0.0, 0.9646) == pytest.approx(0.0177, abs=5e-5)  # the bound
 
 
@@ -106,15 +96,11 @@ def test_error_growth_of_a_pure_spin_agrees_with_the_closed_form():
     """A body that spins about its axis of symmetry: the Sun at right angles to it errs by t times the error of the rate."""
     motion = gr.ReferenceMotion.of(ROUND, [0, 0, 0.1], [1, 0, 0], None, 600.0)
     table = gr.growth(motion)
-    np.testing.assert_allclose(
-        table["error_rad"].sel(input="omega_z").values[1:],
-        0.1 * table["time"].values[1:],
-        rtol=1e-5,
-    )
+    error = table["error_rad"].sel(input="omega_z").values[1:]
+    np.testing.assert_allclose(error, 0.1 * table["time"].values[1:], rtol=1e-5)
     assert float(table["power"].sel(input="omega_z")) == pytest.approx(1.0, abs=1e-4)
-    assert (
-        float(table["error_rad"].sel(input="theta_zz").max()) < 1e-6
-    )  # negative control: it does not enter
+    # negative control: it does not enter
+    assert float(table["error_rad"].sel(input="theta_zz").max()) < 1e-6
     names = "omega_x omega_y omega_z theta_xx theta_yy theta_zz"
     assert " ".join(table["input"].values) == names
 
@@ -126,27 +112,21 @@ def test_friction_makes_the_error_grow_with_the_square_of_time():
     table = gr.growth(gr.ReferenceMotion.of(craft, [0, 0, 0], [1, 0, 0], 100.0, 600.0))
     late = table["time"].values[1:]
     angle = 1e-4 * late**2 / (2 * (3.0 - 0.01))
-    np.testing.assert_allclose(
-        table["error_rad"].sel(input="mu_0").values[1:], angle, rtol=1e-3, atol=1e-6
-    )
+    error = table["error_rad"].sel(input="mu_0").values[1:]
+    np.testing.assert_allclose(error, angle, rtol=1e-3, atol=1e-6)
     assert float(table["power"].sel(input="mu_0")) == pytest.approx(2.0, abs=0.01)
 
 
 def test_the_valley_width_is_inverse_to_the_window_and_agrees_with_the_closed_form():
     """Plain spin, Sun across it: E = (1 - sinc) / 2 of change times window, half its depth at about 1.9 rad."""
     motion = gr.ReferenceMotion.of(ROUND, [0.1, 0, 0], [0, 0.6, 0.8], None, 400.0)
-    motion = gr.ReferenceMotion(
-        Vehicle("ball", np.eye(3), panels=FACES),
-        motion.omega_B,
-        motion.sun_B,
-        motion.wheel_speed_rad_s,
-        400.0,
-    )
+    ball = Vehicle("ball", np.eye(3), panels=FACES)
+    state = motion.omega_B, motion.sun_B, motion.wheel_speed_rad_s
+    motion = gr.ReferenceMotion(ball, *state, 400.0)
     valley = gr.valleys(motion, np.linspace(-0.05, 0.05, 2001), [200.0, 400.0], 2.0)
     x = valley["change"].values[:, None] * np.arange(0.0, 400.1, 2.0)
-    np.testing.assert_allclose(
-        valley.sel(window=400.0).values, (1 - np.cos(x).mean(axis=1)) / 2, atol=1e-3
-    )
+    expected = (1 - np.cos(x).mean(axis=1)) / 2
+    np.testing.assert_allclose(valley.sel(window=400.0).values, expected, atol=1e-3)
     wide, narrow = gr.valley_width(valley)
     assert wide / narrow == pytest.approx(2.0, abs=0.1)
 
@@ -173,9 +153,8 @@ def test_the_effect_of_one_percent_is_the_larger_of_both_signs():
         for change in (0.01, -0.01)
     ]
     assert max(both) > 1.001 * min(both)
-    assert gr.one_percent(motion, 20.0)["E"].sel(input="theta_xx").item() == pytest.approx(
-        max(both), rel=1e-6
-    )
+    found = gr.one_percent(motion, 20.0)["E"].sel(input="theta_xx").item()
+    assert found == pytest.approx(max(both), rel=1e-6)
 
 
 def test_valleys_are_counted_along_both_axes():

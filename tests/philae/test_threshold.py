@@ -47,18 +47,16 @@ def test_a_calibrated_factor_contains_a_new_truth_as_often_as_stated(reached):
 
 def test_an_unusually_large_emd_is_reported_and_a_usual_one_is_not():
     found = made(60, 1)
-    assert not any(found.unusual(x) for x in found.emd_min) and found.unusual(
-        10 * found.emd_min.max()
-    )
+    assert not any(found.unusual(x) for x in found.emd_min)
+    assert found.unusual(10 * found.emd_min.max())
 
 
 def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
     """Sampled tracks against the kernel's histograms; shares of the table by hand."""
     rows = table.rows.start.take(np.arange(len(table.hist)))
     hist = components.histograms(REBOUND, rows.omega_B)
-    apart = np.abs(
-        distances_to_target(hist[2], target_segments(REBOUND.z)) - table.distances(REBOUND.z)
-    )
+    counted = distances_to_target(hist[2], target_segments(REBOUND.z))
+    apart = np.abs(counted - table.distances(REBOUND.z))
     assert np.median(apart) < 5e-3 and apart.max() < 0.03
     scans = [{"emd": np.array([0.01, 0.02, 0.05]), "factor": factor} for factor in (9.0, 4.0, 1.5)]
     lines = components.make_table(scans).splitlines()[2:]
@@ -78,17 +76,12 @@ def test_new_truths_lie_in_the_calibrated_set(table, reached):
 
 def test_rebounds_of_a_calibration_have_misaligned_panels_if_the_file_states_a_sigma():
     """The same truths and the same first direction as measured; what follows is seen elsewhere, by some of 0.09 rad."""
-    case = rb.with_telemetry(
-        replace(CASE, vehicle=with_panels_as_drawn(CASE.vehicle)), CASE.telemetry
-    )
-    drawn, turned = (
-        list(th.simulate_rebounds(rebound, np.arange(6), 0))
-        for rebound in (replace(REBOUND, case=case), REBOUND)
-    )
+    case = replace(CASE, vehicle=with_panels_as_drawn(CASE.vehicle))
+    rebounds = replace(REBOUND, case=rb.with_telemetry(case, CASE.telemetry)), REBOUND
+    drawn, turned = (list(th.simulate_rebounds(each, np.arange(6), 0)) for each in rebounds)
     for one, other in zip(drawn, turned, strict=True):
-        assert np.array_equal(one.omega_B, other.omega_B) and np.array_equal(
-            one.seen_B[0], other.seen_B[0]
-        )
+        assert np.array_equal(one.omega_B, other.omega_B)
+        assert np.array_equal(one.seen_B[0], other.seen_B[0])
         assert 1e-3 < abs(one.seen_B[1:, 2].mean() - other.seen_B[1:, 2].mean()) < 0.3
 
 
@@ -97,14 +90,12 @@ def test_the_key_of_a_calibration_depends_on_the_data(table):
     own, keys = th.calibration_key(REBOUND, table), set()
     assert th.calibration_key(REBOUND, table) == own
     noisier = REBOUND.samples.assign_attrs(noise=0.2)
-    later = REBOUND.samples.assign_coords(
-        time=REBOUND.samples["time"] + np.arange(REBOUND.samples.sizes["time"])
-    )
+    time = REBOUND.samples["time"]
+    later = REBOUND.samples.assign_coords(time=time + np.arange(time.size))
     fewer = REBOUND.samples.copy(deep=True)
     fewer["status"].values[5] = 6
-    heavier = replace(
-        CASE, vehicle=replace(CASE.vehicle, inertia_kg_m2=1.01 * CASE.vehicle.inertia_kg_m2)
-    )
+    inertia = 1.01 * CASE.vehicle.inertia_kg_m2
+    heavier = replace(CASE, vehicle=replace(CASE.vehicle, inertia_kg_m2=inertia))
     heavier.__dict__["telemetry"] = CASE.telemetry
     for samples in (noisier, later, fewer):
         keys.add(th.calibration_key(replace(REBOUND, samples=samples), table))
@@ -119,31 +110,21 @@ def test_the_packaged_calibration_is_used_if_its_key_matches(table, monkeypatch)
     path = CASE.folder / th.SHIPPED
     shipped = th.read_calibration(path)
     assert len(shipped.ratio) == 400 and 3.2 < shipped.factor()[0] < 4.2
-    assert (
-        np.mean(shipped.ratio < 3.04) < 0.87
-    )  # the factor of panels as drawn, with which nine of ten were held
-    grid = Start.on_grid(
-        CASE.vehicle,
-        list(rb.scan_grid(CASE).values()),
-        REBOUND.sun_B,
-        rb.nominal_wheel_speeds(CASE.vehicle),
-    )
-    whole = Table(
-        ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist"), np.zeros((0, 1)), np.zeros(0)
-    )
-    assert th.calibration_key(REBOUND, whole) == shipped.key, (
+    # the factor of panels as drawn, with which nine of ten were held
+    assert np.mean(shipped.ratio < 3.04) < 0.87
+    axes, speeds = list(rb.scan_grid(CASE).values()), rb.nominal_wheel_speeds(CASE.vehicle)
+    grid = Start.on_grid(CASE.vehicle, axes, REBOUND.sun_B, speeds)
+    rows = ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist")
+    assert th.calibration_key(REBOUND, Table(rows, np.zeros((0, 1)), np.zeros(0))) == shipped.key, (
         "the built-in telemetry needs another calibration: threshold.write_calibration"
     )
+    none = rb.Options(simulations=0)
     with pytest.raises(ss.TelemetryError, match="not calibrated"):  # another grid: another key
-        th.get_calibration(REBOUND, table, rb.Options(simulations=0))
+        th.get_calibration(REBOUND, table, none)
     monkeypatch.setattr(th, "calibration_key", lambda *_: shipped.key)
-    assert (
-        th.get_calibration(REBOUND, table, rb.Options(simulations=0)).source
-        == "shipped with the case"
-    )
-    assert (
-        len(th.get_calibration(REBOUND, table, rb.Options(simulations=20)).ratio) == 20
-    )  # asked for, it is made
+    assert th.get_calibration(REBOUND, table, none).source == "shipped with the case"
+    made_anew = th.get_calibration(REBOUND, table, rb.Options(simulations=20))
+    assert len(made_anew.ratio) == 20
 
 
 def test_a_saved_calibration_is_read_again(tmp_path):
@@ -170,10 +151,8 @@ def test_noise_on_unlit_panels_lights_none(kind):
     data, rng = case.telemetry.copy(deep=True), np.random.default_rng(0)
     power = data["power_W"].values
     noise = 0.02 * rng.standard_normal(power.shape)
-    noise = {"both signs": noise, "cut at zero": np.maximum(noise, 0), "size only": np.abs(noise)}[
-        kind
-    ]
-    data["power_W"].values[:] = np.where(power == 0, noise, power)
+    forms = {"both signs": noise, "cut at zero": np.maximum(noise, 0), "size only": np.abs(noise)}
+    data["power_W"].values[:] = np.where(power == 0, forms[kind], power)
     sigma, count = estimate_dark_sigma(case.vehicle, data["power_W"].values)
     assert sigma == pytest.approx(0.02, rel=0.35) and count > 50
     noisy, found = apply_measured_noise(rb.with_telemetry(case, data))

@@ -24,17 +24,11 @@ def units(n, seed=0):
 
 
 def test_a_body_that_rotates_about_z_sees_the_sun_move_backward():
-    quarter = np.array([0.0, 0.0, np.pi / 2])
-    assert components_after_rotation(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx(
-        [0.0, -1.0, 0.0], abs=1e-15
-    )
-    assert rotate_attitude(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx(
-        [0.0, -1.0, 0.0], abs=1e-15
-    )
-    assert np.array_equal(
-        cross_matrix(np.array([1.0, 2.0, 3.0])) @ [0.0, 0.0, 1.0],
-        np.cross([1.0, 2.0, 3.0], [0.0, 0.0, 1.0]),
-    )
+    quarter, backward = np.array([0.0, 0.0, np.pi / 2]), pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert components_after_rotation(np.array([1.0, 0.0, 0.0]), quarter) == backward
+    assert rotate_attitude(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == backward
+    a, b = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 1.0]])
+    assert np.array_equal(cross_matrix(a) @ b, np.cross(a, b))
 
 
 def test_rotation_vectors_of_any_shape_are_recovered_from_their_rotation():
@@ -42,9 +36,8 @@ def test_rotation_vectors_of_any_shape_are_recovered_from_their_rotation():
     start = rotate_attitude(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
     end = rotate_attitude(start, angle)
     assert end.shape == (2, 5, 3, 3)
-    assert rotation_between(np.broadcast_to(start, end.shape), end) == pytest.approx(
-        angle, abs=1e-12
-    )
+    found = rotation_between(np.broadcast_to(start, end.shape), end)
+    assert found == pytest.approx(angle, abs=1e-12)
     sun = units(1)[0]
     assert components_after_rotation(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
 
@@ -58,13 +51,11 @@ def test_rotations_agree_with_scipy(size):
     assert end == pytest.approx(expected, abs=5e-15)
     found = rotation_between(start, end)
     assert Rotation.from_rotvec(-found).as_matrix() @ start == pytest.approx(expected, abs=1e-14)
-    assert np.linalg.norm(found, axis=1) == pytest.approx(
-        np.full(50, min(size, 2 * np.pi - size)), abs=1e-14, rel=1e-12
-    )
-    quaternion = Rotation.from_rotvec(angle).as_quat()
-    assert matrix_from_quaternion(-2 * quaternion) == pytest.approx(
-        Rotation.from_rotvec(angle).as_matrix(), abs=5e-15
-    )
+    expected = np.full(50, min(size, 2 * np.pi - size))
+    assert np.linalg.norm(found, axis=1) == pytest.approx(expected, abs=1e-14, rel=1e-12)
+    rotation = Rotation.from_rotvec(angle)
+    found = matrix_from_quaternion(-2 * rotation.as_quat())
+    assert found == pytest.approx(rotation.as_matrix(), abs=5e-15)
 
 
 def test_the_smallest_rotation_between_directions_leaves_their_normal_fixed():
@@ -80,6 +71,5 @@ def test_steps_on_the_sphere_have_the_stated_length():
     assert np.einsum("ni,ni->n", np.cross(e1, e2), a) == pytest.approx(np.ones(20))
     angle = np.linalg.norm(step, axis=1)
     assert np.einsum("ni,ni->n", a, move_on_sphere(a, step)) == pytest.approx(np.cos(angle))
-    assert np.einsum("ni,ni->n", move_on_sphere(a, 1e-7 * step) - a, e1) / 1e-7 == pytest.approx(
-        step[:, 0], abs=1e-6
-    )
+    slope = np.einsum("ni,ni->n", move_on_sphere(a, 1e-7 * step) - a, e1) / 1e-7
+    assert slope == pytest.approx(step[:, 0], abs=1e-6)

@@ -36,13 +36,10 @@ def random_inertia(rng: np.random.Generator) -> np.ndarray:
 
 # -------------------------------------------------------------------------------------------------------------------------- rates
 
+GYRO_SIGMAS: dict[str, Any] = {"zero_sigma": np.full(3, 2e-3), "scale_sigma": 0.01}
 SENSORS = {
     "none": Sensors(),
-    "gyro": Sensors(
-        gyro=Gyro(
-            ("x", "y", "z"), 1.0, np.zeros(3), 2e-3, zero_sigma=np.full(3, 2e-3), scale_sigma=0.01
-        )
-    ),
+    "gyro": Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3, **GYRO_SIGMAS)),
     "field": Sensors(magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), 0.03)),
     "attitude": Sensors(attitude=Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01)),
 }
@@ -53,11 +50,8 @@ MISSED_SIGMAS, MISSED_RAD_S = 5.0, np.radians(0.1)
 
 def panels_of_kind(kind: str, rng: np.random.Generator) -> list[Panel]:
     """Return panels of gain one: "six" or "five" faces of a cube, four "sides", or six to nine that look "anywhere"."""
-    normals = {
-        "six": CUBE_NORMALS,
-        "five": np.delete(CUBE_NORMALS, rng.integers(6), axis=0),
-        "sides": CUBE_NORMALS[[0, 1, 3, 4]],
-    }.get(kind)
+    five = np.delete(CUBE_NORMALS, rng.integers(6), axis=0)
+    normals = {"six": CUBE_NORMALS, "five": five, "sides": CUBE_NORMALS[[0, 1, 3, 4]]}.get(kind)
     if normals is None:
         normals = np.array([unit_vector(rng) for _ in range(rng.integers(6, 10))])
     return [Panel(f"p{i}", normal, 1.0) for i, normal in enumerate(normals)]
@@ -77,35 +71,25 @@ def with_faults(
     if "dead string" in faults:
         power = power * np.where(np.arange(p) == rng.integers(p), 0.8, 1.0)
     if "earth" in faults:
-        power = power + rng.uniform(0.02, 0.08) * np.maximum(
-            attitude.apply(unit_vector(rng)) @ normals.T, 0
-        )
+        share = rng.uniform(0.02, 0.08)
+        power = power + share * np.maximum(attitude.apply(unit_vector(rng)) @ normals.T, 0)
     if "battery" in faults:
-        power = np.where(
-            rng.uniform(size=(n, 1)) < 0.15, power * rng.uniform(0.1, 0.75, (n, 1)), power
-        )
-    return (
-        np.where(rng.uniform(size=power.shape) < 0.01, 30.0, power) if "spikes" in faults else power
-    )
+        full = rng.uniform(size=(n, 1)) < 0.15
+        power = np.where(full, power * rng.uniform(0.1, 0.75, (n, 1)), power)
+    if "spikes" in faults:
+        power = np.where(rng.uniform(size=power.shape) < 0.01, 30.0, power)
+    return power
 
 
 def sensor_readings(kind: str, run: xr.Dataset, rng: np.random.Generator) -> dict[str, Any]:
     """Return the variables that the other sensor of this kind adds to the telemetry."""
     n, attitude = run.sizes["time"], Rotation.from_quat(run["B_from_N"].values)
     if kind == "gyro":
-        read = (
-            run["omega_B"].values * (1 + 0.01 * rng.normal())
-            + 2e-3 * rng.normal(size=3)
-            + 2e-3 * rng.normal(size=(n, 3))
-        )
-        return {"gyro_B": (("time", "axis"), read)}
+        read = run["omega_B"].values * (1 + 0.01 * rng.normal()) + 2e-3 * rng.normal(size=3)
+        return {"gyro_B": (("time", "axis"), read + 2e-3 * rng.normal(size=(n, 3)))}
     if kind == "field":
-        return {
-            "field_B": (
-                ("time", "axis"),
-                attitude.apply(unit_vector(rng)) + 0.03 * rng.normal(size=(n, 3)),
-            )
-        }
+        field = attitude.apply(unit_vector(rng)) + 0.03 * rng.normal(size=(n, 3))
+        return {"field_B": (("time", "axis"), field)}
     if kind == "attitude":
         read = (Rotation.from_rotvec(0.01 * rng.normal(size=(n, 3))) * attitude).as_quat()
         return {"attitude_B_from_N": (("time", "quaternion"), read)}
@@ -123,29 +107,18 @@ def rates_case(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict
     faults = [fault for fault in FAULTS if rng.random() < 0.25]
     stated = bool(rng.random() < 0.7)
     form = TelemetryForm(noise=noise if rng.random() < 0.7 else None)
-    vehicle = Vehicle(
-        "strange",
-        inertia_kg_m2=tensor if stated else None,
-        gain_unit="W",
-        panels=panels_of_kind(kind, rng),
-        telemetry=form,
-        sensors=SENSORS[sensor],
-    )
+    parts: dict[str, Any] = {"panels": panels_of_kind(kind, rng), "sensors": SENSORS[sensor]}
+    inertia = tensor if stated else None
+    vehicle = Vehicle("strange", inertia, gain_unit="W", telemetry=form, **parts)
     interval, n = float(np.clip(rng.uniform(0.1, 2.2) / rate, 1.0, 60.0)), int(rng.integers(15, 61))
     t = uneven_times(rng, n, interval, 0.2)
     moments = np.array(tensor)
     moments[np.diag_indices(3)] *= 1 + ASSUMED["inertia"] * rng.standard_normal(3)
-    run = ss.propagate(
-        replace(vehicle, inertia_kg_m2=moments), rate * unit_vector(rng), unit_vector(rng), None, t
-    )
-    normals = vehicle.panel_normals_B
-    power = with_faults(
-        ss.panel_power(vehicle, run["sun_B"].values),
-        faults,
-        normals,
-        Rotation.from_quat(run["B_from_N"].values),
-        rng,
-    )
+    body = replace(vehicle, inertia_kg_m2=moments)
+    run = ss.propagate(body, rate * unit_vector(rng), unit_vector(rng), None, t)
+    attitude = Rotation.from_quat(run["B_from_N"].values)
+    power = ss.panel_power(vehicle, run["sun_B"].values)
+    power = with_faults(power, faults, vehicle.panel_normals_B, attitude, rng)
     power = power + noise * rng.normal(size=power.shape)
     power = np.round(power / 0.03) * 0.03 if "quantised" in faults else power
     power = np.maximum(power, 0.0) if rng.random() < 0.5 else power
@@ -165,20 +138,14 @@ def judge_rates(seed: int, i: int) -> dict[str, Any]:
 
 def pass_against_truth(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
     """Return how far the true mean rate is from the nearest solution of pass `k`."""
-    truth = (
-        run["omega_B"]
-        .sel(time=result["time"].values[result["pass_of"].values == k])
-        .values.mean(axis=0)
-    )
+    times = result["time"].values[result["pass_of"].values == k]
+    truth = run["omega_B"].sel(time=times).values.mean(axis=0)
     sigma = result["omega_sigma_B"].values[k]
     miss = np.abs(result["omega_mean_B"].values[k] - truth)
     near = (miss < np.maximum(MISSED_SIGMAS * sigma, MISSED_RAD_S)).all(axis=1)
     probability = np.nan_to_num(result["probability"].values[k])
-    best = int(
-        np.nanargmin(
-            np.where(np.isnan(miss).any(axis=1), np.inf, np.linalg.norm(miss / sigma, axis=1))
-        )
-    )
+    far = np.linalg.norm(miss / sigma, axis=1)
+    best = int(np.argmin(np.where(np.isnan(far), np.inf, far)))
     bad = bool(result["cost"].values[k, 0] > result["cost_limit"].values[k])
     word = "fits badly" if bad else "decided" if probability[0] >= DECIDED else "several"
     return {
@@ -212,8 +179,7 @@ def random_panels(rng: np.random.Generator) -> list[Panel]:
         normals = np.array([unit_vector(rng) for _ in range(rng.integers(4, 9))])
     gains = rng.uniform(0.7, 1.0, len(normals))
     return [
-        Panel(f"p{i}", normal, float(gain))
-        for i, (normal, gain) in enumerate(zip(normals, gains, strict=True))
+        Panel(f"p{i}", *each) for i, each in enumerate(zip(normals, gains.tolist(), strict=True))
     ]
 
 
@@ -226,15 +192,8 @@ def random_wheels(rng: np.random.Generator, inertia: np.ndarray, rate: float) ->
         own = momentum / abs(speed)
         lost = momentum / rng.uniform(700, 10_000)
         part = rng.uniform(0, 1)
-        out.append(
-            Wheel(
-                f"w{i}",
-                unit_vector(rng),
-                own,
-                speed,
-                Friction(lost * part, lost * (1 - part) / abs(speed)),
-            )
-        )
+        friction = Friction(lost * part, lost * (1 - part) / abs(speed))
+        out.append(Wheel(f"w{i}", unit_vector(rng), own, speed, friction))
     return out
 
 
@@ -244,10 +203,8 @@ def true_body(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     tensor[np.diag_indices(3)] *= 1 + ASSUMED["inertia"] * rng.standard_normal(3)
     moved = []
     for wheel in vehicle.wheels:
-        dry, viscous = np.exp(ASSUMED["friction"] * rng.standard_normal(2))
-        friction = Friction(
-            wheel.friction.coulomb_N_m * dry, wheel.friction.viscous_N_m_s * viscous
-        )
+        stated = np.array([wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s])
+        friction = Friction(*stated * np.exp(ASSUMED["friction"] * rng.standard_normal(2)))
         speed = wheel.speed_rad_s * (1 + ASSUMED["wheel_speed"] * rng.standard_normal())
         moved.append(replace(wheel, speed_rad_s=speed, friction=friction))
     return replace(vehicle, inertia_kg_m2=tensor, wheels=moved)
@@ -260,34 +217,20 @@ def posterior_case(seed: int, i: int, revolutions: float = 0.24) -> PosteriorCas
     noise = 10 ** rng.uniform(-2.3, -1.3)
     stated = noise if rng.random() < 0.7 else None
     form = TelemetryForm(quantity="current_A", noise=stated)
-    vehicle = Vehicle(
-        "strange",
-        inertia_kg_m2=inertia,
-        panels=random_panels(rng),
-        wheels=random_wheels(rng, inertia, rate),
-        telemetry=form,
-    )
+    parts: dict[str, Any] = {"panels": random_panels(rng), "telemetry": form}
+    vehicle = Vehicle("strange", inertia, wheels=random_wheels(rng, inertia, rate), **parts)
     interval = min(rng.uniform(0.2, 2 * np.pi * revolutions) / rate, 120.0)
     n = int(rng.integers(10, 41))
-    t = interval * np.arange(n) + np.concatenate(
-        [[0.0], rng.uniform(-0.25, 0.25, n - 1) * interval * (rng.random() < 0.7)]
-    )
+    late = rng.uniform(-0.25, 0.25, n - 1) * interval * (rng.random() < 0.7)
+    t = interval * np.arange(n) + np.concatenate([[0.0], late])
     omega, dark = rate * unit_vector(rng), str(rng.choice(["zero", "clipped", "below zero"]))
-    truth = {
-        "omega_B": omega,
-        "sun_B": unit_vector(rng),
-        "t_s": t,
-        "scale": float(10 ** rng.uniform(-1, 1)),
-        "noise": 0.0,
-    }
+    truth = {"omega_B": omega, "sun_B": unit_vector(rng), "t_s": t, "noise": 0.0}
+    truth["scale"] = float(10 ** rng.uniform(-1, 1))
     telemetry = ss.twin(true_body(vehicle, rng), truth, seed=i)
     value = telemetry["current_A"].values
     noisy = value + noise * truth["scale"] * rng.standard_normal(value.shape)
-    floor = {
-        "zero": np.where(value > 0, noisy, 0.0),
-        "clipped": np.maximum(noisy, 0.0),
-        "below zero": noisy,
-    }
+    clipped, zero = np.maximum(noisy, 0.0), np.where(value > 0, noisy, 0.0)
+    floor = {"zero": zero, "clipped": clipped, "below zero": noisy}
     telemetry["current_A"].values[:] = floor[dark]
     if stated is not None:
         vehicle = replace(vehicle, telemetry=replace(form, noise=noise * truth["scale"]))

@@ -8,7 +8,6 @@ bring a second program that must match the browser's version, and not show reque
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import os
@@ -21,24 +20,11 @@ from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-dev-shm-usage",
-    "--disable-gpu-compositing",
-    "--disable-gpu-rasterization",
-    "--remote-debugging-pipe",
-    "--no-first-run",
-    "--disable-extensions",
-    "--disable-component-update",
-    "--disable-background-networking",
-    "--disable-sync",
-    "--hide-scrollbars",
-    "--mute-audio",
-    "--window-size=1280,900",
-)
+FLAGS = """
+--headless=new --no-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader --disable-dev-shm-usage --disable-gpu-compositing
+--disable-gpu-rasterization --remote-debugging-pipe --no-first-run --disable-extensions --disable-component-update
+--disable-background-networking --disable-sync --hide-scrollbars --mute-audio --window-size=1280,900
+""".split()
 
 HOSTILE = """<script>window.hacked=1</script> "x" & </script><!--"""
 """A name that would run, or break the page, if it were taken for anything but text."""
@@ -63,24 +49,17 @@ class Browser:
             os.dup2(104, 4)
 
         command = [str(chromium()), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            preexec_fn=descriptors,
-            close_fds=False,
-            start_new_session=True,
-        )
+        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        own: dict[str, Any] = {"preexec_fn": descriptors, "close_fds": False}
+        self._process = subprocess.Popen(command, **quiet, **own, start_new_session=True)
         os.close(to_read)
         os.close(to_write)
         self._buffer, self._number, self._session = b"", 0, None
         self.events: list[dict[str, Any]] = []
         targets = self.call("Target.getTargets")["targetInfos"]
         page = next(t for t in targets if t["type"] == "page")
-        self._session = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)[
-            "sessionId"
-        ]
+        attached = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)
+        self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
 
@@ -114,30 +93,20 @@ class Browser:
     def open(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         """Open a file in a window of this size and wait until it is loaded."""
         self.events.clear()
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=width < 600,
-        )
-        self.call(
-            "Emulation.setEmulatedMedia",
-            features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}],
-        )
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url=path.as_uri())
         self.until("document.readyState === 'complete'")
 
     def js(self, expression: str) -> Any:
         """The value of an expression in the page; promises are awaited."""
-        done = self.call(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
-        )
+        how = {"returnByValue": True, "awaitPromise": True}
+        done = self.call("Runtime.evaluate", expression=expression, **how)
         if "exceptionDetails" in done:
-            raise RuntimeError(
-                done["exceptionDetails"].get("exception", {}).get("description", "")
-                or str(done["exceptionDetails"])
-            )
+            wrong = done["exceptionDetails"]
+            raise RuntimeError(wrong.get("exception", {}).get("description", "") or str(wrong))
         return done["result"].get("value")
 
     def until(self, condition: str, timeout_s: float = 30.0) -> None:
@@ -153,44 +122,23 @@ class Browser:
 
     def show(self, selector: str, drawn: bool = True) -> None:
         """Bring an element into the window and, for a plot, wait until it is drawn."""
-        self.js(
-            f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center', behavior: 'instant'}})"
-        )
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.js(f"{element}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
         if drawn:
-            self.until(f"document.querySelector({json.dumps(selector)}).dataset.drawn === 'yes'")
+            self.until(f"{element}.dataset.drawn === 'yes'")
 
     def key(self, key: str) -> None:
         """Press and release a key."""
-        text = {"text": key} if len(key) == 1 else {}
         codes = {"Tab": 9, "ArrowLeft": 37, "ArrowRight": 39, "Enter": 13, " ": 32}
-        for kind in ("keyDown", "keyUp"):
-            self.call(
-                "Input.dispatchKeyEvent",
-                type=kind,
-                key=key,
-                windowsVirtualKeyCode=codes.get(key, 0),
-                **(text if kind == "keyDown" else {}),
-            )
-
-    def picture(
-        self, path: Path | None = None, clip: dict[str, float] | None = None, whole: bool = False
-    ) -> bytes:
-        """A PNG of the window, of a part of it, or of the whole page."""
-        options: dict[str, Any] = {"format": "png", "captureBeyondViewport": whole}
-        if clip:
-            options["clip"] = clip | {"scale": 1}
-        data = base64.b64decode(self.call("Page.captureScreenshot", **options)["data"])
-        if path is not None:
-            path.write_bytes(data)
-        return data
+        pressed = {"key": key, "windowsVirtualKeyCode": codes.get(key, 0)}
+        text = {"text": key} if len(key) == 1 else {}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **pressed, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **pressed)
 
     def requests(self) -> list[str]:
         """Addresses that the page has asked for."""
-        return [
-            e["params"]["request"]["url"]
-            for e in self.events
-            if e.get("method") == "Network.requestWillBeSent"
-        ]
+        sent = [e for e in self.events if e.get("method") == "Network.requestWillBeSent"]
+        return [e["params"]["request"]["url"] for e in sent]
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the console, exceptions, entries of the log."""
@@ -198,9 +146,8 @@ class Browser:
         for e in self.events:
             p = e.get("params", {})
             if e.get("method") == "Runtime.exceptionThrown":
-                complaints.append(
-                    p["exceptionDetails"].get("exception", {}).get("description", str(p))
-                )
+                thrown = p["exceptionDetails"].get("exception", {})
+                complaints.append(thrown.get("description", str(p)))
             if e.get("method") == "Runtime.consoleAPICalled" and p["type"] in ("error", "assert"):
                 complaints.append(str([a.get("value", a.get("description")) for a in p["args"]]))
             if e.get("method") == "Log.entryAdded" and p["entry"]["level"] == "error":

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin import calibrate_sensors
 from sunspin.environment.elements import parse_elements
-from sunspin.environment.orbit import drift_sigma_s_day, in_orbit
+from sunspin.environment.orbit import Orbit, drift_sigma_s_day, in_orbit
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Disturbance, Gyro, Magnetometer, Sensors, SunSensor
 from tests.support.orbits import EPOCH, sky, two_line_elements
@@ -164,16 +164,17 @@ def deviations(case: CalibrationCase, result: xr.Dataset) -> dict[str, list[floa
     return off
 
 
+def orbit_of_case(case: CalibrationCase, data: xr.Dataset) -> Orbit:
+    """Return the orbit of a case's elements at the times of telemetry."""
+    elements, t_s = parse_elements("\n".join(case.elements), "twin"), data["time"].values
+    return in_orbit(elements, data.attrs["epoch_utc"], t_s, shift_sigma_s=case.shift_sigma_s)
+
+
 def judge_calibration(seed: int, i: int) -> dict[str, Any]:
     """Return the errors of case `i`, in sigmas: its sensors are off if `i` is even, else as the file states."""
     what, off = ("off", 1.0) if i % 2 == 0 else ("clean", 0.0)
     case = calibration_case(seed, i, off)
-    data = case.telemetry
-    elements = parse_elements("\n".join(case.elements), "twin")
-    orbit = in_orbit(
-        elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=case.shift_sigma_s
-    )
-    result = calibrate_sensors(case.vehicle, data, orbit)
+    result = calibrate_sensors(case.vehicle, case.telemetry, orbit_of_case(case, case.telemetry))
     along_track = {
         f"orbit.{name}": [
             (result.attrs[name] - true) / result.attrs[name.replace("_s", "_sigma_s", 1)]

@@ -40,10 +40,9 @@ def noise(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def encoded(content: bytes, rng: np.random.Generator) -> bytes:
+    codes = "utf-16", "latin-1", "utf-32", "utf-8-sig"
     text = content.decode("utf-8", "replace") + "\u00b0"
-    return text.encode(
-        ("utf-16", "latin-1", "utf-32", "utf-8-sig")[int(rng.integers(4))], "replace"
-    )
+    return text.encode(codes[int(rng.integers(4))], "replace")
 
 
 BYTES: tuple[Corruption, ...] = (flipped, truncated, doubled, with_nul, empty, noise, encoded)
@@ -75,30 +74,11 @@ def swapped_columns(rows: list[list[str]], rng: np.random.Generator) -> None:
         row[i], row[k] = row[k], row[i]
 
 
-ODD = (
-    "nan",
-    "inf",
-    "-inf",
-    "1e308",
-    "-1e300",
-    "1e-320",
-    "",
-    "null",
-    "N/A",
-    "0x1F",
-    "True",
-    "--",
-    "9" * 400,
-    "1_000",
-    "\u0664\u0662",
-    "2026-13-45T99:99:99",
-    "0001-01-01T00:00:00+23:59",
-    "9999-12-31T23:59:59-23:59",
-    '"',
-    "=1+1",
-    "\u202e12",
-    "1,5",
-)
+ODD = [
+    *("nan inf -inf 1e308 -1e300 1e-320".split() + ["", "null", "N/A", "0x1F", "True", "--"]),
+    *("9" * 400, "1_000", "\u0664\u0662", "2026-13-45T99:99:99", "0001-01-01T00:00:00+23:59"),
+    *("9999-12-31T23:59:59-23:59", '"', "=1+1", "\u202e12", "1,5"),
+]
 
 
 def odd_cells(rows: list[list[str]], rng: np.random.Generator) -> None:
@@ -141,14 +121,7 @@ def repeated_header(rows: list[list[str]], rng: np.random.Generator) -> None:
 CELLS: tuple[Corruption, ...] = tuple(
     _cells(change)
     for change in (
-        missing_column,
-        swapped_columns,
-        odd_cells,
-        odd_column,
-        scaled_column,
-        shuffled_rows,
-        few_rows,
-        repeated_rows,
-        repeated_header,
+        *(missing_column, swapped_columns, odd_cells, odd_column, scaled_column),
+        *(shuffled_rows, few_rows, repeated_rows, repeated_header),
     )
 )

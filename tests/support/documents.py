@@ -21,7 +21,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from click.testing import CliRunner
 
@@ -66,11 +66,8 @@ def blocks(text: str) -> list[Block]:
         if fence[2] == "text" and after:
             found[-1] = found[-1]._replace(printed=body)
         elif not fence[2].startswith("{"):
-            found.append(
-                Block(
-                    fence[2], body, at + 1, bool(NOT_RUN.search(above)), MARKS.get(above, ""), None
-                )
-            )
+            skipped, mark = bool(NOT_RUN.search(above)), MARKS.get(above, "")
+            found.append(Block(fence[2], body, at + 1, skipped, mark, None))
         after, above = fence[2] == "python", ""
         at = end + 1
     return found
@@ -88,24 +85,19 @@ class Reader:
         elif block.language == "console":
             for command, printed in commands(block.text):
                 self._same(self._command(command), printed, block.line)
-        elif block.language in ("toml", "csv") and (
-            name := re.match(r"# file: (\S+)\n", block.text)
-        ):
-            (self.folder / name[1]).write_text(block.text, "utf-8")
+        elif block.language in ("toml", "csv"):
+            if name := re.match(r"# file: (\S+)\n", block.text):
+                (self.folder / name[1]).write_text(block.text, "utf-8")
 
     def _same(self, got: str, want: str | None, line: int) -> None:
         if want is not None:
-            checker, flags = doctest.OutputChecker(), doctest.ELLIPSIS
-            assert checker.check_output(want, got, flags), (
-                f"{self.page.name}, block at line {line}: printed\n{got}"
-            )
+            same = doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS)
+            assert same, f"{self.page.name}, block at line {line}: printed\n{got}"
 
     def _python(self, block: Block) -> str:
-        printed = io.StringIO()
+        printed, code = io.StringIO(), "\n" * block.line + block.text
         with contextlib.redirect_stdout(printed), contextlib.chdir(self.folder):
-            exec(
-                compile("\n" * block.line + block.text, str(self.page), "exec"), self.names
-            )  # our own file
+            exec(compile(code, str(self.page), "exec"), self.names)  # our own file
         return printed.getvalue()
 
     def _command(self, command: str) -> str:
@@ -117,20 +109,13 @@ class Reader:
             from sunspin.cli import cli
 
             with contextlib.chdir(self.folder):
-                done = CliRunner().invoke(
-                    cli, words[1:], catch_exceptions=False, prog_name="sunspin", terminal_width=100
-                )
+                how: dict[str, Any] = {"prog_name": "sunspin", "terminal_width": 100}
+                done = CliRunner().invoke(cli, words[1:], catch_exceptions=False, **how)
             assert done.exit_code == 0, f"{self.page.name}: {command}\n{done.output}"
             return done.stdout
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-        ran = subprocess.run(
-            command,
-            shell=True,
-            cwd=self.folder,
-            env=os.environ | {"PATH": path},
-            capture_output=True,
-            text=True,
-        )
+        env, kept = os.environ | {"PATH": path}, {"capture_output": True, "text": True}
+        ran = subprocess.run(command, shell=True, cwd=self.folder, env=env, **kept)
         assert ran.returncode == 0, f"{self.page.name}: {command}\n{ran.stdout}{ran.stderr}"
         return ran.stdout
 

@@ -25,18 +25,16 @@ FIGURES = pytest.StashKey[dict]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--evidence", metavar="FILE", help="write what the tests have shown, for the documentation"
-    )
+    about = "write what the tests have shown, for the documentation"
+    parser.addoption("--evidence", metavar="FILE", help=about)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         for mark in item.iter_markers("evidence"):
             if len(mark.args) != 3 or mark.kwargs or mark.args[1] not in KINDS:
-                raise pytest.UsageError(
-                    f"{item.nodeid}: evidence takes a capability, one of {', '.join(KINDS)}, and against what"
-                )
+                wanted = f"a capability, one of {', '.join(KINDS)}, and against what"
+                raise pytest.UsageError(f"{item.nodeid}: evidence takes {wanted}")
 
 
 @pytest.fixture
@@ -45,11 +43,8 @@ def reached(request: pytest.FixtureRequest):
     figures = request.node.stash.setdefault(FIGURES, {})
 
     def record(label: str, value, unit: str = "", limit: float | None = None) -> None:
-        figures[label] = {
-            "value": float(np.max(value)),
-            "unit": unit,
-            "limit": None if limit is None else float(limit),
-        }
+        bound = None if limit is None else float(limit)
+        figures[label] = {"value": float(np.max(value)), "unit": unit, "limit": bound}
 
     return record
 
@@ -88,11 +83,8 @@ def note(results: dict, test: str, report: pytest.TestReport, figures: dict) -> 
     """Add one report to the results of its test; the cases of a parametrised test are one entry with the range of figures."""
     entry = results.setdefault(test, {"passed": 0, "failed": 0, "skipped": "", "figures": {}})
     if report.outcome == "skipped":
-        entry["skipped"] = (
-            report.longrepr[2].removeprefix("Skipped: ")
-            if isinstance(report.longrepr, tuple)
-            else "skipped"
-        )
+        why = report.longrepr[2] if isinstance(report.longrepr, tuple) else "skipped"
+        entry["skipped"] = why.removeprefix("Skipped: ")
         return
     entry[report.outcome] += 1
     for label, figure in figures.items():
@@ -102,19 +94,12 @@ def note(results: dict, test: str, report: pytest.TestReport, figures: dict) -> 
 
 
 def write(path: Path, results: dict) -> None:
-    machine = f"{sys.platform} {platform.machine()}"
-    head = {
-        "version": metadata.version("sunspin"),
-        "python": platform.python_version(),
-        "machine": machine,
-    }
+    head = {"version": metadata.version("sunspin"), "python": platform.python_version()}
+    head["machine"] = f"{sys.platform} {platform.machine()}"
     earlier = json.loads(path.read_text("utf-8")) if path.is_file() else {}
     if {key: earlier.get(key) for key in head} == head:
-        skipped_now = {
-            test for test, entry in results.items() if not (entry["passed"] or entry["failed"])
-        }
-        results = earlier["tests"] | {
-            t: e for t, e in results.items() if t not in skipped_now or t not in earlier["tests"]
-        }
+        known = earlier["tests"]
+        run = {t: e for t, e in results.items() if e["passed"] or e["failed"] or t not in known}
+        results = known | run
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(head | {"tests": results}, indent=1, sort_keys=True), "utf-8")

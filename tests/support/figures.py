@@ -12,33 +12,24 @@ def frame(figure: Figure) -> Figure:
 
 def blank(_: Figure) -> dict[str, bytes]:
     """Return the files of a figure, without a drawing in them."""
-    return {
-        suffix: b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="6"/>'
-        for suffix in ("svg", "png")
-    }
+    return dict.fromkeys(
+        ("svg", "png"), b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="6"/>'
+    )
 
 
 def covered(figure: Figure) -> list[str]:
     """Return titles of the flat axes whose legend stands on points of a curve, on marks or on an edge of a histogram."""
     lay_out(figure).draw_without_rendering()
     found = []
-    for axes in (
-        axes for axes in figure.axes if axes.name != "3d" and axes.get_legend() is not None
-    ):
+    for axes in figure.axes:
+        if axes.name == "3d" or axes.get_legend() is None:
+            continue
         box = axes.get_legend().get_window_extent()
-        points = [
-            line.get_transform().transform(line.get_xydata())
-            for line in axes.lines
-            if len(line.get_xdata()) > 2
-        ]
-        points += [
-            patch.get_transform().transform(patch.get_path().vertices) for patch in axes.patches
-        ]
+        lines = [line for line in axes.lines if len(line.get_xdata()) > 2]
+        points = [line.get_transform().transform(line.get_xydata()) for line in lines]
+        points += [p.get_transform().transform(p.get_path().vertices) for p in axes.patches]
         clouds = [one for one in axes.collections if len(one.get_offsets()) > 1]
         points += [cloud.get_offset_transform().transform(cloud.get_offsets()) for cloud in clouds]
-        found += (
-            [axes.get_title()]
-            if any(box.contains(*point) for some in points for point in some)
-            else []
-        )
+        if any(box.contains(*point) for some in points for point in some):
+            found.append(axes.get_title())
     return found

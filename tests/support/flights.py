@@ -5,6 +5,8 @@ SGP4, Sun and the cylinder of shadow are those of `tests/support/orbits.py`, not
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
@@ -14,18 +16,12 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from tests.support.orbits import EARTH_KM, EPOCH, sun_of_date, two_line_elements
+from tests.support.simulate import telemetry_of
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
 
 PERIOD_S = 5700.0
-CUBE = Vehicle(
-    "cube",
-    gain_unit="W",
-    panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(CUBE_NORMALS)],
-    telemetry=TelemetryForm(noise=0.01),
-)
-RELATIVE = Vehicle(
-    "cube", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(CUBE_NORMALS)]
-)
+RELATIVE = Vehicle("cube", panels=[Panel(f"p{j}", n, 1.0) for j, n in enumerate(CUBE_NORMALS)])
+CUBE = replace(RELATIVE, gain_unit="W", telemetry=TelemetryForm(noise=0.01))
 
 
 class Flight:
@@ -58,14 +54,8 @@ class Flight:
 
     def dataset(self, power: np.ndarray) -> xr.Dataset:
         """Return readings (n, 6) as telemetry."""
-        variables = {
-            "power_W": (("time", "panel"), np.maximum(power, 0)),
-            "flag": ("time", np.zeros(len(power), dtype=np.uint8)),
-        }
-        attrs = {"epoch_utc": EPOCH.isoformat() + "Z", "synthetic": 1}
-        return xr.Dataset(
-            variables, {"time": self.t[: len(power)], "panel": list(CUBE.panel_names)}, attrs
-        )
+        data = telemetry_of(CUBE, self.t[: len(power)], np.maximum(power, 0))
+        return data.assign_attrs(epoch_utc=EPOCH.isoformat() + "Z", synthetic=1)
 
     def orbit(self, **options):
         """Return the environment of the orbit's own elements."""

@@ -138,17 +138,15 @@ def integrator(n_wheels: int, tolerance: float):
     e = Equations(variables, [hk.par[k] for k in range(count)], hk.time, n_wheels, hk.sin, hk.cos)
     events = []
     for w, speed, holding in zip(e.wheels, e.speeds, e.holding, strict=True):
-        stop = w[7] * speed + (
-            1.0 - w[7] * w[7]
-        )  # the constant keeps a wheel that is not watched from zero
+        # the constant keeps a wheel that is not watched from zero
+        stop = w[7] * speed + (1.0 - w[7] * w[7])
         overload = w[9] * (holding * holding * w[8] - 1.0)
         events.append(hk.t_event(stop, direction=hk.event_direction.negative))
         events.append(hk.t_event(overload, direction=hk.event_direction.positive))
-    system = list(zip(variables, e.rates(), strict=True))
+    system, start = list(zip(variables, e.rates(), strict=True)), [0.0] * len(names)
     hk.set_logger_level_error()
-    return hk.taylor_adaptive(
-        system, [0.0] * len(names), pars=[0.0] * count, t_events=events, tol=tolerance
-    )
+    more = {"t_events": events, "tol": tolerance}
+    return hk.taylor_adaptive(system, start, pars=[0.0] * count, **more)
 
 
 class Run:
@@ -162,9 +160,8 @@ class Run:
         self.axes = np.array([w.axis_B for w in vehicle.wheels]).reshape(-1, 3)
         self.J = np.array([w.inertia_kg_m2 for w in vehicle.wheels])
         momentum = self.inertia @ omega + (self.J * speeds) @ self.axes
-        self.y = np.concatenate(
-            [momentum, self.J * (speeds + self.axes @ omega), [0.0, 0.0, 0.0, 1.0]]
-        )
+        axial = self.J * (speeds + self.axes @ omega)
+        self.y = np.concatenate([momentum, axial, [0.0, 0.0, 0.0, 1.0]])
         self.wheels = []
         for wheel, speed in zip(vehicle.wheels, speeds, strict=True):
             dry = wheel.friction.coulomb_N_m

@@ -37,6 +37,16 @@ def _dataset(vehicle: Vehicle, t_s: np.ndarray, power: np.ndarray) -> xr.Dataset
     return telemetry_of(vehicle, t_s, np.maximum(power, 0.0)).assign_attrs(attrs)
 
 
+DIM_OMEGA, DIM_SUN = np.array([0.05, -0.08, 0.11]), np.array([0.3, 0.5, 0.8]) / np.sqrt(0.98)
+"""Rate (rad/s) and direction to the Sun at the first sample of :func:`dim_telemetry`."""
+
+
+def dim_telemetry(vehicle: Vehicle, t_s: np.ndarray) -> xr.Dataset:
+    """Return telemetry of a body that begins with `DIM_OMEGA` and `DIM_SUN`, in a third of the Sun's light."""
+    truth = {"omega_B": DIM_OMEGA, "sun_B": DIM_SUN, "t_s": t_s, "scale": 0.37}
+    return ss.twin(vehicle, truth, seed=1)
+
+
 # ------------------------------------------------------------------------------------------------------------------------- Philae
 
 PHILAE = with_panels_as_drawn(load_case("philae").vehicle)

@@ -227,6 +227,12 @@ def one_pass(data: xr.Dataset, begin_s: float) -> xr.Dataset:
     return data.isel(time=(t > -1) & (t < LONGEST_S))
 
 
+def sparse_pass(seed: int, i: int, which: int = 0) -> tuple[Vehicle, xr.Dataset, xr.Dataset]:
+    """Return vehicle, telemetry of panels alone and truth of a pass in orbit with whole revolutions between its samples."""
+    vehicle, data, _, truth, about = rates_case(seed, i, **SPARSE)
+    return vehicle, one_pass(data, about["begin_s"][which]).drop_vars("field_B"), truth
+
+
 def pass_against_truth(result: xr.Dataset, truth: xr.Dataset, k: int) -> dict[str, Any]:
     """Return the errors of pass `k`: of the rate at its middle and, with an orbit, of the attitude."""
     t = result["time"].values[result["pass_of"].values == k]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime, timedelta
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import ppigrf
@@ -44,9 +44,8 @@ def with_check_digit(line: str) -> str:
 
 def with_node_turned(second: str, by_deg: float) -> str:
     """Return the second line with its ascending node turned by an angle."""
-    return with_check_digit(
-        f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}"
-    )
+    node = (float(second[17:25]) + by_deg) % 360
+    return with_check_digit(f"{second[:17]}{node:8.4f}{second[25:68]}")
 
 
 def days_since_j2000(t_s: np.ndarray) -> np.ndarray:
@@ -58,9 +57,8 @@ def days_since_j2000(t_s: np.ndarray) -> np.ndarray:
 def place_and_speed(elements: tuple[str, str], t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return place (n, 3) km and velocity (n, 3) km/s by SGP4 at seconds after `EPOCH`."""
     day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
-    _, place, speed = Satrec.twoline2rv(*elements).sgp4_array(
-        np.full(len(t_s), day), fraction + t_s / 86400
-    )
+    days = np.full(len(t_s), day), fraction + t_s / 86400
+    _, place, speed = Satrec.twoline2rv(*elements).sgp4_array(*days)
     return place, speed
 
 
@@ -72,31 +70,22 @@ def sidereal_angle(days: np.ndarray) -> np.ndarray:
 def sun_of_date(days: np.ndarray) -> np.ndarray:
     """Return Sun directions (n, 3) at days (n) since J2000.0: Astronomical Almanac, page C5, to 0.01 degrees."""
     anomaly = np.radians(357.528 + 0.9856003 * days)
-    longitude = np.radians(
-        280.460 + 0.9856474 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly)
-    )
-    tilt = np.radians(23.439 - 4e-7 * days)
-    return np.column_stack(
-        [np.cos(longitude), np.cos(tilt) * np.sin(longitude), np.sin(tilt) * np.sin(longitude)]
-    )
+    circular = 280.460 + 0.9856474 * days
+    longitude = np.radians(circular + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly))
+    tilt, across = np.radians(23.439 - 4e-7 * days), np.sin(longitude)
+    return np.column_stack([np.cos(longitude), np.cos(tilt) * across, np.sin(tilt) * across])
 
 
 def field_nT(place: np.ndarray, sidereal: np.ndarray, when: datetime) -> np.ndarray:
     """Return IGRF (n, 3) nT in the axes of `place` (n, 3) km, in which the Earth is turned by `sidereal` (n) rad."""
     radius = np.linalg.norm(place, axis=1)
     theta, phi = np.arccos(place[:, 2] / radius), np.arctan2(place[:, 1], place[:, 0])
-    up, south, east = (
-        part[0]
-        for part in ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), when)
-    )
+    field = ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), when)
+    up, south, east = (part[0] for part in field)
     level = up * np.sin(theta) + south * np.cos(theta)
-    return np.column_stack(
-        [
-            level * np.cos(phi) - east * np.sin(phi),
-            level * np.sin(phi) + east * np.cos(phi),
-            up * np.cos(theta) - south * np.sin(theta),
-        ]
-    )
+    x = level * np.cos(phi) - east * np.sin(phi)
+    y = level * np.sin(phi) + east * np.cos(phi)
+    return np.column_stack([x, y, up * np.cos(theta) - south * np.sin(theta)])
 
 
 def is_sunlit(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
@@ -139,9 +128,8 @@ class Arc(NamedTuple):
         field = 1e-9 * field_nT(place, sidereal_angle(days), when)
         radius = float(np.linalg.norm(place, axis=1).mean())
         rate = float(np.linalg.norm(np.cross(place, speed), axis=1).mean() / radius**2)
-        return cls(
-            CubicSpline(t, place), CubicSpline(t, field), sun_of_date(days[:1])[0], radius, rate
-        )
+        sun = sun_of_date(days[:1])[0]
+        return cls(CubicSpline(t, place), CubicSpline(t, field), sun, radius, rate)
 
 
 class Ground(NamedTuple):
@@ -155,9 +143,8 @@ class Ground(NamedTuple):
         """Draw albedos of 0.3, more or less by half, in clouds of 500 km and seas of 3000 km."""
         z = 1 - (2 * np.arange(patches) + 1) / patches
         turn = np.pi * (3 - np.sqrt(5)) * np.arange(patches)
-        up = np.column_stack(
-            [np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z]
-        )
+        level = np.sqrt(1 - z**2)
+        up = np.column_stack([level * np.cos(turn), level * np.sin(turn), z])
         waves = np.array([rng.uniform(2, 12) * unit_vector(rng) for _ in range(8)])
         return cls(up, 0.3 * np.exp(0.2 * np.sin(up @ waves.T + rng.uniform(0, 6, 8)).sum(axis=1)))
 
@@ -169,12 +156,8 @@ class Ground(NamedTuple):
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / distance[:, None]
         area = 4 * np.pi * EARTH_KM**2 / len(self.up)
-        sent = (
-            albedo
-            * np.maximum(up @ sun, 0)
-            * np.maximum(-np.einsum("mi,mi->m", up, ray), 0)
-            / np.pi
-        )
+        towards = np.maximum(-np.einsum("mi,mi->m", up, ray), 0)
+        sent = albedo * np.maximum(up @ sun, 0) * towards / np.pi
         return np.maximum(normals @ ray.T, 0) @ (sent * area / distance**2)
 
 
@@ -215,11 +198,9 @@ def motion(
     body: Body, arc: Arc, omega_B: np.ndarray, t: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return quaternions (n, 4) B_from_N and rates (n, 3) rad/s at times t (n), from a random attitude."""
-    start = np.concatenate(
-        [Rotation.random(random_state=int(rng.integers(2**31))).as_quat(), omega_B]
-    )
-    solved = solve_ivp(
-        body.change(arc), (0.0, t[-1]), start, method="DOP853", t_eval=t, rtol=1e-9, atol=1e-11
-    )
+    attitude = Rotation.random(random_state=int(rng.integers(2**31)))
+    start = np.concatenate([attitude.as_quat(), omega_B])
+    precise: dict[str, Any] = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-11}
+    solved = solve_ivp(body.change(arc), (0.0, t[-1]), start, t_eval=t, **precise)
     quaternion = solved.y[:4].T
     return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True), solved.y[4:].T

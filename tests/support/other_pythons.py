@@ -53,21 +53,16 @@ def environment(program: str, version: str) -> Path:
     """The interpreter of an environment for this version, built anew when the lock or pyproject.toml change."""
     home = ROOT / "build" / f"python{version}"
     python, ready = home / "bin" / "python", home / ".ready"
-    wanted = b"".join(
-        (ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml")
-    )
+    files = ROOT / "requirements.lock", ROOT / "pyproject.toml"
+    wanted = b"".join(file.read_bytes() for file in files)
     if not (ready.is_file() and ready.read_bytes() == wanted):
         subprocess.run([program, "-m", "venv", "--clear", home], check=True)
-        quiet = [
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-compile",
-        ]  # most files of the packages are never imported here
+        # most files of the packages are never imported here
+        quiet = ["--quiet", "--disable-pip-version-check", "--no-compile"]
         pip = [python, "-m", "pip", "install", *quiet, "-c", ROOT / "requirements.lock"]
         subprocess.run([*pip, *TOOLS], check=True)
-        subprocess.run(
-            [*pip, "--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"], check=True
-        )
+        own = ["--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"]
+        subprocess.run([*pip, *own], check=True)
         ready.write_bytes(wanted)
     return python
 
@@ -84,15 +79,11 @@ def main() -> int:
         print(f"Python {version}: {program}", flush=True)
         python = environment(program, version)
         files = [*SMOKE, KERNELS] if version == VERSIONS[-1] else SMOKE
-        done = subprocess.run(
-            [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files], cwd=ROOT
-        )
+        pytest = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+        done = subprocess.run([*pytest, *files], cwd=ROOT)
         failed += [version] if done.returncode else []
-    print(
-        f"Python {', '.join(failed)}: smoke tests failed"
-        if failed
-        else "Other versions of Python: nothing failed"
-    )
+    good, bad = "Other versions of Python: nothing failed", ", ".join(failed)
+    print(f"Python {bad}: smoke tests failed" if failed else good)
     return len(failed)
 
 

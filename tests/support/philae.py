@@ -28,19 +28,14 @@ SUN = ss.sun_directions(CASE.vehicle, CASE.telemetry)
 def with_panels_as_drawn(vehicle: Vehicle) -> Vehicle:
     """Return the vehicle without the sigmas of its panels' normals."""
     normals = {key for key in vehicle.facts if key.endswith(("normal_B", "turned_B_rad"))}
-    facts = {
-        key: replace(fact, sigma=None) if key in normals else fact
-        for key, fact in vehicle.facts.items()
-    }
-    return replace(vehicle, facts=facts)
+    drawn = {key: replace(vehicle.facts[key], sigma=None) for key in normals}
+    return replace(vehicle, facts=vehicle.facts | drawn)
 
 
 AS_DRAWN_FILE = Path(__file__).parents[1] / "philae" / "panels_as_drawn.csv"
 AS_DRAWN_TRUTH = tomllib.loads(AS_DRAWN_FILE.with_suffix(".toml").read_text("utf-8"))
-AS_DRAWN = with_telemetry(
-    replace(CASE, vehicle=with_panels_as_drawn(CASE.vehicle)),
-    ss.read_telemetry(AS_DRAWN_FILE, CASE.vehicle),
-)
+CASE_AS_DRAWN = replace(CASE, vehicle=with_panels_as_drawn(CASE.vehicle))
+AS_DRAWN = with_telemetry(CASE_AS_DRAWN, ss.read_telemetry(AS_DRAWN_FILE, CASE.vehicle))
 SUN_AS_DRAWN = ss.sun_directions(AS_DRAWN.vehicle, AS_DRAWN.telemetry)
 
 
@@ -55,21 +50,16 @@ def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> xr.DataTree:
     off = rng.standard_normal((n, 6)) * (spread > 0)
     inertia = vehicle.require_inertia()
     unknowns = {
-        f"inertia_{axis}{axis}": inertia[k, k] * (1 + 0.005 * off[:, k])
-        for k, axis in enumerate("xyz")
+        f"inertia_{a}{a}": inertia[k, k] * (1 + 0.005 * off[:, k]) for k, a in enumerate("xyz")
     }
     unknowns["wheel_speed_rad_s"] = vehicle.wheels[0].speed_rad_s * (1 + 0.0025 * off[:, 3:4])
     for k, kind in enumerate(("coulomb", "viscous"), 4):
         unknowns[f"log_{kind}"] = 0.025 * off[:, k]
     samples = AS_DRAWN.telemetry["phase"].values == "first_rebound"
-    return tree_of(
-        vehicle,
-        truth + spread * rng.standard_normal((n, 3)),
-        np.tile(sun / np.linalg.norm(sun), (n, 1)),
-        unknowns,
-        (25200.0, float(AS_DRAWN.telemetry["time"].values[samples][-1])),
-        epoch_utc="2014-11-12T08:35:00Z",
-    )
+    last = float(AS_DRAWN.telemetry["time"].values[samples][-1])
+    omega = truth + spread * rng.standard_normal((n, 3))
+    suns, epoch = np.tile(sun / np.linalg.norm(sun), (n, 1)), "2014-11-12T08:35:00Z"
+    return tree_of(vehicle, omega, suns, unknowns, (25200.0, last), epoch_utc=epoch)
 
 
 def chain_on_the_lines(case: Case) -> candidates.CandidateSets:
@@ -78,17 +68,11 @@ def chain_on_the_lines(case: Case) -> candidates.CandidateSets:
     axes = scan_grid(case, 15)
     points_of_grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, 3)
     lines = published_candidates(case)
-    sets = {
-        "set": ("published", lines),
-        "scan_range": ("scan", points_of_grid),
-        "near_minimum": ("scan", lines[::7]),
-    }
-    chosen, scan_range, near_minimum = (
-        candidates.make_candidates(
-            rebound, rebound.states(points), 0, source=source, about=f"{name} of the test"
-        )
-        for name, (source, points) in sets.items()
-    )
-    return candidates.CandidateSets(
-        case, rebound, chosen, scan_range, near_minimum, None, float("nan")
-    )
+
+    def made(name: str, points: np.ndarray, source: str = "scan") -> candidates.Candidates:
+        about, states = f"{name} of the test", rebound.states(points)
+        return candidates.make_candidates(rebound, states, 0, source=source, about=about)
+
+    sets = made("set", lines, "published"), made("scan_range", points_of_grid)
+    near_minimum = made("near_minimum", lines[::7])
+    return candidates.CandidateSets(case, rebound, *sets, near_minimum, None, float("nan"))

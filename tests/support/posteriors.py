@@ -40,30 +40,15 @@ def tree_of(
         centre = inertia[a][b] if name.startswith("inertia_") else 0.0
         about = {"prior_centre": centre, "prior_sigma": 1.0}
         variables[name] = ((*each, *dims.get(name, ())), value[None], about)
-    coords = {
-        "chain": [0],
-        "draw": np.arange(n),
-        "axis": ["x", "y", "z"],
-        "wheel": [wheel.name for wheel in wheels],
-        "stays_in": ["body", "space"],
-    }
+    coords = {"chain": [0], "draw": np.arange(n), "axis": ["x", "y", "z"]}
+    coords |= {"wheel": [wheel.name for wheel in wheels], "stays_in": ["body", "space"]}
     covariance = np.cov(omega_B.T) if n > 1 else 1e-6 * np.eye(3)
-    solutions = xr.Dataset(
-        {
-            "probability": ("solution", [1.0]),
-            "omega_B": (("solution", "axis"), omega_B.mean(axis=0)[None]),
-            "omega_cov_B": (("solution", "axis", "axis2"), covariance[None]),
-        }
-    )
+    solutions = xr.Dataset({"probability": ("solution", [1.0])})
+    solutions["omega_B"] = ("solution", "axis"), omega_B.mean(axis=0)[None]
+    solutions["omega_cov_B"] = ("solution", "axis", "axis2"), covariance[None]
     draws = xr.Dataset(variables, coords)
     tree = xr.DataTree.from_dict({"posterior": draws, "solutions": solutions})
-    tree.attrs |= {
-        "vehicle": vehicle.name,
-        "t_first_s": span_s[0],
-        "t_last_s": span_s[1],
-        "samples": 23,
-        "synthetic": 1,
-        "wheel_mode": json.dumps("coast"),
-        "verdict_word": "unique",
-    } | attrs
+    tree.attrs |= {"vehicle": vehicle.name, "t_first_s": span_s[0], "t_last_s": span_s[1]}
+    tree.attrs |= {"samples": 23, "synthetic": 1, "wheel_mode": json.dumps("coast")}
+    tree.attrs |= {"verdict_word": "unique"} | attrs
     return tree

@@ -13,11 +13,8 @@ import numpy as np
 
 import sunspin
 
-ELSEWHERE = os.environ | {
-    "PYTHONPATH": os.pathsep.join(
-        map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parents[2]])
-    )
-}
+PATHS = Path(sunspin.__file__).parents[1], Path(__file__).parents[2]
+ELSEWHERE = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, PATHS))}
 """The environment of other processes, which find this module and the package under test."""
 
 
@@ -34,11 +31,8 @@ class Waves:
     n_rows: int
     pitch: float
 
-    outputs: ClassVar = {
-        "height": ("float64", ()),
-        "kind": ("int8", ()),
-        "path": ("float32", (2, 3)),
-    }
+    outputs: ClassVar = {"height": ("float64", ()), "kind": ("int8", ())}
+    outputs["path"] = "float32", (2, 3)
 
     def __init__(self, n_rows=1000, pitch=0.37, seconds_per_row=0.0, bad_row=-1, log=None):
         """The last three change no row and are no fields."""

@@ -112,12 +112,7 @@ noise_rad_s = 3e-4
 """
 
 SHORT_NAMES = {
-    "px": [1, 0, 0],
-    "mx": [-1, 0, 0],
-    "py": [0, 1, 0],
-    "my": [0, -1, 0],
-    "pz": [0, 0, 1],
-    "mz": [0, 0, -1],
+    name.lower().translate(str.maketrans("+-", "pm")): n for name, n in CUBE_FACES.items()
 }
 
 
@@ -146,23 +141,14 @@ def six_faces(folder: Path, rng: np.random.Generator, n: int = 90) -> Satellite:
     t -= t[0]
     run = ss.propagate(craft, 0.03 * rng.normal(size=3), unit_vector(rng), None, t)
     power = ss.panel_power(craft, run["sun_B"].values)
-    power += 0.03 * rng.normal(size=power.shape) + 7.0 * 0.05 * rng.uniform(size=power.shape) * (
-        power == 0
-    )
+    noise, stray = rng.normal(size=power.shape), rng.uniform(size=power.shape)
+    power += 0.03 * noise + 7.0 * 0.05 * stray * (power == 0)
     power[n // 2 : n // 2 + n // 6] = np.abs(0.01 * rng.normal(size=(n // 6, 6)))  # eclipse
     q = run["B_from_N"].values * [-1, -1, -1, 1]
-    stamps = [
-        str(
-            np.datetime64("2026-02-03T04:05:06.000") + np.timedelta64(round(1000 * s), "ms")
-        ).replace("T", " ")
-        for s in t
-    ]
-    columns = {"timestamp": stamps} | {
-        f"I_{name}": power[:, k].round(3) for k, name in enumerate(SHORT_NAMES)
-    }
-    columns |= {
-        name: q[:, k].round(5) for name, k in (("q_s", 3), ("q_x", 0), ("q_y", 1), ("q_z", 2))
-    }
+    times = np.datetime64("2026-02-03T04:05:06.000") + np.round(1000 * t).astype("timedelta64[ms]")
+    columns = {"timestamp": [str(time).replace("T", " ") for time in times]}
+    columns |= {f"I_{name}": power[:, k].round(3) for k, name in enumerate(SHORT_NAMES)}
+    columns |= {f"q_{name}": q[:, k].round(5) for name, k in zip("sxyz", (3, 0, 1, 2), strict=True)}
     return Satellite(vehicle, _csv(folder / "six.csv", columns), run)
 
 
@@ -186,10 +172,8 @@ def four_faces(folder: Path, rng: np.random.Generator, n: int = 60) -> Satellite
     counts[7, 1] = 2047
     columns = {"t_ms": (1_760_000_000_000 + np.round(1000 * t)).astype(np.int64)}
     columns |= {f"I_{name}": counts[:, k] for k, name in enumerate("px mx py my".split())}
-    columns |= {
-        "T_px": [f"{10 * w:.1f}".replace(".", ",") for w in warm[:, 0]],
-        "T_mx": (10 * warm[:, 1]).round().astype(int),
-    }
+    columns["T_px"] = [f"{10 * w:.1f}".replace(".", ",") for w in warm[:, 0]]
+    columns["T_mx"] = (10 * warm[:, 1]).round().astype(int)
     return Satellite(vehicle, _csv(folder / "four.csv", columns, ";"), run)
 
 
@@ -199,16 +183,14 @@ def wheeled(
     """Write the files of the microsatellite as "parquet", "netcdf" or "csv"; `speed`: with a column of the wheel speed."""
     vehicle = folder / "wheel.toml"
     column = 'speed_column = "mw_rpm"\nspeed_scale_rad_s = 0.104719755'
-    vehicle.write_text(
-        _text(WHEEL, "px mx py my pz mz", "gain_A = 0.8", speed=column if speed else "")
-    )
+    text = _text(WHEEL, "px mx py my pz mz", "gain_A = 0.8", speed=column if speed else "")
+    vehicle.write_text(text)
     craft = parse_vehicle(vehicle.read_text(), "wheel")
     t = np.arange(n) * 8.0
     run = ss.propagate(craft, 0.015 * rng.normal(size=3), unit_vector(rng), 60.0, t)
     current = ss.panel_power(craft, run["sun_B"].values)
-    current += 0.004 * rng.normal(size=current.shape) + 0.8 * 0.05 * rng.uniform(
-        size=current.shape
-    ) * (current == 0)
+    noise, stray = rng.normal(size=current.shape), rng.uniform(size=current.shape)
+    current += 0.004 * noise + 0.8 * 0.05 * stray * (current == 0)
     gyro = np.degrees(run["omega_B"].values + 3e-4 * rng.normal(size=(n, 3))) + [0.11, -0.19, 0.04]
     columns = {"met": t} | {f"I_{name}": 1000 * current[:, k] for k, name in enumerate(SHORT_NAMES)}
     columns |= {name: gyro[:, k] for k, name in enumerate(("gx", "gy", "gz"))}
@@ -221,10 +203,8 @@ def wheeled(
         pq.write_table(pa.table(columns), path)
     elif form == "netcdf":
         path = folder / "wheel.nc"
-        data = xr.Dataset(
-            {name: ("time", value) for name, value in columns.items()}, attrs={"title": "synthetic"}
-        )
-        data.to_netcdf(path, engine="h5netcdf")
+        data = xr.Dataset({name: ("time", value) for name, value in columns.items()})
+        data.assign_attrs(title="synthetic").to_netcdf(path, engine="h5netcdf")
     else:
         path = _csv(folder / "wheel.csv", columns)
     return Satellite(vehicle, path, run)
@@ -286,18 +266,14 @@ class Spinner:
             sun, field, up, _ = sky(elements, begin, t, 0.0)
             if (up == self.lit).all():
                 break
-        body = Rotation.from_rotvec(
-            -t[:, None] * np.radians(self.rate_deg_s) * SPIN_AXIS
-        ) * Rotation.random(random_state=seed)
-        full = np.maximum(
-            body.apply(sun) @ np.array([CUBE_FACES[face] for face in self.faces], dtype=float).T, 0
-        )
+        turn = Rotation.from_rotvec(-t[:, None] * np.radians(self.rate_deg_s) * SPIN_AXIS)
+        body = turn * Rotation.random(random_state=seed)
+        normals = np.array([CUBE_FACES[face] for face in self.faces], dtype=float)
+        full = np.maximum(body.apply(sun) @ normals.T, 0)
         light = full * up[:, None] + self.noise * rng.normal(size=full.shape)
         light += 0.03 * np.abs(rng.normal(size=full.shape)) * up[:, None]  # stray light
         power = self.gain * (light if self.negative else np.maximum(light, 0))
-        zero = (
-            np.array([0.6, -2.0, 2.2]) * np.linalg.norm(field, axis=1).mean()
-        )  # three times the field
+        zero = np.array([0.6, -2.0, 2.2]) * np.linalg.norm(field, axis=1).mean()  # thrice the field
         reading = body.apply(field) + zero + 200 * rng.normal(size=field.shape)
         if self.outliers:
             power[rng.random(power.shape) < 0.1], reading[rng.random(n) < 0.15] = np.nan, 0.0
@@ -307,59 +283,34 @@ class Spinner:
         rows = [",".join(["time_utc", *columns])]
         for k in range(n):
             utc = (EPOCH + timedelta(seconds=float(begin + t[k]))).isoformat() + "Z"
-            rows.append(
-                ",".join(
-                    [
-                        utc,
-                        *(
-                            "" if np.isnan(column[k]) else f"{column[k]:.6g}"
-                            for column in columns.values()
-                        ),
-                    ]
-                )
-            )
-        contents = {
-            "vehicle.toml": self._vehicle(elements),
-            "telemetry.csv": "\n".join(rows),
-            "my.tle": "\n".join(elements),
-        }
+            cells = (f"{column[k]:.6g}".replace("nan", "") for column in columns.values())
+            rows.append(",".join([utc, *cells]))
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in contents.items():
-            (folder / name).write_text(text + "\n", "utf-8")
-        return str(folder / "vehicle.toml"), str(folder / "telemetry.csv"), str(folder / "my.tle")
+        paths = folder / "vehicle.toml", folder / "telemetry.csv", folder / "my.tle"
+        for path, lines in zip(paths, ([self._vehicle(elements)], rows, elements), strict=True):
+            path.write_text("\n".join(lines) + "\n", "utf-8")
+        vehicle, telemetry, orbit = map(str, paths)
+        return vehicle, telemetry, orbit
 
     def _vehicle(self, elements: tuple[str, str]) -> str:
         gain = 1.0 if self.key == "relative_gain" else self.gain
-        parts = [
-            'name = "spinner"',
-            "[body]",
-            "inertia_kg_m2 = [[0.042, 0, 0], [0, 0.041, 0], [0, 0, 0.008]]",
-        ]
+        parts = ['name = "spinner"', "[body]"]
+        parts += ["inertia_kg_m2 = [[0.042, 0, 0], [0, 0.041, 0], [0, 0, 0.008]]"]
         for face in self.faces:
-            parts += [
-                "[[panel]]",
-                f'name = "{face}"',
-                f"normal_B = {list(CUBE_FACES[face])}",
-                f"{self.key} = {gain}",
-            ]
+            normal = list(CUBE_FACES[face])
+            parts += ["[[panel]]", f'name = "{face}"', f"normal_B = {normal}"]
+            parts += [f"{self.key} = {gain}"]
         quantity = "current_A" if self.key == "gain_A" else "power_W"
-        parts += [
-            "[telemetry]",
-            f'quantity = "{quantity}"',
-            'time_column = "time_utc"',
-            'bad_rows = "flag"',
-        ]
+        parts += ["[telemetry]", f'quantity = "{quantity}"']
+        parts += ['time_column = "time_utc"', 'bad_rows = "flag"']
         parts += [] if self.stated is None else [f"noise = {self.stated * self.gain:.6g}"]
         parts += ["[telemetry.columns]", *(f'"{face}" = "{face}"' for face in self.faces)]
-        parts += (
-            ["[magnetometer]", 'columns = ["mx", "my", "mz"]', "scale_T = 1e-9"]
-            if self.magnetometer
-            else []
-        )
+        if self.magnetometer:
+            parts += ["[magnetometer]", 'columns = ["mx", "my", "mz"]', "scale_T = 1e-9"]
         parts += ["[disturbance]", f"max_rate_rad_s = {1.5 * np.radians(self.rate_deg_s):.4f}"]
-        return "\n".join(
-            parts + (["[orbit]", f"tle = {list(elements)}".replace("'", '"')] if self.orbit else [])
-        )
+        if self.orbit:
+            parts += ["[orbit]", f"tle = {list(elements)}".replace("'", '"')]
+        return "\n".join(parts)
 
 
 UNSTATED = Spinner()

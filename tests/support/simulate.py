@@ -19,40 +19,28 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Attitude, Clock, Gyro, Magnetometer, Sensors
 from tests.support.vehicles import CUBE_NORMALS, unit_vector
 
-PANELS = [
-    Panel(name, normal, 1.0)
-    for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), CUBE_NORMALS, strict=True)
-]
-CUBE = Vehicle(
-    "cube",
-    inertia_kg_m2=np.diag([0.042, 0.05, 0.03]),
-    gain_unit="W",
-    panels=PANELS,
-    telemetry=TelemetryForm(noise=0.01),
-)
+NAMES = "+x", "+y", "+z", "-x", "-y", "-z"
+PANELS = [Panel(name, n, 1.0) for name, n in zip(NAMES, CUBE_NORMALS, strict=True)]
+FORM = TelemetryForm(noise=0.01)
+CUBE = Vehicle("cube", np.diag([0.042, 0.05, 0.03]), gain_unit="W", panels=PANELS, telemetry=FORM)
 CUBE_WITHOUT_NOISE_STATED = Vehicle(
-    "cube", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]), gain_unit="W", panels=PANELS
+    "cube", np.diag([0.04, 0.05, 0.03]), gain_unit="W", panels=PANELS
 )
-FOUR_SIDES = replace(
-    CUBE, name="four", panels=tuple(panel for panel in CUBE.panels if not panel.normal_B[2])
-)
+SIDES = tuple(panel for panel in CUBE.panels if not panel.normal_B[2])
+FOUR_SIDES = replace(CUBE, name="four", panels=SIDES)
 """The cube with panels on four sides only: their common brightness gives the size of r_z, not its sign."""
 
-LONG_BODY = Vehicle(
-    "fast", inertia_kg_m2=np.diag([0.042, 0.041, 0.008]), telemetry=TelemetryForm(noise=0.01)
-)
+LONG_BODY = Vehicle("fast", inertia_kg_m2=np.diag([0.042, 0.041, 0.008]), telemetry=FORM)
 SAMPLES = 40
 DIRECTION_SIGMA = 0.02
 """Error of a Sun direction of the long body, rad."""
 
 
 def telemetry_of(vehicle: Vehicle, t_s: np.ndarray, power: np.ndarray, **more: Any) -> xr.Dataset:
-    """Return telemetry in the form of `ss.read_telemetry`: powers (n, P) at times (n), and `more` variables."""
-    variables = {
-        "power_W": (("time", "panel"), power),
-        "flag": ("time", np.zeros(len(t_s), dtype=np.uint8)),
-        **more,
-    }
+    """Return telemetry in the form of `ss.read_telemetry`: powers or currents (n, P) at times (n), and `more` variables."""
+    name = "current_A" if vehicle.telemetry.quantity == "current_A" else "power_W"
+    flag = "time", np.zeros(len(t_s), dtype=np.uint8)
+    variables = {name: (("time", "panel"), power), "flag": flag, **more}
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return xr.Dataset(variables, {"time": t_s, "panel": list(vehicle.panel_names)}, attrs)
 
@@ -90,10 +78,8 @@ def albedo(
     power: np.ndarray, rng: np.random.Generator, attitude: Rotation, normals: np.ndarray
 ) -> np.ndarray:
     """Add the Earth's light: from one inertial direction, up to a tenth of full Sun on panels that face it, lit or not."""
-    earth = rng.normal(size=3)
-    return power + rng.uniform(0.02, 0.1) * np.maximum(
-        attitude.apply(earth / np.linalg.norm(earth)) @ normals.T, 0
-    )
+    earth, share = unit_vector(rng), rng.uniform(0.02, 0.1)
+    return power + share * np.maximum(attitude.apply(earth) @ normals.T, 0)
 
 
 def power_limited(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -121,8 +107,8 @@ def cube_with_faults(
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Return telemetry and truth of a cube at up to about 3 deg/s, 40 samples about 10 s apart, with these faults."""
     t = uneven_times(rng, SAMPLES, 10.0, 0.2)
-    sun = rng.normal(size=3)
-    run = ss.propagate(vehicle, 0.025 * rng.normal(size=3), sun / np.linalg.norm(sun), None, t)
+    sun = unit_vector(rng)
+    run = ss.propagate(vehicle, 0.025 * rng.normal(size=3), sun, None, t)
     power = ss.panel_power(vehicle, run["sun_B"].values)
     attitude = Rotation.from_quat(run["B_from_N"].values)
     for fault in faults:
@@ -140,12 +126,9 @@ QUATERNION = Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01)
 
 def cube_with_sensor(kind: str, clock: Clock | None) -> Vehicle:
     """Return the cube with a "gyro", a magnetometer ("field") or a quaternion ("attitude"); `clock` states its time offset."""
-    sensors = {
-        "gyro": Sensors(gyro=GYRO),
-        "field": Sensors(magnetometer=MAGNETOMETER),
-        "attitude": Sensors(attitude=QUATERNION),
-    }[kind]
-    return replace(CUBE, sensors=replace(sensors, clock=clock))
+    sensors = {"gyro": ("gyro", GYRO), "field": ("magnetometer", MAGNETOMETER)}
+    name, sensor = sensors.get(kind, ("attitude", QUATERNION))
+    return replace(CUBE, sensors=replace(Sensors(clock=clock), **{name: sensor}))
 
 
 def cube_with_late_sensor(
@@ -153,13 +136,10 @@ def cube_with_late_sensor(
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Return telemetry and truth of a cube at about 3 deg/s, 10 s sampling, whose sensor of this kind is `late_s` behind."""
     t = 60 + uneven_times(rng, samples, 10.0, 0.2)
-    sun = rng.normal(size=3)
-    every_time = np.unique(np.concatenate([[0.0], t, t - late_s]))
-    run = ss.propagate(CUBE, 0.03 * rng.normal(size=3), sun / np.linalg.norm(sun), None, every_time)
+    sun, every_time = unit_vector(rng), np.unique(np.concatenate([[0.0], t, t - late_s]))
+    run = ss.propagate(CUBE, 0.03 * rng.normal(size=3), sun, None, every_time)
     at_row, at_sensor = run.sel(time=t), run.sel(time=t - late_s, method="nearest")
-    power = np.maximum(
-        ss.panel_power(CUBE, at_row["sun_B"].values) + 0.01 * rng.normal(size=(samples, 6)), 0.0
-    )
+    power = ss.panel_power(CUBE, at_row["sun_B"].values) + 0.01 * rng.normal(size=(samples, 6))
     attitude = Rotation.from_quat(at_sensor["B_from_N"].values)
     scale, zero = 1 + 0.01 * rng.normal(), 1e-3 * rng.normal(size=3)
     # all three are drawn, in this order, so that a seed gives the same motion and noise for each kind
@@ -171,7 +151,7 @@ def cube_with_late_sensor(
         "field": {"field_B": (("time", "axis"), field)},
         "attitude": {"attitude_B_from_N": (("time", "quaternion"), quaternion.as_quat())},
     }
-    return telemetry_of(CUBE, t, power, **readings[kind]), at_row
+    return telemetry_of(CUBE, t, np.maximum(power, 0.0), **readings[kind]), at_row
 
 
 # ------------------------------------------------------------------------------------------------------------------ fast rotation
@@ -184,20 +164,17 @@ def fast_body(
 
     Up to one revolution hides between two samples, and the vehicle states no largest rate.
     """
-    axis, sun = rng.normal(size=3), rng.normal(size=3)
+    axis, sun = rng.normal(size=3), unit_vector(rng)
     t = uneven_times(rng, samples, interval_s, 0.2)
     omega = np.radians(rng.uniform(5, 30)) * axis / np.linalg.norm(axis)
-    run = ss.propagate(LONG_BODY, omega, sun / np.linalg.norm(sun), None, t)
+    run = ss.propagate(LONG_BODY, omega, sun, None, t)
     directions = run["sun_B"].values + DIRECTION_SIGMA * rng.normal(size=(samples, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     covariance = np.tile(DIRECTION_SIGMA**2 * np.eye(3), (samples, 1, 1))
-    variables = {
-        "flag": ("time", np.zeros(samples, dtype=np.uint8)),
-        "sun_B": (("time", "axis"), directions),
-        "sun_cov_B": (("time", "axis", "axis2"), covariance),
-    }
-    attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    return LONG_BODY, xr.Dataset(variables, {"time": t}, attrs), run
+    sun = {"sun_B": (("time", "axis"), directions)}
+    sun["sun_cov_B"] = ("time", "axis", "axis2"), covariance
+    data = telemetry_of(LONG_BODY, t, np.zeros((samples, 0)), **sun)
+    return LONG_BODY, data.drop_vars(("power_W", "panel")), run
 
 
 def pulls(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:

@@ -8,14 +8,8 @@ from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
 FIRST_SUN = np.array([0.1959, 0.5690, 0.7986])  # paper, section 2.3
 
-FACES = {
-    "+X": [1, 0, 0],
-    "-X": [-1, 0, 0],
-    "+Y": [0, 1, 0],
-    "-Y": [0, -1, 0],
-    "+Z": [0, 0, 1],
-    "-Z": [0, 0, -1],
-}
+FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0]}
+FACES |= {"+Z": [0, 0, 1], "-Z": [0, 0, -1]}
 """Normals of a cube's faces by name."""
 
 LOWER_CASE_FACES = {name.lower(): normal for name, normal in FACES.items()}
@@ -25,29 +19,41 @@ CUBE_NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 """Normals (6, 3) of a cube's faces: first the positive axes, then the negative ones."""
 
 
+IN_A = TelemetryForm(quantity="current_A", noise=0.002)
+HALF_AMPERES = [Panel(f"p{k}", CUBE_NORMALS[k], 0.5) for k in range(6)]
+CUBE_OF_CURRENTS = Vehicle("cube", gain_unit="A", panels=HALF_AMPERES, telemetry=IN_A)
+"""A cube whose panels are read in A, with a noise of 0.4 % of full Sun."""
+
+
 def unit_vector(rng: np.random.Generator) -> np.ndarray:
     """Draw a direction (3), uniform on the sphere."""
     vector = rng.standard_normal(3)
     return vector / np.linalg.norm(vector)
 
 
+def units(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) with length one."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def directions(n: int, seed: int = 0) -> np.ndarray:
+    """Draw directions (n, 3), uniform on the sphere."""
+    return units(np.random.default_rng(seed).normal(size=(n, 3)))
+
+
 def small_cube(noise: float = 0.02) -> Vehicle:
     """Return a cube with known inertia and a panel on each face; `noise` of the currents, relative to full Sun."""
-    return Vehicle(
-        "cube",
-        inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
-        panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
-        telemetry=TelemetryForm(quantity="current_A", noise=noise),
-    )
+    panels = [Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()]
+    form = TelemetryForm(quantity="current_A", noise=noise)
+    return Vehicle("cube", np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
 
 
 def philae_body(friction: Friction | None = None) -> Vehicle:
     """Return Philae without panels and legs: Table 2, friction from the spin-down test of section 2.2."""
     inertia = [[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]]
     friction = friction or Friction.from_spin_down(1271.0, -4.643e-4, -388.9, 0.0058)
-    return Vehicle(
-        "philae body", inertia, 97.63, wheels=[Wheel("wheel", [0, 0, 1], 0.0058, 865.0, friction)]
-    )
+    wheel = Wheel("wheel", [0, 0, 1], 0.0058, 865.0, friction)
+    return Vehicle("philae body", inertia, 97.63, wheels=[wheel])
 
 
 def random_vehicle(

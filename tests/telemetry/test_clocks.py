@@ -298,29 +298,20 @@ def row_down(cells):
     return [*cells[:5], *cells[6:12], cells[5], *cells[12:]]
 
 
+BACK = shown(local(SUMMER_ENDS), "Europe/Berlin")
+YEAR_BEFORE = shown(local(SUMMER_ENDS - timedelta(days=364)), "Europe/Berlin")
 SET_BACK = {
-    "a late row": lambda: (row_down(shown(local(SUMMER_ENDS), "Europe/Berlin")), "02:00:"),
-    "an early row": lambda: (
-        row_down(shown(local(SUMMER_ENDS), "Europe/Berlin")[::-1])[::-1],
-        "02:00:",
-    ),
-    "a row of 1970": lambda: (
-        [*shown(local(SUMMER_ENDS), "Europe/Berlin")[:9], "1970-01-01 00:00:05"]
-        + shown(local(SUMMER_ENDS), "Europe/Berlin")[9:],
-        "02:00:",
-    ),
-    "two autumns": lambda: (
-        shown(local(SUMMER_ENDS - timedelta(days=364)), "Europe/Berlin")
-        + shown(local(SUMMER_ENDS), "Europe/Berlin"),
-        "2025-10-26 02:00:",
-    ),
+    "a late row": (row_down(BACK), "02:00:"),
+    "an early row": (row_down(BACK[::-1])[::-1], "02:00:"),
+    "a row of 1970": ([*BACK[:9], "1970-01-01 00:00:05", *BACK[9:]], "02:00:"),
+    "two autumns": (YEAR_BEFORE + BACK, "2025-10-26 02:00:"),
 }
 
 
 @pytest.mark.parametrize("what", SET_BACK)
 @pytest.mark.parametrize("bad_rows", ["flag", "refuse"])
 def test_a_clock_set_back_without_a_zone_is_refused_with_its_times(tmp_path, what, bad_rows):
-    cells, place = SET_BACK[what]()
+    cells, place = SET_BACK[what]
     with pytest.raises(ss.TelemetryError, match=f"go back by 1 h, as a clock.*{place}"):
         read(tmp_path, cells, "", bad_rows)
 
@@ -575,12 +566,7 @@ RECEIVED = 'time_format = "elapsed"\nepoch_utc = "2023-08-14T00:00:00Z"\nreceive
 @pytest.mark.parametrize(
     ("times", "form", "more", "words"),
     [
-        (
-            [1, 2],
-            GPS_WEEKS,
-            {"week": ["2399", "x"]},
-            "line 3, column 'week': a GPS week is a whole",
-        ),
+        ([1, 2], GPS_WEEKS, {"week": [2399, "x"]}, "line 3, column 'week': a GPS week is a whole"),
         ([1, 7e5], GPS_WEEKS, {"week": [2399] * 2}, "line 3, column 't': seconds of the week are"),
         (["nan", "1451260838"], 'time_format = "gps"', {}, "column 't': GPS seconds are expected"),
         *(

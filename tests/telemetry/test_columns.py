@@ -47,16 +47,9 @@ def read(text: str, path):
 def misspelt(name: str, rng: random.Random) -> str:
     """The name with one slip of the fingers, as people make them."""
     at = rng.randrange(len(name))
-    letters = "abcdefghijklmnopqrstuvwxyz"
-    return rng.choice(
-        [
-            name[:at] + rng.choice(letters) + name[at:],
-            name[:at] + name[at + 1 :] if len(name) > 3 else name + "_",
-            name.upper() + "s",
-            name + "_",
-            f"{name} 1",
-        ]
-    )
+    added = name[:at] + rng.choice("abcdefghijklmnopqrstuvwxyz") + name[at:]
+    shorter = name[:at] + name[at + 1 :] if len(name) > 3 else name + "_"
+    return rng.choice([added, shorter, name.upper() + "s", name + "_", f"{name} 1"])
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -70,9 +63,8 @@ def test_a_misspelt_sensor_column_is_named(tmp_path, seed):
     made.telemetry.write_text(text.replace(f",{name}", f",{other}", 1))
     with pytest.raises(ss.TelemetryError) as told:
         read(made.vehicle.read_text(), made.telemetry)
-    assert repr(name) in str(told.value) and (
-        "gyro" in str(told.value) or "wheel MW" in str(told.value)
-    )
+    said = str(told.value)
+    assert repr(name) in said and ("gyro" in said or "wheel MW" in said)
 
 
 def test_a_missing_column_is_reported_with_the_nearest_name(tmp_path):
@@ -105,11 +97,7 @@ def test_columns_that_nothing_uses_are_listed(tmp_path):
         ('voltage_column = "u"', "", [[4.0, 4.0], [8.0, 8.0]]),
         ('voltage_column = "u"\nvoltage_scale = 0.5', "", [[2.0, 2.0], [4.0, 4.0]]),
         ("", '[telemetry.voltage_columns]\n"+X" = "u"\n"-X" = "w"', [[4.0, 3.0], [8.0, 4.0]]),
-        (
-            'voltage_column = "w"',
-            '[telemetry.voltage_columns]\n"+X" = "u"',
-            [[4.0, 3.0], [8.0, 4.0]],
-        ),
+        ('voltage_column = "w"', '[telemetry.voltage_columns]\n"+X" = "u"', [[4, 3], [8, 4]]),
         ('voltage_column = "u"\nscale = 0.001\nzero = -1', "", [[4.0, 4.0], [8.0, 8.0]]),
     ],
 )
@@ -125,15 +113,13 @@ def test_power_is_current_times_voltage(tmp_path, telemetry, tables, volts):
 
 def test_a_missing_voltage_is_refused_or_flagged(tmp_path):
     text = BASE.format(telemetry='voltage_column = "u"', tables="")
-    path = file_with(
-        tmp_path / "t.csv", "time,i_px,i_mx,u", [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")]
-    )
+    rows = [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")]
+    path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,u", rows)
     with pytest.raises(ss.TelemetryError, match="line 2, column 'u': a voltage is a number"):
         read(text, path)
     flagged = read(text.replace("[telemetry]", '[telemetry]\nbad_rows = "flag"'), path)
-    assert (
-        flagged["flag"].values.tolist() == [1, 0] and np.isnan(flagged["power_W"].values[0]).all()
-    )
+    assert flagged["flag"].values.tolist() == [1, 0]
+    assert np.isnan(flagged["power_W"].values[0]).all()
 
 
 @pytest.mark.parametrize(
@@ -152,7 +138,6 @@ def test_wrong_voltage_columns_in_the_vehicle_file_are_refused(telemetry, tables
 
 def test_a_missing_voltage_column_is_named(tmp_path):
     path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,bus_v")
-    with pytest.raises(
-        ss.TelemetryError, match="'bus_V' .voltage of panel .X.*did you mean 'bus_v'"
-    ):
+    said = "'bus_V' .voltage of panel .X.*did you mean 'bus_v'"
+    with pytest.raises(ss.TelemetryError, match=said):
         read(BASE.format(telemetry='voltage_column = "bus_V"', tables=""), path)

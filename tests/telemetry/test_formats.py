@@ -67,9 +67,8 @@ def test_a_json_file_reads_as_the_csv(form, tmp_path):
             for row in rows
         ]
         columns = {panel: f"decoded.{name}" for panel, name in vehicle.telemetry.columns.items()}
-        vehicle = replace(
-            vehicle, telemetry=replace(vehicle.telemetry, time_column="timestamp", columns=columns)
-        )
+        decoded = replace(vehicle.telemetry, time_column="timestamp", columns=columns)
+        vehicle = replace(vehicle, telemetry=decoded)
     dumped = {
         "lines": "\n".join(map(json.dumps, rows)),
         "list": json.dumps(rows, indent=1),
@@ -83,6 +82,7 @@ def test_a_json_file_reads_as_the_csv(form, tmp_path):
 
 
 ROW = '{"t": "2026-01-01T00:00:00Z", "pa": 1, "pb": 0}'
+UNDATED = ROW.replace("2026-01-01T00:00:00Z", "noon")
 HOSTILE = {
     "cut off": (ROW + '\n{"t": "2026-01-0', "line 2"),
     "no object": (ROW + "\n[1, 2]", "must be an object"),
@@ -93,21 +93,15 @@ HOSTILE = {
     "nothing in it": ("[]", "no samples"),
     "no columns": ("{}", "no samples"),
     "a number": ("[1]", "row 1: a row of a JSON file must be an object"),
-    "no date in a list": (
-        f"[\n{ROW},\n{ROW.replace('2026-01-01T00:00:00Z', 'noon')}\n]",
-        "row 2, column 't': an ISO-8601",
-    ),
+    "no date in a list": (f"[\n{ROW},\n{UNDATED}\n]", "row 2, column 't': an ISO-8601"),
     "no date in the second of two pages": (
-        f'{{"results": [{ROW}, {ROW}]}}\n{{"results": [{ROW.replace("2026-01-01T00:00:00Z", "noon")}]}}',
+        f'{{"results": [{ROW}, {ROW}]}}\n{{"results": [{UNDATED}]}}',
         "row 3, column 't': an ISO-8601",
     ),
     "no such column": ('{"t": "2026-01-01T00:00:00Z", "p": 1}', "column 'pa'"),
     "raw frames": ('[{"timestamp": "2026-01-01T00:00:00Z", "frame": "00FF"}]', "raw frames"),
     "raw frames, exported": ("2026-01-01 00:00:00|00FF\n", "raw frames"),
-    "many columns": (
-        "{" + ",".join(f'"c{k}": 1' for k in range(10_001)) + "}",
-        "more than 10000 columns",
-    ),
+    "many columns": (json.dumps({f"c{k}": 1 for k in range(10_001)}), "more than 10000 columns"),
 }
 
 
@@ -129,37 +123,27 @@ def test_json_values_that_are_no_numbers_are_flagged(tmp_path):
 
 def test_sun_vectors_of_any_length_are_directions_except_short_ones(tmp_path):
     vectors = ["0,300,400", "0,0,0", "30,0,0", "-500,0,0", "a,1,1"]
-    text = "t,sx,sy,sz\n" + "".join(
-        f"2026-01-01T00:00:0{k}Z,{vector}\n" for k, vector in enumerate(vectors)
-    )
-    found = read(tmp_path, text, craft())
+    rows = [f"2026-01-01T00:00:0{k}Z,{vector}" for k, vector in enumerate(vectors)]
+    found = read(tmp_path, "\n".join(["t,sx,sy,sz", *rows]), craft())
     none = 3 * [np.nan]
-    np.testing.assert_allclose(
-        found["sun_sensor_B"], [[0, 0.6, 0.8], none, none, [-1, 0, 0], none], atol=1e-12
-    )
+    expected = [[0, 0.6, 0.8], none, none, [-1, 0, 0], none]
+    np.testing.assert_allclose(found["sun_sensor_B"], expected, atol=1e-12)
     across = found["sun_sensor_cov_B"].values[3]
     np.testing.assert_allclose(np.sqrt(np.diag(across)), [0.02, 0.02, 0.02], rtol=1e-9)
 
 
 def test_rates_are_estimated_from_sun_vectors(tmp_path):
-    t = 5.0 * np.arange(20)
-    omega = np.array([0.02, -0.01, 0.03])
-    sun = ss.propagate(
-        ss.Vehicle("sphere", inertia_kg_m2=np.eye(3)), omega, [0.6, 0.0, 0.8], None, t
-    )["sun_B"].values
+    t, omega = 5.0 * np.arange(20), np.array([0.02, -0.01, 0.03])
+    ball = ss.Vehicle("sphere", inertia_kg_m2=np.eye(3))
+    sun = ss.propagate(ball, omega, [0.6, 0.0, 0.8], None, t)["sun_B"].values
     sun = sun + 0.01 * np.random.default_rng(1).normal(size=sun.shape)
-    text = "t,sx,sy,sz\n" + "".join(
-        f"{a},{x},{y},{z}\n" for a, (x, y, z) in zip(t, sun, strict=True)
-    )
+    rows = [",".join(map(str, row)) for row in np.column_stack([t, sun]).tolist()]
     vehicle = craft('time_column = "t"\ntime_format = "unix"')
-    result = ss.rates(
-        vehicle, read(tmp_path, text, vehicle), max_rate_rad_s=0.1, acceleration_noise=1e-6
-    )
+    data = read(tmp_path, "\n".join(["t,sx,sy,sz", *rows]), vehicle)
+    result = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-6)
     assert result.attrs["source"] == "sun_sensor" and result["unique"].item()
-    assert np.all(
-        np.abs(result["omega_mean_B"].values[0, 0] - omega)
-        < 4 * result["omega_sigma_B"].values[0, 0]
-    )
+    off = np.abs(result["omega_mean_B"].values[0, 0] - omega)
+    assert np.all(off < 4 * result["omega_sigma_B"].values[0, 0])
 
 
 def test_a_frame_received_by_two_stations_is_one_row_with_both_clocks(tmp_path):
@@ -174,9 +158,8 @@ def test_a_frame_received_by_two_stations_is_one_row_with_both_clocks(tmp_path):
     found = read(tmp_path, text, craft(form))
     assert found.attrs["rows_merged"] == 1 and found.attrs["rows_sorted"] == 1
     assert found.attrs["epoch_utc"] == "2025-12-31T23:51:50Z"
-    assert found["time"].values.tolist() == [490, 500, 510] and found["power_W"].values[
-        1
-    ].tolist() == [1, 0]
+    assert found["time"].values.tolist() == [490, 500, 510]
+    assert found["power_W"].values[1].tolist() == [1, 0]
     np.testing.assert_array_equal(found["received_s"], [490, 500, np.nan])
     with pytest.raises(ss.TelemetryError, match="column 'rx'"):
         read(tmp_path, text.replace("rx", "received at"), craft(form))
@@ -202,9 +185,8 @@ def test_panels_can_be_read_in_turn_or_averaged():
     "text", ["[telemetry.offset_s]\nc = 1", "averaged_s = -1", "[telemetry.offset_s]\na = inf"]
 )
 def test_invalid_reading_offsets_are_refused_in_one_sentence(text):
-    with pytest.raises(
-        ss.VehicleError, match="panel that the vehicle does not have|must not be negative|number"
-    ):
+    words = "panel that the vehicle does not have|must not be negative|number"
+    with pytest.raises(ss.VehicleError, match=words):
         craft('time_column = "t"\n' + text)
 
 
@@ -251,23 +233,21 @@ def test_suggested_keys_read_a_sensor_as_suggested():
     raw = np.random.default_rng(2).uniform(0, 255, (5, 6))
     header = ["gx", "gy", "gz", "mx", "my", "mz"]
     plain = VEHICLE.format(telemetry='time_column = "t"')
+
+    def sensor(table, keys):
+        craft = parse_vehicle(plain + tomlkit.dumps({table: keys}), "v.toml")
+        return craft.sensors.with_columns[table]
+
+    def values(sensor):
+        return sensor.interpret(raw[:, [header.index(name) for name in sensor.names]]).values
+
     for table in ("gyro", "magnetometer"):
-        old = parse_vehicle(
-            plain + tomlkit.dumps({table: base[table]}), "v.toml"
-        ).sensors.with_columns[table]
-        seen = old.interpret(raw[:, [header.index(name) for name in old.names]]).values
+        old = sensor(table, base[table])
         for _, order, sign in signed_axes():
-            told = (
-                to_write(table, old.keys_for_axes(order, sign))
-                .removeprefix("set ")
-                .partition(" under ")[0]
-            )
-            keys = tomllib.loads(told.replace(" and ", "\n"))
-            new = parse_vehicle(
-                plain + tomlkit.dumps({table: base[table] | keys}), "v.toml"
-            ).sensors.with_columns[table]
-            got = new.interpret(raw[:, [header.index(name) for name in new.names]]).values
-            np.testing.assert_allclose(got, seen[:, order] * sign, atol=1e-9)
+            told = to_write(table, old.keys_for_axes(order, sign)).removeprefix("set ")
+            keys = tomllib.loads(told.partition(" under ")[0].replace(" and ", "\n"))
+            new = sensor(table, base[table] | keys)
+            np.testing.assert_allclose(values(new), values(old)[:, order] * sign, atol=1e-9)
             np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])
 
 
@@ -325,11 +305,8 @@ def test_any_damage_of_stored_telemetry_is_named(stored, how):
         wrong = data.assign_coords({name: (one.dims, SPOILT[how](one))})
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
             restore_telemetry(wrong, vehicle, path)
-        other = (
-            data.rename_dims(time="row")
-            if name == "time"
-            else data.assign({name: one.mean("time")})
-        )
+        mean = one.mean("time")
+        other = data.rename_dims(time="row") if name == "time" else data.assign({name: mean})
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
             restore_telemetry(other, vehicle, path)
 

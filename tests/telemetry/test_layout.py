@@ -29,9 +29,8 @@ def read(folder, text, **telemetry):
     """Read a text as telemetry of the template's vehicle, with other values of its [telemetry]."""
     path = folder / "telemetry"
     path.write_text(text, "utf-8")
-    return ss.read_telemetry(
-        path, replace(VEHICLE, telemetry=replace(VEHICLE.telemetry, **telemetry))
-    )
+    form = replace(VEHICLE.telemetry, **telemetry)
+    return ss.read_telemetry(path, replace(VEHICLE, telemetry=form))
 
 
 @pytest.fixture
@@ -98,10 +97,8 @@ def test_a_row_for_each_value_reads_as_a_row_for_each_sample(export, expected, t
 def test_two_sources_of_one_value_are_refused_with_the_column_that_tells_them_apart(tmp_path):
     rows = by_metric(template_rows())
     both = pd.concat([rows.assign(host="a"), rows.assign(host="b", Value="9.9")])
-    message = (
-        "two values of 'px' for one time .* keep the rows of one source .column 'host' has 'a'"
-    )
-    with pytest.raises(ss.TelemetryError, match=message):
+    said = "two values of 'px' for one time .* keep the rows of one source .column 'host' has 'a'"
+    with pytest.raises(ss.TelemetryError, match=said):
         read(tmp_path, both.to_csv(index=False))
     # the same values twice are no contradiction
     twice = pd.concat([rows.assign(host="a"), rows.assign(host="b")])
@@ -135,7 +132,8 @@ def test_packets_within_a_stated_span_are_one_sample(expected, tmp_path):
     n = len(template_rows())
     assert notes[0] == f"{3 * n} rows are {n} samples, each of rows within 2 s"
     assert notes[1].startswith("columns read later than the sample's time: ")
-    assert f"{PANELS[2]} 0.4 s" in notes[1] and f"{PANELS[4]} 0.8 s" in notes[1]
+    assert f"{PANELS[3]} by 0.4 s" in notes[1] and f"{PANELS[4]} by 0.8 s" in notes[1]
+    assert "offset_s of a panel" in notes[1] and "-sensors_late_s" in notes[1]
 
 
 def test_a_reading_that_a_sample_already_has_begins_the_next_sample(expected, tmp_path):
@@ -168,26 +166,23 @@ def test_habits_of_spreadsheets_are_read(write, expected, tmp_path):
 def test_a_row_that_is_too_long_is_refused_after_a_closing_delimiter_too(tmp_path):
     lines = template_rows().to_csv(index=False).splitlines()
     text = "\n".join([lines[0] + ",", lines[1] + ",", lines[2] + ",7"])
-    message = "line 3: the row has 7 values but the header names 6 columns"
-    with pytest.raises(ss.TelemetryError, match=message):
+    said = "line 3: the row has 7 values but the header names 6 columns"
+    with pytest.raises(ss.TelemetryError, match=said):
         read(tmp_path, text)
 
 
 @pytest.mark.parametrize(
     ("unit", "per_second"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)]
 )
-def test_Unix_times_in_smaller_units_are_understood_by_their_size(
-    unit, per_second, expected, tmp_path
-):
+def test_Unix_times_in_smaller_units_are_known_by_their_size(unit, per_second, expected, tmp_path):
     rows = template_rows()
     seconds = (pd.to_datetime(rows["time_utc"]) - pd.Timestamp(0, tz="UTC")).dt.total_seconds()
     rows["time_utc"] = [f"{round(second * per_second)}" for second in seconds]
-    found = read(tmp_path, rows.to_csv(index=False), time_format="unix")
+    text = rows.to_csv(index=False)
+    found = read(tmp_path, text, time_format="unix")
     assert_same_samples(found, expected)
     assert f"times taken as Unix {unit} by their size" in found.attrs["clock_notes"]
     # a stated unit is not changed
-    stated = read(
-        tmp_path, rows.to_csv(index=False), time_format="unix", time_scale_s=1 / per_second
-    )
+    stated = read(tmp_path, text, time_format="unix", time_scale_s=1 / per_second)
     assert_same_samples(stated, expected)
     assert "clock_notes" not in stated.attrs

@@ -32,9 +32,8 @@ def test_noise_alone_has_no_period_in_99_of_100(wanders):
     for seed in range(100):
         rng = np.random.default_rng(seed)
         t_s, noise = times(rng, 30), rng.normal(size=30)
-        found += (
-            find_period(t_s, noise.cumsum() if wanders else noise, SHORTEST_S).found is not None
-        )
+        values = noise.cumsum() if wanders else noise
+        found += find_period(t_s, values, SHORTEST_S).found is not None
     assert found <= 1
 
 
@@ -44,10 +43,9 @@ def test_a_light_curve_with_a_strong_second_harmonic_has_the_period_of_its_rotat
         stretch = find_period(*light_curve(seed), SHORTEST_S)
         assert stretch.found is not None and stretch.false_alarm <= FALSE_ALARM
         every = stretch.found.every
-        assert sum(one.probability for one in every) == pytest.approx(1.0)
-        assert [one.probability for one in every] == sorted(
-            (one.probability for one in every), reverse=True
-        )
+        probabilities = [one.probability for one in every]
+        assert sum(probabilities) == pytest.approx(1.0)
+        assert probabilities == sorted(probabilities, reverse=True)
         near = [one for one in every if abs(one.period_s - TRUE_S) < 0.03 * TRUE_S]
         normalised.append((near[0].period_s - TRUE_S) / near[0].sigma_s)
     assert 0.6 < np.sqrt(np.mean(np.square(normalised))) < 1.5

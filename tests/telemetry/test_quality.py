@@ -2,32 +2,23 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.terms.panels import Panels
 from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from tests.support.simulate import telemetry_of
+from tests.support.vehicles import CUBE_NORMALS as NORMALS
+from tests.support.vehicles import CUBE_OF_CURRENTS as CUBE
 
-NORMALS = np.vstack([np.eye(3), -np.eye(3)])
-CUBE = Vehicle(
-    "cube",
-    gain_unit="A",
-    panels=[Panel(f"p{k}", NORMALS[k], 0.5) for k in range(6)],
-    telemetry=TelemetryForm(quantity="current_A", noise=0.002),
-)
+THIRD = [k == 2 for k in range(6)]
+"""Whether each panel is the third."""
 
 
-def telemetry(value, time=None, flag=None, vehicle=CUBE):
-    n = len(value)
-    return xr.Dataset(
-        {
-            "current_A": (("time", "panel"), value),
-            "flag": ("time", np.zeros(n, np.uint8) if flag is None else flag),
-        },
-        {"time": np.arange(n) * 30.0 if time is None else time, "panel": list(vehicle.panel_names)},
-    )
+def telemetry(value, flag=None, vehicle=CUBE):
+    data = telemetry_of(vehicle, 30.0 * np.arange(len(value)), value)
+    return data if flag is None else data.assign(flag=("time", flag))
 
 
 def clean(n, seed=0):
@@ -49,9 +40,9 @@ def test_a_dead_panel_is_named_and_left_out():
     value, _ = clean(60)
     value[:, 2] = 0.0
     quality = panel_quality(CUBE, telemetry(value))
-    assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
+    assert quality["dead"].values.tolist() == THIRD
     assert np.isinf(quality["sigma"].values[:, 2]).all()
-    assert quality["missed"].values.tolist() == [False, False, True, False, False, False]
+    assert quality["missed"].values.tolist() == THIRD
     assert Panels.read(assess(CUBE, telemetry(value)))[0].left_out == ("p2",)
     assert not Panels.read(assess(CUBE, telemetry(clean(60)[0])))[0].left_out
 
@@ -59,10 +50,9 @@ def test_a_dead_panel_is_named_and_left_out():
 def test_a_panel_that_was_never_in_the_sun_is_not_called_dead():
     sun = clean(60)[1]
     power = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
-    quality = panel_quality(
-        CUBE, telemetry(power + 0.002 * np.random.default_rng(1).uniform(size=power.shape))
-    )
-    assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
+    power += 0.002 * np.random.default_rng(1).uniform(size=power.shape)
+    quality = panel_quality(CUBE, telemetry(power))
+    assert quality["dead"].values.tolist() == THIRD
     assert not quality["missed"].any()
 
 
@@ -72,16 +62,11 @@ def test_in_few_samples_a_panel_is_called_dead_only_for_missing_light_on_a_path(
     value = ss.panel_power(CUBE, sun)
     value[:, 2] = 0.0
     found = panel_quality(CUBE, telemetry(value))
-    assert (
-        found["missed"].values.tolist()
-        == found["dead"].values.tolist()
-        == [False, False, True, False, False, False]
-    )
+    assert found["missed"].values.tolist() == found["dead"].values.tolist() == THIRD
     whole = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
     assert not panel_quality(CUBE, telemetry(whole))["dead"].any()
-    anywhere = clean(10)[
-        0
-    ]  # one sample of ten that a battery may have dimmed, and no path that says otherwise
+    # one sample of ten that a battery may have dimmed, and no path that says otherwise
+    anywhere = clean(10)[0]
     anywhere[:, 2] = 0.0
     assert not panel_quality(CUBE, telemetry(anywhere))["missed"].any()
 
@@ -147,12 +132,10 @@ def test_albedo_is_estimated_from_panels_opposite_to_lit_ones():
     value, sun = clean(300)
     rng = np.random.default_rng(1)
     dark = sun @ NORMALS.T < 0
-    quality = panel_quality(
-        CUBE, telemetry(value + dark * 0.5 * rng.uniform(0, 0.2, size=value.shape))
-    )
-    assert quality.attrs["albedo"] == pytest.approx(
-        0.168, abs=0.03
-    )  # 84 % point of a uniform law up to 0.2
+    lit = value + dark * 0.5 * rng.uniform(0, 0.2, size=value.shape)
+    quality = panel_quality(CUBE, telemetry(lit))
+    # 84 % point of a uniform law up to 0.2
+    assert quality.attrs["albedo"] == pytest.approx(0.168, abs=0.03)
     assert panel_quality(CUBE, telemetry(value[:3])).attrs["albedo"] == ALBEDO_DEFAULT
 
 

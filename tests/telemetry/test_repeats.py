@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
@@ -18,15 +18,9 @@ from sunspin.output.check.repeats import describe_repeats
 from sunspin.output.check.samples import describe_samples
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.sun import is_reconstructed
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from tests.support.simulate import telemetry_of
+from tests.support.vehicles import CUBE_OF_CURRENTS as CUBE
 
-NORMALS = np.vstack([np.eye(3), -np.eye(3)])
-CUBE = Vehicle(
-    "cube",
-    gain_unit="A",
-    panels=[Panel(f"p{k}", NORMALS[k], 0.5) for k in range(6)],
-    telemetry=TelemetryForm(quantity="current_A", noise=0.002),
-)
 COUNT = 0.5 / 255
 """Step of 8 bits, A."""
 
@@ -44,16 +38,8 @@ def tumbling(n, seed=0, apart=20.0, rate=3.0, noise=0.002, step=0.001):
 def file(t, value, **more):
     """A telemetry Dataset of panel currents and other variables (n, 3)."""
     others = {name: (("time", "axis"), each) for name, each in more.items()}
-    attrs = {"unused_columns": "", "missing_sensors": "", "epoch_utc": "2026-01-01T00:00:00Z"}
-    return xr.Dataset(
-        {
-            "current_A": (("time", "panel"), value),
-            "flag": ("time", np.zeros(len(t), np.uint8)),
-            **others,
-        },
-        {"time": t, "panel": list(CUBE.panel_names), "axis": list("xyz")},
-        attrs,
-    )
+    data = telemetry_of(CUBE, t, value, **others).assign_coords(axis=list("xyz"))
+    return data.assign_attrs(unused_columns="", missing_sensors="")
 
 
 def brightest(value):
@@ -167,24 +153,23 @@ def test_held_samples_are_left_out_and_their_number_is_reported(times):
     assert describe_repeats(found)[0]["repeated_each"] == times
 
 
-def test_repeats_among_too_few_readings_are_reported_and_kept():
+def held_nine_times():
     t, value = tumbling(3, apart=200.0)
-    each = (t[:, None] + 20.0 * np.arange(9)).ravel()
-    found = looked_at(each, np.repeat(value, 9, axis=0))
+    return looked_at((t[:, None] + 20.0 * np.arange(9)).ravel(), np.repeat(value, 9, axis=0))
+
+
+HELD = "each reading is repeated 9 times: held values?"
+
+
+def test_repeats_among_too_few_readings_are_reported_and_kept():
+    found = held_nine_times()
     assert not found.repeats.frozen.any() and found.repeats.unsure.all()
-    assert describe_repeats(found)[1][0].startswith(
-        "  each reading is repeated 9 times: held values?"
-    )
+    assert describe_repeats(found)[1][0].startswith(f"  {HELD}")
 
 
 def test_rates_of_readings_that_may_be_held_are_never_decided():
-    t, value = tumbling(3, apart=200.0)
-    each = (t[:, None] + 20.0 * np.arange(9)).ravel()
-    result = ss.rates(CUBE, looked_at(each, np.repeat(value, 9, axis=0)), effort=0.02)
-    assert not result["decided"].any()
-    assert "each reading is repeated 9 times: held values?" in str(
-        result["why_not_decided"].values[0]
-    )
+    result = ss.rates(CUBE, held_nine_times(), effort=0.02)
+    assert not result["decided"].any() and HELD in str(result["why_not_decided"].values[0])
 
 
 def test_the_number_of_samples_used_is_that_of_the_passes():
@@ -280,20 +265,16 @@ def dimmed(share):
     return spoil
 
 
-def cell(number):
+def filled(rows, columns, number):
     def spoil(t, value):
-        value[[20, 31, 40], [0, 3, 5]] = number
-        return np.array([20, 31, 40]), np.array([0, 3, 5])
+        value[rows, columns] = number
+        return np.array(rows), columns
 
     return spoil
 
 
-def row(number):
-    def spoil(t, value):
-        value[[20, 31]] = number
-        return np.array([20, 31]), slice(None)
-
-    return spoil
+cell = partial(filled, [20, 31, 40], [0, 3, 5])
+row = partial(filled, [20, 31], slice(None))
 
 
 def repeated(t, value):

@@ -43,12 +43,17 @@ print(json.dumps(points, indent=4))
 """Program with the call and the output of `decode_multiple` 1.131."""
 
 
-def install(folder, monkeypatch, text=STAND_IN):
+@pytest.fixture
+def install(tmp_path, monkeypatch):
     """Put a program decode_multiple into a folder, which becomes the first of PATH."""
-    program = folder / "decode_multiple"
-    program.write_text(text, encoding="utf-8")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("PATH", os.pathsep.join([str(folder), os.environ["PATH"]]))
+
+    def put(text=STAND_IN):
+        program = tmp_path / "decode_multiple"
+        program.write_text(text, encoding="utf-8")
+        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+        monkeypatch.setenv("PATH", os.pathsep.join([str(tmp_path), os.environ["PATH"]]))
+
+    return put
 
 
 @pytest.fixture
@@ -67,10 +72,8 @@ def decode(*arguments):
     return done.exit_code, done.output, str(done.exception or "")
 
 
-def test_frames_are_decoded_with_their_own_times_and_bad_ones_are_counted(
-    raw, tmp_path, monkeypatch
-):
-    install(tmp_path, monkeypatch)
+def test_frames_are_decoded_with_their_own_times_and_bad_ones_are_counted(raw, install):
+    install()
     decoded = decode_by_program("cubesat", raw)
     assert [time - 1767225600 for time, *_ in decoded.rows] == [0, 60, 120]
     assert decoded.rows[0][2] == {"panel_x_plus_current": 11, "panel_y_plus_current": 21}
@@ -78,10 +81,8 @@ def test_frames_are_decoded_with_their_own_times_and_bad_ones_are_counted(
     assert decoded.version == "9.9"
 
 
-def test_the_table_has_a_column_for_each_field_and_empty_cells_without_it(
-    raw, tmp_path, monkeypatch
-):
-    install(tmp_path, monkeypatch)
+def test_the_table_has_a_column_for_each_field_and_empty_cells_without_it(raw, install):
+    install()
     text = decoded_csv(decode_by_program("cubesat", raw))
     rows = list(csv.DictReader(text.splitlines()))
     assert list(rows[0]) == (
@@ -92,9 +93,9 @@ def test_the_table_has_a_column_for_each_field_and_empty_cells_without_it(
 
 
 def test_the_command_writes_a_table_and_a_column_map_from_which_init_makes_a_vehicle(
-    raw, tmp_path, monkeypatch
+    raw, tmp_path, install
 ):
-    install(tmp_path, monkeypatch)
+    install()
     out = tmp_path / "out"
     code, printed, _ = decode(raw, "--decoder", "cubesat", "--out", out, "--json")
     summary = json.loads(printed)
@@ -104,10 +105,8 @@ def test_the_command_writes_a_table_and_a_column_map_from_which_init_makes_a_veh
     section = tomllib.loads((out / "cubesat_columns.toml").read_text("utf-8"))["telemetry"]
     assert section["time_column"] == "received_utc" and section["quantity"] == "current_A"
     assert section["columns"] == {"+X": "panel_x_plus_current", "+Y": "panel_y_plus_current"}
-    done = CliRunner().invoke(
-        cli, ["init", str(tmp_path / "mine"), "--from", str(out / "cubesat.csv")]
-    )
-    assert done.exit_code == 0
+    words = ["init", str(tmp_path / "mine"), "--from", str(out / "cubesat.csv")]
+    assert CliRunner().invoke(cli, words).exit_code == 0
     assert ss.load_vehicle(tmp_path / "mine" / "vehicle.toml").panel_names == ("+X", "+Y")
 
 
@@ -120,15 +119,15 @@ def test_without_the_program_one_sentence_says_what_to_install(raw, tmp_path, mo
     assert not (tmp_path / "out").exists()
 
 
-def test_a_decoder_that_the_program_lacks_is_named(raw, tmp_path, monkeypatch):
-    install(tmp_path, monkeypatch)
+def test_a_decoder_that_the_program_lacks_is_named(raw, install):
+    install()
     with pytest.raises(ss.InputError, match=r"no decoder of this name \(found nosuch\)"):
         decode_by_program("nosuch", raw)
 
 
-def test_a_folder_that_is_not_ours_is_refused_before_the_program_runs(raw, tmp_path, monkeypatch):
+def test_a_folder_that_is_not_ours_is_refused_before_the_program_runs(raw, tmp_path, install):
     started = tmp_path / "started"
-    install(tmp_path, monkeypatch, f"#!{sys.executable}\nopen({str(started)!r}, 'w')\n")
+    install(f"#!{sys.executable}\nopen({str(started)!r}, 'w')\n")
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.txt").write_text("mine", "utf-8")
@@ -143,8 +142,8 @@ def test_a_bad_name_of_a_decoder_makes_no_folder(raw, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["--help", "../skcube", "a b", "", "x;ls"])
-def test_only_names_reach_the_program(name, raw, tmp_path, monkeypatch):
-    install(tmp_path, monkeypatch, f"#!{sys.executable}\nraise SystemExit('started')\n")
+def test_only_names_reach_the_program(name, raw, install):
+    install(f"#!{sys.executable}\nraise SystemExit('started')\n")
     with pytest.raises(ss.InputError, match="a name of letters"):
         decode_by_program(name, raw)
 
@@ -162,14 +161,14 @@ def test_only_names_reach_the_program(name, raw, tmp_path, monkeypatch):
         "print('{}')",
     ],
 )
-def test_a_program_that_fails_or_prints_something_else_is_refused(body, raw, tmp_path, monkeypatch):
-    install(tmp_path, monkeypatch, f"#!{sys.executable}\n{body}\n")
+def test_a_program_that_fails_or_prints_something_else_is_refused(body, raw, install):
+    install(f"#!{sys.executable}\n{body}\n")
     with pytest.raises(ss.InputError, match="failed or printed something unknown"):
         decode_by_program("cubesat", raw)
 
 
-def test_a_program_that_does_not_end_is_ended(raw, tmp_path, monkeypatch):
-    install(tmp_path, monkeypatch, f"#!{sys.executable}\nimport time\ntime.sleep(60)\n")
+def test_a_program_that_does_not_end_is_ended(raw, install, monkeypatch):
+    install(f"#!{sys.executable}\nimport time\ntime.sleep(60)\n")
     monkeypatch.setattr(satnogs, "START_S", 0.2)
     with pytest.raises(ss.InputError, match="does not end: 5 frames"):
         decode_by_program("cubesat", raw)
@@ -255,13 +254,9 @@ def test_our_decoder_of_skcube_agrees_with_the_public_one_on_real_beacons(data_d
 def test_text_from_the_radio_cannot_break_the_table(tmp_path):
     fields = {"call": "OM\x00KSK\x85\u2028\x1c", "station": "of the satellite"}
     path = tmp_path / "decoded.csv"
-    path.write_text(
-        decoded_csv(Decoded([(1767225600.0, "graz", fields)], {}, "")), encoding="utf-8"
-    )
+    text = decoded_csv(Decoded([(1767225600.0, "graz", fields)], {}, ""))
+    path.write_text(text, encoding="utf-8")
     table = read_table(path)
     assert table.header == ["received_utc", "station", "call", "decoded_station"]
-    assert [cell.strip() for cell in table.cells.iloc[0]][1:] == [
-        "graz",
-        "OM KSK",
-        "of the satellite",
-    ]
+    cells = [cell.strip() for cell in table.cells.iloc[0]]
+    assert cells[1:] == ["graz", "OM KSK", "of the satellite"]

@@ -56,34 +56,29 @@ def test_the_decoder_removes_escapes_and_counts_unreadable_frames(tmp_path):
 
 @pytest.mark.parametrize("form", ["csv", "page", "lines"])
 def test_decode_writes_every_kind_of_beacon_of_a_satnogs_export(form, tmp_path):
-    beacons = {
-        kind: bytes(16) + bytes([TYPE[kind]]) + KINDS[kind][0].pack(*numbers(kind))
-        for kind in KINDS
-    }
-    times = [f"2017-06-23 07:02:5{k}" for k in range(len(KINDS))]
+    frames = []
+    for k, (kind, (packed, _)) in enumerate(KINDS.items()):
+        content = bytes(16) + bytes([TYPE[kind]]) + packed.pack(*numbers(kind))
+        frames.append((f"2017-06-23 07:02:5{k}", content.hex().upper()))
     objects = [
-        {"timestamp": t.replace(" ", "T") + "Z", "frame": one.hex().upper(), "observer": "OM3KAA"}
-        for t, one in zip(times, beacons.values(), strict=True)
+        {"timestamp": t.replace(" ", "T") + "Z", "frame": digits, "observer": "OM3KAA"}
+        for t, digits in frames
     ]
     text = {
-        "csv": "".join(
-            f"{t}|{one.hex().upper()}\n" for t, one in zip(times, beacons.values(), strict=True)
-        ),
+        "csv": "".join(f"{t}|{digits}\n" for t, digits in frames),
         "page": json.dumps({"next": None, "results": objects}),
         "lines": "\n".join(map(json.dumps, objects)),
     }
     raw = tmp_path / "export"
     raw.write_text(text[form])
-    done = CliRunner().invoke(
-        decode, [str(raw), "--out", str(tmp_path / "out"), "--json"], catch_exceptions=False
-    )
+    words = [str(raw), "--out", str(tmp_path / "out"), "--json"]
+    done = CliRunner().invoke(decode, words, catch_exceptions=False)
     assert json.loads(done.stdout)["frames"] == dict.fromkeys(KINDS, 1)
     for k, kind in enumerate(KINDS):
         with open(tmp_path / "out" / f"skcube_{kind.lower()}.csv", encoding="utf-8") as file:
             (row,) = csv.DictReader(file)
-        assert float(row.pop("unix_s_rx")) == 1498201370 + k and row.pop("station") == (
-            "" if form == "csv" else "OM3KAA"
-        )
+        assert float(row.pop("unix_s_rx")) == 1498201370 + k
+        assert row.pop("station") == ("" if form == "csv" else "OM3KAA")
         assert row == {name: str(n) for name, n in zip(KINDS[kind][1], numbers(kind), strict=True)}
 
 
@@ -127,9 +122,8 @@ def test_decode_refuses_a_file_that_is_no_zip_in_one_sentence(content, tmp_path)
 @pytest.mark.real_data
 def test_the_decoded_table_equals_the_published_one(data_dir, reached):
     beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
-    assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301} and set(beacons.unread) == {
-        "too short for a beacon"
-    }
+    assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301}
+    assert set(beacons.unread) == {"too short for a beacon"}
     ours = beacons_csv(beacons, "ADCS").splitlines()
     theirs = (data_dir / "skcube" / "skcube_adcs.csv").read_text().splitlines()[: len(ours)]
     assert ours == theirs
@@ -165,17 +159,15 @@ def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes, reached):
     use = known & (count >= 7)
     assert 70 <= use.sum() <= 110
     error = np.degrees(result["omega_B"].values - gyro)[use]
-    assert np.all(
-        np.median(np.abs(error), axis=0) < [0.16, 0.14, 0.18]
-    )  # deg/s; the rates are 0.5 to 1.2 deg/s
+    # deg/s; the rates are 0.5 to 1.2 deg/s
+    assert np.all(np.median(np.abs(error), axis=0) < [0.16, 0.14, 0.18])
     # coverage: error of a pass's mean against what it says, all modes counted, and the gyro's own zero (0.05 deg/s)
     square = []
     for number in np.unique(result["pass_of"].values[use]):
         at = result["pass_of"].values == number
         miss = np.degrees((result["omega_B"].values - gyro)[at].mean(axis=0))
-        square.append(
-            (miss / np.hypot(np.degrees(result["omega_sigma_all_B"].values[number]), 0.05)) ** 2
-        )
+        sigma = np.degrees(result["omega_sigma_all_B"].values[number])
+        square.append((miss / np.hypot(sigma, 0.05)) ** 2)
     assert 0.2 < np.mean(square) < 2.5
     reached("median error, worst axis", np.median(np.abs(error), axis=0), "deg/s")
     reached("squared error over stated variance", np.mean(square))
@@ -194,10 +186,8 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
     assert sum("far below full Sun" in text for text in why) == 35
     assert result.sizes["pass_id"] == 2
     sensors, _ = free_passes
-    shift = np.datetime64(data.attrs["epoch_utc"][:-1]) - np.datetime64(
-        sensors.attrs["epoch_utc"][:-1]
-    )
-    start = result["time"].values + shift / np.timedelta64(1, "s")
+    begin, end = (np.datetime64(each.attrs["epoch_utc"][:-1]) for each in (sensors, data))
+    start = result["time"].values + (end - begin) / np.timedelta64(1, "s")
     for number in range(2):
         when = start[result["pass_of"].values == number].mean()
         nearest = int(np.abs(sensors["time"].values - when).argmin())
@@ -231,7 +221,6 @@ def test_scale_and_zero_of_the_gyro_are_those_that_propagate_the_measured_sun(da
     both = np.hypot(sigma, [np.degrees(gyro.scale_sigma), *gyro.zero_sigma])
     assert np.all(np.abs(value - stated) < 2 * both)
     reached("scale, deg/s per count", value[0])
-    turned = found._replace(
-        first=found.second, second=found.first
-    )  # the control: the Sun carried the wrong way fits worse
+    # the control: the Sun carried the wrong way fits worse
+    turned = found._replace(first=found.second, second=found.first)
     assert fit(turned, craft.sensors.disturbance.acceleration_noise)[2] > cost + 10

@@ -26,6 +26,8 @@ STYLES = {
     "solar_panel_x_plus_current": ("current_A", 0.001, "solar_panel_{axis}_{word}_current"),
     "SolarPanelXPlusCurrent": ("current_A", 0.001, "SolarPanel{AXIS}{Word}Current"),
     "eps.cur_pos_x (A)": ("current_A", 1.0, "eps.cur_{short}_{axis} (A)"),
+    "eps.sp_xp_ma": ("current_A", 0.001, "eps.sp_{axis}{sign:pm}_ma"),
+    "iXp.mA": ("current_A", 0.001, "i{AXIS}{sign:pm}.mA"),
     "PXp_W": ("power_W", 1.0, "P{AXIS}{sign:pm}_W"),
     "+X power (mW)": ("power_W", 0.001, "{sign:+-}{AXIS} power (mW)"),
     "sunX+": ("power_W", 1.0, "sun{AXIS}{sign:+-}"),
@@ -86,9 +88,8 @@ def test_the_suggested_section_reads_the_file_as_it_is_pasted(style, folder):
     document["telemetry"] = tomlkit.parse(section)["telemetry"]
     (folder / "mine.toml").write_text(tomlkit.dumps(document), "utf-8")
     found = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(folder / "mine.toml"))
-    expected = ss.read_telemetry(
-        folder / "as_expected.csv", ss.load_vehicle(folder / "vehicle.toml")
-    )
+    right = ss.load_vehicle(folder / "vehicle.toml")
+    expected = ss.read_telemetry(folder / "as_expected.csv", right)
     assert list(found["panel"].values) == list(expected["panel"].values)
     np.testing.assert_allclose(found[quantity], expected["power_W"], rtol=1e-4, atol=1e-3)
     assert found.attrs["epoch_utc"] == expected.attrs["epoch_utc"]
@@ -105,9 +106,8 @@ def test_the_section_for_a_row_for_each_value_reads_the_file(folder):
     (folder / "export.jsonl").write_text("\n".join(lines), "utf-8")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.jsonl"])
     assert done.exit_code == 0, done.output
-    found = ss.read_telemetry(
-        folder / "export.jsonl", ss.load_vehicle(folder / "mine/vehicle.toml")
-    )
+    vehicle = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    found = ss.read_telemetry(folder / "export.jsonl", vehicle)
     assert found["current_A"].shape == (40, 5)
 
 
@@ -197,12 +197,8 @@ def test_nothing_is_suggested_where_names_say_nothing(header, folder):
 def export_with_sensors() -> str:
     """Return raw counts of panels against Unix milliseconds, with a gyro in deg/s and a magnetometer in nT."""
     rows = list(csv.reader(io.StringIO(export("adc_{sign:pm}{axis}", 0.001))))
-    header = [
-        "ts_ms",
-        *rows[0][1:6],
-        *(f"gyr_{a}_dps" for a in "xyz"),
-        *(f"MAG_{a} [nT]" for a in "XYZ"),
-    ]
+    sensors = [*(f"gyr_{a}_dps" for a in "xyz"), *(f"MAG_{a} [nT]" for a in "XYZ")]
+    header = ["ts_ms", *rows[0][1:6], *sensors]
     lines = [
         [str(1767225600000 + 20000 * k), *row[1:6], "1.5", "-2", "3", "20000", "-5000", "30000"]
         for k, row in enumerate(rows[1:])
@@ -227,20 +223,24 @@ def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened(fol
     path = folder / "mine" / "vehicle.toml"
     text = path.read_text("utf-8")
     assert "field_B" not in ss.read_telemetry(folder / "export.csv", ss.load_vehicle(path))
-    for key in (
-        r"\[gyro\]",
-        r"\[magnetometer\]",
-        r"columns = .*(gyr_x|MAG_X)",
-        "scale_T",
-        "scale_rad_s = .*rate = ",
-        "noise_rad_s = 8e-4",
-    ):
-        text = re.sub(rf"^# (?={key})", "", text, flags=re.MULTILINE)
+    keys = r"\[gyro\]|\[magnetometer\]|columns = .*(gyr_x|MAG_X)|scale_T|scale_rad_s = .*rate = "
+    text = re.sub(rf"^# (?={keys}|noise_rad_s = 8e-4)", "", text, flags=re.MULTILINE)
     path.write_text(text, "utf-8")
     data = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(path))
     np.testing.assert_allclose(data["gyro_B"].values[0], np.radians([1.5, -2.0, 3.0]), rtol=1e-5)
     assert ss.load_vehicle(path).sensors.magnetometer.scale_T == 1e-9
     np.testing.assert_allclose(data["field_B"].values[0], [20000, -5000, 30000])
+
+
+def test_init_names_columns_that_differ_from_those_of_panels_only_in_the_face(folder):
+    rows = ["time,i_xp_ma,i_xm_ma,i_wing1_ma,i_wing2_ma,u_wing1_mv,i_xp_mv"]
+    rows += [f"2026-01-01T00:00:{k:02d}Z,400,0,{300 + k},{20 + k},8000,3300" for k in range(10)]
+    (folder / "wings.csv").write_text("\n".join(rows))
+    run = CliRunner().invoke(cli, ["init", "mine", "--from", "wings.csv"])
+    assert run.exit_code == 0, run.output
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    (line,) = [line for line in text.splitlines() if line.startswith("# perhaps panels")]
+    assert line.endswith('each needs a [[panel]]: "i_wing1_ma", "i_wing2_ma"')
 
 
 def test_a_vehicle_file_for_an_export_is_named_after_it(folder):

@@ -8,11 +8,7 @@ import sunspin as ss
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, reconstructible_patterns
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.response.panels import lit_patterns, panel_power
-
-
-def directions(n: int, seed: int = 0) -> np.ndarray:
-    v = np.random.default_rng(seed).normal(size=(n, 3))
-    return v / np.linalg.norm(v, axis=1)[:, None]
+from tests.support.vehicles import directions
 
 
 def random_panels(seed: int, n: int) -> Vehicle:
@@ -28,12 +24,9 @@ PHILAE = ss.load_vehicle("philae")
 
 @pytest.mark.evidence("panel_power", "verified", "computed by hand from Philae's table of panels")
 def test_panel_power_by_hand():
-    power = panel_power(PHILAE, [0.6, 0.0, 0.8])
-    np.testing.assert_allclose(
-        power,
-        [0, 162 * 0.6 / np.sqrt(2), 162 * 0.6, 162 * 0.6 / np.sqrt(2), 0, 230 * 0.8],
-        rtol=1e-12,
-    )
+    side = 162 * 0.6
+    expected = [0, side / np.sqrt(2), side, side / np.sqrt(2), 0, 230 * 0.8]
+    np.testing.assert_allclose(panel_power(PHILAE, [0.6, 0.0, 0.8]), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -47,9 +40,8 @@ def test_illumination_patterns_of_any_vehicle_are_those_of_random_directions(see
         for row in np.unique(panel_power(vehicle, directions(200_000)) > 0, axis=0)
     }
     assert shown <= set(lit_patterns(vehicle))
-    assert (
-        len(set(lit_patterns(vehicle))) == 5 * 4 + 2
-    )  # n great circles in general position cut the sphere into n(n-1)+2
+    # n great circles in general position cut the sphere into n(n-1)+2
+    assert len(set(lit_patterns(vehicle))) == 5 * 4 + 2
 
 
 @pytest.mark.evidence("sun_directions", "verified", "5/16 of the sphere, from the normals by hand")
@@ -94,9 +86,8 @@ def test_the_best_direction_is_the_global_minimum_for_any_powers(seed, reached):
     """Random, also inconsistent powers, against a dense search with local polish."""
     rng = np.random.default_rng(seed)
     vehicle = PHILAE if seed % 2 else random_panels(seed, int(rng.integers(3, 7)))
-    power = rng.uniform(0, 1, (1, len(vehicle.panels))) * rng.integers(
-        0, 2, (1, len(vehicle.panels))
-    )
+    size = 1, len(vehicle.panels)
+    power = rng.uniform(0, 1, size) * rng.integers(0, 2, size)
     power[0, 0] += 0.1
     n, delta = vehicle.response_in().best_direction(power)
     grid = directions(20_000, 9)
@@ -104,15 +95,10 @@ def test_the_best_direction_is_the_global_minimum_for_any_powers(seed, reached):
     size = np.linalg.norm(shape, axis=1)
     unit = shape / np.where(size > 0, size, 1)[:, None]
     found = np.where(size > 0, np.linalg.norm(unit - power / np.linalg.norm(power), axis=1), 2.0)
-    best = 2.0
-    for start in grid[np.argsort(found)[:5]]:
-        options = {"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000}
-        best = min(
-            best,
-            minimize(
-                lambda x: misfit(vehicle, x, power[0]), start, method="Nelder-Mead", options=options
-            ).fun,
-        )
+    search = {"method": "Nelder-Mead", "options": {"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000}}
+    starts = grid[np.argsort(found)[:5]]
+    ends = [minimize(lambda x: misfit(vehicle, x, power[0]), one, **search) for one in starts]
+    best = min(2.0, *(end.fun for end in ends))
     assert delta[0] <= best + 1e-7
     reached("Delta above the best that the search found", delta[0] - best, "", 1e-7)
     assert misfit(vehicle, n[0], power[0]) == pytest.approx(delta[0], abs=1e-12)
@@ -165,9 +151,8 @@ def test_an_arc_of_directions_without_dark_panels_is_half_a_circle():
 def test_a_sun_seen_by_side_panels_only_is_known_to_an_arc():
     """At z < 0 the side powers fix the azimuth only: the arc runs from the horizon to the nadir."""
     n = np.array([0.7, -0.3, -0.5]) / np.linalg.norm([0.7, -0.3, -0.5])
-    arc = ss.sun_directions(PHILAE, panel_power(PHILAE, n[None]), lit_threshold=1e-9)[
-        "sun_arc_B"
-    ].values[0]
+    sun = ss.sun_directions(PHILAE, panel_power(PHILAE, n[None]), lit_threshold=1e-9)
+    arc = sun["sun_arc_B"].values[0]
     azimuth = np.array([0.7, -0.3, 0]) / np.linalg.norm([0.7, -0.3, 0])
     ends = sorted(arc.tolist(), key=lambda end: end[2])
     np.testing.assert_allclose(ends, [[0, 0, -1], azimuth], atol=1e-9)
@@ -193,17 +178,10 @@ def test_direction_covariance_covers_as_stated_and_detects_a_wrong_noise(reached
     reached("with half the noise assumed", chi2[1])
     assert chi2[0] == pytest.approx(2.0, abs=0.15)  # two degrees of freedom
     assert chi2[1] > 6.0
-    rms = np.sqrt(
-        (
-            np.arccos(
-                np.clip(ss.sun_directions(PHILAE, noisy, noise=2.0)["sun_B"].values @ n, -1, 1)
-            )
-            ** 2
-        ).mean()
-    )
-    assert np.median(
-        ss.sun_directions(PHILAE, noisy, noise=2.0)["sigma_rad"].values
-    ) == pytest.approx(rms, rel=0.1)
+    sun = ss.sun_directions(PHILAE, noisy, noise=2.0)
+    angle = np.arccos(np.clip(sun["sun_B"].values @ n, -1, 1))
+    rms = np.sqrt((angle**2).mean())
+    assert np.median(sun["sigma_rad"].values) == pytest.approx(rms, rel=0.1)
 
 
 def test_panel_noise_is_estimated_if_panels_are_redundant():

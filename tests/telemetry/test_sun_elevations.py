@@ -14,8 +14,7 @@ from sunspin.base.errors import TelemetryError, VehicleError
 from sunspin.cli import cli
 from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle.file import parse_vehicle
-
-NORMALS = np.concatenate([np.eye(3), -np.eye(3)])
+from tests.support.vehicles import CUBE_NORMALS, directions
 
 VEHICLE = """
 name = "a cube"
@@ -27,13 +26,11 @@ epoch_utc = "2026-01-01T00:00:00Z"
 noise = 1.0
 """ + "".join(
     f'[[panel]]\nname = "p{k}"\nnormal_B = {normal.tolist()}\nrelative_gain = {1 + k}\n'
-    for k, normal in enumerate(NORMALS)
+    for k, normal in enumerate(CUBE_NORMALS)
 )
-
-
-def suns(n: int = 40) -> np.ndarray:
-    vectors = np.random.default_rng(1).normal(size=(n, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+SUNS = directions(40, 1)
+COSINES = SUNS @ CUBE_NORMALS.T
+ELEVATIONS = np.degrees(np.arcsin(COSINES))
 
 
 def write(path: Path, values: np.ndarray) -> Path:
@@ -44,33 +41,23 @@ def write(path: Path, values: np.ndarray) -> Path:
     return path
 
 
-def elevations(sun: np.ndarray) -> np.ndarray:
-    return np.degrees(np.arcsin(np.clip(sun @ NORMALS.T, -1, 1)))
-
-
 @pytest.mark.parametrize(
-    ("keys", "scaled"),
+    ("keys", "values"),
     [
-        ('quantity = "elevation_deg"', lambda sun: elevations(sun)),
-        (
-            'quantity = "elevation_deg"\nscale = 57.29577951',
-            lambda sun: np.radians(elevations(sun)),
-        ),
-        ('quantity = "elevation_deg"\nzero = -90', lambda sun: elevations(sun) - 90.0),
-        ('quantity = "incidence_deg"', lambda sun: 90.0 - elevations(sun)),
-        (
-            'quantity = "incidence_deg"\nscale = 57.29577951',
-            lambda sun: np.radians(90.0 - elevations(sun)),
-        ),
-        ('quantity = "cosine"', lambda sun: sun @ NORMALS.T),
-        ('quantity = "cosine"\nscale = 0.01', lambda sun: 100 * np.maximum(sun @ NORMALS.T, 0)),
+        ('quantity = "elevation_deg"', ELEVATIONS),
+        ('quantity = "elevation_deg"\nscale = 57.29577951', np.radians(ELEVATIONS)),
+        ('quantity = "elevation_deg"\nzero = -90', ELEVATIONS - 90.0),
+        ('quantity = "incidence_deg"', 90.0 - ELEVATIONS),
+        ('quantity = "incidence_deg"\nscale = 57.29577951', np.radians(90.0 - ELEVATIONS)),
+        ('quantity = "cosine"', COSINES),
+        ('quantity = "cosine"\nscale = 0.01', 100 * np.maximum(COSINES, 0)),
     ],
 )
-def test_angles_become_the_readings_of_flat_panels(tmp_path, keys, scaled):
+def test_angles_become_the_readings_of_flat_panels(tmp_path, keys, values):
     """Gain times sine of the elevation where the Sun is above the panel, zero where it is below."""
     vehicle = parse_vehicle(VEHICLE.replace('quantity = "elevation_deg"', keys), "test")
-    data = ss.read_telemetry(write(tmp_path / "angles.csv", scaled(suns())), vehicle)
-    np.testing.assert_allclose(data["power_W"], ss.panel_power(vehicle, suns()), atol=1e-6)
+    data = ss.read_telemetry(write(tmp_path / "angles.csv", values), vehicle)
+    np.testing.assert_allclose(data["power_W"], ss.panel_power(vehicle, SUNS), atol=1e-6)
     assert data["power_W"].attrs["units"] == "1"
     assert data.attrs["quantity"] == vehicle.telemetry.quantity
     assert (data["flag"] == 0).all()
@@ -79,8 +66,8 @@ def test_angles_become_the_readings_of_flat_panels(tmp_path, keys, scaled):
 def test_sun_directions_from_noisy_elevations_are_as_good_as_their_errors_say(tmp_path):
     """The sine has noise, as for angles that were computed from currents."""
     vehicle, rng = parse_vehicle(VEHICLE, "test"), np.random.default_rng(2)
-    sun = suns(400)
-    sine = np.clip(sun @ NORMALS.T, 0, 1) + np.radians(1.0) * rng.normal(size=(400, 6))
+    sun = directions(400, 1)
+    sine = np.clip(sun @ CUBE_NORMALS.T, 0, 1) + np.radians(1.0) * rng.normal(size=(400, 6))
     angles = np.degrees(np.arcsin(np.clip(sine, 0, 1)))
     found = sun_directions(vehicle, ss.read_telemetry(write(tmp_path / "n.csv", angles), vehicle))
     known = np.isfinite(found["sun_B"]).all("axis").values
@@ -93,10 +80,8 @@ def test_sun_directions_from_noisy_elevations_are_as_good_as_their_errors_say(tm
 def test_the_noise_of_elevations_is_that_of_the_readings_in_rad_times_gain():
     vehicle = parse_vehicle(VEHICLE, "test")
     np.testing.assert_allclose(vehicle.input_noise, np.radians(1.0) * np.arange(1, 7))
-    cosines = parse_vehicle(
-        VEHICLE.replace('"elevation_deg"', '"cosine"').replace("noise = 1.0", "noise = 0.02"),
-        "test",
-    )
+    text = VEHICLE.replace('"elevation_deg"', '"cosine"').replace("noise = 1.0", "noise = 0.02")
+    cosines = parse_vehicle(text, "test")
     np.testing.assert_allclose(cosines.input_noise, 0.02 * np.arange(1, 7))
 
 
@@ -110,8 +95,7 @@ def test_the_noise_of_elevations_is_that_of_the_readings_in_rad_times_gain():
 )
 def test_a_value_that_is_no_angle_is_refused_with_its_place(tmp_path, keys, value, says):
     text = VEHICLE.replace('quantity = "elevation_deg"', keys) if keys else VEHICLE
-    values = elevations(suns()) if not keys else suns() @ NORMALS.T
-    path = write(tmp_path / "angles.csv", values)
+    path = write(tmp_path / "angles.csv", COSINES if keys else ELEVATIONS)
     lines = path.read_text("utf-8").splitlines()
     lines[3] = re.sub(r"[^,]+$", str(value), lines[3])
     path.write_text("\n".join(lines), "utf-8")
@@ -124,7 +108,7 @@ def test_a_value_that_is_no_angle_is_refused_with_its_place(tmp_path, keys, valu
 
 
 def test_elevations_in_radians_are_refused_with_the_scale_that_helps(tmp_path):
-    path = write(tmp_path / "angles.csv", np.radians(elevations(suns())))
+    path = write(tmp_path / "angles.csv", np.radians(ELEVATIONS))
     with pytest.raises(TelemetryError, match=r"do not look like degrees.*scale = 57\.29578"):
         ss.read_telemetry(path, parse_vehicle(VEHICLE, "test"))
 
@@ -153,7 +137,7 @@ def test_check_says_how_angles_are_read_and_stored_telemetry_is_not_converted_ag
 ):
     monkeypatch.chdir(tmp_path)
     Path("cube.toml").write_text(VEHICLE, "utf-8")
-    write(tmp_path / "angles.csv", elevations(suns()))
+    write(tmp_path / "angles.csv", ELEVATIONS)
     run = CliRunner()
     done = run.invoke(cli, ["check", "cube.toml", "angles.csv"])
     assert done.exit_code == 0
@@ -161,5 +145,5 @@ def test_check_says_how_angles_are_read_and_stored_telemetry_is_not_converted_ag
     assert run.invoke(cli, ["sun", "cube.toml", "angles.csv", "--out", "sun"]).exit_code == 0
     vehicle = ss.load_vehicle("cube.toml")
     again = ss.read_telemetry("sun/telemetry.nc", vehicle)
-    np.testing.assert_allclose(again["power_W"], ss.panel_power(vehicle, suns()), atol=1e-6)
+    np.testing.assert_allclose(again["power_W"], ss.panel_power(vehicle, SUNS), atol=1e-6)
     assert "flat panels" not in run.invoke(cli, ["check", "cube.toml"]).output

@@ -149,11 +149,8 @@ def test_rows_are_sorted_and_repeats_merged_where_bad_rows_are_flagged(tmp_path)
 
 
 def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
-    data = read(
-        tmp_path,
-        "time,a,b\n2026-01-01T00:01:00Z,2,1\n2026-01-01T00:00:00Z,1,1\n",
-        vehicle(bad_rows="flag"),
-    )
+    text = "time,a,b\n2026-01-01T00:01:00Z,2,1\n2026-01-01T00:00:00Z,1,1\n"
+    data = read(tmp_path, text, vehicle(bad_rows="flag"))
     assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
     assert data["time"].values.tolist() == [0.0, 60.0]
 
@@ -161,10 +158,8 @@ def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
 def test_times_without_a_zone_next_to_local_ones_are_refused(tmp_path):
     """Nobody knows whether they are UTC; beside times in UTC they are."""
     rows = "time,a,b\n2026-01-01T00:00:00{},2,1\n2026-01-01T00:01:00,1,1\n"
-    with pytest.raises(
-        ss.SunspinError,
-        match=r"line 3, column 'time': other times of this file have a time zone .* or Z for UTC",
-    ):
+    words = r"line 3, column 'time': other times of this file have a time zone .* or Z for UTC"
+    with pytest.raises(ss.SunspinError, match=words):
         read(tmp_path, rows.format("+02:00"))
     assert read(tmp_path, rows.format("Z"))["time"].values.tolist() == [0, 60]
 
@@ -184,9 +179,8 @@ def test_without_a_stated_noise_small_negative_readings_are_accepted_and_large_o
     craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01")
 
     def text(values) -> str:
-        return "time,a,b\n" + "".join(
-            f"{10 * k},{a:.4f},{b:.4f}\n" for k, (a, b) in enumerate(values)
-        )
+        rows = [f"{10 * k},{a:.4f},{b:.4f}\n" for k, (a, b) in enumerate(values)]
+        return "time,a,b\n" + "".join(rows)
 
     assert (noisy < -0.01).sum() > 3
     data = read(tmp_path, text(noisy), craft)
@@ -205,7 +199,6 @@ def test_skcube_beacons_are_read_with_a_summary_of_their_content(data_dir):
     data = ss.read_telemetry(data_dir / "skcube" / "skcube_pwr.csv", craft)
     assert data.sizes["time"] == 55
     sun = ss.sun_directions(craft, data)
-    assert (
-        is_reconstructed(sun["status"]).sum() == 6
-    )  # as counted by hand: six beacons with three lit faces
+    # as counted by hand: six beacons with three lit faces
+    assert is_reconstructed(sun["status"]).sum() == 6
     assert set(np.unique(sun["n_lit"].values)) <= {0, 1, 2, 3}

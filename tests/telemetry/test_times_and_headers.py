@@ -27,10 +27,8 @@ TEMPLATE = resources.files("sunspin").joinpath("template", "vehicle.toml").read_
 def test_an_invalid_time_is_refused_with_the_form_to_write(tmp_path, time, words):
     file = tmp_path / "t.csv"
     file.write_text(f"time_utc,px,mx,py,my,pz\n{time},1,0,1,0,1\n")
-    with pytest.raises(
-        ss.SunspinError,
-        match=f"line 2, column 'time_utc': an ISO-8601 UTC time is expected .*{words}",
-    ):
+    words = f"line 2, column 'time_utc': an ISO-8601 UTC time is expected .*{words}"
+    with pytest.raises(ss.SunspinError, match=words):
         ss.read_telemetry(file, parse_vehicle(TEMPLATE, "v.toml"))
 
 
@@ -40,9 +38,8 @@ def test_an_invalid_time_is_refused_with_the_form_to_write(tmp_path, time, words
 def test_a_file_without_a_header_is_reported(tmp_path, first):
     file = tmp_path / "t.csv"
     file.write_text(f"{first}\n{first}\n")
-    with pytest.raises(
-        ss.SunspinError, match="the first row holds numbers and no names of columns"
-    ):
+    words = "the first row holds numbers and no names of columns"
+    with pytest.raises(ss.SunspinError, match=words):
         ss.read_telemetry(file, parse_vehicle(TEMPLATE, "v.toml"))
 
 

@@ -19,11 +19,8 @@ def test_a_row_of_a_study_is_computed_once_and_a_failed_one_is_not_kept(tmp_path
         raise InputError("no such motion")
 
     folder = rows_folder(tmp_path / "a" / "b")
-    assert (
-        load_or_make(folder / "0.json", make)
-        == load_or_make(folder / "0.json", make)
-        == {"x": 0.1 + 0.2}
-    )
+    rows = [load_or_make(folder / "0.json", make) for _ in range(2)]
+    assert rows == [{"x": 0.1 + 0.2}] * 2
     assert len(made) == 1
     with pytest.raises(InputError, match="no such motion"):
         load_or_make(folder / "1.json", fails)

@@ -5,6 +5,7 @@ import resource
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,21 +20,16 @@ START = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
 def limited(kind, most, *arguments):
     """The command line in another process that may not have more of something; exit code, complaint."""
     command = [sys.executable, "-m", "sunspin.cli", *map(str, arguments)]
-    done = subprocess.run(
-        command,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(kind, (most, most)),
-    )
+    options = {"env": environment(), "capture_output": True, "text": True}
+    limit = partial(resource.setrlimit, kind, (most, most))
+    done = subprocess.run(command, preexec_fn=limit, **options)
     return done.returncode, done.stderr
 
 
 def said(outcome, *words):
     code, complaint = outcome
-    assert code == 2 and complaint.startswith("sunspin: error: ") and complaint.count("\n") == 1, (
-        complaint
-    )
+    assert code == 2 and complaint.startswith("sunspin: error: "), complaint
+    assert complaint.count("\n") == 1, complaint
     assert all(word in complaint for word in words), complaint
 
 
@@ -46,11 +42,9 @@ def test_a_full_disk_is_reported_and_leaves_no_partial_results(tmp_path):
 
 @pytest.mark.long
 def test_a_full_disk_is_reported_for_a_store(tmp_path):
-    given = [
-        *"outcomes philae --runs=64 --workers=1 --strategy=off --store".split(),
-        tmp_path / "rows",
-    ]
-    said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path), "nothing")
+    given = "outcomes philae --runs=64 --workers=1 --strategy=off --store".split()
+    outcome = limited(resource.RLIMIT_FSIZE, 500, *given, tmp_path / "rows")
+    said(outcome, "free space", str(tmp_path), "nothing")
     assert not list(tmp_path.rglob("*.part*"))
 
 

@@ -38,6 +38,12 @@ def several():
     return {"outcome": "right", "cases": {"a": {"outcome": "right"}, "b": {"outcome": "wrong"}}}
 
 
+def board_of(rows):
+    """Return the board of rows of one kind, as it is read from its file."""
+    numbered = {str(i): row | {"processor_s": 1.0} for i, row in enumerate(rows)}
+    return json.loads(json.dumps(make_board({"rates: kind": numbered}, "abc", "quick", [0])))
+
+
 def counting(path, outcome):
     path.write_text(str(int(path.read_text()) + 1 if path.exists() else 1))
     return {"outcome": outcome}
@@ -73,11 +79,7 @@ def test_figures_of_the_scoreboard_count_decided_cases_only():
 
 def test_cases_that_got_worse_are_listed_first():
     def of(*outcomes):
-        rows = {
-            str(i): {"outcome": outcome, "processor_s": 1.0, "measured": {"a": 0.5}}
-            for i, outcome in enumerate(outcomes)
-        }
-        return json.loads(json.dumps(make_board({"rates: kind": rows}, "abc", "quick", [0])))
+        return board_of({"outcome": outcome, "measured": {"a": 0.5}} for outcome in outcomes)
 
     before, now = of("right", "right", "wrong", "open"), of("undecided", "wrong", "right", "open")
     turned = changed_outcomes(before, now)
@@ -92,36 +94,32 @@ def test_cases_that_got_worse_are_listed_first():
 
 
 def test_a_case_that_is_no_longer_run_is_named_unless_it_moved():
-    before, now = (
-        make_board(
-            {"study": {case: {"outcome": "open", "processor_s": 1.0} for case in cases}},
-            "abc",
-            level,
-            [0],
-        )
-        for level, cases in (("full", ("kept", "gone", "contradiction_x")), ("full", ("kept",)))
-    )
+    def of(*cases):
+        rows = {case: {"outcome": "open", "processor_s": 1.0} for case in cases}
+        return make_board({"study": rows}, "abc", "full", [0])
+
+    before, now = of("kept", "gone", "contradiction_x"), of("kept")
     assert missing_cases(before, now) == ["study, case gone: not run"]
-    assert (
-        missing_cases(before, now | {"level": "quick"})
-        == []
-        == missing_cases(before, now | {"sets": {}})
-    )
+    assert missing_cases(before, now | {"level": "quick"}) == []
+    assert missing_cases(before, now | {"sets": {}}) == []
 
 
 def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
     def of(*listed):
-        rows = {
-            str(i): {"outcome": "open", "processor_s": 1.0}
-            | ({} if one is None else {"listed": one})
-            for i, one in enumerate(listed)
-        }
-        return json.loads(json.dumps(make_board({"rates: kind": rows}, "abc", "quick", [0])))
+        rows = ({} if one is None else {"listed": one} for one in listed)
+        return board_of({"outcome": "open"} | row for row in rows)
 
     before, now = of(True, True, False, None), of(True, False, False, None)
     assert lost_truths(before, now) == ["rates: kind, case 1: the truth is no longer listed"]
     assert not lost_truths(now, before)
     assert "| 2 of 3 / 1 of 3 |" in table(now, before)
+
+
+def outcome_of(monkeypatch, kind, **judged):
+    """Return the outcome of a pass that is judged so."""
+    row = {"wrong": False, "mirrored": True, "empty": False, "leads": True, "why": ""}
+    monkeypatch.setattr("validation.passes.judge", lambda *_: row | judged)
+    return _pass(kind, 0, 0)["outcome"]
 
 
 @pytest.mark.parametrize(
@@ -130,22 +128,19 @@ def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
 def test_a_decided_mirror_solution_is_wrong_unless_columns_are_exchanged(
     monkeypatch, kind, outcome
 ):
-    row = {"decided": True, "wrong": False, "mirrored": True, "empty": False, "leads": True}
-    row |= {"listed": False, "pull": 9.0, "off_deg_s": [1.0], "sigma_deg_s": [0.1], "why": ""}
-    row |= {"named": [], "named_rightly": False}
-    monkeypatch.setattr("validation.passes.judge", lambda *_: row)
-    assert _pass(kind, 0, 0)["outcome"] == outcome
+    off = {"listed": False, "pull": 9.0, "off_deg_s": [1.0], "sigma_deg_s": [0.1]}
+    unnamed = {"named": [], "named_rightly": False}
+    assert outcome_of(monkeypatch, kind, decided=True, **off, **unnamed) == outcome
 
 
 @pytest.mark.parametrize(("rightly", "outcome"), [(True, "right"), (False, "wrong")])
 def test_a_named_exchange_of_columns_is_right_only_if_it_is_the_true_one(
     monkeypatch, rightly, outcome
 ):
-    row = {"decided": False, "wrong": False, "mirrored": True, "empty": False, "leads": True}
-    row |= {"listed": True, "pull": 0.5, "off_deg_s": [0.1], "sigma_deg_s": [0.1], "why": ""}
-    row |= {"named": ["the columns of panels +x and +y exchanged"], "named_rightly": rightly}
-    monkeypatch.setattr("validation.passes.judge", lambda *_: row)
-    assert _pass("exchanged, six panels", 0, 0)["outcome"] == outcome
+    off = {"listed": True, "pull": 0.5, "off_deg_s": [0.1], "sigma_deg_s": [0.1]}
+    named = {"named": ["the columns of panels +x and +y exchanged"], "named_rightly": rightly}
+    found = outcome_of(monkeypatch, "exchanged, six panels", decided=False, **off, **named)
+    assert found == outcome
 
 
 def test_a_changed_working_tree_has_another_state_than_its_commit(monkeypatch):
@@ -184,10 +179,8 @@ def test_a_file_of_several_passes_is_wrong_if_a_decided_pass_is():
         "open": [(False, True)],
     }
     for outcome, each in of.items():
-        passes = [
-            {"decided": d, "wrong": w, "listed": not w, "off": [0.1], "sigma": [0.2]}
-            for d, w in each
-        ]
+        both = {"off": [0.1], "sigma": [0.2]}
+        passes = [{"decided": d, "wrong": w, "listed": not w} | both for d, w in each]
         row = _of_passes(passes, "off", "sigma")
         assert row["outcome"] == outcome and row["listed"] is not any(w for _, w in each)
 

@@ -75,7 +75,6 @@ def test_a_moment_of_inertia_off_by_a_millionth_changes_the_phase():
     moments = np.array([0.7, 1.0, 1.6])
     omega = np.array([0.2, 0.3, 1.0])
     t = np.linspace(0, 1300, 50)
-    wrong = ss.propagate(
-        Vehicle("wrong", np.diag(moments * [1, 1, 1 + 1e-6])), omega, SUN, None, t
-    )["omega_B"].values
+    body = Vehicle("wrong", np.diag(moments * [1, 1, 1 + 1e-6]))
+    wrong = ss.propagate(body, omega, SUN, None, t)["omega_B"].values
     assert 1e-5 < np.abs(wrong - euler(moments, omega, t)).max() < 1e-2

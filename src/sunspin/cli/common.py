@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
 
 
+HELPER = "sunspin.helper"
+"""Key in the context of a command under which its process for figures is kept."""
+
 PIECE = 1_000_000
 """Bytes of standard input that are read at once."""
 
@@ -130,6 +133,20 @@ class Output:
 
             results_folder(self.folder, self.command)
 
+    def draw_in_background(self, workers: int | None = None) -> None:
+        """Start the process that draws the figures: it imports the library for that while this one reads and computes.
+
+        For a command with a results folder and more than one worker, after its imports, which the process then has too.
+        """
+        from sunspin.compute.helper import helper_process
+        from sunspin.compute.pool import worker_count
+        from sunspin.output.figures import load
+
+        if self.folder is not None and not missing_packages("pictures"):
+            context = click.get_current_context()
+            helper = helper_process(worker_count(workers), load)
+            context.meta[HELPER] = context.with_resource(helper)
+
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
         """Print the summary as JSON with --json, else the lines unless --quiet is given.
 
@@ -171,7 +188,10 @@ class Output:
         if self.folder is not None:
             command = shlex.join(["sunspin", *sys.argv[1:]])
             inputs = {"vehicle": vehicle, "telemetry": telemetry, "command": command}
-            folder = result.sunspin.save(self.folder, **inputs, also=also, lines=lines)
+            helper = click.get_current_context().meta.get(HELPER)
+            folder = result.sunspin.save(
+                self.folder, **inputs, also=also, lines=lines, helper=helper
+            )
             lines_shown.append(f"Results: {folder / main}")
             if missing_packages("pictures"):
                 how = install_command("pictures")

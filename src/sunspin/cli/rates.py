@@ -126,6 +126,7 @@ def rates(
     from sunspin.telemetry.column_periods import describe_periods, read_column_periods
     from sunspin.telemetry.withheld import parse_withheld, read_withheld
 
+    output.draw_in_background(workers)
     craft, samples = read_inputs(vehicle, telemetry)
     withheld = [parse_withheld(text, craft, without) for text in compared]
     if len({sensor.variable for sensor in withheld}) < len(withheld):

@@ -32,6 +32,7 @@ def sun(vehicle, telemetry, noise, threshold, output) -> None:
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.sun import sun_directions
 
+    output.draw_in_background()
     craft, samples = read_inputs(vehicle, telemetry)
     output.claim()
     assessment = assess(craft, samples)

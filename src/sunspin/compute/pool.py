@@ -21,6 +21,8 @@ from typing import Any
 
 from sunspin.base.errors import InputError
 
+ENDED = "a worker process was ended from outside, perhaps for lack of memory"
+
 
 def worker_count(workers: int | None) -> int:
     """Return the number of workers: the given one, by default one per core that this process may use."""
@@ -52,7 +54,7 @@ def process_pool(workers: int) -> Generator[Executor | None]:
         return
     children_before = set(active_children())
     method = "fork" if may_fork() else "spawn"
-    pool = ProcessPoolExecutor(workers, get_context(method), _prepare_worker)
+    pool = ProcessPoolExecutor(workers, get_context(method), prepare_worker)
     try:
         # the idle threads of the linear algebra library do no harm: a copy starts its own
         with warnings.catch_warnings():
@@ -64,13 +66,12 @@ def process_pool(workers: int) -> Generator[Executor | None]:
             process.terminate()
         if not isinstance(error, BrokenExecutor):
             raise
-        what = "a worker process was ended from outside, perhaps for lack of memory"
-        raise InputError(what, do="free memory or use fewer workers") from None
+        raise InputError(ENDED, do="free memory or use fewer workers") from None
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _prepare_worker() -> None:
+def prepare_worker() -> None:
     """Set up a new worker process: it ignores Ctrl-C, as its parent ends it, and obeys the default of other signals."""
     gc.freeze()  # garbage collection would touch, and so copy, the memory shared with the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.chain import RATE, Fit, Whitening, defects, fit
+from sunspin.estimate.chain import RATE, Fit, defects, fit
 from sunspin.estimate.evidence import likeliest
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
@@ -25,21 +25,20 @@ LEAST_STEP = 1e-3
 
 
 def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield the models that are tried in addition to the nominal one.
+    """Yield, one at a time, the models that are tried in addition to the nominal one, `stated`.
 
-    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate; bad readings in a short pass.
-    `fits`: all so far, which grow as the models are fitted.
+    A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate. `fits`: all so far. The caller
+    adds the fits of each model to them before it asks for the next one, since a step of the rate is tried only if the one before
+    it raised the evidence.
     """
-    obs = stated.obs
-    duration = float(np.ptp(obs.t_s))
+    duration_s = float(np.ptp(stated.obs.t_s))
     for frame, words in WORDS.items():
         torque = ConstantTorque.turning(
-            frame, s.torque_turns_rad, duration, stated.body.inertia, obs.momentum
+            frame, s.torque_turns_rad, duration_s, stated.body.inertia, stated.obs.momentum
         )
         yield stated.plus(torque, f"a steady torque in {words}")
     yield from another_zero(stated, s)
     yield from steps_of_the_rate(stated, fits, s)
-    yield from without_readings(stated, fits, s)
 
 
 def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
@@ -50,47 +49,13 @@ def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
     """
     for term in stated.obs.terms:
         if isinstance(term, Gyro) and term.zero_stated and term.present().any():
-            obs = replace(
-                stated.obs,
-                terms=tuple(
-                    one.with_any_zero() if one is term else one for one in stated.obs.terms
-                ),
-            )
-            log_prior = stated.log_prior + s.zero_odds
+            others = (one.with_any_zero() if one is term else one for one in stated.obs.terms)
             yield replace(
-                stated, obs=obs, what="another zero offset of the gyro", log_prior=log_prior
+                stated,
+                obs=replace(stated.obs, terms=tuple(others)),
+                what="another zero offset of the gyro",
+                log_prior=stated.log_prior + s.zero_odds,
             )
-
-
-def without_readings(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield models of a short pass without each reading, then without a second one in addition to the one that is missed least.
-
-    A term keeps one reading at least. Leaving a reading out is not free: it costs the odds that it is bad, and its density had it
-    seen anything.
-    """
-    if len(stated.obs) > s.few:
-        return
-    begin = stated
-    for _ in range(s.bad_readings):
-        tried = []
-        for term in begin.obs.terms:
-            present = np.flatnonzero(term.present())
-            for sample in present if len(present) > 1 else ():
-                at = f"the {term.label} at {begin.obs.t_s[sample]:.0f} s"
-                what = f"without the reading of {at}"
-                if begin is not stated:
-                    what = f"{begin.what} and that of {at}"
-                tried.append(begin.without(term, int(sample), what, s.bad_odds))
-                yield tried[-1]
-        # of the models just tried, the one whose fits have the largest evidence
-        best = {
-            one.model.what: float(one.log_evidence.max())
-            for one in sorted(fits, key=lambda one: float(one.log_evidence.max()))
-        }
-        tried = [one for one in tried if one.what in best]
-        if not tried:
-            return
-        begin = max(tried, key=lambda one: best[one.what])
 
 
 def steps_of_the_rate(
@@ -101,17 +66,17 @@ def steps_of_the_rate(
     A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
     step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
     with a thrust was decided and wrong by 6 sigma. A step may be anywhere, which costs evidence, and near a sample the data hardly
-    tell before from after: the last steps are also tried one interval earlier and later.
+    tell before from after: the last steps are also tried one interval earlier and later. `fits` as in :func:`alternatives`.
     """
+    # the fits of the model with the steps so far, which begin without any, and their evidence
     best = likeliest([one for one in fits if one.model.what == AS_STATED])
-    top, steps = float(best.log_evidence.max()), ()
-    model = stated
+    top = float(best.log_evidence.max())
+    steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
     intervals = len(stated.obs) - 1
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
         motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
-        value, *_ = defects(best.model, motion)
-        square = (value[0] ** 2).sum(axis=1)
+        square = (defects(best.model, motion).value[0] ** 2).sum(axis=1)
         square[[interval for interval, _ in steps]] = 0.0
         worst = int(np.argmax(square))
         # A motion that wants hardly any torque gains what it leaves the equations by in one interval. One that wants more gains
@@ -123,9 +88,10 @@ def steps_of_the_rate(
         steps = (*steps, (worst, sigma))
         model = _with_steps(stated, steps, price)
         yield model
-        best = likeliest([one for one in fits if one.model.what == model.what] or [best])
-        if best.log_evidence.max() <= top or best.model.what != model.what:
+        with_step = [one for one in fits if one.model.what == model.what]
+        if not with_step or likeliest(with_step).log_evidence.max() <= top:
             return
+        best = likeliest(with_step)
         top = float(best.log_evidence.max())
         for interval in (worst - 1, worst + 1):
             if 0 <= interval < intervals and all(interval != other for other, _ in steps):
@@ -142,9 +108,8 @@ def _size_of_step(model: Model, motion: Track, interval: int) -> float:
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     wide = replace(model, noise=noise)
     free = fit(wide, motion, 6).motions
-    value, *_ = defects(wide, free)
-    white = Whitening.of(noise, np.diff(model.obs.t_s)).matrix[interval]
-    change = np.linalg.solve(white, value[0, interval])[RATE]
+    defect = defects(wide, free)
+    change = defect.unwhitened(defect.value)[0, interval, RATE]
     return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
 
 

@@ -51,9 +51,9 @@ def link_passes(
     for transition, own in zip(reversed(transitions), reversed(independent[1:]), strict=True):
         backward.insert(0, np.asarray(logsumexp(transition + own + backward[0], axis=1)))
     linked = []
-    for one, up_to, after in zip(passes, forward, backward, strict=True):
+    for solved, up_to, after in zip(passes, forward, backward, strict=True):
         log = up_to + after
-        linked.append(replace(one, probability=np.exp(log - logsumexp(log))))
+        linked.append(replace(solved, probability=np.exp(log - logsumexp(log))))
     return linked, chosen
 
 

@@ -67,12 +67,12 @@ class Fit:
     def take(self, which: np.ndarray | slice) -> Fit:
         """Return some of the motions."""
         return Fit(
-            self.model,
-            self.motions.take(which),
-            self.log_evidence[which],
-            self.u_covariance[which],
-            self.states_by_u[which],
-            None if self.lowest is None else self.lowest.take(which),
+            model=self.model,
+            motions=self.motions.take(which),
+            log_evidence=self.log_evidence[which],
+            u_covariance=self.u_covariance[which],
+            states_by_u=self.states_by_u[which],
+            lowest=None if self.lowest is None else self.lowest.take(which),
         )
 
     @property
@@ -108,75 +108,99 @@ class Whitening(NamedTuple):
         return cls(matrix, float(3 * (np.log(turn) + np.log(rate)).sum()))
 
 
-def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
+class NormalEquations:
+    """The normal equations of K motions at n samples with m unknowns, while residuals are added to them.
 
-    A residual r with the slope A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has blocks of
-    turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). To the m unknowns
-    belong a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m).
+    A residual r with the derivative A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has
+    blocks of turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). The unknowns
+    add a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m). At the
+    beginning there is the prior of the unknowns alone, which are in sigmas.
     """
-    k, n = motions.omega.shape[:2]
-    m = motions.u.shape[1]
-    diagonal, slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
-    border, corner = np.zeros((k, n, 6, m)), np.repeat(np.eye(m)[None], k, axis=0)
-    border_slope, cost = motions.u.copy(), (motions.u**2).sum(axis=1) / 2
-    coupled = np.zeros((k, n - 1, 6, 6))  # of terms that compare neighbours
 
-    for residual, place in readings(model, motions):
+    def __init__(self, motions: Track) -> None:
+        k, n = motions.omega.shape[:2]
+        m = motions.u.shape[1]
+        self.cost = (motions.u**2).sum(axis=1) / 2
+        self.diagonal, self.slope = np.zeros((k, n, 6, 6)), np.zeros((k, n, 6))
+        self.upper = np.zeros((k, n - 1, 6, 6))
+        self.border, self.border_slope = np.zeros((k, n, 6, m)), motions.u.copy()
+        self.corner = np.repeat(np.eye(m)[None], k, axis=0)
+
+    def add_readings(self, residual: Residual, place: np.ndarray) -> None:
+        """Add differences (K, n, r) of readings; `place` (m): indices of the unknowns to which their `by_u` belongs."""
         part, weight = residual.law(residual.value)
-        cost += part.sum(axis=1)
-        # by turn and by rate: where they stand, A, and w A^T
-        columns = [
-            (rows, derivative, np.swapaxes(weight[..., None, None] * derivative, -1, -2))
+        self.cost += part.sum(axis=1)
+        # by turn and by rate at the sample: the rows of the state, A, and w A^T
+        of_state = [
+            (rows, derivative, _transposed(weight[..., None, None] * derivative))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
             if derivative is not None
         ]
-        for rows, _, weighted in columns:
-            slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
-            for others, other, _ in columns:
-                diagonal[..., rows, others] += weighted @ other
+        for rows, _, weighted in of_state:
+            self.slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
+            for others, other, _ in of_state:
+                self.diagonal[..., rows, others] += weighted @ other
             if residual.by_u is not None:
-                border[..., rows, place] += weighted @ residual.by_u
+                self.border[..., rows, place] += weighted @ residual.by_u
         if residual.by_previous is not None:
+            # a reading that is compared with the one before couples the turns at both samples; the first sample has none before
             previous = residual.by_previous[:, 1:]
-            weighted = np.swapaxes(weight[:, 1:, None, None] * previous, -1, -2)
-            slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
-            diagonal[:, :-1, TURN, TURN] += weighted @ previous
-            for others, other, _ in columns:
-                coupled[..., TURN, others] += weighted @ other[:, 1:]
+            weighted = _transposed(weight[:, 1:, None, None] * previous)
+            self.slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
+            self.diagonal[:, :-1, TURN, TURN] += weighted @ previous
+            for others, other, _ in of_state:
+                self.upper[..., TURN, others] += weighted @ other[:, 1:]
             if residual.by_u is not None:
-                border[:, :-1, TURN, place] += weighted @ residual.by_u[:, 1:]
+                self.border[:, :-1, TURN, place] += weighted @ residual.by_u[:, 1:]
         if residual.by_u is not None:
-            weighted = np.swapaxes(weight[..., None, None] * residual.by_u, -1, -2)
-            corner[:, place[:, None], place] += (weighted @ residual.by_u).sum(axis=1)
-            border_slope[:, place] += (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+            weighted = _transposed(weight[..., None, None] * residual.by_u)
+            self.corner[:, place[:, None], place] += (weighted @ residual.by_u).sum(axis=1)
+            of_u = (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
+            self.border_slope[:, place] += of_u
 
+    def add_defects(self, defect: Defects) -> None:
+        """Add by how much motions leave the equations of motion in each interval; all weights are one."""
+        first_T, second_T = _transposed(defect.by_first), _transposed(defect.by_second)
+        self.cost += np.einsum("kni,kni->k", defect.value, defect.value) / 2
+        self.diagonal[:, :-1] += first_T @ defect.by_first
+        self.diagonal[:, 1:] += second_T @ defect.by_second
+        self.upper += first_T @ defect.by_second
+        self.slope[:, :-1] += (first_T @ defect.value[..., None])[..., 0]
+        self.slope[:, 1:] += (second_T @ defect.value[..., None])[..., 0]
+        if self.border_slope.shape[1]:
+            by_u_T = _transposed(defect.by_u)
+            self.border[:, :-1] += first_T @ defect.by_u
+            self.border[:, 1:] += second_T @ defect.by_u
+            self.corner += (by_u_T @ defect.by_u).sum(axis=1)
+            self.border_slope += (by_u_T @ defect.value[..., None]).sum(axis=1)[..., 0]
+
+
+def _transposed(matrices: np.ndarray) -> np.ndarray:
+    """Return the transposed matrices (..., j, i) of matrices (..., i, j)."""
+    return np.swapaxes(matrices, -1, -2)
+
+
+def equations(model: Model, motions: Track) -> BorderedSystem:
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
+    system = NormalEquations(motions)
+    for residual, place in readings(model, motions):
+        system.add_readings(residual, place)
     # damping in the measure of what was read: in that of the equations of motion, which are stiff where samples are close together,
     # it would hold a whole motion in its place
-    damping = damping_scale(diagonal, model.obs.t_s)
-
-    value, by_first, by_second, by_u = defects(model, motions)
-    first_T, second_T = (np.swapaxes(part, -1, -2) for part in (by_first, by_second))
-    cost += np.einsum("kni,kni->k", value, value) / 2
-    diagonal[:, :-1] += first_T @ by_first
-    diagonal[:, 1:] += second_T @ by_second
-    upper = coupled + first_T @ by_second
-    slope[:, :-1] += (first_T @ value[..., None])[..., 0]
-    slope[:, 1:] += (second_T @ value[..., None])[..., 0]
-    if m:
-        border[:, :-1] += first_T @ by_u
-        border[:, 1:] += second_T @ by_u
-        by_u_T = np.swapaxes(by_u, -1, -2)
-        corner += (by_u_T @ by_u).sum(axis=1)
-        border_slope += (by_u_T @ value[..., None]).sum(axis=1)[..., 0]
+    damping = damping_scale(system.diagonal, model.obs.t_s)
+    system.add_defects(defects(model, motions))
 
     # in the matrix alone: it holds the turn about the Sun where it is, and prefers none
-    diagonal[:, 0, TURN, TURN] += _free_turn(model.obs, motions.sun_B[:, 0])
-    diagonal[:, 0, RATE, RATE] += np.eye(3) / model.rate_sigma**2
-    slope[:, 0, RATE] += motions.omega[:, 0] / model.rate_sigma**2
-    cost += (motions.omega[:, 0] ** 2).sum(axis=1) / (2 * model.rate_sigma**2)
-    shared = (border, corner, border_slope) if m else (None, None, None)
-    return BorderedSystem(cost, diagonal, upper, slope, damping, *shared)
+    system.diagonal[:, 0, TURN, TURN] += _free_turn(model.obs, motions.sun_B[:, 0])
+    # the prior of the rate at the first sample
+    system.diagonal[:, 0, RATE, RATE] += np.eye(3) / model.rate_sigma**2
+    system.slope[:, 0, RATE] += motions.omega[:, 0] / model.rate_sigma**2
+    system.cost += (motions.omega[:, 0] ** 2).sum(axis=1) / (2 * model.rate_sigma**2)
+    has_unknowns = motions.u.shape[1] > 0
+    shared = (system.border, system.corner, system.border_slope) if has_unknowns else (None,) * 3
+    return BorderedSystem(
+        system.cost, system.diagonal, system.upper, system.slope, damping, *shared
+    )
 
 
 def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarray]]:
@@ -262,11 +286,27 @@ def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     )
 
 
-def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
-    """Return how far motions leave the equations of motion between neighbours (K, n - 1, 6), in sigmas of unknown torques.
+class Defects(NamedTuple):
+    """By how much K motions leave the equations of motion in n - 1 intervals, in sigmas of unknown torques.
 
-    And the derivatives by turn and rate at the first and at the second sample (K, n - 1, 6, 6), and by the unknowns (..., m).
+    `value` (K, n - 1, 6) of turn and rate at the end of each interval, and its derivatives: `by_first` and `by_second`
+    (K, n - 1, 6, 6) by turn and rate at the two ends, `by_u` (K, n - 1, 6, m) by the unknowns. `by_second` is the whitening itself:
+    the derivative of the defect in rad and rad/s is taken as one, which is exact without a defect, and defects are small where a
+    fit ends.
     """
+
+    value: np.ndarray
+    by_first: np.ndarray
+    by_second: np.ndarray
+    by_u: np.ndarray
+
+    def unwhitened(self, value: np.ndarray) -> np.ndarray:
+        """Return whitened values (K, n - 1, 6) as turns in rad and changes of the rate in rad/s."""
+        return np.linalg.solve(self.by_second, value[..., None])[..., 0]
+
+
+def defects(model: Model, motions: Track) -> Defects:
+    """Return by how much motions leave the equations of motion between neighbouring samples, with derivatives."""
     body, dt = model.body, np.diff(model.obs.t_s)
     momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
     inertia = body.inertia_at(motions.u[:, model.of_body])
@@ -289,9 +329,8 @@ def defects(model: Model, motions: Track) -> tuple[np.ndarray, ...]:
             if term.about_sun:
                 by_start[..., TURN] += pushed_by_turn(term, motions, dt, known)
     white = Whitening.of(model.noise, dt).matrix
-    # the derivative by the second sample is taken as one: exact without a defect, and defects are small where a fit ends
     by_second = np.broadcast_to(white, (len(value), *white.shape))
-    return (white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u
+    return Defects((white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u)
 
 
 def pushed_by_turn(term: Term, motions: Track, dt: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -378,14 +417,13 @@ def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) ->
     as the step says. All others follow from it by the equations of motion, and by the defects that linear theory predicts after
     the step: it is the step of single shooting, of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
     """
-    obs, body = model.obs, model.body
-    n, dt = len(obs), np.diff(obs.t_s)
-    value, by_first, by_second, by_u = defects(model, motions)
-    predicted = value + np.einsum("knij,knj->kni", by_first, nodes[:, :-1])
-    predicted += np.einsum("knij,knj->kni", by_second, nodes[:, 1:])
-    predicted += np.einsum("knij,kj->kni", by_u, u - motions.u)
-    # what is added to a free motion in each interval: the defect, undone from its whitening, and torques
-    added = np.linalg.solve(Whitening.of(model.noise, dt).matrix, predicted[..., None])[..., 0]
+    obs, dt = model.obs, np.diff(model.obs.t_s)
+    defect = defects(model, motions)
+    predicted = defect.value + np.einsum("knij,knj->kni", defect.by_first, nodes[:, :-1])
+    predicted += np.einsum("knij,knj->kni", defect.by_second, nodes[:, 1:])
+    predicted += np.einsum("knij,kj->kni", defect.by_u, u - motions.u)
+    # what is added to a free motion at the end of each interval: the predicted defect, and torques
+    added = defect.unwhitened(predicted)
     for term, place in model.placed_terms:
         push, known = term.added_by_unknowns(motions, dt), term.added_by_torque(motions, dt)
         if push is not None:
@@ -393,24 +431,22 @@ def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) ->
         if known is not None:
             added += known
 
-    inertia = body.inertia_at(u[:, model.of_body])
+    inertia = model.body.inertia_at(u[:, model.of_body])
     attitude = rotate_attitude(motions.attitude, nodes[..., TURN])
     omega = motions.omega + nodes[..., RATE]
-    for start in range(n // 2, n - 1):
+    middle, last = len(obs) // 2, len(obs) - 1
+    for start in range(middle, last):
         end = start + 1
-        momenta = obs.momentum[[start]], obs.momentum[[end]]
-        stepped = step(inertia, omega[:, [start]], dt[[start]], momenta)
+        stepped = _step_between(obs, inertia, omega[:, [start]], [start], [end])
         free = stepped.turned[:, 0] @ attitude[:, start]
         attitude[:, end] = rotate_attitude(free, added[:, start, TURN])
         omega[:, end] = stepped.omega[:, 0] + added[:, start, RATE]
-    for start in range(n // 2, 0, -1):
-        end = (
-            start - 1
-        )  # also the number of the interval: what is added at its end is taken off before the step back
-        momenta = obs.momentum[[start]], obs.momentum[[end]]
-        before = omega[:, [start]] - added[:, [end], RATE]
-        stepped = step(inertia, before, -dt[[end]], momenta)
+    for start in range(middle, 0, -1):
+        # The interval ends at `start` and has the number of `end`: what is added there is taken off before the step back.
+        end = start - 1
         free = rotate_attitude(attitude[:, start], -added[:, end, TURN])
+        before = omega[:, [start]] - added[:, [end], RATE]
+        stepped = _step_between(obs, inertia, before, [start], [end])
         attitude[:, end] = stepped.turned[:, 0] @ free
         omega[:, end] = stepped.omega[:, 0]
     return Track(attitude, omega, u)
@@ -427,21 +463,23 @@ def log_left_out(model: Model) -> float:
     return float(np.log(2 * TURN_PRIOR) + 3 * np.log(model.rate_sigma))
 
 
-def variance_of(one: Fit, weights: np.ndarray) -> np.ndarray:
+def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
     That of the states with the unknowns held, and what the unknowns' own covariance adds. With the matrix H of
     the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
     """
-    system = equations(one.model, one.motions)._replace(border=None, corner=None, border_slope=None)
+    system = equations(fitted.model, fitted.motions)._replace(
+        border=None, corner=None, border_slope=None
+    )
     variances = []
     for row in range(weights.shape[2]):
         # a solver returns the step -H^-1 slope
         w = weights[..., row, :]
-        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(one)))
+        (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(fitted)))
         variances.append(np.einsum("kni,kni->k", w, nodes))
-    by_u = np.einsum("knri,knim->krm", weights, one.states_by_u)
-    of_u = np.einsum("krm,kmj,krj->kr", by_u, one.u_covariance, by_u)
+    by_u = np.einsum("knri,knim->krm", weights, fitted.states_by_u)
+    of_u = np.einsum("krm,kmj,krj->kr", by_u, fitted.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
 
@@ -459,7 +497,7 @@ def _carry_on(
 ) -> None:
     """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
     for start, end in _ways(first, last, attitudes.shape[1]):
-        stepped = _step_between(model, rates, start, end)
+        stepped = _step_between(model.obs, model.body.inertia, rates[:, start], start, end)
         attitudes[:, end] = stepped.turned @ attitudes[:, start]
         rates[:, end] = stepped.omega
 
@@ -476,12 +514,16 @@ def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]
 
 
 def _step_between(
-    model: Model, rates: np.ndarray, start: list[int], end: list[int], derivatives: bool = False
+    obs: Observations,
+    inertia: np.ndarray,
+    omega: np.ndarray,
+    start: list[int],
+    end: list[int],
+    derivatives: bool = False,
 ) -> Step:
-    """Carry rates (K, n, 3) from some samples to others, with the inertia of the vehicle file."""
-    t_s, momentum = model.obs.t_s, model.obs.momentum
-    momenta = momentum[start], momentum[end]
-    return step(model.body.inertia, rates[:, start], t_s[end] - t_s[start], momenta, derivatives)
+    """Carry the rates `omega` (K, i, 3) at i samples `start` to the samples `end`; `inertia` (3, 3), or (K, 3, 3)."""
+    momenta = obs.momentum[start], obs.momentum[end]
+    return step(inertia, omega, obs.t_s[end] - obs.t_s[start], momenta, derivatives)
 
 
 def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
@@ -506,7 +548,9 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
         for start, end in _ways(sample, sample, n):
-            stepped = _step_between(model, track.omega, start, end, derivatives=True)
+            stepped = _step_between(
+                model.obs, model.body.inertia, track.omega[:, start], start, end, derivatives=True
+            )
             track.attitude[:, end] = stepped.turned @ track.attitude[:, start]
             track.omega[:, end] = stepped.omega
             assert stepped.by_start is not None

@@ -2,10 +2,9 @@
 
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
 reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
-evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
-(:mod:`sunspin.estimate.columns`): it fits only under strong torques, or its samples, each by itself, fit other columns far
-better, or as well. Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named
-together, each with its motion, and none is recommended.
+evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in two cases
+(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well. Changes that look the same
+in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion, and none is recommended.
 """
 
 from __future__ import annotations
@@ -32,6 +31,7 @@ from sunspin.estimate.equivalence import (
     wheel_changes,
 )
 from sunspin.estimate.settings import FIELD_TURN
+from sunspin.estimate.verdict import in_sigma, misfit
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -43,6 +43,9 @@ MOST_SQUARE = 30.0
 
 SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
 """Variable of the telemetry -> what a person calls it."""
+
+COMPONENTS = 3
+"""Degrees of freedom of a reading of a rate, of a field, or of a rotation from one attitude to the next."""
 
 TABLES = {variable: table for table, variable in VARIABLES.items()}
 """Variable of the telemetry -> the sensor's table in the vehicle file."""
@@ -157,15 +160,40 @@ class Trials:
         return result if result is not None and bool(result["fits"].values.all()) else None
 
 
+@dataclass(frozen=True)
+class CostsOfSamples:
+    """Minus the log likelihood of the samples of a pass, each by itself, `as_written` and under each of some `changes` of columns.
+
+    `of_changes` (m): as :func:`sample_costs` computes them.
+    """
+
+    as_written: float
+    changes: list[Change]
+    of_changes: np.ndarray
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> CostsOfSamples:
+        """Return the costs of the samples of a pass under the file as it is written and all changes of its columns."""
+        changes = column_changes(vehicle, telemetry)
+        as_written, *of_changes = sample_costs(vehicle, telemetry, [AS_WRITTEN, *changes])
+        return cls(float(as_written), changes, np.array(of_changes))
+
+    def deny_the_columns(self) -> bool:
+        """Return whether some change of columns fits the samples far better than the file as it is written."""
+        return bool(self.as_written > self.of_changes.min(initial=np.inf) + WORTH_A_SEARCH)
+
+
 def what_fits_better(
     observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> Better | Culprit | None:
     """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
 
     If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
-    such sensor are tried, then exchanged columns. If it fits without none, columns of panels and wheels are tried.
+    such sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of the others. If
+    the pass fits without none, columns of panels and wheels are tried.
     """
     first_cause: Better | Culprit | None = None
+    fits_without_one = False
     for name in SENSORS:
         if name not in telemetry or not np.isfinite(telemetry[name].values).any():
             continue
@@ -174,13 +202,16 @@ def what_fits_better(
         estimate = trials.fitting(observed.vehicle, telemetry.drop_vars(name))
         if estimate is None:
             continue
+        fits_without_one = True
         better = _other_axes(observed, telemetry, name, estimate, trials)
         if better is not None:
             return better
         if first_cause is None:
-            exchanged = _exchanged_by_sensor(observed, telemetry, name, estimate, trials)
-            first_cause = exchanged or Culprit(SENSORS[name])
-    if first_cause is not None or not observed.panels:
+            first_cause = _exchanged_by_sensor(observed, telemetry, name, estimate, trials)
+        if first_cause is None and _contradicts(observed.vehicle, telemetry, name, estimate):
+            first_cause = Culprit(SENSORS[name])
+    # where the others are too coarse to contradict a sensor, their columns are not what keeps the pass from fitting
+    if fits_without_one or not observed.panels:
         return first_cause
     return _other_panels(observed, telemetry, trials)
 
@@ -244,19 +275,21 @@ def _best_of(
 
 
 def better_rivals(
-    observed: Observed, telemetry: xr.Dataset, noise: np.ndarray | float, trials: Trials
+    observed: Observed,
+    telemetry: xr.Dataset,
+    costs: CostsOfSamples,
+    noise: np.ndarray | float,
+    trials: Trials,
 ) -> Better | None:
     """Return changes of columns that the samples allow, with which a pass that fits has a clearly larger log evidence.
 
     The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
     their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
     columns made up; with the right ones the log evidence was better by 24. `observed`: with the Sun's directions of the estimated
-    motion; `noise`: of the readings.
+    motion; `costs`: of the samples of the pass; `noise`: of the readings.
     """
-    vehicle = observed.vehicle
-    changes = column_changes(vehicle, telemetry)
-    cost = sample_costs(vehicle, telemetry, [AS_WRITTEN, *changes])
-    allowed = cost[1:] <= cost[0] + AS_GOOD
+    vehicle, changes = observed.vehicle, costs.changes
+    allowed = costs.of_changes <= costs.as_written + AS_GOOD
     # a change that looks the same as reversed wheels was tested with the signs of the wheels
     known = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
     light = vehicle.response_in().power(observed.sun_B) / noise
@@ -358,12 +391,6 @@ def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
     return result["omega_B"].values[at], float(t[at])
 
 
-def samples_fit_other_columns(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
-    """Return whether the samples, each by itself, fit some change of columns far better than the file as it is written."""
-    cost = sample_costs(vehicle, telemetry, [AS_WRITTEN, *column_changes(vehicle, telemetry)])
-    return bool(cost[0] > cost.min() + WORTH_A_SEARCH)
-
-
 def sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
     """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
 
@@ -447,17 +474,19 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
 def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
     """Yield ways to read quaternions: in words, the matrix (4, 4) by which they are multiplied, and keys of the vehicle file.
 
-    The quaternions are those of the vehicle file: scalar last, B_from_N.
+    The quaternions are those that the vehicle file gives: scalar last, B_from_N. The way of the file comes first.
     """
-    scalar_first = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
-    inverse = np.diag([-1.0, -1.0, -1.0, 1.0])
-    yield "read as the file states", np.eye(4), sensor.keys_for_convention(False, False)
-    other_direction = "read the other way round (B_to_N for N_to_B)"
-    yield other_direction, inverse, sensor.keys_for_convention(False, True)
-    other_end = "with its scalar at the other end"
-    yield other_end, scalar_first, sensor.keys_for_convention(True, False)
-    both = f"{other_end} and read the other way round"
-    yield both, inverse @ scalar_first, sensor.keys_for_convention(True, True)
+    other_end, round_about = "with its scalar at the other end", "read the other way round"
+    stated = sensor.interpret(np.eye(4)).values  # row k is what column k alone gives
+    for what, other_scalar, other_direction in (
+        ("read as the file states", False, False),
+        (round_about, False, True),
+        (other_end, True, False),
+        (f"{other_end} and {round_about}", True, True),
+    ):
+        keys = sensor.keys_for_convention(other_scalar, other_direction)
+        read = replace(sensor, **keys).interpret(np.eye(4)).values
+        yield what, read.T @ stated, keys
 
 
 def _other_axes(
@@ -536,6 +565,17 @@ def _exchanged_by_sensor(
     # the rate of the best change, mapped back to the file as it is written and on to each of the others
     named = [Named(changes[k][0], rate_under(changes[k][1] @ to_best.T, omega)) for k in near]
     return Better(tuple(named), gain, at_s)
+
+
+def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, estimate: xr.Dataset) -> bool:
+    """Return whether the readings of the sensor `name` exclude the motion `estimate` of the others, within the errors of both.
+
+    A pass may fit without a right sensor only because the others do not show what the model cannot follow. With a gyro a body that
+    was rotated by hand did not fit, as its rate jumped; its panels gave the rate to 3 deg/s, and all readings of the gyro agreed.
+    """
+    read = telemetry[name].sel(time=estimate["time"].values).values
+    squares = _squares(estimate, read, name, vehicle)
+    return not misfit(in_sigma(squares, COMPONENTS)).fits
 
 
 def _cost(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:

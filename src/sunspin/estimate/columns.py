@@ -2,8 +2,8 @@
 
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
 the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
-panels alone that fits they are tried in three cases. It needs strong torques; or its samples, each by itself, fit other columns far
-better; or they fit other columns as well, and only the motion can tell which are right.
+panels alone that fits they are tried in two cases: its samples, each by itself, fit other columns far better; or they fit other
+columns as well, and only the motion can tell which are right.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from sunspin.estimate.column_tests import (
     MOST_NAMED,
     MOST_SQUARE,
     Better,
+    CostsOfSamples,
     Named,
     Trials,
     better_rivals,
-    samples_fit_other_columns,
     silent_inputs,
     what_fits_better,
 )
@@ -59,11 +59,6 @@ from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
-
-STRAINED, CALMER = 1e-4, 4.0
-"""Strength of unknown torques (rad/s^1.5), chosen by the data, from which a file that fits may have other columns than it states:
-of nine files with two columns exchanged that fit six wanted as much, of their right ones none more than 5e-6. And by what factor a
-change must lower it."""
 
 SAMPLES_DENY = "the samples, each by itself, fit other columns far better"
 """Why a pass that fits is not decided, although no change of columns is named. Of some 700 right simulated files, faulty panels and
@@ -98,20 +93,20 @@ def check_columns(
     result = _with_symmetric_motions(result, observed, telemetry)
     tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
-    denied = fits and _samples_deny(result, observed, telemetry)
-    others_tried = again is not None and (not fits or denied or _strained(result, observed))
-    if again is not None and others_tried:
-        # what a change must better: the misfit, the samples each by themselves, or else the strength of the torques
-        needs_calm = fits and not denied
-        most_noise = result.attrs["acceleration_noise"] / CALMER if needs_calm else np.inf
-        trials = _trials_of(result, most_noise, again, settings, tests)
+    # of panels alone: with a second sensor a file of wrong columns does not fit
+    costs = None
+    if fits and observed.panels and not observed.sensors:
+        costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
+    denied = costs is not None and costs.deny_the_columns()
+    others_tried = again is not None and (not fits or denied)
+    trials = None if again is None else _trials_of(result, again, settings, tests)
+    if trials is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, trials)
-    if again is not None and fits and "columns_doubt" not in result.attrs:
-        trials = _trials_of(result, np.inf, again, settings, tests)
+    if trials is not None and costs is not None and "columns_doubt" not in result.attrs:
         least = 0.0 if doubt is None else doubt.gain
-        result = _with_rivals(result, observed, telemetry, trials, least)
+        result = _with_rivals(result, observed, telemetry, costs, trials, least)
     if denied and "columns_doubt" not in result.attrs:
-        how = "" if again is not None else ": estimate with column tests, which name them"
+        how = "" if again is not None else ": estimate with `column_tests=True`, which tries these"
         result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
     # both kinds of tests share a budget
     if others_tried or tests.cut:
@@ -210,32 +205,12 @@ def has_unlisted_motion(
     return False
 
 
-def _samples_deny(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -> bool:
-    """Return whether the samples of the longest pass of a file of panels alone, each by itself, fit other columns far better."""
-    if not observed.panels or observed.sensors:
-        return False
-    return samples_fit_other_columns(
-        observed.vehicle, samples_of(result, telemetry, _longest(result))
-    )
-
-
-def _strained(result: xr.Dataset, observed: Observed) -> bool:
-    """Return whether a file of panels alone may fit only because strong torques were allowed."""
-    attrs = result.attrs
-    noise_estimated = attrs["acceleration_noise_from"] != "given"
-    known_body = not attrs["body"].startswith("nearly a sphere")
-    panels_alone = observed.panels and not observed.sensors
-    strong = attrs["acceleration_noise"] >= STRAINED
-    return panels_alone and noise_estimated and known_body and strong
-
-
 def _with_other_columns(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> xr.Dataset:
     """Return the result with the changes that fit the longest pass that does not fit, or with the sensor that is in its way.
 
-    If all passes fit, the longest is tried: a change must then explain the samples far better, each by itself, or with far weaker
-    torques.
+    If all passes fit, the longest is tried: its samples, each by itself, then fit other columns far better.
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
@@ -249,23 +224,29 @@ def _with_other_columns(
 
 
 def _with_rivals(
-    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials, least: float
+    result: xr.Dataset,
+    observed: Observed,
+    telemetry: xr.Dataset,
+    costs: CostsOfSamples,
+    trials: Trials,
+    least: float,
 ) -> xr.Dataset:
     """Return the result with changes that the samples allow as well and that fit the longest decided pass better, if any.
 
-    `least`: log evidence by which they must be better, that of reversed wheels if their sign is in doubt.
+    `costs`: of the samples of the longest pass, decided or not; `least`: log evidence by which changes must be better, that of
+    reversed wheels if their sign is in doubt.
     """
-    if not observed.panels or observed.sensors or "noise" not in result.attrs:
-        return result
     decided = np.flatnonzero(result["decided"].values)
-    if not len(decided):
+    if "noise" not in result.attrs or not len(decided):
         return result
     place = _longest(result, decided)
     part = samples_of(result, telemetry, place)
     here = what_was_observed(observed.vehicle, part, result.attrs)
     here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
+    if place != _longest(result):
+        costs = CostsOfSamples.of(observed.vehicle, part)
     trials = replace(trials, least=AS_GOOD)
-    better = better_rivals(here, part, noise_of(result, observed.vehicle), trials)
+    better = better_rivals(here, part, costs, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
     # Too little to accuse the file, but the pass is not decided with it. Evidence alone is too little too: of a slow body that was
@@ -286,10 +267,8 @@ def _with_rivals(
     return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
 
 
-def _trials_of(
-    result: xr.Dataset, most_noise: float, again: Again, settings: RatesSettings, budget: Budget
-) -> Trials:
-    """Return how changes are judged; `most_noise` (rad/s^1.5): a change must do with torques of this strength."""
+def _trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:
+    """Return how changes are judged, under the wheels and the largest rate of a result."""
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
 
@@ -309,13 +288,13 @@ def _trials_of(
         return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
-        """Return the whole estimate of the pass, if it needs no stronger torques than a change may."""
+        """Return the whole estimate of the pass, if there is one."""
         try:
             made = again(changed, data)
         except InputError:
             return None
         budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
-        return made if made.attrs["acceleration_noise"] <= most_noise else None
+        return made
 
     return Trials(evidence, run, budget)
 

@@ -83,10 +83,10 @@ def filled(
     for start, weight in ((before, 1 - blend), (before + 1, blend)):
         dt = t_s[others] - kept.t_s[start]
         momenta = kept.momentum[start], momentum[others]
-        made = step(inertia, motions.omega[:, start], dt, momenta, derivatives=True)
-        by_start = made.by_start
+        stepped = step(inertia, motions.omega[:, start], dt, momenta, derivatives=True)
+        by_start = stepped.by_start
         assert by_start is not None
-        carried.append(made._replace(turned=made.turned @ motions.attitude[:, start]))
+        carried.append(stepped._replace(turned=stepped.turned @ motions.attitude[:, start]))
         propagated = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
         spread = spread + weight[:, None, None] * propagated
         for i in range(n):

@@ -261,14 +261,20 @@ def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
 
     Wheels count at their nominal speed.
     """
-    momenta = np.zeros((0, 1, 3))
-    if vehicle.inertia_kg_m2 is not None:
-        unit = np.trace(vehicle.inertia_kg_m2) / 3
-        momenta = np.array(
-            [w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels]
-        ).reshape(-1, 1, 3)
-    observed = replace(Observed.of(vehicle, telemetry, momenta=momenta), sensors=frozenset())
-    return not unseen_changes(observed, telemetry)
+    observed = Observed.of(vehicle, telemetry, momenta=nominal_momenta(vehicle))
+    return not unseen_changes(replace(observed, sensors=frozenset()), telemetry)
+
+
+def nominal_momenta(vehicle: Vehicle) -> np.ndarray:
+    """Return the momentum (n_wheel, 1, 3) of each wheel at its nominal speed, in mean moments of inertia times rad/s.
+
+    Without an inertia the momenta have no unit, and there are none (0, 1, 3).
+    """
+    if vehicle.inertia_kg_m2 is None:
+        return np.zeros((0, 1, 3))
+    unit = np.trace(vehicle.inertia_kg_m2) / 3
+    momenta = [w.inertia_kg_m2 * w.speed_rad_s / unit * w.axis_B for w in vehicle.wheels]
+    return np.array(momenta).reshape(-1, 1, 3)
 
 
 def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
@@ -354,8 +360,8 @@ def _panel_maps(
     least_sigma = NORMALS_ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2)
     sigma = np.hypot(misalignment_sigma(vehicle)[0], least_sigma)
     gain_sigma = np.zeros(len(vehicle.panels))
-    for one, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
-        gain_sigma[list(one.panels)] = value
+    for shown, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
+        gain_sigma[list(shown.panels)] = value
     log_gain = np.log(vehicle.panel_gains)
     first_normals, second_normals = _normals(observed, first), _normals(observed, second)
     a = [k for column in lit for k in first_panels[column]]

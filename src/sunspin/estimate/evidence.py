@@ -39,16 +39,16 @@ class PassFits:
     used: float = 0.0
     cut: bool = False
 
-    def rung(self, one: Fit) -> int:
+    def rung(self, fitted: Fit) -> int:
         """Return on which rung a fit stands."""
-        return self.rungs.index(one.model.noise.acceleration)
+        return self.rungs.index(fitted.model.noise.acceleration)
 
     def log_evidence_of_rungs(self) -> np.ndarray:
         """Return the log evidence (r) of each rung, motions and models summed, before its prior; minus infinity without a fit."""
         total = np.full(len(self.rungs), -np.inf)
-        for one in self.fits:
-            rung = self.rung(one)
-            total[rung] = np.logaddexp(total[rung], logsumexp(one.log_evidence))
+        for fitted in self.fits:
+            rung = self.rung(fitted)
+            total[rung] = np.logaddexp(total[rung], logsumexp(fitted.log_evidence))
         return total
 
 
@@ -111,19 +111,19 @@ def _fitted(
 
     What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
     """
-    one = fit(model, motions, steps, s.tolerance)
+    fitted = fit(model, motions, steps, s.tolerance)
     # under weak torques a chain creeps: a motion whose cost rises may stand on a slope, and then goes down along the equations
     span_s = float(np.ptp(model.obs.t_s))
     stiff = model.noise.acceleration * np.sqrt((span_s / 2) ** 3 / 3) <= s.stiff_rad
-    if stiff and len(motions.cost) == len(one):
-        rises = one.motions.cost > motions.cost + s.creeping
+    if stiff and len(motions.cost) == len(fitted):
+        rises = fitted.motions.cost > motions.cost + s.creeping
         if rises.any():
-            begin = one.motions.take(np.flatnonzero(rises))
+            begin = fitted.motions.take(np.flatnonzero(rises))
             lower = fit(model, begin, steps, s.tolerance, along_equations=True)
-            one = _joined([one.take(np.flatnonzero(~rises)), lower])
-    shared = over_shares(one, s.beyond_fit)
+            fitted = _joined([fitted.take(np.flatnonzero(~rises)), lower])
+    shared = over_shares(fitted, s.beyond_fit)
     which = _distinct(shared, s, of_search)
-    return one.take(which), shared.take(which)
+    return fitted.take(which), shared.take(which)
 
 
 def restated(motions: Track, before: Model, after: Model) -> Track:
@@ -138,14 +138,18 @@ def restated(motions: Track, before: Model, after: Model) -> Track:
     return replace(motions, u=motions.u * ratio)
 
 
-def _distinct(one: Fit, s: LadderSettings, of_search: SearchSettings) -> np.ndarray:
+def _distinct(fitted: Fit, s: LadderSettings, of_search: SearchSettings) -> np.ndarray:
     """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
     return distinct(
-        one.motions, one.model.obs.t_s, of_search, drop=s.hopeless, order_by=-one.log_evidence
+        fitted.motions,
+        fitted.model.obs.t_s,
+        of_search,
+        drop=s.hopeless,
+        order_by=-fitted.log_evidence,
     )
 
 
-def over_shares(one: Fit, beyond_fit: float) -> Fit:
+def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     """Return a fit with evidence and moments summed over the shares of its unknowns' sigmas.
 
     The fit is under the widest sigmas. Its unknowns u have the mean m and the precision P. If the readings depend on them linearly,
@@ -156,16 +160,16 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     than the fitted size get nothing.
     """
     groups: dict[str, list[int]] = {}
-    for i, unknown in enumerate(one.model.unknowns):
+    for i, unknown in enumerate(fitted.model.unknowns):
         if len(unknown.shares) > 1:
             groups.setdefault(unknown.kind, []).append(i)
-    if not groups or not len(one):
-        return one
+    if not groups or not len(fitted):
+        return fitted
     # only these unknowns (g) change by themselves; `of_kind`: their indices among the g
     shared = np.concatenate([*groups.values()])
     of_kind = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
-    u = one.motions.u[:, shared]
-    of_shared = np.nan_to_num(one.u_covariance[:, shared[:, None], shared])
+    u = fitted.motions.u[:, shared]
+    of_shared = np.nan_to_num(fitted.u_covariance[:, shared[:, None], shared])
     # a fit that did not end in a minimum has a covariance that is none: it stays under the widest sigmas
     sound = np.linalg.eigvalsh(of_shared)[:, 0] > 0
     of_shared = np.where(sound[:, None, None], of_shared, np.eye(len(shared)))
@@ -174,14 +178,14 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
 
     gains, means, covariances = [], [], []  # of each combination of shares (c)
-    for shares in product(*(one.model.unknowns[group[0]].shares for group in groups.values())):
-        added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(one), dtype=bool)
+    for shares in product(*(fitted.model.unknowns[group[0]].shares for group in groups.values())):
+        added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(fitted), dtype=bool)
         for share, (kind, group) in zip(shares, groups.items(), strict=True):
             added[of_kind[kind]] = 1 / share**2 - 1
             log_size += len(group) * np.log(share)
             if kind in TORQUES:
                 size = np.abs(u[:, of_kind[kind]]).max(axis=1)
-                least = min(one.model.unknowns[group[0]].shares)
+                least = min(fitted.model.unknowns[group[0]].shares)
                 allowed &= share <= beyond_fit * np.maximum(size, least)
         matrix = precision + np.diag(added)
         covariance = np.linalg.inv(matrix)
@@ -198,23 +202,32 @@ def over_shares(one: Fit, beyond_fit: float) -> Fit:
     centre = np.einsum("ck,ckg->kg", weight, mean)
     off = mean - centre
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
-    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `one.states_by_u`
-    by_shared = one.u_covariance[:, :, shared] @ precision
+    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `fitted.states_by_u`
+    by_shared = fitted.u_covariance[:, :, shared] @ precision
     u_change = sound[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
     widening = sound[:, None, None] * by_shared @ (spread - of_shared)
     widening = widening @ np.swapaxes(by_shared, -1, -2)
-    state_change = np.einsum("knim,km->kni", one.states_by_u, u_change)
-    state_widening = one.states_by_u @ widening[:, None] @ np.swapaxes(one.states_by_u, -1, -2)
-    motions = Track(
-        rotate_attitude(one.motions.attitude, state_change[..., TURN]),
-        one.motions.omega + state_change[..., RATE],
-        one.motions.u + u_change,
-        one.motions.cost,
-        one.motions.covariance + state_widening,
+    state_change = np.einsum("knim,km->kni", fitted.states_by_u, u_change)
+    state_widening = (
+        fitted.states_by_u @ widening[:, None] @ np.swapaxes(fitted.states_by_u, -1, -2)
     )
-    log_evidence = one.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
-    u_covariance = one.u_covariance + widening
-    return Fit(one.model, motions, log_evidence, u_covariance, one.states_by_u, one.motions)
+    motions = Track(
+        rotate_attitude(fitted.motions.attitude, state_change[..., TURN]),
+        fitted.motions.omega + state_change[..., RATE],
+        fitted.motions.u + u_change,
+        fitted.motions.cost,
+        fitted.motions.covariance + state_widening,
+    )
+    log_evidence = fitted.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
+    u_covariance = fitted.u_covariance + widening
+    return Fit(
+        model=fitted.model,
+        motions=motions,
+        log_evidence=log_evidence,
+        u_covariance=u_covariance,
+        states_by_u=fitted.states_by_u,
+        lowest=fitted.motions,
+    )
 
 
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
@@ -259,8 +272,8 @@ def likeliest_cost(fits: Sequence[Fit]) -> float:
 def united(fits: Sequence[Fit], s: LadderSettings, of_search: SearchSettings) -> list[Fit]:
     """Return one fit for each model and rung: a motion that was met twice there counts once."""
     groups: dict[tuple[str, float], list[Fit]] = {}
-    for one in fits:
-        groups.setdefault((one.model.what, one.model.noise.acceleration), []).append(one)
+    for fitted in fits:
+        groups.setdefault((fitted.model.what, fitted.model.noise.acceleration), []).append(fitted)
     joined = [_joined(group) for group in groups.values()]
     return [one.take(_distinct(one, s, of_search)) for one in joined]
 

@@ -102,9 +102,9 @@ def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -
     if not turned <= MOST_NUTATION_RAD:
         return []
     rates = np.nan_to_num(read)[:, :-1]  # (48, n - 1, 3)
-    made = step(body.inertia, rates, dt, (momentum[:-1], momentum[1:]))
+    stepped = step(body.inertia, rates, dt, (momentum[:-1], momentum[1:]))
     # a turn t of the body takes its attitude to exp(-[t x]) times it
-    turns = -Rotation.from_matrix(made.turned.reshape(-1, 3, 3)).as_rotvec()
+    turns = -Rotation.from_matrix(stepped.turned.reshape(-1, 3, 3)).as_rotvec()
     turns = turns.reshape(len(read), -1, 3)
     was_read = np.asarray(np.isfinite(read[0][:-1]).all(axis=1))
     turns[:, ~was_read] = np.nan

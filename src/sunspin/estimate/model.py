@@ -283,13 +283,6 @@ class Model:
         """Return the model with one more term, as probable before the data."""
         return replace(self, obs=replace(self.obs, terms=(*self.obs.terms, term)), what=what)
 
-    def without(self, term: Term, sample: int, what: str, log_odds: float) -> Model:
-        """Return the model that a reading of a term is bad, at these log odds to its being good: it may then have seen anything."""
-        left, log_density = term.without(sample)
-        terms = tuple(left if one is term else one for one in self.obs.terms)
-        log_prior = self.log_prior + log_odds + log_density
-        return replace(self, obs=replace(self.obs, terms=terms), what=what, log_prior=log_prior)
-
     def for_search(self, noise: Noise) -> list[Model]:
         """Return the model without unknowns, each term trusted no further than its errors in common allow.
 

@@ -25,6 +25,7 @@ from sunspin.estimate.evidence import (
 from sunspin.estimate.field_led import begun, field_of, in_axes_of, models_to_search
 from sunspin.estimate.images import with_images
 from sunspin.estimate.model import AS_STATED, Model, Noise, Track
+from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import RatesSettings, SearchSettings
 from sunspin.estimate.starts import aliases, other_bodies, pair_starts, pairs_to_try
@@ -42,6 +43,11 @@ class PassFitter:
     def fits(self, models: Sequence[Model]) -> Iterable[PassFits]:
         """Yield the fits of passes, each as :func:`one_pass` returns them for its nominal model."""
         return self.run(one_pass, models, repeat(self.settings), repeat(self.budget))
+
+    def quick_evidence(self, models: Sequence[Model]) -> Iterable[float]:
+        """Yield the log evidence of passes by a quick search each (:mod:`sunspin.estimate.quick`)."""
+        budgets = [replace(self.budget) for _ in models]
+        return self.run(quick_evidence, models, repeat(self.settings), budgets)
 
     def fits_if_any(
         self, models: Sequence[Model], begin: Sequence[Track | None] | None = None
@@ -114,7 +120,14 @@ def one_pass(
 
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
-    return PassFits(stated, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+    return PassFits(
+        stated=stated,
+        fits=tuple(fits),
+        rungs=s.ladder.rungs,
+        log_rung=even,
+        used=budget.used,
+        cut=budget.cut,
+    )
 
 
 def searched(

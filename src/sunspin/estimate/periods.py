@@ -104,9 +104,10 @@ def weigh_by_periods(
     """Return the passes with probabilities that count the periods in, and the attribute `periods`: JSON, what each decided.
 
     If no solution of a pass has its periods, the samples contradict them, or too few draws have them, its probabilities stay. JSON
-    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws; `carried`,
-    the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
-    of the solution that is the likeliest now, and of the one that was then.
+    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws;
+    `share_with_periods`, the probability without periods of the solutions that have them; `counts`, whether the period changes
+    probabilities; and `without`, the probability without periods of the solution that is the likeliest with them, and of the one
+    that is without.
     """
     # a column may have a period where there is no pass
     seen = [one for one in seen if not isinstance(one, FoundPeriod) or _in_a_pass(passes, one)]
@@ -132,11 +133,11 @@ def without_periods(passes: Sequence[Solutions]) -> dict[str, Any]:
 
 
 def _weigh(
-    one: Solutions, body: Body, seen: Sequence[PeriodSeen]
+    solved: Solutions, body: Body, seen: Sequence[PeriodSeen]
 ) -> tuple[Solutions, list[dict[str, Any]]]:
     """Return a pass with the probabilities that its periods give it, and what each of them decided."""
-    before, draws_each = one.probability / one.probability.sum(), INERTIAS * DRAWS
-    periods = [periods_of(one, body, period) for period in seen]
+    before, draws_each = solved.probability / solved.probability.sum(), INERTIAS * DRAWS
+    periods = [periods_of(solved, body, period) for period in seen]
     weighed = weigh_draws(seen, periods, np.repeat(before / draws_each, draws_each))
 
     # A solution has the periods if one of its draws is within FAR_SIGMAS of them: its density is then above that part of the
@@ -159,8 +160,8 @@ def _weigh(
     about = {
         "nearest_sigmas": weighed.nearest_sigmas,
         "effective": weighed.effective,
-        "carried": share_with_periods,
-        "told": counts,
+        "share_with_periods": share_with_periods,
+        "counts": counts,
         "without": [float(before[np.argmax(after)]), float(before.max())],
     }
     rows = [
@@ -173,7 +174,7 @@ def _weigh(
         | about
         for period, shares in zip(seen, weighed.shares.tolist(), strict=True)
     ]
-    return replace(one, probability=after), rows
+    return replace(solved, probability=after), rows
 
 
 def weigh_draws(
@@ -186,8 +187,8 @@ def weigh_draws(
     """
     by_reading = []  # of each period seen: densities (n, 3)
     relative = []  # and how far below its peak the nearest draw is
-    for one, of_draws in zip(seen, periods, strict=True):
-        known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(one)
+    for period, of_draws in zip(seen, periods, strict=True):
+        known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(period)
         # exp(-d^2 / 2) of the distances d, in sigmas, from each period that it may be (k, n, 3)
         law = np.array(
             [np.exp(-0.5 * ((known - part.period_s) / part.sigma_s) ** 2) for part in likely]
@@ -231,26 +232,26 @@ def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
     return k
 
 
-def periods_of(one: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
+def periods_of(solved: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
     """Return periods (K x `INERTIAS` x `DRAWS`, 3) in s by :data:`READINGS` of draws of the K solutions of a pass.
 
     Without an inertia precession and spin are not known, NaN; the sum is then the period of the angular speed.
     """
-    t_s, rng = one.obs.t_s, np.random.default_rng(0)
+    t_s, rng = solved.obs.t_s, np.random.default_rng(0)
     instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
     at = int(np.argmin(np.abs(t_s - seen.t_s)))
     # widened by what the rate wanders between that sample and the time of the period
-    wander = one.noise**2 * abs(seen.t_s - t_s[at])
-    covariance = one.track.covariance[:, at, RATE, RATE] + wander[:, None, None] * np.eye(3)
+    wander = solved.noise**2 * abs(seen.t_s - t_s[at])
+    covariance = solved.track.covariance[:, at, RATE, RATE] + wander[:, None, None] * np.eye(3)
     variance, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]  # root root^T is the covariance
     momentum = np.stack(
-        [np.interp(instants, t_s, one.obs.momentum[:, i]) for i in range(3)], axis=1
+        [np.interp(instants, t_s, solved.obs.momentum[:, i]) for i in range(3)], axis=1
     )
     parts = []
     for inertia in drawn_inertias(body, rng):
         normal = rng.standard_normal((DRAWS, 3))
-        omega = one.track.omega[:, at, None] + np.einsum("kij,nj->kni", root, normal)
+        omega = solved.track.omega[:, at, None] + np.einsum("kij,nj->kni", root, normal)
         rates = _euler_rates_of(inertia, omega.reshape(-1, 3), instants - t_s[at], momentum, body)
         with np.errstate(divide="ignore"):
             periods = 2 * np.pi / np.abs(rates)

@@ -25,14 +25,14 @@ from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Draws, ShotFit, Shots, Trials
+from sunspin.estimate.lander.motions import Draws, ShotFit, Shots, TrialMotions
 from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.sample import Checked, resampled, sample
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.lander.tree import COUNTS, group, tree_of
 from sunspin.estimate.lander.verdict import (
-    Findings,
+    PosteriorFindings,
     accused_panels,
     dark_stretch,
     pass_row,
@@ -79,7 +79,7 @@ class NominalSearch(NamedTuple):
     window: Window
     reference: Reference
     carrier: Shooting
-    motions: Trials
+    motions: TrialMotions
     fit: ShotFit
     prior_words: dict[str, str]
 
@@ -243,23 +243,23 @@ def search_nominal(
     carrier = Shooting(reference.about(stated), reference, settings, workers)
     motions = search_under(carrier)
     return NominalSearch(
-        assessment,
-        window,
-        reference,
-        carrier,
-        motions,
-        carrier.fit_all_samples(motions),
-        prior_words,
+        assessment=assessment,
+        window=window,
+        reference=reference,
+        carrier=carrier,
+        motions=motions,
+        fit=carrier.fit_all_samples(motions),
+        prior_words=prior_words,
     )
 
 
-def search_under(carrier: Shooting) -> Trials:
+def search_under(carrier: Shooting) -> TrialMotions:
     """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
     settings = carrier.settings
     carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
 
-    def watch(window: slice, kept: Trials) -> None:
+    def watch(window: slice, kept: TrialMotions) -> None:
         """Note what is left of a window, and show it to whoever watches."""
         carrier.note_window(window, kept)
         if settings.search.watch is not None:
@@ -319,7 +319,9 @@ def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
 
     All motions with which the search ended are fitted, also those far worse than the best: under another model they may fit.
     """
-    fit = carrier.fit_all_samples(Trials(_renamed(carrier.model, nominal), nominal.motions.starts))
+    fit = carrier.fit_all_samples(
+        TrialMotions(_renamed(carrier.model, nominal), nominal.motions.starts)
+    )
     # what the search left out, this model misses too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
@@ -330,7 +332,7 @@ def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
     motions = search_under(carrier)
     shots = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
     starts = np.concatenate([nominal.motions.starts, motions.starts])
-    return carrier.fit_all_samples(Trials(shots, starts))
+    return carrier.fit_all_samples(TrialMotions(shots, starts))
 
 
 def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:
@@ -378,7 +380,8 @@ def draw_models(
         return sample(LanderTarget(fit.model), fit, streams[h], s, own, fitted_share), own
 
     drawn = Drawn([], [], [])
-    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
+    # all models at once, also on fewer cores: of three on two cores, the last would have one core alone
+    with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
         every = list(pool.map(draws_of, chosen))
     for h, (draws, own) in zip(chosen, every, strict=True):
         fit = fits[h]
@@ -485,7 +488,7 @@ def _about(
 
 def _findings(
     tree: xr.DataTree, mix: Mixture, nominal: NominalSearch, checked: Checked, outliers: np.ndarray
-) -> Findings:
+) -> PosteriorFindings:
     """Return what the verdict is made of; `outliers` (n, p): probabilities of readings."""
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
     probability = solutions["probability"].values
@@ -499,28 +502,28 @@ def _findings(
     names = nominal.fit.model.vehicle.input_names
     t_s = nominal.window.start_s + nominal.window.obs.t_s
     rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
-    return Findings(
-        probability,
-        rate,
-        np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
-        np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
-        float(np.median(np.diff(t_s[read]))),
-        checked.p,
-        checked.noise_sigmas,
-        accused_panels(names, outliers[awake], panels.lit[awake]),
-        mix.draws.tail,
-        mix.draws.effective,
-        mix.draws.outside,
-        doubts,
-        dark_stretch(t_s[read], awake[read]),
-        True,
+    return PosteriorFindings(
+        probability=probability,
+        rate=rate,
+        length=np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
+        speed=np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
+        interval_s=float(np.median(np.diff(t_s[read]))),
+        p=checked.p,
+        noise_sigmas=checked.noise_sigmas,
+        accused=accused_panels(names, outliers[awake], panels.lit[awake]),
+        tail=mix.draws.tail,
+        effective=mix.draws.effective,
+        outside=mix.draws.outside,
+        doubts=doubts,
+        dark=dark_stretch(t_s[read], awake[read]),
+        complete=True,
     )
 
 
 def _judged(
     tree: xr.DataTree,
     mix: Mixture,
-    findings: Findings,
+    findings: PosteriorFindings,
     nominal: NominalSearch,
     outliers: np.ndarray,
 ) -> dict[str, Any]:

@@ -44,9 +44,9 @@ def quick_evidence(
             )
         except InputError:
             continue
-        for one in ladder(loose, motions.take(slice(MOTIONS)), few, s, s.noise):
-            rung = RUNGS.index(one.model.noise.acceleration)
-            log[rung] = np.logaddexp(log[rung], logsumexp(one.log_evidence))
+        for fitted in ladder(loose, motions.take(slice(MOTIONS)), few, s, s.noise):
+            rung = RUNGS.index(fitted.model.noise.acceleration)
+            log[rung] = np.logaddexp(log[rung], logsumexp(fitted.log_evidence))
     return float(log.max()) - sum(
         log_size(term) for term in stated.obs.terms if isinstance(term, Panels)
     )

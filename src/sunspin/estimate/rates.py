@@ -20,6 +20,7 @@ from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.columns import check_columns
+from sunspin.estimate.equivalence import wheel_changes
 from sunspin.estimate.evidence import (
     PassFits,
     share_noise,
@@ -67,8 +68,10 @@ from sunspin.estimate.wheels import (
     FittedPass,
     decide_wheels,
     doubted_signs,
+    expected,
     kept_samples,
     longest,
+    search_reversed,
 )
 from sunspin.telemetry.assess import LOW_SHARE, Assessment, assess
 from sunspin.vehicle import Vehicle
@@ -145,8 +148,8 @@ def rates(
         attrs["periods"], in JSON, what each decided.
     column_tests : bool
         If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
-        (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit under
-        strong torques, or if their samples, each by itself, fit other columns far better, or as well.
+        (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit, but their
+        samples, each by itself, fit other columns far better, or as well.
     effort : float
         How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -213,12 +216,18 @@ def rates(
 
     # The fits of each pass, side by side. First those of the longest passes, which show what the wheels do.
     require_directions(stated, passes)
-    tasks = max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
+    tasks = len(wheel_changes(vehicle))  # a search of each
+    tasks += max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     if (processes := min(worker_count(workers), tasks)) > 1:
         load_step()
     with process_pool(processes) as pool:
         fitter = PassFitter(settings, budget, map if pool is None else pool.map)
+        first = passes[longest(passes)[0]]
+        # while the wheels are decided, a search of what they probably do may run
+        searches = search_reversed(assessment, expected(assessment), stated, first, fitter)
         wheels = decide_wheels(assessment, stated, passes, fitter)
+        if searches.name != wheels.name:
+            searches = search_reversed(assessment, wheels.name, stated, first, fitter)
         stated = stated.with_momentum(wheels.momentum)
         models = [kept_samples(stated, one) for one in passes]
         open_still = [k for k in range(len(passes)) if k not in wheels.fits]
@@ -228,7 +237,7 @@ def rates(
         done = wheels.fits | dict(zip(open_still, fitted, strict=True))
         fits = [done[k] for k in range(len(passes))]
         compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
-        doubt = doubted_signs(assessment, stated.obs, wheels.name, compared, fitter)
+        doubt = doubted_signs(stated.obs, compared, searches, fitter)
 
     # The solutions of each pass. Passes help each other: the same torques act in all of them, and from one to the next a rate
     # changes only so much.

@@ -151,9 +151,9 @@ def _attributes(
 def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
     """Return the variables on `curve_time`: the best motion of each pass on even instants between its samples."""
     times, tracks = [], []
-    for one in solved:
-        model = replace(stated, obs=one.obs)
-        instants, track = curve(model, one.track.take(slice(0, 1)), float(one.noise[0]))
+    for solution in solved:
+        model = replace(stated, obs=solution.obs)
+        instants, track = curve(model, solution.track.take(slice(0, 1)), float(solution.noise[0]))
         times.append(instants)
         tracks.append(track)
     attitude, omega, covariance = (

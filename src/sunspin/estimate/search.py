@@ -55,7 +55,7 @@ def search(
     ends: list[Any] = []
     everything = slice(0, len(carrier.t_s))
     places = s.places if places is None else places
-    for place, (first, candidates) in enumerate(starts):
+    for number, (first, candidates) in enumerate(starts):
         window, motions = first, candidates
         while len(motions):
             motions = carrier.kept(carrier.fit(motions, window), window)
@@ -71,7 +71,7 @@ def search(
         best = min((float(motions.cost[0]) for motions in ends), default=np.inf)
         fits = best < s.good_enough * carrier.cost_limit(everything)
         # enough places have led to the end and one motion fits, or the last place that is allowed was tried
-        if (len(ends) >= places and fits) or place + 1 == places + s.more_places:
+        if (len(ends) >= places and fits) or number + 1 == places + s.more_places:
             break
         if ends and budget.exhausted():  # never before there is any motion
             break

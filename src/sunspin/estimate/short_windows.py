@@ -127,7 +127,7 @@ def _windows_of(
     longest = float(t_s[-1] - t_s[0]) / pieces * (1 + 1e-9)
     of_windows = replace(settings.passes, longest_s=longest, longest_field_s=longest)
     try:
-        found = rates(
+        result = rates(
             vehicle,
             cut(telemetry, np.flatnonzero(inside)),
             gap_s=float(t_s[-1] - t_s[0]) + 1.0,
@@ -137,10 +137,10 @@ def _windows_of(
         )
     except InputError:
         return None
-    count = found.sizes["pass_id"]
-    omega = np.stack([found[f"omega_{axis}"].values[:, 0] for axis in "xyz"], axis=1)
-    sigma = np.stack([found[f"sigma_{axis}"].values[:, 0] for axis in "xyz"], axis=1)
-    times = [found["time"].values[found["pass_of"].values == k] for k in range(count)]
+    count = result.sizes["pass_id"]
+    omega = np.stack([result[f"omega_{axis}"].values[:, 0] for axis in "xyz"], axis=1)
+    sigma = np.stack([result[f"sigma_{axis}"].values[:, 0] for axis in "xyz"], axis=1)
+    times = [result["time"].values[result["pass_of"].values == k] for k in range(count)]
     middle = [float(t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]) for t in times]
     return xr.Dataset(
         {
@@ -150,11 +150,11 @@ def _windows_of(
             "window_samples": ("window", [len(t) for t in times]),
             "window_omega_B": (("window", "axis"), omega),
             "window_sigma_B": (("window", "axis"), sigma),
-            "window_speed_sigma": ("window", found["speed_sigma"].values),
-            "window_decided": ("window", found["decided"].values),
-            "window_unique": ("window", found["unique"].values),
-            "window_fits": ("window", found["fits"].values),
-            "window_why": ("window", found["why_not_decided"].values.astype(str)),
+            "window_speed_sigma": ("window", result["speed_sigma"].values),
+            "window_decided": ("window", result["decided"].values),
+            "window_unique": ("window", result["unique"].values),
+            "window_fits": ("window", result["fits"].values),
+            "window_why": ("window", result["why_not_decided"].values.astype(str)),
         }
     )
 
@@ -177,7 +177,7 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     times = windows["window_time"].values[use]
     # rows that came late need not be in the order of time
     at = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
-    found = None
+    extremes = None
     # wheels without a measured speed may be held or coast: none of that may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
         momentum = omega @ body.inertia + wheels[at]
@@ -189,9 +189,9 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
         fast, slow = np.unravel_index(int(np.argmax(apart)), apart.shape)
         if not apart[fast, slow] > SIGMAS:
             return ""
-        found = fast, slow
-    assert found is not None
-    fast, slow = found
+        extremes = fast, slow
+    assert extremes is not None
+    fast, slow = extremes
     high, low = np.degrees(np.linalg.norm(omega[[fast, slow]], axis=1))
     return (
         f"the rate changes as no free body's does ({low:.2g} and {high:.2g} deg/s within {abs(times[fast] - times[slow]):.0f} s): "

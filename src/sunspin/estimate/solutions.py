@@ -89,13 +89,13 @@ class _Member:
     """A motion of a fit with its part of the probability of the pass."""
 
     fit: Fit
-    place: int
+    number: int
     weight: float
 
     @property
     def alone(self) -> Fit:
         """Return the fit of this motion alone (K = 1)."""
-        return self.fit.take(slice(self.place, self.place + 1))
+        return self.fit.take(slice(self.number, self.number + 1))
 
     @property
     def motion(self) -> Track:
@@ -154,18 +154,18 @@ def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
     return [_Member(*places[i], float(weights[i] / total)) for i in order]
 
 
-def _any_size(one: Fit, s: SolutionSettings) -> np.ndarray:
+def _any_size(fitted: Fit, s: SolutionSettings) -> np.ndarray:
     """Return what motions (K) gain in log evidence if it is not known to a power of ten how fast the body turns.
 
     Evidence under priors of the rate at the first sample that are narrower by the factors `slower`, in their mean. A fit that ended
     on a slope has a covariance that is none, and gains nothing.
     """
-    sigma = one.model.rate_sigma
+    sigma = fitted.model.rate_sigma
     # in sigmas of the prior a narrower one adds 1 / share^2 - 1 to the precision, as in `evidence.over_shares`
-    covariance = np.nan_to_num(one.motions.covariance[:, 0, RATE, RATE]) / sigma**2
+    covariance = np.nan_to_num(fitted.motions.covariance[:, 0, RATE, RATE]) / sigma**2
     sound = np.linalg.eigvalsh(covariance)[:, 0] > 0
     covariance = np.where(sound[:, None, None], covariance, np.eye(3))
-    rate = one.motions.omega[:, 0] / sigma
+    rate = fitted.motions.omega[:, 0] / sigma
     precision = np.linalg.inv(covariance)
     slope = (precision @ rate[..., None])[..., 0]
     before = np.linalg.slogdet(precision)[1] - np.einsum("ki,ki->k", slope, rate)
@@ -251,19 +251,19 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
         residual=residual,
         model=(model.what, 1.0),
         noise=np.sqrt(np.median(square, keepdims=True)),
-        estimates=(estimates(head.fit, head.place),),
+        estimates=(estimates(head.fit, head.number),),
         cost_limit=np.inf,
     )
 
 
-def estimates(one: Fit, place: int) -> dict[str, tuple[str, float, float]]:
-    """Return what was estimated with a motion: name -> unit, value, one sigma.
+def estimates(fitted: Fit, number: int) -> dict[str, tuple[str, float, float]]:
+    """Return what was estimated with a motion of a fit, the one with this number: name -> unit, value, one sigma.
 
     Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
     the pass in axes of N.
     """
-    model: Model = one.model
-    u, covariance = one.motions.u[place], one.u_covariance[place]
+    model: Model = fitted.model
+    u, covariance = fitted.motions.u[number], fitted.u_covariance[number]
     rows: dict[str, tuple[str, float, np.ndarray]] = {}  # unit, centre, change by each unknown
     every = np.eye(len(u))  # row i: the change of unknown i by each of them
     body = model.body

@@ -77,17 +77,19 @@ class PairStarts(NamedTuple):
 def pair_starts(
     model: Model, s: SearchSettings, slowest: float = 0.0
 ) -> Iterator[tuple[slice, Track]]:
-    """Yield windows with candidates: for each pair of neighbouring samples, the shortest interval first, the rates between them.
+    """Yield windows, each with the motions from which a search may begin there: those that a pair of neighbouring samples allows.
 
-    The candidates have been tried and settled on the samples around the pair. `model`: without unknowns, for the search. `slowest`
-    (rad/s): slower rates are left out.
+    The most promising pair comes first. Rates that take the Sun from its first sample to the second are tried on the samples around
+    the pair, the window, and the best are fitted there. `model`: without unknowns, for the search. `slowest` (rad/s): slower rates
+    are left out.
     """
-    trusted = gyro_decides(model, _pairs(model)[0])
-    for place, first in enumerate(_pairs(model)):
+    pairs = _pairs(model)
+    trusted = gyro_decides(model, pairs[0])
+    for number, first in enumerate(pairs):
         window = slice(max(0, first - s.around), min(len(model.obs), first + 2 + s.around))
         around, sample = model.seeing(window), first - window.start
-        # further pairs are tried if nothing fits: then the gyro may be what is wrong
-        begin = starts(around, sample, s, trusted and not place)
+        # a gyro is trusted at the first pair alone: further pairs are tried if nothing fits, and then it may be what is wrong
+        begin = starts(around, sample, s, trusted and number == 0)
         if slowest:
             fast = np.linalg.norm(begin.omega, axis=1) > slowest
             begin = begin._replace(sun_B=begin.sun_B[fast], omega=begin.omega[fast])
@@ -96,9 +98,10 @@ def pair_starts(
         if not len(begin.omega):
             continue
         motions = _best(around, sample, begin, s.tried[2])
-        # each round trusts the readings more: at first a start may be as far off as the starts are apart
+        # three fits, each of which trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
-            motions = shot(_loosened(around, sample, share * begin.apart_rad), sample, motions, 4)
+            loose = _loosened(around, sample, share * begin.apart_rad)
+            motions = shot(loose, sample, motions, 4)
             motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[2]))
         yield window, motions
 
@@ -147,7 +150,11 @@ def _constant_rate_holds(model: Model, first: int) -> bool:
 
 
 def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> PairStarts:
-    """Return the starts of a pair of samples, the `first` of which is given. Rest is always among them."""
+    """Return the starts of a pair of samples, the `first` of which is given. Rest is always among them.
+
+    Each direction to the Sun that the first sample allows has rates of its own: those that a trusted gyro reads; or a grid, if
+    moments or wheels turn the rate between the samples; or else all constant rates that end at a direction of the second sample.
+    """
     dt = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
     rate_max = model.rate_max
     if not rate_max * dt < 2 * np.pi * s.most_turns:
@@ -160,26 +167,27 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
     read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
     read = read[np.linalg.norm(read, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
-    # `each`: rates (m, 3) for each direction to the Sun
+    # `rates_of_suns`: rates (m, 3) for each direction to the Sun; `apart`: between a turn and that of the nearest start, rad
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
-        each, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
+        rates_of_suns, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
     elif not _constant_rate_holds(model, first):
         # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
-        each, apart = [np.concatenate([_ball(size, rate_max), read])] * len(suns), size * dt
+        grid = np.concatenate([_ball(size, rate_max), read])
+        rates_of_suns, apart = [grid] * len(suns), size * dt
     else:
         ends, rest = allowed_directions(model, first + 1), np.zeros((1, 3))
-        each = []
+        rates_of_suns = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            # whole turns about any axis end there too
+            # whole turns about any axis end there too; two basins apart, as each reaches one basin to every side
             if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
-            each.append(np.concatenate([rest, *rates, read]))
+            rates_of_suns.append(np.concatenate([rest, *rates, read]))
         apart = s.step_rad
-    sun_B = np.repeat(suns, [len(rates) for rates in each], axis=0)
-    return PairStarts(sun_B, np.concatenate(each), apart)
+    sun_B = np.repeat(suns, [len(rates) for rates in rates_of_suns], axis=0)
+    return PairStarts(sun_B, np.concatenate(rates_of_suns), apart)
 
 
 def allowed_directions(model: Model, sample: int) -> np.ndarray:
@@ -245,9 +253,9 @@ def whole_turns(dt: float, rate_max: float, spacing_rad: float) -> np.ndarray:
 def _spaced(path: np.ndarray, step: float) -> np.ndarray:
     """Return some points of a path (n, 3), its ends among them, each at most about a step farther on than the one before."""
     length = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    place = np.concatenate([[0.0], np.cumsum(length)])
-    marks = np.linspace(0.0, place[-1], int(np.ceil(place[-1] / step)) + 1)
-    return path[np.unique(np.minimum(np.searchsorted(place, marks - 1e-12), len(path) - 1))]
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    marks = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / step)) + 1)
+    return path[np.unique(np.minimum(np.searchsorted(along, marks - 1e-12), len(path) - 1))]
 
 
 def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:

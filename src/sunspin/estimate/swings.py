@@ -72,11 +72,11 @@ def swings_by_all_ways(
         weak = [rung for rung in of_ladder.rungs if rung * span_s / np.sqrt(3) <= wander]
         for rung in weak or [min(of_ladder.rungs)]:
             model = replace(stated, noise=Noise(rung, rate=float(wander)), what=SWINGS)
-            one = fit(model, still, 8)
+            fitted = fit(model, still, 8)
             # about rest: how slow the body is in the mean the readings tell to this, a share of the rates before them
-            of_rate = np.linalg.slogdet(one.motions.covariance[:, 0, RATE, RATE])[1] / 2
+            of_rate = np.linalg.slogdet(fitted.motions.covariance[:, 0, RATE, RATE])[1] / 2
             share = of_rate - 3 * np.log(stated.rate_sigma)
-            swinging.append(replace(one, log_evidence=log + share + measure))
+            swinging.append(replace(fitted, log_evidence=log + share + measure))
     return swinging
 
 
@@ -89,8 +89,8 @@ def _of_known(model: Model, motion: Track, known: Observations, s: LadderSetting
     kept = [motion.u[:, place] for term, place in places if term.unknowns()]
     u = np.concatenate([motion.u[:, model.of_body], *kept], axis=1)
     begin = Track(motion.attitude, motion.omega, u)
-    one = fit(replace(model, obs=known), begin, s.steps, s.tolerance)
-    return over_shares(one, s.beyond_fit)
+    fitted = fit(replace(model, obs=known), begin, s.steps, s.tolerance)
+    return over_shares(fitted, s.beyond_fit)
 
 
 @cache

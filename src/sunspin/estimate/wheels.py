@@ -10,7 +10,7 @@ exclude. If both signs fit alike the file is believed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +87,19 @@ class Reversed:
     sun_B: np.ndarray
 
 
+@dataclass(frozen=True)
+class ReversedSearches:
+    """Quick searches of a pass with reversed wheels, if the wheels do what `name` says.
+
+    `momenta` (n, 3) of the wheels at all samples of the file, by the numbers of those that are reversed; `evidence` yields the log
+    evidence of each, as :func:`sunspin.estimate.quick.quick_evidence` does.
+    """
+
+    name: str
+    momenta: dict[tuple[int, ...], np.ndarray]
+    evidence: Iterable[float]
+
+
 def decide_wheels(
     assessment: Assessment, stated: Model, passes: Sequence[Pass], fitter: PassFitter
 ) -> DecidedWheels:
@@ -146,9 +159,9 @@ def longest(passes: Sequence[Pass]) -> list[int]:
     return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
-def kept_samples(stated: Model, one: Pass) -> Model:
+def kept_samples(stated: Model, of_pass: Pass) -> Model:
     """Return the model of the samples of a pass that the search keeps; `stated`: that of the whole file."""
-    return replace(stated, obs=stated.obs.of_pass(one.samples).take(one.kept_in_pass))
+    return replace(stated, obs=stated.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
 
 
 def name_of_wheels(words: str) -> str:
@@ -206,11 +219,32 @@ def reversed_momenta(
     return momenta
 
 
+def expected(assessment: Assessment) -> str:
+    """Return the name of what the wheels probably do: a file with their friction, which lets them coast, probably says so."""
+    names = list(wheel_models(assessment.vehicle, assessment.telemetry))
+    return names[:2][-1]
+
+
+def search_reversed(
+    assessment: Assessment, name: str, stated: Model, longest_pass: Pass, fitter: PassFitter
+) -> ReversedSearches:
+    """Return the quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
+
+    `name`: what the wheels do; `stated`: the nominal model of the whole file.
+    """
+    vehicle = assessment.vehicle
+    each = momentum_of_each(vehicle, assessment.telemetry, name)
+    momenta = reversed_momenta(vehicle, each, stated.body.inertia, stated.obs.t_s)
+    models = [
+        kept_samples(stated.with_momentum(momentum), longest_pass) for momentum in momenta.values()
+    ]
+    return ReversedSearches(name, momenta, fitter.quick_evidence(models))
+
+
 def doubted_signs(
-    assessment: Assessment,
     obs: Observations,
-    name: str,
     compared: Sequence[FittedPass],
+    searches: ReversedSearches,
     fitter: PassFitter,
 ) -> Reversed | None:
     """Return the wheels whose sign the data doubt; None if they do not, or cannot.
@@ -218,22 +252,19 @@ def doubted_signs(
     Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`, and if one of
     the passes then has another motion. Most are refused sooner: by a quick search, or as soon as the passes are worse together.
 
-    `obs`: all samples of the file; `name`: what the wheels do; `compared`: the longest passes, under the file as it is written.
+    `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `searches`: of the first of
+    them, for what the wheels do.
     """
-    vehicle, settings = assessment.vehicle, fitter.settings
-    each = momentum_of_each(vehicle, assessment.telemetry, name)
-    momenta = reversed_momenta(vehicle, each, compared[0].model.body.inertia, obs.t_s)
-    if not momenta:
+    if not searches.momenta:
         return None
-    first = compared[0]
+    settings, first = fitter.settings, compared[0]
     known = leading(first.fits.fits, MOTIONS, settings.search)
     quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
-    for which, momentum in momenta.items():
-        models = [one.model.with_momentum(momentum[one.samples.kept]) for one in compared]
-        quick = quick_evidence(models[0], settings, replace(fitter.budget))
+    for (which, momentum), quick in zip(searches.momenta.items(), searches.evidence, strict=True):
         if quick < quick_as_written - FAR:
             continue
+        models = [one.model.with_momentum(momentum[one.samples.kept]) for one in compared]
         gain, has_another_motion, new_fits = 0.0, False, []
         for model, as_written in zip(models, compared, strict=True):
             (fitted,) = fitter.fits_if_any([model])
@@ -256,9 +287,9 @@ def doubted_signs(
     return max(doubted, key=lambda one: one.gain, default=None)
 
 
-def log_evidence(one: PassFits) -> float:
+def log_evidence(fits: PassFits) -> float:
     """Return the log evidence of a pass, all rungs, models and motions summed."""
-    return float(np.logaddexp.reduce(one.log_evidence_of_rungs() + one.log_rung))
+    return float(np.logaddexp.reduce(fits.log_evidence_of_rungs() + fits.log_rung))
 
 
 def _is_another(first: PassFits, second: PassFits) -> bool:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -20,7 +20,7 @@ from sunspin.base.cells import plain_cell
 from sunspin.base.errors import InputError, OutputError
 from sunspin.base.provenance import with_units
 from sunspin.base.untrusted import is_file_not_link, read_bytes
-from sunspin.output.kind import Drawing, Table
+from sunspin.output.kind import Drawing, Picture, Table
 from sunspin.vehicle.file import read_vehicle_text
 
 MARKER = ".sunspin-results"
@@ -192,7 +192,7 @@ class Contents:
     """
 
     data: dict[str, Any] = field(default_factory=dict)
-    figures: list[Drawing] = field(default_factory=list)
+    figures: Sequence[Drawing | Picture] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
     vehicle: Any = None
     telemetry: Any = None
@@ -200,7 +200,29 @@ class Contents:
 
 
 def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
-    """Write data, tables, vehicle file, samples, `summary.json` and the manifest that lists all files with their hashes.
+    """Write all but the figures, as :func:`write_data` and :func:`write_manifest` do."""
+    write_data(folder, contents)
+    write_manifest(folder, summary, contents)
+
+
+def _datasets(contents: Contents) -> dict[str, Any]:
+    """Return the NetCDF files of a folder by name, the samples among them."""
+    samples = {} if contents.telemetry is None else {"telemetry": contents.telemetry}
+    return contents.data | samples
+
+
+def write_data(folder: Path, contents: Contents) -> None:
+    """Write data, samples, tables and vehicle file."""
+    for name, dataset in _datasets(contents).items():
+        write_netcdf(folder / f"{name}.nc", dataset)
+    for table in contents.tables:
+        write_whole(folder / f"{table.name}.csv", table_text(table, contents.synthetic))
+    if contents.vehicle is not None:
+        write_whole(folder / "vehicle.toml", read_vehicle_text(contents.vehicle))
+
+
+def write_manifest(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
+    """Write `summary.json` and the manifest that lists all files with their hashes.
 
     Figures and all other files of the folder must have been written before, so that the manifest has their hashes.
 
@@ -209,15 +231,8 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     summary : dict
         The summary of the command, with "command", the command line of the run, and "sentences", the summary in words.
     """
-    data = contents.data | ({} if contents.telemetry is None else {"telemetry": contents.telemetry})
-    for name, dataset in data.items():
-        write_netcdf(folder / f"{name}.nc", dataset)
-    for table in contents.tables:
-        write_whole(folder / f"{table.name}.csv", table_text(table, contents.synthetic))
-    if contents.vehicle is not None:
-        write_whole(folder / "vehicle.toml", read_vehicle_text(contents.vehicle))
     manifest = {
-        "data": [f"{name}.nc" for name in data],
+        "data": [f"{name}.nc" for name in _datasets(contents)],
         "figures": [
             {"file": _page_file(folder, figure.name), "alt": figure.alt, "caption": figure.caption}
             for figure in contents.figures

@@ -51,6 +51,15 @@ class Drawing(NamedTuple):
     caption: str
 
 
+class Picture(NamedTuple):
+    """A figure that was drawn: `files` holds the content of each of its files by suffix; the rest is that of its `Drawing`."""
+
+    name: str
+    alt: str
+    caption: str
+    files: Mapping[str, bytes]
+
+
 class Table(NamedTuple):
     """A table to write as CSV.
 

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
+from itertools import islice, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +17,11 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.extras import missing_packages, require_extra
 from sunspin.base.provenance import clock_notes
+from sunspin.compute.pool import process_pool
 
 if TYPE_CHECKING:
-    from sunspin.output.kind import Kind, Summary
+    from sunspin.compute.helper import Helper
+    from sunspin.output.kind import Context, Drawing, Kind, Picture, Summary
 
 
 @xr.register_dataset_accessor("sunspin")
@@ -124,6 +128,7 @@ class Result:
         command: str = "",
         also: Mapping[str, Any] | None = None,
         lines: Sequence[str] = (),
+        helper: Helper | None = None,
     ) -> Path:
         """Write a results folder: NetCDF, tables, figures as PNG and SVG, `summary.json`; `sunspin report` makes a page of it.
 
@@ -143,6 +148,8 @@ class Result:
             Further entries of `summary.json`.
         lines : list of str, optional
             Further sentences of the summary.
+        helper : Helper, optional
+            A process that draws the figures while this one writes the data; by default this one draws.
 
         Returns
         -------
@@ -154,33 +161,31 @@ class Result:
         OutputError
             The folder holds other files, or cannot be written.
         """
-        from sunspin.output.figures import save_figure
-        from sunspin.output.folder import Contents, results_folder, write_contents
-        from sunspin.output.kind import Context, synthetic_words
+        from sunspin.output.figures import write_files
+        from sunspin.output.folder import Contents, results_folder, write_data, write_manifest
+        from sunspin.output.kind import Context
         from sunspin.output.verdicts import PAGE, find_labels
 
         kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
+        if helper is not None:
+            helper.start(draw, data, context, helper.workers)
         if isinstance(data, xr.DataArray):
             # attributes of a DataArray would be those of its variable, but `kind` must be one of the file
             attrs = {key: value for key, value in data.attrs.items() if key != "units"}
             data = data.to_dataset().assign_attrs(attrs)
-        synthetic = bool(data.attrs.get("synthetic"))
         main = {kind.main: data} if kind.main else {}
-        drawings = [] if missing_packages("pictures") else kind.drawings(self._data, context)
         contents = Contents(
             data=main | dict(kind.datasets(data, context)),
-            figures=[
-                drawing._replace(caption=drawing.caption + synthetic_words(synthetic))
-                for drawing in drawings
-            ],
             tables=list(kind.tables(self._data)),
             vehicle=vehicle,
             telemetry=telemetry,
-            synthetic=synthetic,
+            synthetic=bool(data.attrs.get("synthetic")),
         )
-        for drawing in contents.figures:
-            save_figure(drawing.make(), path, drawing.name)
+        write_data(path, contents)
+        pictures = draw(self._data, context) if helper is None else helper.result()
+        for picture in pictures:
+            write_files(picture.files, path, picture.name)
         inputs = []
         if telemetry is not None and "sha256" in telemetry.attrs:
             file, digest = (str(telemetry.attrs[key]) for key in ("file", "sha256"))
@@ -194,5 +199,32 @@ class Result:
         entries |= {"sentences": sentences, "command": command, "inputs": inputs}
         if labels := find_labels(kind.command, [*summary.lines, *sentences]):
             entries["explained"] = [f"{PAGE}#{label}" for label in labels]
-        write_contents(path, entries, contents)
+        write_manifest(path, entries, replace(contents, figures=pictures))
         return path
+
+
+def draw(data: Any, context: Context, workers: int = 1) -> list[Picture]:
+    """Return all figures of a result, drawn side by side; none without the packages of ``sunspin[pictures]``."""
+    if missing_packages("pictures"):
+        return []
+    drawings = list(data.sunspin._kind.drawings(data, context))
+    with process_pool(min(workers, len(drawings))) as pool:
+        if pool is None:
+            return [_drawn(drawing, data) for drawing in drawings]
+        numbers = range(len(drawings))
+        return list(pool.map(_draw_one, repeat(data), repeat(context), numbers))
+
+
+def _draw_one(data: Any, context: Context, number: int) -> Picture:
+    """Return the figure of this number; a `Drawing` itself cannot be sent to another process."""
+    drawings = data.sunspin._kind.drawings(data, context)
+    return _drawn(next(islice(drawings, number, None)), data)
+
+
+def _drawn(drawing: Drawing, data: Any) -> Picture:
+    """Return a figure of a result, drawn."""
+    from sunspin.output.figures import render
+    from sunspin.output.kind import Picture, synthetic_words
+
+    remark = synthetic_words(bool(data.attrs.get("synthetic")))
+    return Picture(drawing.name, drawing.alt, drawing.caption + remark, render(drawing.make()))

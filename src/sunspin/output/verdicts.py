@@ -39,7 +39,7 @@ ANCHORS = {
     "give-its-inertia": ("GIVE ITS INERTIA",),
     "messages-of-check": (
         *("WRONG UNIT", "WRONG AXES", "WEAK PANEL", "NOISE NOT STATED", "no signal in any sample"),
-        "GAINS NOT KNOWN",
+        *("GAINS NOT KNOWN", "the samples would look the same with"),
         *("impossible illumination patterns", "HELD VALUES", "FROZEN from", "held values?"),
     ),
     "orbit": (

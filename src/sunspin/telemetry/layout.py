@@ -106,7 +106,7 @@ def join_packets(
     """Return a table in which rows within `span_s` of the first are one sample, and the rows (m) that begin a sample.
 
     `time` (n): increasing times of the rows, s. A row that has a reading which the sample already has begins the next sample. The
-    time of a sample is that of its first row. The sentence says how much later the columns are read, for `offset_s`.
+    time of a sample is that of its first row. A sentence says how much later columns are read.
     """
     cells = table.cells.to_numpy(copy=True)
     filled = np.array([[bool(cell.strip()) for cell in row] for row in cells])
@@ -134,7 +134,12 @@ def join_packets(
         if is_reading[k] and np.isfinite(late[rows, k]).any()
     }
     notes = [f"{len(cells)} rows are {len(rows)} samples, each of rows within {span_s:g} s"]
-    later = [f"{name} {delay:.3g} s" for name, delay in delays.items() if delay > 0]
+    later: dict[str, list[str]] = {}  # delay in words -> columns
+    for name, delay in delays.items():
+        if delay > 0:
+            later.setdefault(f"{delay:.3g}", []).append(name)
     if later:
-        notes.append(f"columns read later than the sample's time: {', '.join(later)} (offset_s)")
+        by_delay = "; ".join(f"{', '.join(names)} by {delay} s" for delay, names in later.items())
+        keys = "offset_s of a panel, or -sensors_late_s under [clock] for the other sensors"
+        notes.append(f"columns read later than the sample's time: {by_delay} ({keys})")
     return Samples(table._replace(cells=joined), tuple(notes)), rows

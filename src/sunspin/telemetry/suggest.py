@@ -121,12 +121,24 @@ class SensorColumns(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Columns of one kind: the column of each face, the quantity, the size of the file's unit, and how both are known."""
+    """Columns of one kind: the column of each face, the quantity, the size of the file's unit, and how both are known.
+
+    `template`: the name of the columns as :func:`_words` writes it, with # for the face; `unit`: that in the names.
+    """
 
     columns: dict[str, str]
     quantity: str
     scale: float
     reason: str
+    template: str
+    unit: str
+
+    def like_named(self, column: str) -> bool:
+        """Return whether a column is named as those of the group, but with another word for the face."""
+        name, unit = _split_unit(column)
+        before, after = map(re.escape, self.template.split("#"))
+        has_word = re.fullmatch(rf"{before}\w+{after}", _words(name)) is not None
+        return has_word and unit == self.unit and bool(before.strip() or after.strip())
 
 
 def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Suggestion | None:
@@ -159,6 +171,11 @@ def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Sugge
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
+    if like := [name for name in others if group.like_named(name) and _is_numeric(table, name)]:
+        names = ", ".join(map(toml_string, like))
+        lines.append(
+            f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
+        )
     largest = {
         face: group.scale * float(np.nanmax(table.numbers([column]), initial=-np.inf))
         for face, column in group.columns.items()
@@ -208,10 +225,10 @@ def toml_string(name: str) -> str:
 def _split_unit(name: str) -> tuple[str, str]:
     """Return the name of a column without its unit, and the unit in small letters, empty if there is none.
 
-    The unit is in brackets, or the last word after a blank or underscore.
+    The unit is in brackets, or the last word after a blank, underscore or dot. As a word, A and W are written in capital letters.
     """
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name) or re.fullmatch(
-        r"(.*)[_ ](mA|uA|A|mW|W|deg|rad)", name
+        r"(.*)[_ .](mA|ma|uA|ua|A|mW|mw|W|deg|rad)", name
     )
     return (match[1], match[2].strip().lower()) if match else (name, "")
 
@@ -290,7 +307,7 @@ def _best_group(table: Table) -> _Group | None:
         if quantity and len(columns) > 1 and any(face[0] == "+" for face in columns):
             # of groups with the same faces the one with a stated unit, then currents
             rank = (len(columns), bool(unit), quantity == "current_A")
-            judged.append((rank, _Group(columns, quantity, scale, reason)))
+            judged.append((rank, _Group(columns, quantity, scale, reason, template, unit)))
     return max(judged, key=lambda pair: pair[0])[1] if judged else None
 
 

@@ -27,7 +27,7 @@ from sunspin.estimate.lander.fit import (
 )
 from sunspin.estimate.lander.grid import Reference, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
-from sunspin.estimate.lander.motions import ShotFit, Shots, Trials
+from sunspin.estimate.lander.motions import ShotFit, Shots, TrialMotions
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
@@ -98,7 +98,7 @@ class Shooting:
 
     # ---- the search --------------------------------------------------------------------------------------------------------
 
-    def fit(self, motions: Trials, window: slice) -> Trials:
+    def fit(self, motions: TrialMotions, window: slice) -> TrialMotions:
         """Return motions fitted to the samples of a window, those that fit by far too badly only to half.
 
         If body and wheel are free, the others are fitted again without copies and with new derivatives: a further sample moves a
@@ -119,23 +119,23 @@ class Shooting:
         self._last_fitted = len(motions)
         return fitted
 
-    def note_window(self, window: slice, kept: Trials) -> None:
+    def note_window(self, window: slice, kept: TrialMotions) -> None:
         """Add a window to the trace: how many motions were fitted to it, and are kept."""
         self.trace.append(Stage(window.stop - window.start, self._last_fitted, len(kept)))
 
     def _fitted(
         self,
         problem: FitProblem,
-        motions: Trials,
+        motions: TrialMotions,
         fit: Callable[..., tuple[Shots, np.ndarray]],
         levels: Sequence[tuple[float, int]],
-    ) -> Trials:
+    ) -> TrialMotions:
         """Return motions fitted by a function of a problem, motions and levels."""
         self.fitted += len(motions) * len(problem.model.obs)
-        one = partial(fit, problem, levels=levels)
-        shots, curvature = in_pieces(one, motions.shots, problem.rows_at_once, self.workers)
+        fit_part = partial(fit, problem, levels=levels)
+        shots, curvature = in_pieces(fit_part, motions.shots, problem.rows_at_once, self.workers)
         neighbours_s = motions.neighbours_s if len(motions.neighbours_s) else np.zeros(len(shots))
-        return Trials(shots, motions.starts, curvature, neighbours_s)
+        return TrialMotions(shots, motions.starts, curvature, neighbours_s)
 
     def _problem(self, window: slice) -> tuple[FitProblem, bool]:
         """Return the fit to a window, and whether body and wheel are held at their centres.
@@ -152,7 +152,7 @@ class Shooting:
         free[: len(model.of_motion)] = not held
         return FitProblem(model, free, sizes=self.sizes), held
 
-    def kept(self, motions: Trials, window: slice) -> Trials:
+    def kept(self, motions: TrialMotions, window: slice) -> TrialMotions:
         """Return motions without copies and without those that the readings rule out, best first."""
         s = self.s
         # within what noise may do, and not far less probable than the best; if none is, the best some
@@ -174,7 +174,7 @@ class Shooting:
             return motions
         return self._at_most(one_each_ridge(motions, s), s.most, size)
 
-    def _at_most(self, motions: Trials, most: int, where: str) -> Trials:
+    def _at_most(self, motions: TrialMotions, most: int, where: str) -> TrialMotions:
         """Return at most so many motions (best first), evenly by how well they fit: all of a line fits well, and its ends count."""
         if len(motions) <= most:
             return motions
@@ -182,7 +182,7 @@ class Shooting:
         even = np.linspace(0, len(motions) - 1, most).round().astype(int)
         return motions.take(np.unique(even))
 
-    def widened(self, motions: Trials, window: slice, wider: slice) -> Trials:
+    def widened(self, motions: TrialMotions, window: slice, wider: slice) -> TrialMotions:
         """Return motions for a wider window: with neighbours of families, without those that the next samples rule out.
 
         A look at the next sample takes one run, where a fit takes forty.
@@ -259,9 +259,9 @@ class Shooting:
                 smaller,
             )
 
-    def joined(self, motions: list[Trials]) -> Trials:
+    def joined(self, motions: list[TrialMotions]) -> TrialMotions:
         """Return the motions of several searches."""
-        return Trials.joined(motions)
+        return TrialMotions.joined(motions)
 
     def cost_limit(self, window: slice) -> float:
         """Return the cost that a true motion does not exceed in a window.
@@ -280,7 +280,7 @@ class Shooting:
 
     # ---- all samples -------------------------------------------------------------------------------------------------------
 
-    def fit_all_samples(self, motions: Trials) -> ShotFit:
+    def fit_all_samples(self, motions: TrialMotions) -> ShotFit:
         """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
 
         Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,

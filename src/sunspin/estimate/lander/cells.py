@@ -105,7 +105,7 @@ class Limits(NamedTuple):
     cap: float
     settled: float
     steps: int
-    faster: float
+    gain_left: float
 
 
 class Cells(NamedTuple):
@@ -416,15 +416,13 @@ def equations(corners, x, step, frame, panels, limits, work):
 def settle(corners, x, step, frame, panels, limits, work):
     """Move place x and `step` of a start to the nearest solution by Gauss-Newton, and return its misfit.
 
-    It ends early if the steps that are left, each gaining `faster` times what the last one has, would leave the misfit too large.
+    It ends early if `gain_left` times what the last step has gained would leave the misfit too large.
     """
     misfit = np.inf
-    for left in range(limits.steps, -1, -1):
+    for taken in range(limits.steps + 1):
         before, misfit = misfit, equations(corners, x, step, frame, panels, limits, work)
         gained = max(before - misfit, 0.0)
-        if left == 0 or (
-            left < limits.steps - 1 and misfit - left * limits.faster * gained > limits.settled
-        ):
+        if taken == limits.steps or misfit - limits.gain_left * gained > limits.settled:
             break
         move = work.move
         solve(work.normal, work.gradient, move)

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, ShotFit, Shots, Trials
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, ShotFit, Shots, TrialMotions
 from sunspin.estimate.settings import ShootingSettings
 from sunspin.solve.rotations import move_on_sphere
 
@@ -23,7 +23,7 @@ def boxes(shots: Shots, reach_s: float, s: ShootingSettings) -> np.ndarray:
     ).astype(np.int64)
 
 
-def one_each_box(trials: Trials, reach_s: float, s: ShootingSettings) -> Trials:
+def one_each_box(trials: TrialMotions, reach_s: float, s: ShootingSettings) -> TrialMotions:
     """Return the best motion of each box, best first, with all its starts."""
     order = np.argsort(trials.cost, kind="stable")
     box = boxes(trials.shots.take(order), reach_s, s)
@@ -31,10 +31,10 @@ def one_each_box(trials: Trials, reach_s: float, s: ShootingSettings) -> Trials:
     starts = np.bincount(inverse.ravel(), weights=trials.starts[order]).astype(np.int64)
     rank = np.argsort(first, kind="stable")
     kept = trials.take(order[first[rank]])
-    return Trials(kept.shots, starts[rank], kept.curvature, kept.neighbours_s)
+    return TrialMotions(kept.shots, starts[rank], kept.curvature, kept.neighbours_s)
 
 
-def one_each_ridge(trials: Trials, s: ShootingSettings) -> Trials:
+def one_each_ridge(trials: TrialMotions, s: ShootingSettings) -> TrialMotions:
     """Return motions (best first) without those on the ridge of a better one, whose starts count for it.
 
     Uncertain inertia, friction and wheel make a ridge of each motion, which boxes of rate and direction cut into many.
@@ -58,7 +58,7 @@ def one_each_ridge(trials: Trials, s: ShootingSettings) -> Trials:
         near[near] = copies
         left = left[~near]
     joined = trials.take(np.array(kept, dtype=int))
-    return Trials(joined.shots, np.array(starts), joined.curvature, joined.neighbours_s)
+    return TrialMotions(joined.shots, np.array(starts), joined.curvature, joined.neighbours_s)
 
 
 def distinct_fits(fit: ShotFit, s: ShootingSettings) -> ShotFit:
@@ -98,7 +98,9 @@ def _reach(curvature: np.ndarray, chi2: float) -> np.ndarray:
     return np.where(values[:, :1] > 1e-12, np.sqrt(1.01 * chi2 * across) / size[:, RATE], np.inf)
 
 
-def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: ShootingSettings) -> Trials:
+def with_neighbours(
+    trials: TrialMotions, reach_s: float, max_rate: float, s: ShootingSettings
+) -> TrialMotions:
     """Return motions, and after them neighbours of those that are one of a family at a time `reach_s` from the reference.
 
     A family is uncertain in some combination of rate and direction by more than `family_rad` then. Its neighbours differ along the
@@ -133,4 +135,4 @@ def with_neighbours(trials: Trials, reach_s: float, max_rate: float, s: Shooting
     kept = np.union1d(first, np.arange(len(trials)))
     own = kept < len(trials)
     starts = np.where(own, trials.starts[parent[kept]], 1)
-    return Trials(every.take(kept), starts, neighbours_s=placed_s[parent[kept]])
+    return TrialMotions(every.take(kept), starts, neighbours_s=placed_s[parent[kept]])

@@ -30,14 +30,14 @@ from sunspin.estimate.lander.cells import (
     search_cells,
 )
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots, Trials
+from sunspin.estimate.lander.motions import Shots, TrialMotions
 from sunspin.estimate.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
-CELLS_AT_ONCE = 20_000
-"""Cells that one thread looks through together."""
+CELLS_AT_ONCE, RUNS_AT_ONCE = 20_000, 4096
+"""Cells that one thread looks through together, and starts that it follows back to the first sample."""
 
 MIDDLES = 0.25 + 0.5 * CORNERS
 """Middles (8, 3) of the eighths of a cell, in parts of its edge."""
@@ -230,7 +230,7 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 
 def grid_starts(
     model: LanderModel, reference: Reference, s: GridSettings, workers: int = 1
-) -> Iterator[tuple[slice, Trials]]:
+) -> Iterator[tuple[slice, TrialMotions]]:
     """Yield the window about the reference, with motions near each one that its readings allow, best first.
 
     `model` counts time from `reference`. Torques hardly move a body in three samples, and inertia, friction and wheel are those of
@@ -253,8 +253,11 @@ def grid_starts(
     rank = np.argsort(first)
     best = order[first[rank]]
     shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
-    slow = bare.first_speed(shots, TRIAL_ERROR) <= reference.fastest
-    starts = Trials(shots.take(slow), count[rank][slow])
+    pieces = [shots.take(slice(k, k + RUNS_AT_ONCE)) for k in range(0, len(shots), RUNS_AT_ONCE)]
+    with ThreadPoolExecutor(workers) as pool:
+        speeds = list(pool.map(lambda some: bare.first_speed(some, TRIAL_ERROR), pieces))
+    slow = np.concatenate([np.zeros(0), *speeds]) <= reference.fastest
+    starts = TrialMotions(shots.take(slow), count[rank][slow])
     yield reference.window, starts if len(starts) else _anything(model, reference)
 
 
@@ -273,12 +276,28 @@ def settled_starts(
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
     table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
-    limits = Limits(s.nodes, s.limit, s.blur_rad, s.cap, s.settled, s.steps, s.faster)
+    limits = Limits(
+        nodes=s.nodes,
+        limit=s.limit,
+        blur=s.blur_rad,
+        cap=s.cap,
+        settled=s.settled,
+        steps=s.steps,
+        gain_left=s.gain_left,
+    )
     suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
 
     def starts_in(lowest: np.ndarray) -> np.ndarray:
         """Return the starts of some cells, given by their lowest corners."""
-        cells = Cells(lowest, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
+        cells = Cells(
+            lowest=lowest,
+            away=grid.away,
+            row_of=grid.row_of,
+            turn=grid.turn,
+            suns=suns,
+            middles=MIDDLES,
+            points=POINTS,
+        )
         return search_cells(cells, tables, table, limits)
 
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))
@@ -294,10 +313,10 @@ def settled_starts(
     return omega, sun, starts[:, OF_MISFIT]
 
 
-def _anything(model: LanderModel, reference: Reference) -> Trials:
+def _anything(model: LanderModel, reference: Reference) -> TrialMotions:
     """Return starts if there is no hope: rest, and rotations about the axes."""
     axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
     sun = np.tile(reference.suns[0], (len(omega), 1))
     shots = Shots(omega, sun, np.zeros((len(omega), len(model.unknowns))))
-    return Trials(shots, np.ones(len(omega), dtype=np.int64))
+    return TrialMotions(shots, np.ones(len(omega), dtype=np.int64))

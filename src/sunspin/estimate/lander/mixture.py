@@ -140,9 +140,9 @@ class Mixture:
         p, noise_sigmas, outliers = 0.0, 0.0, np.zeros(self.nominal.panels.used.shape)
         for model, places, shots in self.by_model(picked):
             part, target = len(places) / len(picked), LanderTarget(model)
-            one = predictive_check(target, shots, rng, s)
-            p += part * one.p
-            noise_sigmas += part * one.noise_sigmas
+            check = predictive_check(target, shots, rng, s)
+            p += part * check.p
+            noise_sigmas += part * check.noise_sigmas
             outliers += part * target.outlier_probability(shots.take(slice(0, s.checked)))
         return Checked(p, noise_sigmas), outliers
 

@@ -85,7 +85,7 @@ class Shots:
 
 
 @dataclass(frozen=True)
-class Trials:
+class TrialMotions:
     """Motions on their way through a search, and what it keeps of each.
 
     `starts` (K): how many starts came together in it; `curvature` (K, D, D): curvature of its cost after a fit, else (0, 0, 0);
@@ -106,19 +106,19 @@ class Trials:
         """Return the cost (K) of each motion."""
         return self.shots.cost
 
-    def take(self, which: Any) -> Trials:
+    def take(self, which: Any) -> TrialMotions:
         """Return some of the motions."""
         rest = (x[which] if len(x) else x for x in (self.curvature, self.neighbours_s))
-        return Trials(self.shots.take(which), self.starts[which], *rest)
+        return TrialMotions(self.shots.take(which), self.starts[which], *rest)
 
     @staticmethod
-    def joined(parts: Sequence[Trials]) -> Trials:
+    def joined(parts: Sequence[TrialMotions]) -> TrialMotions:
         """Return the motions of several searches."""
         arrays = (
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("starts", "curvature", "neighbours_s")
         )
-        return Trials(Shots.joined([part.shots for part in parts]), *arrays)
+        return TrialMotions(Shots.joined([part.shots for part in parts]), *arrays)
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaln, logsumexp
 
 from sunspin.estimate.settings import SamplingSettings
 from sunspin.solve.weights import effective_draws
+
+LEAST_PART = 1e-4
+"""Share of the draws' weight that a component of a law must have proposed to be kept."""
 
 
 def monomials(y: np.ndarray, curved: np.ndarray) -> np.ndarray:
@@ -118,6 +121,38 @@ class OuterLaw(NamedTuple):
         ]
         with np.errstate(divide="ignore"):
             return np.stack(parts, axis=1) + np.log(self.weight / self.weight.sum())
+
+    def moved_to(
+        self, y: np.ndarray, weight: np.ndarray, s: SamplingSettings
+    ) -> tuple[OuterLaw, np.ndarray]:
+        """Return the law with its components moved to weighted draws y (N, d), and each component's part of each draw (N, C).
+
+        A draw is divided among the components in proportion to the densities with which they propose it, times its `weight` (N). A
+        component takes mean and covariance of its parts (a step of expectation and maximisation); one without any is left out.
+        """
+        log_densities = self.log_densities(y, s.freedom)
+        part = np.exp(log_densities - logsumexp(log_densities, axis=1, keepdims=True))
+        part = part * weight[:, None]
+        used = np.flatnonzero(part.sum(axis=0) > LEAST_PART)
+        part, mean, covariance = part[:, used], self.mean[used], self.covariance[used]
+        # means and covariances are of straight points: from those of the former bend to those of the new one
+        bend = Bend.of(y, weight, s)
+        if self.bend is not None:
+            mean = self.bend.bent(mean)
+        if bend is not None:
+            mean, y = bend.straight(mean), bend.straight(y)
+        for i, of_component in enumerate(part.T):
+            own = of_component / of_component.sum()
+            # fewer than four effective draws for each coordinate move a component less
+            learnt = min(1.0, effective_draws(own) / (4.0 * mean.shape[1]))
+            mean[i] = learnt * (own @ y) + (1 - learnt) * mean[i]
+            off = y - mean[i]
+            covariance[i] = learnt * ((own[:, None] * off).T @ off) + (1 - learnt) * covariance[i]
+        least = np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
+        law = OuterLaw(
+            part.sum(axis=0), mean, covariance + 1e-9 * least, np.full(len(used), -1), bend
+        )
+        return law, part
 
     @staticmethod
     def joined(parts: Sequence[tuple[float, OuterLaw]]) -> OuterLaw:

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
-from sunspin.estimate.lander.outer_law import Bend, OuterLaw, student_log_density
+from sunspin.estimate.lander.outer_law import OuterLaw, student_log_density
 from sunspin.estimate.lander.ridges import (
     Ridge,
     complete_motions,
@@ -112,18 +112,25 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     total = float(logsumexp(log_weight))
     if not np.isfinite(total):
         none = np.zeros(len(own), dtype=np.int64)
-        return Draws(shots, log_weight, none, none, 0.0, np.inf, -np.inf), [
-            np.full(ridge.drawn, -np.inf) for ridge in ridges
-        ]
+        without_weight = Draws(
+            shots=shots,
+            log_weight=log_weight,
+            of_model=none,
+            region=none,
+            effective=0.0,
+            tail=np.inf,
+            evidence=-np.inf,
+        )
+        return without_weight, [np.full(ridge.drawn, -np.inf) for ridge in ridges]
     share = log_weight - total
     draws = Draws(
-        shots,
-        log_weight,
-        np.zeros(len(own), dtype=np.int64),
-        regions(np.exp(share), np.exp(log_part), s),
-        effective_draws(np.exp(share)),
-        pareto_tail(log_weight),
-        total - float(np.log(len(own))),
+        shots=shots,
+        log_weight=log_weight,
+        of_model=np.zeros(len(own), dtype=np.int64),
+        region=regions(np.exp(share), np.exp(log_part), s),
+        effective=effective_draws(np.exp(share)),
+        tail=pareto_tail(log_weight),
+        evidence=total - float(np.log(len(own))),
     )
     ends = np.cumsum([0, *(ridge.drawn for ridge in ridges)])
     return draws, [share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
@@ -146,56 +153,33 @@ def regions(weight: np.ndarray, part: np.ndarray, s: SamplingSettings) -> np.nda
 def learn(
     ridge: Ridge, log_share: np.ndarray, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Fit the curve of a ridge to all points, and its outer law to the draws, whose shares of the posterior are `log_share` (N).
+    """Learn from all draws of a ridge how to propose the next ones (population Monte Carlo: Cappe et al. 2008).
 
-    Population Monte Carlo (Cappe et al. 2008): each draw is shared out among the components that may have proposed it, which take
-    its moments. If the draws are still poor, further components are placed at some of them. A part of the draws stays with the
-    first law. Means and covariances are those of straight points if some directions of the draws are thin (:class:`Bend`).
+    `log_share` (N): log of the share of the posterior of each draw. Learnt are the curve z*(y), the scatter about it, and the outer
+    law. A part of the next draws comes from the first law, so that what was never proposed may still be found. If the draws are
+    poor, another part comes from components at some of them.
     """
     proposals = ridge.proposals
     if proposals is None or not np.isfinite(logsumexp(log_share)):
         return
     fit_ridge_curve(ridge, s)
-    # no draw counts for more than one over the root of their number
+    # one draw may outweigh all others by chance: none counts for more than one over the root of their number
     log_weight = log_share - logsumexp(log_share)
     weight = np.exp(np.minimum(log_weight, -np.log(len(log_weight)) / 2))
     weight /= weight.sum()
     off = proposals.z - ridge.best(proposals.y)
     scatter = (weight[:, None] * off).T @ off
     ridge.scatter = scatter + 1e-6 * np.trace(scatter) * np.eye(len(scatter))
-
-    # the components that are used, moved and shaped by their part of the draws, (N, C)
-    before, bend = ridge.learnt, Bend.of(proposals.y, weight, s)
-    parts = before.log_densities(proposals.y, s.freedom)
-    part = np.exp(parts - logsumexp(parts, axis=1, keepdims=True)) * weight[:, None]
-    used = np.flatnonzero(part.sum(axis=0) > 1e-4)
-    mean, covariance, y = before.mean[used], before.covariance[used], proposals.y
-    if before.bend is not None:
-        mean = before.bend.bent(mean)
-    if bend is not None:
-        mean, y = bend.straight(mean), bend.straight(y)
-    for i, one in enumerate(used):
-        own = part[:, one] / part[:, one].sum()
-        # fewer than four draws for each coordinate move it less
-        learnt = min(1.0, effective_draws(own) / (4.0 * mean.shape[1]))
-        mean[i] = learnt * (own @ y) + (1 - learnt) * mean[i]
-        spread = (own[:, None] * (y - mean[i])).T @ (y - mean[i])
-        covariance[i] = learnt * spread + (1 - learnt) * covariance[i]
-    least = np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
-    covariance = covariance + 1e-9 * least
-    ridge.learnt = OuterLaw(
-        part[:, used].sum(axis=0), mean, covariance, np.full(len(used), -1), bend
-    )
-
-    # what proposes next: the learnt law, components at draws by their weights if these are poor, and the first law, wider
-    wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
-    law = ridge.learnt
+    learnt, part = ridge.learnt.moved_to(proposals.y, weight, s)
+    ridge.learnt = law = learnt
     if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
-        pick = rng.choice(len(weight), s.local, p=weight)
-        owner = np.argmax(part[np.ix_(pick, used)], axis=1)
-        shrunk = s.local_size**2 * covariance[owner]
-        local = OuterLaw(np.full(s.local, 1 / s.local), y[pick], shrunk, pick, bend)
-        law = OuterLaw.joined([(1 - s.local_share, ridge.learnt), (s.local_share, local)])
+        # smaller copies of components at draws chosen by their weights: each of that which most likely proposed the draw
+        chosen = rng.choice(len(weight), s.local, p=weight)
+        shrunk = s.local_size**2 * learnt.covariance[np.argmax(part[chosen], axis=1)]
+        means = learnt.straight(proposals.y)[chosen]
+        local = OuterLaw(np.full(s.local, 1 / s.local), means, shrunk, chosen, learnt.bend)
+        law = OuterLaw.joined([(1 - s.local_share, learnt), (s.local_share, local)])
+    wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
     ridge.proposing = [(s.defence, wide), (1 - s.defence, law)]
 
 
@@ -297,15 +281,15 @@ def mixed(
     rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
     wide = [drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in kept]
     return Draws(
-        Shots.joined(wide),
-        log_weight + np.log(len(log_weight)),
-        np.repeat(kept, [len(drawn[m]) for m in kept]),
-        rank[label],
-        effective_draws(share),
-        pareto_tail(log_weight),
-        float(logsumexp(log_weight)),
-        float(sum(weight[m] * drawn[m].outside for m in kept)),
-        np.concatenate([one.rounds for one in drawn]),
+        shots=Shots.joined(wide),
+        log_weight=log_weight + np.log(len(log_weight)),
+        of_model=np.repeat(kept, [len(drawn[m]) for m in kept]),
+        region=rank[label],
+        effective=effective_draws(share),
+        tail=pareto_tail(log_weight),
+        evidence=float(logsumexp(log_weight)),
+        outside=float(sum(weight[m] * drawn[m].outside for m in kept)),
+        rounds=np.concatenate([one.rounds for one in drawn]),
     )
 
 
@@ -318,8 +302,8 @@ def _regions_of_models(
     for m in sorted(kept, key=lambda m: -weight[m]):
         draws, before = drawn[m], len(known)
         share = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-        place = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
-        for region in range(len(place)):
+        label = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
+        for region in range(len(label)):
             inside = draws.region == region
             of = share[inside]
             x = np.concatenate(
@@ -331,11 +315,11 @@ def _regions_of_models(
             counts = weight[m] * of.sum() > 10 * s.no_weight
             far = [_apart(mean, spread, *one, s) for one in known[:before]] if counts else []
             if far and min(far) < s.one_region:
-                place[region] = int(np.argmin(far))
+                label[region] = int(np.argmin(far))
             else:
-                place[region] = len(known)
+                label[region] = len(known)
                 known.append((mean, spread))
-        labels[m] = place[draws.region]
+        labels[m] = label[draws.region]
     return labels
 
 

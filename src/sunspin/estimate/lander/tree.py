@@ -99,7 +99,7 @@ def _draws(mix: Mixture, picked: np.ndarray, log_likelihood: np.ndarray) -> xr.D
     return xr.Dataset(variables, coords)
 
 
-class Solution(NamedTuple):
+class SolutionRow(NamedTuple):
     """One solution at the first sample; each field is a variable of the group `solutions`."""
 
     omega_B: np.ndarray
@@ -139,7 +139,7 @@ def _solutions(
         known = np.concatenate([log_likelihood[own], mix.log_likelihood(even[:BEST_OF])])
         best = tried[[int(np.argmax(known))]]
         rows.append(
-            Solution(
+            SolutionRow(
                 mean,
                 covariance,
                 sun / np.linalg.norm(sun),
@@ -151,11 +151,11 @@ def _solutions(
                 effective,
             )
         )
-    units = dict.fromkeys(Solution._fields, "1")
+    units = dict.fromkeys(SolutionRow._fields, "1")
     units |= {"omega_B": "rad s-1", "best_omega_B": "rad s-1", "omega_cov_B": "rad2 s-2"}
     axes = ("axis", "axis2")
     variables = {}
-    for name, values in zip(Solution._fields, zip(*rows, strict=True), strict=True):
+    for name, values in zip(SolutionRow._fields, zip(*rows, strict=True), strict=True):
         value = np.array(values)
         variables[name] = (("solution", *axes[: value.ndim - 1]), value, {"units": units[name]})
     return xr.Dataset(variables, {"solution": np.arange(count), "axis": ["x", "y", "z"]})

@@ -44,7 +44,7 @@ DARK_RUN = 3
 
 
 @dataclass(frozen=True)
-class Findings:
+class PosteriorFindings:
     """What the verdict is made of.
 
     Of each solution (r), by falling probability: `probability`, `rate` (r, 3), the longest sigma `length` and the root mean square
@@ -102,7 +102,7 @@ class Findings:
         return self.p < NOT_EXPLAINED or abs(self.noise_sigmas) > NOISE_LIMIT
 
 
-def posterior_words(findings: Findings) -> tuple[str, str]:
+def posterior_words(findings: PosteriorFindings) -> tuple[str, str]:
     """Return a word (unique, aliases, line, not explained, not sure) and the sentence."""
     if findings.refused and not findings.complete:
         doubts = "; ".join(findings.doubts)
@@ -118,7 +118,7 @@ def posterior_words(findings: Findings) -> tuple[str, str]:
     return word, text
 
 
-def _solutions_text(findings: Findings) -> str:
+def _solutions_text(findings: PosteriorFindings) -> str:
     """Return what the solutions say by themselves."""
     counted, rate = findings.counted, findings.rate
     best = f"{np.degrees(findings.speed[0]):.3g} deg/s"
@@ -143,7 +143,7 @@ def _solutions_text(findings: Findings) -> str:
     )
 
 
-def _not_explained(findings: Findings) -> str:
+def _not_explained(findings: PosteriorFindings) -> str:
     """Return that no solution fits, by how much, and what may be the cause."""
     text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p:.2g}"
     if abs(findings.noise_sigmas) > NOISE_LIMIT:
@@ -155,7 +155,7 @@ def _not_explained(findings: Findings) -> str:
     return f"{text}. Check the vehicle file, the time window, the wheels, and for shaded or failed panels"
 
 
-def _eclipse_text(findings: Findings) -> str:
+def _eclipse_text(findings: PosteriorFindings) -> str:
     """Return what to do if the samples without a lit panel, if any, are in the shadow of a planet, which no motion explains.
 
     Of 15 samples with six in the shadow, readings called outliers left a chance of 1 % of residuals as large: that is not refused.
@@ -197,7 +197,7 @@ def sigmas(solutions: xr.Dataset) -> np.ndarray:
 
 
 def pass_row(
-    findings: Findings, tree: xr.DataTree, prior_sigma: float, columns_checked: str
+    findings: PosteriorFindings, tree: xr.DataTree, prior_sigma: float, columns_checked: str
 ) -> PassRow:
     """Return the solutions at the first sample and the four answers, as the table of passes has them.
 
@@ -229,14 +229,14 @@ def pass_row(
     )
     first = about["t_first_s"]
     return PassRow(
-        about["samples"],
-        first,
-        about["t_last_s"],
-        first,
-        solutions["probability"].values,
-        rate,
-        sigmas(solutions),
-        quantiles,
-        answers,
-        columns_checked,
+        samples=about["samples"],
+        first_s=first,
+        last_s=about["t_last_s"],
+        at_s=first,
+        probability=solutions["probability"].values,
+        omega=rate,
+        sigma=sigmas(solutions),
+        speed=quantiles,
+        answers=answers,
+        columns_checked=columns_checked,
     )

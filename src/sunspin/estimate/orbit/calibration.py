@@ -413,18 +413,18 @@ def _described(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
     robust = (1 - 1 / len(off)) * off.T @ off + covariance @ law.precision @ covariance
     residuals = np.array([law.left(law.stated_unknown(unknown)), law.left(unknown)])
     return Calibration(
-        unknown,
-        covariance,
-        robust,
-        np.linalg.inv(law.precision),
-        law.unit_T,
-        unit,
-        len(law.vehicle.sensors.sun_sensors),
-        law.scatter[2] * law.unit_T,
-        law.scatter[0],
-        residuals[:, 0],
-        residuals[:, 1],
-        {
+        values=unknown,
+        model=covariance,
+        robust=robust,
+        prior=np.linalg.inv(law.precision),
+        unit_T=law.unit_T,
+        unit=unit,
+        sensors=len(law.vehicle.sensors.sun_sensors),
+        noise_T=law.scatter[2] * law.unit_T,
+        sun_noise=law.scatter[0],
+        strength=residuals[:, 0],
+        angle=residuals[:, 1],
+        samples={
             "field": int(r.has_field.sum()),
             "Sun": int(r.has_sun.sum()),
             "passes": len(np.unique(r.pass_of)),

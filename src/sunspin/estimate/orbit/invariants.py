@@ -306,41 +306,46 @@ class MagnetometerLaw:
         self.tied[MATRIX, MATRIX] = (np.eye(9) - np.outer(ISOTROPIC, ISOTROPIC)) / MATRIX_SIGMA**2
 
     def residuals(self, state: MagnetometerState) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return residuals (K, .) of strength and component, in units of their scatter, each with its Jacobian (K, ., 12).
-
-        With the matrix A, the field f = A reading - zero and its direction e, the residual of the strength is d = |f| - strength. A
-        change of the reading changes |f| by g = A^T e. So `of_readings` d / |g| is the distance of the reading, to first order,
-        from all readings of that strength.
-        """
+        """Return residuals (K, .) of strength and component, in units of their scatter, each with its Jacobian (K, ., 12)."""
         matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
         field = self.reading @ np.swapaxes(matrix, 1, 2) - state.unknown[:, None, ZERO]
-        length = np.maximum(np.linalg.norm(field, axis=2), 1e-9)
-        unit = field / length[..., None]
-        off = length - state.strength  # d
-        # slopes of d by the field, and by the reading: g
-        by_field, by_reading = (
-            unit,
-            unit @ matrix,
-        )
-        steepness = np.ones(length.shape)  # |g|
         if self.of_readings:
-            # The slope of d / |g| has that of |g| too. As e turns with f, |g| d|g| / df = (A g - |g|^2 e) / |f|; A follows below.
-            steepness = np.maximum(np.linalg.norm(by_reading, axis=2), 1e-9)
-            turning = by_reading @ np.swapaxes(matrix, 1, 2) - (steepness**2)[..., None] * unit
-            by_field = unit - (off / length / steepness**2)[..., None] * turning
-        size = (steepness * state.scatter[:, :1])[..., None]
-        by_strength = _by_unknown(by_field / size, self.reading)
-        if self.of_readings:
-            # |g| d|g| / dA = e g^T
-            outer = unit[..., :, None] * by_reading[..., None, :]
-            of_matrix = (off / steepness**2)[..., None, None] / size[..., None] * outer
-            by_strength[..., MATRIX] -= of_matrix.reshape(*off.shape, 9)
+            of_strength = self._distance_of_readings(state, matrix, field)
+        else:
+            length, unit = _length_and_direction(field)
+            scatter = state.scatter[:, :1]
+            by_unknown = _by_unknown(unit / scatter[..., None], self.reading)
+            of_strength = (length - state.strength) / scatter, by_unknown
 
         sigma = state.strength[:, self.with_sun] * self.sigma * state.scatter[:, 1:]
         toward = (field[:, self.with_sun] * self.sun).sum(axis=2) - state.toward[:, self.with_sun]
         direction = self.sun / sigma[..., None]
-        by_toward = _by_unknown(direction, self.reading[self.with_sun])
-        return [(off / size[..., 0], by_strength), (toward / sigma, by_toward)]
+        of_toward = toward / sigma, _by_unknown(direction, self.reading[self.with_sun])
+        return [of_strength, of_toward]
+
+    def _distance_of_readings(
+        self, state: MagnetometerState, matrix: np.ndarray, field: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the distances (K, n) of readings from all readings of the predicted strength, over the scatter, with Jacobian.
+
+        With the matrix A (K, 3, 3), the `field` f = A reading - zero (K, n, 3) and its direction e, the strength is off by
+        d = |f| - strength. A change of the reading changes |f| by g = A^T e, so that the distance is d / |g| to first order. Its
+        derivative has that of |g| too: e turns with f, and A stands in g, so that
+
+            |g| d|g| / df = (A g - |g|^2 e) / |f|        |g| d|g| / dA = e g^T.
+        """
+        length, unit = _length_and_direction(field)
+        off = length - state.strength
+        steepest = unit @ matrix  # g
+        steepness = np.maximum(np.linalg.norm(steepest, axis=2), 1e-9)
+        turning = steepest @ np.swapaxes(matrix, 1, 2) - (steepness**2)[..., None] * unit
+        by_field = unit - (off / length / steepness**2)[..., None] * turning
+        size = (steepness * state.scatter[:, :1])[..., None]
+        by_unknown = _by_unknown(by_field / size, self.reading)
+        outer = unit[..., :, None] * steepest[..., None, :]
+        of_matrix = (off / steepness**2)[..., None, None] / size[..., None] * outer
+        by_unknown[..., MATRIX] -= of_matrix.reshape(*off.shape, 9)
+        return off / size[..., 0], by_unknown
 
     def linearise(self, state: MagnetometerState) -> DenseSystem:
         """Return the normal equations of minus the log posterior, Student's law by its weights."""
@@ -394,6 +399,12 @@ class MagnetometerLaw:
 
 ISOTROPIC = np.eye(3).ravel() / np.sqrt(3)
 """Direction of the scale among the nine elements of a matrix."""
+
+
+def _length_and_direction(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return lengths (K, n), which are never zero, and directions (K, n, 3) of fields (K, n, 3)."""
+    length = np.maximum(np.linalg.norm(field, axis=2), 1e-9)
+    return length, field / length[..., None]
 
 
 def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:

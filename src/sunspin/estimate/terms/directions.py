@@ -87,19 +87,6 @@ class SunDirections(Term):
             self, covariance=self.covariance + drift, other_covariance=self.other_covariance + drift
         )
 
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the directions without one, and its log density if it could be any direction.
-
-        The integral of Student's law of two numbers is 2 pi sigma_1 sigma_2, the area of the sphere is 4 pi.
-        """
-        arrays = {name: getattr(self, name).copy() for name in self.per_sample}
-        for array in arrays.values():
-            array[sample] = np.nan
-        covariance, direction = self.covariance[sample], self.direction_B[sample]
-        # the determinant is the product of the variances across the direction and along it
-        across = np.sqrt(np.linalg.det(covariance) / (direction @ covariance @ direction))
-        return replace(self, **arrays), float(min(np.log(across / 2), 0.0))
-
     def starts(self, sample: int) -> Starts:
         """Return the direction or directions that the reading of a sample may mean, if its error is small."""
         sharp = np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2

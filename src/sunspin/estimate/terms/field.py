@@ -253,22 +253,6 @@ class FieldChange(Term):
         size = np.linalg.norm(np.nan_to_num(self.field_B), axis=1).max(initial=0.0)
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad.max() * size / 2)))
 
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the fields without one, and the log density of its comparisons if its direction were any.
-
-        That is the mean of exp(-|a - b|^2 / (2 sigma^2)) over all directions between fields of the sizes a and b. With k = a b /
-        sigma^2 it is exp(-(a - b)^2 / (2 sigma^2)) (1 - exp(-2 k)) / (2 k).
-        """
-        compared = np.flatnonzero(self.present())
-        lost = compared[(compared == sample) | (compared == sample + 1)]
-        before, after = (np.linalg.norm(self.field_B[lost - back], axis=1) for back in (1, 0))
-        precision = self._inverse_sigma()[lost] ** 2
-        k = before * after * precision
-        log = np.log(-np.expm1(-2 * k) / (2 * k)) - (before - after) ** 2 * precision / 2
-        fields = self.field_B.copy()
-        fields[sample] = np.nan
-        return replace(self, field_B=fields), float(log.sum())
-
 
 @dataclass(frozen=True)
 class KnownField(Term):
@@ -306,13 +290,13 @@ class KnownField(Term):
         assert field_N is not None and along_N is not None
         read = fields.field_B
         return cls(
-            fields.t_s,
-            one.field(read),
-            one.sigma_T(read, field_N, along_N),
-            field_N,
-            one.columns(read),
-            one.along(along_N),
-            one.noise_T,
+            t_s=fields.t_s,
+            read_B=one.field(read),
+            sigma_T=one.sigma_T(read, field_N, along_N),
+            field_N=field_N,
+            own_B=one.columns(read),
+            along_N=one.along(along_N),
+            noise_T=one.noise_T,
         )
 
     def present(self) -> np.ndarray:
@@ -375,16 +359,6 @@ class KnownField(Term):
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, own)
         return replace(self, sigma_T=sigma, own_B=self.own_B[:, :0], along_N=self.along_N[:, :0])
-
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the readings without one, and its log density if its direction were any.
-
-        A direction known to an angle a fills 2 pi a^2 of the sphere's 4 pi.
-        """
-        share = self.sigma_T[sample] ** 2 / (2 * (self.field_N[sample] ** 2).sum())
-        read = self.read_B.copy()
-        read[sample] = np.nan
-        return replace(self, read_B=read), float(min(np.log(share), 0.0))
 
     def directions(self) -> SunDirections:
         """Return the directions of the field in the body as if they were the Sun's, for a search where no Sun is seen."""

@@ -35,11 +35,11 @@ class Given(Term):
     sigma: np.ndarray
 
     @classmethod
-    def of(cls, one: Mapping[str, Any], at: int, count: int) -> Self:
+    def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
         """Return one reading at sample `at` of `count`."""
         value = np.zeros((count, cls.numbers))
-        value[at] = checked(one, cls.numbers)
-        return cls(value, _only(at, count, float(one["sigma"])))
+        value[at] = checked(observation, cls.numbers)
+        return cls(value, _only(at, count, float(observation["sigma"])))
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading."""
@@ -109,17 +109,17 @@ class GivenAngle(Given):
     axis_B: np.ndarray
 
     @classmethod
-    def of(cls, one: Mapping[str, Any], at: int, count: int) -> Self:
+    def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
         """Return one reading at sample `at` of `count`."""
-        direction, angle = checked(one, 3), float(one["angle_rad"])
+        direction, angle = checked(observation, 3), float(observation["angle_rad"])
         length = np.linalg.norm(direction)
         if not (0 <= angle <= np.pi and length > 0):
             raise InputError(
-                "a field is a direction and an angle from 0 to pi (rad)", got=str(dict(one))
+                "a field is a direction and an angle from 0 to pi (rad)", got=str(dict(observation))
             )
         axis = np.tile([0.0, 0.0, 1.0], (count, 1))
         axis[at] = direction / length
-        return cls(np.full((count, 1), angle), _only(at, count, float(one["sigma"])), axis)
+        return cls(np.full((count, 1), angle), _only(at, count, float(observation["sigma"])), axis)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the difference (K, n, 1), with its derivative by a turn."""
@@ -138,30 +138,30 @@ KINDS: dict[str, type[Given]] = {
 
 def require_known(given: Sequence[Mapping[str, Any]], start_s: float, end_s: float) -> None:
     """Refuse observations of no known kind, with other keys than theirs, or outside the window."""
-    for one in given:
-        kind = KINDS.get(str(one.get("kind")))
-        if kind is None or set(kind.keys) != set(one):
+    for observation in given:
+        kind = KINDS.get(str(observation.get("kind")))
+        if kind is None or set(kind.keys) != set(observation):
             more = "a field also angle_rad, the Sun's from it"
             raise InputError(
                 f"an observation has kind ({', '.join(KINDS)}), t_s, value and sigma, {more}",
-                got=str(dict(one)),
+                got=str(dict(observation)),
             )
-        if not start_s <= float(one["t_s"]) <= end_s:
+        if not start_s <= float(observation["t_s"]) <= end_s:
             raise InputError(
                 "an observation lies outside the window",
-                got=f"t_s {float(one['t_s']):g}",
+                got=f"t_s {float(observation['t_s']):g}",
                 do=f"from {start_s:g} to {end_s:g}",
             )
 
 
-def checked(one: Mapping[str, Any], numbers: int) -> np.ndarray:
+def checked(observation: Mapping[str, Any], numbers: int) -> np.ndarray:
     """Return the numbers of an observation, which are finite and as many as they must be, with a positive sigma."""
-    value = np.atleast_1d(np.asarray(one["value"], dtype=np.float64))
-    sigma = float(one["sigma"])
+    value = np.atleast_1d(np.asarray(observation["value"], dtype=np.float64))
+    sigma = float(observation["sigma"])
     right = value.shape == (numbers,) and np.all(np.isfinite(value))
     if not (right and np.isfinite(sigma) and sigma > 0):
-        what = f"a {one['kind']} is {numbers} finite numbers with a positive sigma"
-        raise InputError(what, got=str(dict(one)))
+        what = f"a {observation['kind']} is {numbers} finite numbers with a positive sigma"
+        raise InputError(what, got=str(dict(observation)))
     return value
 
 

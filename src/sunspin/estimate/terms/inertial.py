@@ -8,11 +8,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
-from scipy.special import gamma
 
 from sunspin.estimate.model import States, Unknown
 from sunspin.estimate.settings import GYRO_ZEROS
-from sunspin.estimate.terms.term import FREEDOM, Residual, Starts, Term, gaussian
+from sunspin.estimate.terms.term import Residual, Starts, Term, gaussian
 from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
@@ -124,23 +123,6 @@ class Gyro(Term):
         """Return the gyro with the drift of a start added to its errors."""
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the gyro without a reading, and its log density among rates of the size of those that it reads.
-
-        A bad reading comes from a normal law of their mean square s^2. In the measure of the cost its log density is the log of the
-        integral of Student's law, less 3/2 log(2 pi s^2) + |reading|^2 / (2 s^2).
-        """
-        read = self.rate_B[self.present()]
-        variance = max(float((read**2).mean()), self.sigma**2)
-        # the integral over three numbers of (1 + |x|^2 / (FREEDOM sigma^2)) to the power -(FREEDOM + 2) / 2
-        integral = (FREEDOM * np.pi * self.sigma**2) ** 1.5 * gamma((FREEDOM - 1) / 2)
-        integral /= gamma((FREEDOM + 2) / 2)
-        exponent = (self.rate_B[sample] ** 2).sum() / (2 * variance)
-        rates = self.rate_B.copy()
-        rates[sample] = np.nan
-        log_density = np.log(integral) - 1.5 * np.log(2 * np.pi * variance) - exponent
-        return replace(self, rate_B=rates), float(min(log_density, 0.0))
-
     def starts(self, sample: int) -> Starts:
         """Return the rates that it reads at a sample and the next; their sigma is known only if both were read."""
         rates = self.rate_B[sample : sample + 2]
@@ -204,18 +186,6 @@ class AttitudeChange(Term):
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the attitudes with the drift of a start added to their errors."""
         return replace(self, sigma_rad=float(np.hypot(self.sigma_rad, drift_rad.max())))
-
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the attitudes without one, and the log density of its comparisons if its turn were any.
-
-        Each comparison, a normal law of variance 2 sigma^2, fills (4 pi sigma^2)^(3/2) of the 8 pi^2 of all turns.
-        """
-        was_read = self.present()
-        lost = int(was_read[sample]) + int(sample + 1 < len(was_read) and was_read[sample + 1])
-        share = (4 * np.pi * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
-        read = self.B_from_N.copy()
-        read[sample] = np.nan
-        return replace(self, B_from_N=read), lost * min(float(np.log(share)), 0.0)
 
     def starts(self, sample: int) -> Starts:
         """Return the rates of the turn from a sample to the next, with whole turns more and less."""

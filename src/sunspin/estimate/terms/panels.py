@@ -22,7 +22,7 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.model import States, Unknown
 from sunspin.estimate.settings import INERTIA_SIGMAS
 from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
-from sunspin.estimate.terms.term import Residual, Term, facing
+from sunspin.estimate.terms.term import Residual, Term
 from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
@@ -50,9 +50,6 @@ that is tried."""
 BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels; how far from it another full scale is
 tried."""
-
-EVERYWHERE = 2000
-"""Directions, 5 degrees apart, over which the likelihood of readings is averaged."""
 
 
 class Instants(NamedTuple):
@@ -134,21 +131,21 @@ class Panels(Term):
         zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
-            signals(assessment.telemetry),
-            quality["sigma_beside_gains"].values,
-            vehicle.response_in(),
-            quality["gain"].values / vehicle.input_gains,
-            errors,
-            quality["scale"].values,
-            quality["scale_sigma"].values,
-            vehicle.input_names,
-            Instants.of(vehicle),
-            shown.any(axis=0),
-            quality["sigma_beside_gains"].values,
-            quality["sigma_beside_earth"].values,
-            np.where(shown, dark, np.inf),
-            np.ones(len(shown)),
-            quality.attrs["earth_light"],
+            power=signals(assessment.telemetry),
+            sigma=quality["sigma_beside_gains"].values,
+            response=vehicle.response_in(),
+            gain=quality["gain"].values / vehicle.input_gains,
+            gain_errors=errors,
+            scale=quality["scale"].values,
+            scale_sigma=quality["scale_sigma"].values,
+            names=vehicle.input_names,
+            instants=Instants.of(vehicle),
+            ever_shown=shown.any(axis=0),
+            sigma_light_noise=quality["sigma_beside_gains"].values,
+            sigma_light_modelled=quality["sigma_beside_earth"].values,
+            dark_sigma=np.where(shown, dark, np.inf),
+            sun_up=np.ones(len(shown)),
+            earth_share=quality.attrs["earth_light"],
         )
         return panels, quality["why"].values.astype(object)
 
@@ -323,20 +320,6 @@ class Panels(Term):
         mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
         new = [one for one in mirrored if np.abs(images - one).max(axis=(1, 2)).min() > FLAT]
         return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
-
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the panels without the readings of a sample, and the log of their mean likelihood over all directions."""
-        # the readings of this sample asked of a body at rest that sees the Sun in each direction in turn (K = EVERYWHERE, n = 1)
-        around = facing(sphere(EVERYWHERE))[:, None]
-        states = States(around, np.zeros((EVERYWHERE, 1, 3)))
-        of_sample = self.take(slice(sample, sample + 1)).held(np.zeros(len(self.unknowns())))
-        (residual,) = of_sample.residuals(states, np.zeros((EVERYWHERE, 0)))
-        cost = residual.law(residual.value)[0][:, 0]
-        names = "sigma", "sigma_light_noise", "sigma_light_modelled"
-        sigmas = {name: getattr(self, name).copy() for name in names}
-        for sigma in sigmas.values():
-            sigma[sample] = np.inf
-        return replace(self, **sigmas), float(np.log(np.exp(-cost).mean()))
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers (K, n, p) and, last, the factor's distance from its prior; all in sigmas."""

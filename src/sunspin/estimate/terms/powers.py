@@ -120,7 +120,7 @@ class PanelPowers(Term):
         """Return which samples (n) have a factor that lit readings determine, which takes up one of them."""
         return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
-    def place(self, kind: str) -> list[int]:
+    def places(self, kind: str) -> list[int]:
         """Return the indices of the unknowns of a kind among its own."""
         return [i for i, unknown in enumerate(self.own) if unknown.kind == kind]
 
@@ -140,63 +140,74 @@ class PanelPowers(Term):
 
     def log_noise(self, u: np.ndarray) -> np.ndarray:
         """Return the log (K) of the noise over the stated one; zero if the noise is no unknown."""
-        places = self.place("noise")
+        places = self.places("noise")
         return self.own[places[0]].sigma * u[:, places[0]] if places else np.zeros(len(u))
 
     # ---- what a fit asks ---------------------------------------------------------------------------------------------------
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield predicted less read powers (K, n, p) in stated sigmas; if times may err, then the best errors (K, n, 1) in sigmas.
+        """Yield by how much predicted powers exceed the read ones (K, n, p), in stated sigmas, with the derivatives of that.
 
-        A dark reading differs by what the prediction is above the threshold. Best errors of times and best factors follow each
-        change of motion and unknowns, so that slopes are those along the best (Kaufman).
+        If times may err, every sample is predicted at the best error of its time, and a second residual follows: these errors
+        (K, n, 1) in sigmas, which the prior of the times holds near zero.
         """
         late_s = self.best_times(states, u)[0]
         sun = sun_later(states, late_s)
+        power, by_turn, by_u = self._throttle(*self._powers_with_slopes(sun, u))
+        value, by_power = self._differences(power)
+        by_turn, by_u, law = by_turn * by_power, by_u * by_power, self.law(u)
+        if not self.time_s:
+            yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
+            return
+
+        # The error t of a sample's time, in sigmas, is no unknown of a fit: it is at its best for any motion. With b = d value / dt
+        # and the weights w of the sample's readings the best t makes sum(w b value) + t zero. If motion or unknowns change the
+        # readings by dv, it changes by dt = -sum(w b dv) / (1 + sum(w b b)), and the value by dv + b dt. Second derivatives are
+        # left out (Kaufman).
+        by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)  # b (K, n, p)
+        weighted = law(value)[1] * by_time
+        size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
+        # dt / d turn (K, n, 1, 3) and dt / du (K, n, 1, m)
+        time_by_turn = -(weighted[..., None, :] @ by_turn / size)
+        time_by_u = -(weighted[..., None, :] @ by_u / size)
+        by_turn = by_turn + by_time[..., None] * time_by_turn
+        by_u = by_u + by_time[..., None] * time_by_u
+        # the sample was taken `late` after the state: a change of the rate has turned the body by itself times that
+        late = late_s[..., None, None]
+        yield Residual(value, by_turn=by_turn, by_rate=late * by_turn, by_u=by_u, law=law)
+        yield Residual(
+            late_s[..., None] / self.time_s,
+            by_turn=time_by_turn,
+            by_rate=late * time_by_turn,
+            by_u=time_by_u,
+            law=gaussian,
+        )
+
+    def _powers_with_slopes(
+        self, sun: np.ndarray, u: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the powers (K, n, p) under directions to the Sun (K, n, 3), not throttled, and their derivatives.
+
+        By turns of the body (K, n, p, 3) and by the unknowns (K, n, p, m).
+        """
         slopes = self.response.slopes(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
-        light, to_sun = slopes.power, slopes.to_sun
-        by_u = np.zeros((*light.shape, len(self.own)))
+        by_u = np.zeros((*slopes.power.shape, len(self.own)))
         for i, unknown in enumerate(self.own):
-            if unknown.kind == "scale":
-                by_u[..., i] = unknown.sigma * light
+            if unknown.kind == "scale":  # the log of the brightness
+                by_u[..., i] = unknown.sigma * slopes.power
             elif unknown.kind == "gain":
-                by_u[..., unknown.index, i] = unknown.sigma * light[..., unknown.index]
+                by_u[..., unknown.index, i] = unknown.sigma * slopes.power[..., unknown.index]
             elif unknown.kind in (TILT, COMMON_TILT):
                 assert self.turns is not None and slopes.to_tilt is not None
                 by_u[..., i] = np.einsum("knpi,pi->knp", slopes.to_tilt, self.turns[i])
         # a turn t of the body moves the Sun by sun x t, and so the power by t . (slope x sun)
-        by_turn = cross(to_sun, sun[..., None, :])
-        power, by_turn, by_u = self._throttle(light, by_turn, by_u)
-        value, counts = self._differences(power)
-        by_turn, by_u, law = by_turn * counts, by_u * counts, self.law(u)
-        if not self.time_s:
-            yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
-            return
-        # the best error of a time follows each change, which so loses its part along that by time
-        by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)
-        weighted = law(value)[1] * by_time
-        size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
-        along_turn, along_u = (weighted[..., None, :] @ slope / size for slope in (by_turn, by_u))
-        by_turn = by_turn - by_time[..., None] * along_turn
-        # a rate turns the body by itself times `late` until the sample was taken
-        late = late_s[..., None, None]
-        yield Residual(
-            value,
-            by_turn=by_turn,
-            by_rate=late * by_turn,
-            by_u=by_u - by_time[..., None] * along_u,
-            law=law,
-        )
-        yield Residual(
-            late_s[..., None] / self.time_s,
-            by_turn=-along_turn,
-            by_rate=-late * along_turn,
-            by_u=-along_u,
-            law=gaussian,
-        )
+        return slopes.power, cross(slopes.to_sun, sun[..., None, :]), by_u
 
     def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return predicted less read powers (K, n, p) in stated sigmas, and their slopes (K, n, p, 1) by the predicted power."""
+        """Return predicted less read powers (K, n, p) in stated sigmas, and their slopes (K, n, p, 1) by the predicted power.
+
+        A dark reading says only that the power is below the threshold: it differs by what the prediction is above.
+        """
         above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
         counts = self.used & (self.lit | (power > self.threshold))
         return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
@@ -204,35 +215,40 @@ class PanelPowers(Term):
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how late (K, n; s) each sample was taken at its best, and the curvature (K, n; 1/s2) of its cost without prior.
 
-        The better of two ways: readings far off are outliers from the first step on, or they are trusted in it, as the time may be
-        what is wrong.
+        Newton steps begin at no error, in two ways, of which the better one counts: readings far off are outliers from the first
+        step on, or they are trusted in it, as the time may be what is wrong.
         """
         none = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:
             return none, none
         law, limit = self.law(u), FAR_TIME * self.time_s
         gain, tilt = self.gain(u)[:, None], self.tilt(u)
+
+        def differences_at(late_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return differences (K, n, p) of samples taken so late (K, n), and their derivatives (K, n, p) by that time, 1/s."""
+            sun = sun_later(states, late_s)
+            slopes = self.response.slopes(sun, gain=gain, tilt=tilt)
+            value, by_power = self._differences(slopes.power)
+            moves = cross(sun, states.omega)[..., None, :]
+            return value, np.sum(slopes.to_sun * moves, axis=-1) * by_power[..., 0]
+
         best, curvature, least = none, none, np.full(none.shape, np.inf)
         for trusting in (False, True):
-            late = none
-            for again in range(TIME_STEPS + 1):
-                sun = sun_later(states, late)
-                slopes = self.response.slopes(sun, gain=gain, tilt=tilt)
-                value, counts = self._differences(slopes.power)
-                moves = cross(sun, states.omega)[..., None, :]
-                slope = np.sum(slopes.to_sun * moves, axis=-1) * counts[..., 0]
-                weight = law(value)[1]
-                if trusting and not again:
-                    weight = np.ones_like(weight)
-                hold = np.sum(weight * slope**2, axis=-1)
-                if again < TIME_STEPS:
-                    pull = hold * late - np.sum(weight * slope * value, axis=-1)
-                    late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            late_s = none
+            for number in range(TIME_STEPS):
+                value, by_time = differences_at(late_s)
+                weight = np.ones_like(value) if trusting and number == 0 else law(value)[1]
+                hold = np.sum(weight * by_time**2, axis=-1)
+                pull = hold * late_s - np.sum(weight * by_time * value, axis=-1)
+                late_s = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            value, by_time = differences_at(late_s)
+            cost, weight = law(value)
+            hold = np.sum(weight * by_time**2, axis=-1)
             # compared by the integral over the error (Laplace), not by the density, whose peak is narrow if the power changes fast
-            cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
+            cost = cost + 0.5 * (late_s / self.time_s) ** 2
             cost += 0.5 * np.log1p(self.time_s**2 * hold)
             better = cost < least
-            best, curvature = np.where(better, late, best), np.where(better, hold, curvature)
+            best, curvature = np.where(better, late_s, best), np.where(better, hold, curvature)
             least = np.minimum(cost, least)
         return best, curvature
 
@@ -311,7 +327,7 @@ class PanelPowers(Term):
 
         `answered` (K): how many readings the fitted numbers take up; `least` (sigmas): the noise is not sought below.
         """
-        places = self.place("noise")
+        places = self.places("noise")
         if not places:
             return u
         at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
@@ -332,7 +348,7 @@ class PanelPowers(Term):
     def noise_curvature(self, value: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the second derivative (K) of the cost of differences (K, n, p) by one sigma of the log noise."""
         weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
-        sigma = self.own[self.place("noise")[0]].sigma
+        sigma = self.own[self.places("noise")[0]].sigma
         return 2 * sigma**2 * np.sum(weight * value**2, axis=(1, 2))
 
     def log_density(self, states: States, u: np.ndarray) -> np.ndarray:
@@ -358,11 +374,11 @@ class PanelPowers(Term):
         # the number of times is doubled as often as that asks for: so many motions share their times, and none depends on others
         doubled = np.ceil(np.log2(np.maximum(narrow / FEWEST_TIMES, 1.0))).astype(int)
         total = np.empty(states.sun_B.shape[:-1])
-        for one in np.unique(doubled):
-            rows = doubled == one
+        for times_doubled in np.unique(doubled):
+            rows = doubled == times_doubled
             panels = replace(self, power=self.power[rows]) if self.power.ndim == 3 else self
             some = SunStates.of(states.sun_B[rows], states.omega[rows])
-            count = int(2 * FAR_TIME * FEWEST_TIMES) << one
+            count = int(2 * FAR_TIME * FEWEST_TIMES) << times_doubled
             times, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)
             whole = np.full(some.sun_B.shape[:-1], -np.inf)
             for late in times:
@@ -422,7 +438,7 @@ class PanelPowers(Term):
 
         It is the same for all: the root mean square over panels, and over directions of the Sun in front of them.
         """
-        own = self.place(TILT)
+        own = self.places(TILT)
         if not own:
             return self
         assert self.turns is not None

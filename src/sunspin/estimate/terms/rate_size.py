@@ -8,10 +8,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 import xarray as xr
-from scipy.special import gamma
 
 from sunspin.estimate.model import States, Unknown
-from sunspin.estimate.terms.term import FREEDOM, Residual, Term
+from sunspin.estimate.terms.term import Residual, Term
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES
 
@@ -83,16 +82,3 @@ class RateSize(Term):
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the sizes with the drift of a start added to their errors."""
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
-
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the sizes without a reading, and its log density among sizes like those that it reads (half a normal law)."""
-        read = self.size[self.present()]
-        square = max(float((read**2).mean()), self.sigma**2)
-        # the integral of Student's law over one number with this sigma
-        filled = (FREEDOM * np.pi) ** 0.5 * self.sigma
-        filled *= gamma((FREEDOM + 1) / 2) / gamma((FREEDOM + 2) / 2)
-        size = self.size[sample] ** 2 / (2 * square)
-        log_density = np.log(2 * filled) - 0.5 * np.log(2 * np.pi * square) - size
-        left = self.size.copy()
-        left[sample] = np.nan
-        return replace(self, size=left), float(min(log_density, 0.0))

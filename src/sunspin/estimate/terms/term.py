@@ -139,13 +139,6 @@ class Term:
         """Return the term with larger sigmas, for a start that may be off by turns (n) in rad and by this rate (rad/s)."""
         return self
 
-    def without(self, sample: int) -> tuple[Self, float]:
-        """Return the term without its reading at a sample, and the log density of that reading had it seen anything.
-
-        The density is in the measure of the term's cost: the log of the mean of exp(-cost) over all that it might have seen.
-        """
-        raise NotImplementedError("a term with readings says what it is without one of them")
-
     def starts(self, sample: int) -> Starts:
         """Return what it knows at a sample and the next one."""
         return Starts()

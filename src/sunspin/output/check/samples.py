@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.equivalence import Observed, nominal_momenta, unseen_changes
 from sunspin.output.check.findings import Findings
 from sunspin.output.text import count_text, size_text, with_sigma
 from sunspin.telemetry.assess import LOW_SHARE, Assessment
@@ -18,12 +19,19 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import find_line, read_vehicle_text
 from sunspin.vehicle.sensors import VARIABLES
 
+MOST_UNSEEN = 3
+"""Changes of columns that the samples do not show and that are listed by name."""
+
 SHOWN = 30
 """Unused columns that are listed by name."""
 
 MOST_PANELS = 2 / 3
 """Least fraction of the panels that a row must have read to count as a sample of the motion. Five of six panels bound the Sun
 direction, two leave it open. If a file has a row for each packet, a row has a half or a third of the panels."""
+
+APART_ROWS, APART_SHARE = 0.2, 0.2
+"""Smallest share of rows without panels from which they count as packets of other instruments; and their largest distance (median)
+from a row with panels, as a share of the interval between such rows."""
 
 PASS_INTERVALS = 6
 """Usual sampling intervals from which a gap separates two passes, as by default in `rates`."""
@@ -106,6 +114,29 @@ def unknown_gain_lines(assessment: Assessment) -> list[str]:
     ]
 
 
+def describe_unseen_columns(assessment: Assessment) -> Findings:
+    """Return the findings on exchanged columns and reversed panels that no estimate of these samples would notice.
+
+    Wheels count at the speed of the vehicle file. `rates`, which knows the motion, may exclude more of the changes.
+    """
+    vehicle, samples = assessment.vehicle, assessment.telemetry
+    observed = Observed.of(vehicle, samples, momenta=nominal_momenta(vehicle))
+    changes = [change.what for change, _ in unseen_changes(observed, samples)]
+    if not changes:
+        return Findings({"columns_unseen": []}, [])
+    rest = (
+        f"; or {len(changes) - MOST_UNSEEN} more of the kind" if len(changes) > MOST_UNSEEN else ""
+    )
+    named = "; or ".join(changes[:MOST_UNSEEN])
+    return Findings(
+        {"columns_unseen": changes},
+        [
+            f"  columns: the samples would look the same with {named}{rest}, and `rates` would give another motion: "
+            "compare columns and normals with the harness drawing, or light one panel with a lamp"
+        ],
+    )
+
+
 def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
     """Return the findings on the quality of panel readings, on other sensors, and on the rates that the sampling can resolve.
 
@@ -116,8 +147,11 @@ def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
     samples = assessment.telemetry
     if assessment.has_panels:
         summary, lines = _describe_panels(assessment)
+        unseen = Findings({}, []) if misread else describe_unseen_columns(assessment)
         if misread:
             lines = [f"  {n:6d}  {text}" for text, n in summary["worth"].items()]
+        summary |= unseen.summary
+        lines += [*unseen.lines, *_apart_rows_lines(assessment)]
     # variable of telemetry -> name of the sensor
     sensors = {"sun_sensor_B": "Sun sensors"}
     sensors |= {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
@@ -283,6 +317,29 @@ def _describe_sampling(assessment: Assessment) -> Findings:
         "relative_jitter": jitter,
     }
     return Findings(summary, lines)
+
+
+def _apart_rows_lines(assessment: Assessment) -> list[str]:
+    """Return a line if rows without panels lie close to rows with panels, as with a packet for each instrument; else none."""
+    samples, span_s = assessment.telemetry, assessment.vehicle.telemetry.sample_span_s
+    has_panels = np.isfinite(signals(samples)).any(axis=1)
+    if span_s or not 2 <= has_panels.sum() <= (1 - APART_ROWS) * has_panels.size:
+        return []
+    t_s, with_panels = (
+        samples["time"].values[~has_panels],
+        np.sort(samples["time"].values[has_panels]),
+    )
+    interval_s = float(np.median(np.diff(with_panels)))
+    # distance of each row without panels to the nearest row with panels
+    after = np.clip(np.searchsorted(with_panels, t_s), 1, len(with_panels) - 1)
+    apart_s = np.minimum(np.abs(t_s - with_panels[after - 1]), np.abs(with_panels[after] - t_s))
+    if not 0 < np.median(apart_s) < APART_SHARE * interval_s:
+        return []
+    span_s = 1.2 * float(np.quantile(apart_s, 0.95))
+    return [
+        f"  {len(t_s)} rows have no panel and lie {np.median(apart_s):.2g} s from a row with panels (median): if they are packets "
+        f"of one instant, set sample_span_s = {span_s:.2g} under [telemetry], and rows so close become one sample"
+    ]
 
 
 def _partial_rows_advice(samples: xr.Dataset) -> str:

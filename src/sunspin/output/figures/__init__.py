@@ -130,9 +130,10 @@ def write_files(files: Mapping[str, bytes], folder: Path, name: str) -> list[Pat
     return [write_whole(folder / f"{name}.{suffix}", files[suffix]) for suffix in files]
 
 
-def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG into a folder, and return the paths."""
-    return write_files(render(figure), folder, name)
+def load() -> None:
+    """Import what draws, and draw an empty figure once, which loads fonts and all that matplotlib loads at its first use."""
+    figure, _ = axes_grid(1, 1, title="empty")
+    render(figure)
 
 
 def escape_name(name: Any, most: int = LONGEST_NAME) -> str:

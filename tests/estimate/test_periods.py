@@ -1,4 +1,4 @@
-"""Periods seen from outside: Euler's rates against closed forms and the reference motion, and probabilities of solutions."""
+"""Periods seen from outside: of solutions and draws against closed forms and the reference motion, and what they decide."""
 
 import json
 from dataclasses import replace
@@ -8,12 +8,18 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
+from sunspin.cli.values import parse_period
+from sunspin.dynamics import gyrostat
 from sunspin.estimate import periods as pd
+from sunspin.estimate.lander import periods as posterior_periods
+from sunspin.estimate.lander.predict import DrawnMotions
 from sunspin.estimate.model import Body, Observations, Track
-from sunspin.estimate.rates import rates
 from sunspin.estimate.solutions import Solutions
+from sunspin.output.kinds.posterior import period_sentences
 from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
 from sunspin.vehicle import Vehicle
+from tests.support.passes import estimate
+from tests.support.philae import AS_DRAWN, philae_draws
 from validation.many_passes import make_period
 
 WHEELED = Vehicle(
@@ -61,8 +67,7 @@ def two_solutions(probability, sigma=1e-6):
     track = Track(attitude, omega, np.zeros((2, 0)), np.zeros(2), covariance)
     obs = Observations(t_s, momentum, ())
     known = np.full((2, 3), sigma)
-    nothing: dict = {}
-    means, rest = (np.array(probability), RATES, known), (np.zeros(2), (nothing, nothing), 1.0)
+    means, rest = (np.array(probability), RATES, known), (np.zeros(2), ({}, {}), 1.0)
     return Solutions(obs, np.arange(3), track, *means, {}, ("as stated", 1.0), *rest), body
 
 
@@ -72,7 +77,7 @@ def test_periods_of_solutions_agree_with_the_reference_motion():
     periods = pd.periods_of(*two_solutions([0.5, 0.5]), seen).reshape(2, -1, 3)
     instants = seen.t_s + np.linspace(-2, 2, 9) * seen.period_s - 40.0
     inertia = WHEELED.require_inertia()
-    for omega, of_draws in zip(RATES, periods, strict=True):
+    for omega, drawn in zip(RATES, periods, strict=True):
         before = np.array([0.0, *sorted(instants[instants < 0], reverse=True)])
         after = np.array([0.0, *instants[instants > 0]])
         runs = [
@@ -82,7 +87,7 @@ def test_periods_of_solutions_agree_with_the_reference_motion():
         rate = np.concatenate(runs)
         momentum = rate @ inertia + 1e-3 * np.array([0, 0.6, 0.8])
         mean = pd.euler_rates(rate, momentum, pd.own_axis(inertia)).mean(axis=0)
-        np.testing.assert_allclose(np.median(of_draws, axis=0), 2 * np.pi / np.abs(mean), rtol=2e-3)
+        np.testing.assert_allclose(np.median(drawn, axis=0), 2 * np.pi / np.abs(mean), rtol=2e-3)
 
 
 def test_a_period_that_may_be_another_counts_both():
@@ -100,7 +105,7 @@ def test_a_period_that_may_be_another_counts_both():
     near = np.exp(-0.5 * ((of_each - of_each[:, 2:]) / 0.5) ** 2).sum(axis=1) * [0.75, 0.25]
     assert after.probability == pytest.approx(near / near.sum(), abs=0.02)
     (row,) = json.loads(attrs["periods"])
-    assert row["told"] and row["carried"] > 0.99
+    assert row["counts"] and row["share_with_periods"] > 0.99
     elsewhere = replace(seen, t_s=1e5)
     unchanged, attrs = pd.weigh_by_periods([one], body, [elsewhere], [0])
     assert unchanged == [one] and attrs == {}
@@ -117,19 +122,19 @@ def test_a_period_reweights_solutions_and_names_the_kind_of_rotation():
     (after,), attrs = pd.weigh_by_periods([one], body, [of_second], [3])
     (row,) = json.loads(attrs["periods"])
     assert after.probability[1] > 0.99 and np.array_equal(after.without_periods, [0.8, 0.2])
-    assert row["told"] and row["pass"] == 3
+    assert row["counts"] and row["pass"] == 3
     assert row["shares"][0] > 0.9 and row["without"] == pytest.approx([0.2, 0.8])
 
     # a period that none has, and one that only an unlikely solution has
     (same,), attrs = pd.weigh_by_periods([one], body, [ss.Period(40.0, 400.0, 0.5)], [0])
     (row,) = json.loads(attrs["periods"])
     assert np.array_equal(same.probability, one.probability)
-    assert not row["told"] and row["nearest_sigmas"] > pd.FAR_SIGMAS
+    assert not row["counts"] and row["nearest_sigmas"] > pd.FAR_SIGMAS
     rare, body = two_solutions([0.99, 0.01])
     (kept,), attrs = pd.weigh_by_periods([rare], body, [of_second], [0])
     (row,) = json.loads(attrs["periods"])
     assert np.array_equal(kept.probability, rare.probability)
-    assert not row["told"] and row["carried"] == pytest.approx(0.01)
+    assert not row["counts"] and row["share_with_periods"] == pytest.approx(0.01)
 
 
 def test_a_period_at_a_time_of_no_pass_is_refused():
@@ -150,10 +155,79 @@ def test_drawn_inertias_scatter_as_the_file_says_and_a_sphere_has_one():
 
 def test_rates_with_a_period_keep_probabilities_with_and_without_it():
     simulated, period = make_period(0, 0)
-    limit = simulated.max_rate_rad_s
-    result = rates(simulated.vehicle, simulated.telemetry, max_rate_rad_s=limit, periods=[period])
+    result = estimate(simulated, periods=[period])
     before = result["probability_without_periods"]
     assert before.dims == ("pass_id", "solution")
     assert result["probability"].values[0].sum() == pytest.approx(1, abs=1e-2)
     assert result["probability"].values[0, 0] > before.values[0, 0]
-    assert json.loads(result.attrs["periods"])[0]["told"]
+    assert json.loads(result.attrs["periods"])[0]["counts"]
+
+
+PHILAE = AS_DRAWN.vehicle
+
+
+@pytest.mark.parametrize("after_s", [-60.0, 900.0, 2500.0])
+def test_periods_of_draws_agree_with_the_reference_motion(after_s):
+    """Before the first sample, after it, and when the wheel has handed its momentum to the body, whose own axis is near z."""
+    tree = philae_draws(2)
+    seen = ss.Period(25200.0 + after_s, 20.0, 1.0)
+    found = posterior_periods.periods_of(DrawnMotions.of(PHILAE, tree), seen)[0]
+    draws, t_s = tree["posterior"], after_s + np.linspace(-2, 2, 9) * 20.0
+    state = [draws[name].values[0, 0] for name in ("omega_B", "sun_B", "wheel_speed_rad_s")]
+    run = ss.propagate(PHILAE, *state, np.append(0.0, t_s if after_s > 0 else t_s[::-1]))
+    omega, speeds = run["omega_B"].values[1:], run["wheel_speed_rad_s"].values[1:]
+    momentum = gyrostat.total_momentum(PHILAE, omega, speeds)
+    axis = pd.own_axis(PHILAE.require_inertia())
+    mean = pd.euler_rates(omega, momentum, axis).mean(axis=0)
+    np.testing.assert_allclose(found, 2 * np.pi / np.abs(mean), rtol=1e-3)
+    assert abs(axis[2]) > 0.99
+
+
+def weighted(monkeypatch, periods, middle_s, sigma_s):
+    """Return the group `period` of a posterior whose draws have these periods (n, 3), after one was seen."""
+    seen = ss.Period(0.0, middle_s, sigma_s)
+    monkeypatch.setattr(posterior_periods, "periods_of", lambda *_: periods)
+    tree = philae_draws(len(periods), 0.01)
+    return posterior_periods.draws_by_periods(PHILAE, tree, [seen]).to_dataset()
+
+
+def test_draws_are_weighted_by_a_period_and_the_reading_is_named(monkeypatch):
+    """Spins of 10 to 20 s even, the others far away: the weighted mean is the period seen, and it is the spin."""
+    n = 4000
+    periods = np.stack([np.full(n, 90.0), np.linspace(10, 20, n), np.full(n, np.nan)], axis=1)
+    group = weighted(monkeypatch, periods, 14.0, 1.0)
+    weight = np.exp(group["log_weight"].values[0])
+    assert weight.sum() == pytest.approx(1)
+    assert weight @ periods[:, 1] == pytest.approx(14.0, abs=0.01)
+    assert group.attrs["effective_draws"] == pytest.approx(n * 2 * np.sqrt(np.pi) / 10, rel=0.01)
+    assert group.attrs["counts"] and "spin 100%" in period_sentences(group)[0]
+
+
+def even_periods(count):
+    return np.stack([np.linspace(10, 20, count)] * 3, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("middle", "sigma", "words"),
+    [(14.0, 0.05, "periods not used: of these draws"), (60.0, 1.0, "no solution")],
+)
+def test_periods_that_the_draws_cannot_decide_are_reported(monkeypatch, middle, sigma, words):
+    group = weighted(monkeypatch, even_periods(4000), middle, sigma)
+    assert not group.attrs["counts"] and words in period_sentences(group)[0]
+
+
+def test_the_advice_to_draw_more_makes_periods_decisive(monkeypatch):
+    """A period that few draws have: the same draws, and eight times as many, as `--draws` gives."""
+    few, many = (
+        period_sentences(weighted(monkeypatch, even_periods(count), 14.0, 0.05))
+        for count in (4000, 32000)
+    )
+    assert "ask for more --draws" in few[0]
+    assert len(many) == 2 and "with periods the angular speed" in many[1]
+
+
+def test_the_option_period_is_parsed():
+    assert parse_period("13.0+-0.5@15:50", "2014-11-12T08:35:00Z") == ss.Period(26100.0, 13.0, 0.5)
+    for text in ("13", "13+-0@100", "13+-1", "x+-1@100"):
+        with pytest.raises(InputError):
+            parse_period(text, None)

@@ -1,0 +1,103 @@
+"""A second process that works for this one in the background: what it imports costs no time here.
+
+It is a copy of this process (`fork`), started while this one still has a single thread (:mod:`sunspin.compute.pool`). No thread
+waits for its answers, so that this process may still be copied for a pool.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any
+
+from sunspin.base.errors import InputError
+from sunspin.compute.pool import ENDED, may_fork, prepare_worker
+
+AGAIN_S = 1.0
+"""Seconds after which a helper that still works is asked once more to end; it ends its own processes in less."""
+
+
+class Helper:
+    """This process's end of the pipe to its helper, which computes calls one after the other.
+
+    `workers`: processes that a call may use.
+    """
+
+    def __init__(self, pipe: Connection, workers: int) -> None:
+        self._pipe, self.workers = pipe, workers
+
+    def start(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Let the helper compute a call; function and arguments are pickled."""
+        with _ended_helper_reported():
+            self._pipe.send((function, arguments))
+
+    def result(self) -> Any:
+        """Return the result of the call that was started first, or raise its error; wait until the helper has it."""
+        with _ended_helper_reported():
+            value, error = self._pipe.recv()
+        if error is not None:
+            raise error
+        return value
+
+
+@contextmanager
+def helper_process(workers: int, prepare: Callable[[], Any]) -> Generator[Helper | None]:
+    """Start a helper for the duration of a `with` block; yield it, or None for one worker, or if this process may not be copied.
+
+    `prepare` runs first: it imports what the calls will need. At the end of the block the helper is ended at once, also in the
+    middle of a call, so it should leave files to this process.
+    """
+    if workers < 2 or not may_fork():
+        yield None
+        return
+    fork = get_context("fork")
+    ours, its = fork.Pipe()
+    process = fork.Process(target=_serve, args=(ours, its, prepare))
+    with warnings.catch_warnings():
+        # the idle threads of the linear algebra library do no harm
+        warnings.filterwarnings("ignore", "This process .* is multi-threaded")
+        process.start()
+    its.close()
+    try:
+        yield Helper(ours, workers)
+    finally:
+        ours.close()  # ends it at the latest after its call, even if a library catches the error of the signal
+        while process.is_alive():
+            process.terminate()
+            process.join(AGAIN_S)
+
+
+def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> None:
+    """Compute calls and send value and error (one of them None) of each, until the parent ends."""
+    prepare_worker()
+    signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit()
+    )  # an error, which ends a pool of its own too
+    parents.close()  # else the pipe would stay open without the parent
+    with suppress(Exception):  # a call that needs it will fail too, and say why
+        prepare()
+    with suppress(EOFError, OSError):  # the parent has ended
+        while True:
+            function, arguments = own.recv()
+            value, error = None, None
+            try:
+                value = function(*arguments)
+            except Exception as failure:
+                failure.add_note("".join(traceback.format_exception(failure)))
+                error = failure
+            own.send((value, error))
+
+
+@contextmanager
+def _ended_helper_reported() -> Generator[None]:
+    """Turn the error of a pipe whose other end is gone into an `InputError`."""
+    try:
+        yield
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        raise InputError(ENDED, do="free memory or use fewer workers") from None

@@ -1,0 +1,139 @@
+"""Wheels: held or coasting, searched for at once or each, and named if they clearly fit better with the other sign."""
+
+import json
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.estimate.carry import nutation
+from sunspin.estimate.columns import samples_of
+from sunspin.estimate.model import Body
+from sunspin.estimate.observe import COASTING, HELD, cut, wheel_models
+from sunspin.estimate.rates import rates
+from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
+from sunspin.vehicle import Friction
+from tests.support.passes import tumbling_pass
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls
+
+ONE_PASS, WHEELS = (import_module(f"sunspin.estimate.{name}") for name in ("one_pass", "wheels"))
+
+
+@pytest.fixture(scope="module")
+def example():
+    """The example files, whose wheel hardly slows down."""
+    return ss.load_example("cubesat")
+
+
+@pytest.fixture
+def estimated(monkeypatch):
+    """Run `rates` for a largest rate of 5 deg/s: (result, how many searches the models of the wheel took)."""
+
+    def run(vehicle, telemetry, **replaced):
+        searches = []
+
+        def search(*arguments):
+            searches.append(arguments)
+            return original(*arguments)
+
+        original = ONE_PASS.search
+        with monkeypatch.context() as patch:
+            patch.setattr(ONE_PASS, "search", search)
+            for name, function in replaced.items():
+                patch.setattr(WHEELS, name, function)
+            result = ss.rates(vehicle, telemetry, max_rate_rad_s=np.radians(5))
+        return result, len(searches)
+
+    return run
+
+
+def with_friction(vehicle, factor):
+    """The vehicle with so many times the friction of its wheel."""
+    (wheel,) = vehicle.wheels
+    stated = wheel.friction
+    friction = Friction(factor * stated.coulomb_N_m, factor * stated.viscous_N_m_s)
+    return replace(vehicle, wheels=(replace(wheel, friction=friction),))
+
+
+def test_a_wheel_that_hardly_slows_down_gives_with_one_search_what_it_gives_with_two(
+    example, estimated
+):
+    vehicle, telemetry = example
+    together, once = estimated(vehicle, telemetry)
+    each, twice = estimated(vehicle, telemetry, _turn_alike=lambda *_: False)
+    assert (once, twice) == (1, 2)
+    assert together.attrs["wheels"] == each.attrs["wheels"]
+    for name in ("omega_B", "probability", "omega_mean_B", "omega_sigma_all_B"):
+        assert together[name].values == pytest.approx(each[name].values, rel=1e-5, abs=1e-7)
+
+
+def test_a_wheel_that_slows_down_much_is_searched_for_by_itself(example, estimated):
+    vehicle, telemetry = example
+    slowing = with_friction(vehicle, 30.0)
+    result, searches = estimated(slowing, telemetry)
+    assert searches > 1
+    assert result.attrs["wheels"].startswith("held")  # the wheel of the example keeps its speed
+
+
+WHEEL = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)
+OTHER = ss.Wheel("reaction-x", [1, 0, 0], 2e-4, speed_rad_s=-30.0)
+ONE, TWO = (replace(CUBE_WITHOUT_NOISE_STATED, wheels=w) for w in ((WHEEL,), (WHEEL, OTHER)))
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Return telemetry and truth of a cube whose wheel about y turns its rate round by half a turn between samples."""
+    omega = (0.02, 0.03, -0.01)
+    return tumbling_pass(ONE, 20, 10.0, seed=2, omega_B=omega, spread=0.0, speed=[40.0])
+
+
+def test_the_wheel_of_a_later_pass_coasts_from_the_first_sample_of_the_file():
+    slowing = replace(WHEEL, friction=Friction(coulomb_N_m=2e-6))
+    craft = replace(ONE, wheels=(slowing,))
+    data = xr.Dataset(coords={"time": np.concatenate([np.arange(8.0), 3600 + np.arange(8.0)])})
+    result = xr.Dataset({"pass_of": ("time", np.repeat([0, 1], 8))}, {"time": data["time"]})
+    later = samples_of(result, data, 1)
+    whole, part = wheel_models(craft, data), wheel_models(craft, later)
+    again = wheel_models(craft, cut(later, np.arange(4, 8)))
+    assert set(part) == set(whole) == {HELD, COASTING}
+    np.testing.assert_allclose(part[COASTING], whole[COASTING][8:])
+    np.testing.assert_allclose(again[COASTING], whole[COASTING][12:])
+    assert whole[COASTING][8, 1] < 0.6 * whole[HELD][8, 1]  # it lost speed before the later pass
+
+
+def test_momenta_of_wheels_add_up_and_lie_along_their_axes(seen):
+    data, _ = seen
+    each = momentum_of_each(TWO, data, HELD)
+    np.testing.assert_allclose(each.sum(axis=0), wheel_models(TWO, data)[HELD], atol=1e-12)
+    unit = np.trace(TWO.inertia_kg_m2) / 3
+    np.testing.assert_allclose(each[0], np.tile([0, 3e-4 * 40 / unit, 0], (20, 1)), atol=1e-12)
+    np.testing.assert_allclose(each[1], np.tile([-2e-4 * 30 / unit, 0, 0], (20, 1)), atol=1e-12)
+
+
+def test_each_wheel_and_all_are_reversed_unless_they_hardly_turn_the_rate_or_wrap(seen):
+    data, _ = seen
+    t_s, inertia = data["time"].values, Body.of(TWO).inertia
+    each = momentum_of_each(TWO, data, HELD)
+    momenta = reversed_momenta(TWO, each, inertia, t_s)
+    assert set(momenta) == {(0,), (1,), (0, 1)}
+    np.testing.assert_allclose(momenta[0,], each[1] - each[0], atol=1e-12)
+    np.testing.assert_allclose(momenta[0, 1], -each.sum(axis=0), atol=1e-12)
+    assert not reversed_momenta(TWO, 1e-5 * each, inertia, t_s)
+    turned = nutation(inertia, each[0])[0] * 10.0
+    fast = each * (1.01 * WRAPPED_RAD / turned)
+    assert (0,) not in reversed_momenta(TWO, fast, inertia, t_s)
+    assert not reversed_momenta(replace(TWO, wheels=()), each[:0], inertia, t_s)
+
+
+def test_a_wheel_of_the_right_sign_is_not_accused(seen):
+    data, run = seen
+    result = rates(ONE, data, max_rate_rad_s=0.06)
+    assert result["decided"].values.all() and np.abs(pulls(result, run)).max() < 5.0
+    assert "columns_doubt" not in result.attrs
+    # a mirror across the wheel's axis is not seen: the columns +y and -y may be exchanged, no others
+    unseen = [one["what"] for one in json.loads(result.attrs["columns_unseen"])]
+    assert unseen == ["the columns of panels +y and -y exchanged"]
+    assert result["columns_checked"].values[0] == "unchecked"
