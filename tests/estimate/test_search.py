@@ -108,7 +108,8 @@ def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate(
     motions = search(
         Chain(model, SEARCH), pair_starts(model, SEARCH, slowest), SEARCH, Budget(np.inf), 1
     )
-    assert holds(motions, truth)
+    turned = np.linalg.norm(motions.omega - truth.omega, axis=2).max(axis=1) * 20.0
+    assert turned.min() < 0.35
     model, _ = watched(15.0, max_deg_s=10.0)
     assert not list(pair_starts(model, SEARCH, slowest))
 
