@@ -11,12 +11,12 @@ from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.attitudes import SENSORS, AttitudeLaw, OrbitState
 from sunspin.estimate.orbit.calibration import (
     Calibration,
+    CalibrationStart,
     FieldCalibration,
     along_orbit,
     fit_along,
     priors,
 )
-from sunspin.estimate.orbit.calibration import Start as Begin
 from sunspin.estimate.orbit.invariants import (
     MATRIX,
     SUN_RAD,
@@ -116,7 +116,7 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         bare = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=None))
         prior = priors(bare, readings, orbit)
         prior[12] = prior[13] = 1e-3  # the place is known
-        start = Begin(4e-5 * np.eye(3), np.zeros(3))
+        start = CalibrationStart(4e-5 * np.eye(3), np.zeros(3))
         fitted = fit_along(orbit, bare, readings, start, prior)
         np.testing.assert_allclose(fitted.matrix_T, 4e-5 * matrix, atol=4e-8)
         np.testing.assert_allclose(fitted.zero, zero, atol=1e-3)

@@ -79,7 +79,7 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 """Keys of a Sun sensor in the order of its unknowns: bias in rad, and scale over the stated one."""
 
 
-class Start(NamedTuple):
+class CalibrationStart(NamedTuple):
     """Where a fit begins: field (T) = `matrix` reading - `zero_T`, `shift_s` ahead of the orbit.
 
     `left_T`: the median residual of the field's strength there.
@@ -287,7 +287,7 @@ def along_orbit(
     _, state, scales = fit_magnetometer(readings.take(use), predicted.take(use))
     values = scales.in_T(state.unknown)[0]
     left, _ = residuals_left(field_of(readings.field, values), readings.sun, predicted)
-    start = Start(values[MATRIX].reshape(3, 3), values[ZERO], left_T=left)
+    start = CalibrationStart(values[MATRIX].reshape(3, 3), values[ZERO], left_T=left)
     prior = priors(assessment.vehicle, readings, orbit)
     prior[ZERO] = np.abs(axes) @ prior[ZERO]
     fitted = by_sun_sensors(orbit, assessment.vehicle, readings, start)
@@ -298,7 +298,7 @@ def along_orbit(
 
 
 def by_sun_sensors(
-    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: Start
+    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart
 ) -> Calibration | None:
     """Return the calibration of a file whose Sun sensors may be off; None if it has none, too few samples show them and the field,
     or the fit is clearly worse than its start."""
@@ -340,7 +340,7 @@ def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
 
 
 def fit_along(
-    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: Start, prior: np.ndarray
+    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart, prior: np.ndarray
 ) -> Calibration:
     """Return the sensors calibrated by these readings, with the along-track offset and its drift.
 
@@ -372,7 +372,7 @@ def fit_along(
         law, state = law.settled(begin, rounds)
         unknown = state.unknown[0]
         matrix = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3)) * unit_T / unit
-        start = Start(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
+        start = CalibrationStart(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
     return _described(law, state, unit)
 
 

@@ -48,7 +48,7 @@ UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
 """What becomes of a sample without a field, if the field stands for the Sun."""
 
 
-class FieldCalibration(Protocol):
+class CalibratedMagnetometer(Protocol):
     """What a magnetometer reads in a known orbit, with e errors in common; readings (n, 3), fields in T."""
 
     @property
@@ -284,7 +284,7 @@ class KnownField(Term):
     noise_T: float
 
     @classmethod
-    def of(cls, fields: FieldChange, here: Surroundings, one: FieldCalibration) -> Self:
+    def of(cls, fields: FieldChange, here: Surroundings, one: CalibratedMagnetometer) -> Self:
         """Return readings calibrated along an orbit; noise and the zero's error are then those of the calibration."""
         field_N, along_N = here.field_N, here.field_along_N
         assert field_N is not None and along_N is not None
