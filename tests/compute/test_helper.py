@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from contextlib import suppress
 from multiprocessing import active_children
 from pathlib import Path
 from threading import active_count
@@ -67,6 +68,23 @@ def test_a_helper_ends_with_the_block_although_it_works_and_its_parent_is_interr
         helper.start(time.sleep, 1000.0)
         raise KeyboardInterrupt
     assert time.monotonic() - begin < 60 and not set(active_children()) - before
+
+
+def be_deaf(seconds):
+    """Work on although asked to end, as a library does that catches every error."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        with suppress(BaseException):
+            time.sleep(0.01)
+
+
+def test_a_helper_that_catches_the_request_to_end_ends_after_its_call(monkeypatch):
+    monkeypatch.setattr(module, "AGAIN_S", 0.05)
+    before = set(active_children())
+    with helper_process(2, prepare) as helper:
+        helper.start(be_deaf, 1.0)
+        time.sleep(0.5)
+    assert not set(active_children()) - before
 
 
 def sleep_in_pool(seconds):

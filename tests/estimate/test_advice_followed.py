@@ -1,7 +1,5 @@
 """Each printed advice is followed literally and has the promised effect. All telemetry is synthetic."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from types import SimpleNamespace

@@ -16,7 +16,7 @@ from sunspin.estimate.settings import RATES
 from sunspin.estimate.solutions import solutions
 from sunspin.estimate.swings import SWINGS, log_mean_likelihood
 from sunspin.estimate.terms.directions import SunDirections
-from tests.estimate.test_chain import problem
+from tests.support.chains import problem
 from tests.support.passes import stated_model
 from tests.support.vehicles import units
 from validation.passes import make

@@ -1,7 +1,5 @@
 """The chain: slopes, steps and evidence against differences, dense solves and integrals; also of samples close together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,48 +19,21 @@ from sunspin.estimate.chain import (
     variance_of,
 )
 from sunspin.estimate.evidence import ladder, over_shares
-from sunspin.estimate.model import Body, Model, Noise, Observations, Track
+from sunspin.estimate.model import Body, Model, Noise, Track
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import RATES
-from sunspin.estimate.terms.directions import SunDirections
-from sunspin.estimate.terms.inertial import Gyro
 from sunspin.estimate.terms.term import facing
-from sunspin.estimate.terms.torques import ConstantTorque
 from sunspin.solve.linear import solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
+from tests.support.chains import ERRORS, INERTIA, OMEGA, T_S, problem
 from tests.support.orbit_cases import sparse_pass
 from tests.support.passes import estimate, slope_of, stated_model, tumbling_pass
 from tests.support.simulate import CUBE
-from tests.support.vehicles import units
 from validation.passes import compare_with_truth, make
-
-INERTIA = np.diag([1.25, 1.0, 0.75])
-ERRORS = np.array([np.diag([0.02, 0.0, 0.0]), np.diag([0.0, 0.02, 0.0])])
-T_S = np.array([0.0, 10.0, 22.0, 31.0, 45.0])
-OMEGA = np.array([0.02, -0.03, 0.05])
 
 ROUNDING = 1e-4
 """What rounding may leave of two solutions with the same matrix: its condition, 6e10, times 2e-16, with a reserve."""
-
-
-def problem(noise=1e-4, sigma=0.02, gyro=True, torque=True, seed=1, rate_sigma=0.1):
-    """Return a model of five directions with a gyro, and the motion that it saw."""
-    rng = np.random.default_rng(seed)
-    still = Observations(T_S, np.tile([0.0, 0.0, 0.01], (len(T_S), 1)), ())
-    body = Body(INERTIA, ERRORS)
-    truth = carried(Model(still, body, Noise(noise), rate_sigma), 0, np.eye(3)[None], OMEGA[None])
-    sun = units(truth.sun_B[0] + sigma * rng.normal(size=(len(T_S), 3)))
-    terms = [SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (len(T_S), 1, 1)))]
-    if gyro:
-        read = truth.omega[0] + 1e-3 * rng.normal(size=(len(T_S), 3))
-        terms.append(Gyro(read, 1e-3, np.full(3, 2e-3), 0.0))
-    if torque:
-        terms.append(
-            ConstantTorque.turning("B", [0.3], float(np.ptp(T_S)), INERTIA, still.momentum)
-        )
-    model = Model(replace(still, terms=tuple(terms)), body, Noise(noise), rate_sigma)
-    return model, Track(truth.attitude, truth.omega, np.zeros((1, len(model.unknowns))))
 
 
 def moved(motions, nodes, u):

@@ -1,7 +1,5 @@
 """Each advice on columns, signs and axes is followed to the letter in the vehicle file, and has the promised effect."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Dense passes: samples between those that the search keeps, and the mean over all samples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -19,7 +19,7 @@ from sunspin.estimate.quick import MOTIONS, quick_evidence
 from sunspin.estimate.settings import RATES, LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
 from sunspin.telemetry.assess import assess
-from tests.estimate.test_chain import problem
+from tests.support.chains import problem
 from tests.support.passes import stated_model, tumbling_pass
 from tests.support.simulate import CUBE
 

@@ -1,7 +1,5 @@
 """Evidences of fits and of oscillations are logs of mean likelihoods of the same readings: against sums over drawn motions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -14,7 +12,7 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, States, Tra
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.swings import log_mean_likelihood, swings_by_all_ways
 from sunspin.estimate.terms.directions import SunDirections
-from sunspin.estimate.terms.panels import Instants, Panels
+from sunspin.estimate.terms.panels import Panels, ReadingTimes
 from sunspin.estimate.terms.term import Residual, facing, gaussian
 from sunspin.vehicle.response.flat import PanelResponse
 from tests.support.vehicles import CUBE_NORMALS, units
@@ -127,7 +125,7 @@ def panels_of(suns, noise, gain_sigma):
     light = np.maximum(suns @ faces.T, 0.0) + noise * rng.normal(size=(n, 6))
     sigma, names = np.full((n, 6), noise), tuple("abcdef")
     gain, scale = (np.ones(6), gain_sigma * np.ones((1, 6))), (np.ones(n), np.full(n, 1e-3))
-    instants, shown = Instants(np.zeros(6)), np.ones(6, dtype=bool)
+    instants, shown = ReadingTimes(np.zeros(6)), np.ones(6, dtype=bool)
     readings, of_light = (light, sigma, PanelResponse(faces, np.ones(6))), (sigma, sigma, sigma)
     term = Panels(*readings, *gain, *scale, names, instants, shown, *of_light, np.ones(n))
     obs = Observations(APART_S * np.arange(n), np.zeros((n, 3)), (term,))

@@ -1,7 +1,5 @@
 """Rates of a body whose inertia differs from its file: right with the file's sigma, confidently wrong without."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

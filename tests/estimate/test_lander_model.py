@@ -1,7 +1,5 @@
 """The model of a lander: its motion, its prior, and what is read of a stretch of telemetry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

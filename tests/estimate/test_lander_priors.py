@@ -1,7 +1,5 @@
 """What a posterior begins with: readings and a first brightness, priors and who states them, and refusals whose advice works."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The search for a lander's motions: its grid, its fits, families, and that it lists the true motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,6 +1,4 @@
-"""The posterior of a lander's model as the sampler asks for it: derivatives against differences, and one posterior."""
-
-from __future__ import annotations
+"""The posterior of a lander's model as the sampler asks for it: derivatives against differences, one posterior, errors of times."""
 
 from dataclasses import replace
 
@@ -8,13 +6,26 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.base.errors import InputError
 from sunspin.dynamics.torques import Steady
+from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, Fitting
 from sunspin.estimate.lander.mixture import at_first_sample
 from sunspin.estimate.lander.motions import Shots
-from sunspin.estimate.lander.priors import constant_torques
+from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.target import LanderTarget
+from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.terms.powers import SunStates
-from tests.support.landers import OMEGA, PHILAE, SUN, lander_model, nominal
+from sunspin.telemetry.assess import assess
+from tests.support.landers import (
+    NOISE,
+    OMEGA,
+    PHILAE,
+    SUN,
+    lander_model,
+    lander_telemetry,
+    nominal,
+)
+from tests.support.passes import slope_of
 
 
 def near(model, count: int = 3, size: float = 1e-3) -> Shots:
@@ -44,7 +55,7 @@ def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_p
     model = lander_model(tilt=0.02)
     target, shots = LanderTarget(model), near(model)
     of = target.linearised(shots)
-    slope, curvature = target.reading_slopes(target.run(shots), shots.u, 1.0)
+    slope, curvature = target.reading_slopes(of.slopes.seen, shots.u, 1.0)
     prior = shots.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
     own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
@@ -110,3 +121,106 @@ def test_motions_at_the_first_sample_lead_to_those_at_the_reference(frame):
     run = ss.propagate(PHILAE, *state, [0.0, 300.0], torques=torques)
     np.testing.assert_allclose(run["omega_B"].values[1], OMEGA, atol=1e-5)
     np.testing.assert_allclose(run["sun_B"].values[1], SUN, atol=1e-4)
+
+
+TIME_S = 0.5
+"""Sigma of the times: the body turns by 0.05 rad in it."""
+
+
+def late_model(time_s=TIME_S, noise=NOISE):
+    """Return the model of Philae with samples 20 s apart, and errors of their times."""
+    return lander_model(20.0 * np.arange(8), noise, time_s=time_s)
+
+
+def off(model):
+    """Return a motion near that of the telemetry."""
+    change = 2e-4 * np.random.default_rng(2).standard_normal((1, 3))
+    return replace(nominal(model), omega=OMEGA + change)
+
+
+def test_the_density_of_a_sample_is_the_integral_over_its_time():
+    """Gauss-Hermite quadrature of the exact times' density, each sample by itself, agrees to 0.005 a sample."""
+    model = late_model()
+    exact = replace(model.panels, time_s=0.0)
+    shots = off(model)
+    states, own = model.carried(shots, 1e-9).seen, shots.u[:, model.of_panels]
+    nodes, weight = np.polynomial.hermite_e.hermegauss(201)
+    total = 0.0
+    for k in range(len(model.obs)):
+        here = SunStates.of(states.sun_B[:, [k]], states.omega[:, [k]])
+        one, each = exact.take(slice(k, k + 1)), []
+        late = replace(one, time_s=TIME_S)
+        for node in nodes:
+            power = late.predicted(here, own, np.full((1, 1), TIME_S * node))
+            each.append(np.exp(one._log_densities(power, own)[0, 0][one.used[0]].sum()))
+        total += np.log(np.average(each, weights=weight))
+    found = model.panels.log_density(states, own)[0]
+    assert found == pytest.approx(total, abs=0.005 * len(model.obs))
+    # and differs much from that of exact times
+    assert abs(exact.log_density(states, own)[0] - total) > 1.0
+
+
+def test_the_density_has_no_jumps_where_a_panel_lights_up_within_the_error_of_a_time():
+    """Second differences along a line of rates are small: both peaks of the error count. About one it jumps by 2.9."""
+    model, count = late_model(2.0), 161
+    line = np.linspace(-6e-3, 6e-3, count)[:, None] * np.array([1.0, -0.5, 0.7])
+    sun = np.tile(SUN, (count, 1))
+    shots = Shots(OMEGA + line, sun, np.zeros((count, len(model.unknowns))))
+    density = LanderTarget(model).log_likelihood(LanderTarget(model).run(shots), shots.u)
+    assert np.ptp(density) > 20.0
+    assert np.abs(np.diff(density, 2)).max() < 0.3
+
+
+def test_noise_is_not_taken_for_less_because_times_fit_it():
+    """Times at their best take up one reading of each sample: the noise of a fit stays within 2.5 sigmas of the true one."""
+    model = late_model(2.0)
+    free = np.ones(len(model.unknowns), dtype=bool)
+    fitting = Fitting(FitProblem(model, free, FINAL_ERROR), nominal(model))
+    fitting.go(1.0, 8)
+    fitting.fit_noise()
+    fitted = fitting.shots.u[0, model.places("noise")[0]]
+    value = fitting.problem.of_panels(fitting.linear.value)
+    own = fitting.shots.u[:, model.of_panels]
+    of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
+    assert abs(fitted) < 2.5
+    assert fitted > of_all[0, model.panels.places("noise")[0]] + 0.3
+
+
+def test_slopes_are_those_of_the_cost_with_times_at_their_best():
+    model = late_model()
+    shots, target = off(model), LanderTarget(model)
+    problem, base = target._problem, target.linearised(shots)
+
+    def cost(change):
+        """Return the cost of a motion of another rate, whose times are at their best."""
+        motion = replace(shots, omega=shots.omega + change)
+        seen, _ = problem.seen(motion, 1e-10)
+        still = np.zeros((len(motion), 5, *seen.shape[1:]))
+        linear = problem.differences(motion, seen, still)
+        return problem.system(motion.u, linear, 1.0).cost[0]
+
+    for axis, change in enumerate(1e-6 * np.eye(3)):
+        assert base.slope[0, axis] == pytest.approx(slope_of(cost, change, 1e-6), rel=0.02, abs=3.0)
+
+
+def test_curvature_is_less_by_what_the_times_take_up():
+    """That of the fit is the change of the slope about a motion that fits exactly; with exact times it is far larger."""
+    model = late_model(noise=0.0)
+    target, shots = LanderTarget(model), nominal(model)
+    matrix = target.linearised(shots).matrix[0, :3, :3]
+
+    def slopes(change):
+        return target.linearised(replace(shots, omega=shots.omega + change)).slope[0, :3]
+
+    for axis, change in enumerate(2e-5 * np.eye(3)):
+        expected, scale = slope_of(slopes, change, 2e-5), np.abs(matrix).max()
+        assert matrix[axis] == pytest.approx(expected, rel=0.05, abs=0.03 * scale)
+    exact = LanderTarget(late_model(0.0, noise=0.0)).linearised(shots).matrix[0, :3, :3]
+    assert np.linalg.eigvalsh(exact).max() > 1.2 * np.linalg.eigvalsh(matrix).max()
+
+
+def test_throttled_panels_with_errors_of_times_are_refused():
+    vehicle = replace(PHILAE, telemetry=replace(PHILAE.telemetry, throttled=True))
+    assessment = assess(vehicle, lander_telemetry(20.0 * np.arange(8)))
+    with pytest.raises(InputError, match="errors of times"):
+        with_priors(assessment, observe_window(assessment), {"time_s": 0.5})

@@ -1,7 +1,5 @@
 """Readings of a lander as terms: derivatives, the law of outliers, dark readings, noise, throttled samples, given readings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

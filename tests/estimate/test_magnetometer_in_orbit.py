@@ -11,14 +11,15 @@ from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.attitudes import SENSORS, AttitudeLaw, OrbitState
 from sunspin.estimate.orbit.calibration import (
     Calibration,
+    CalibrationStart,
     FieldCalibration,
     along_orbit,
     fit_along,
     priors,
 )
-from sunspin.estimate.orbit.calibration import Start as Begin
 from sunspin.estimate.orbit.invariants import (
     MATRIX,
+    SUN_RAD,
     ZERO,
     MagnetometerLaw,
     MagnetometerState,
@@ -115,7 +116,7 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         bare = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=None))
         prior = priors(bare, readings, orbit)
         prior[12] = prior[13] = 1e-3  # the place is known
-        start = Begin(4e-5 * np.eye(3), np.zeros(3))
+        start = CalibrationStart(4e-5 * np.eye(3), np.zeros(3))
         fitted = fit_along(orbit, bare, readings, start, prior)
         np.testing.assert_allclose(fitted.matrix_T, 4e-5 * matrix, atol=4e-8)
         np.testing.assert_allclose(fitted.zero, zero, atol=1e-3)
@@ -228,6 +229,20 @@ def test_at_another_offset_the_calibration_follows_its_regression_on_the_place()
     np.testing.assert_allclose(calibration.matrix, expected.matrix_T, rtol=1e-9)
     np.testing.assert_allclose(calibration.zero, expected.matrix_T @ expected.zero, rtol=1e-9)
     np.testing.assert_allclose((calibration.errors[:, 12] ** 2).sum(), 1.0, rtol=1e-9)
+
+
+def test_directions_of_panels_turn_all_fields_by_one_angle():
+    """By SUN_RAD about each axis: no field changes along itself."""
+    by_sensors = fit_of_one_sensor()
+    field, variances = 3e-5 * np.array([0.6, 0.0, 0.8]), []
+    for fit in (by_sensors, replace(by_sensors, sensors=0)):
+        calibration = fit.of_field(fit.shift_s, fit.shift_sigma_s)
+        reading = np.linalg.solve(calibration.matrix, field + calibration.zero)
+        columns = calibration.columns(reading[None])[0]
+        variances.append(columns.T @ columns)
+    across = field @ field * np.eye(3) - np.outer(field, field)
+    expected = SUN_RAD**2 * across
+    np.testing.assert_allclose(variances[1] - variances[0], expected, atol=1e-6 * expected.max())
 
 
 def test_a_reading_whose_strength_is_off_has_a_larger_noise():

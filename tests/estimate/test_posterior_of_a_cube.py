@@ -1,7 +1,5 @@
 """Posteriors of a cube without a wheel whose panels have relative gains: what they decide, and advice that works."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Draws of a posterior at other times: against the reference propagator, under each draw's own body, wheels and torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

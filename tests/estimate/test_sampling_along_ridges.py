@@ -1,7 +1,5 @@
 """Draws along ridges against densities whose integral, weights and moments are known in closed form."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

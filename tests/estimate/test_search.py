@@ -21,6 +21,7 @@ from sunspin.estimate.starts import (
     whole_turns,
 )
 from sunspin.estimate.terms.directions import SunDirections
+from sunspin.estimate.terms.field import FieldChange
 from sunspin.solve.rotations import rotate_attitude
 from tests.support.vehicles import units
 
@@ -75,6 +76,17 @@ def test_every_turn_between_two_directions_has_a_start_in_its_basin(whole):
         assert np.linalg.norm(rates - omega, axis=1).min() * dt < 0.5
 
 
+def test_a_search_from_a_grid_begins_at_one_pair_if_a_magnetometer_determines_whole_turns():
+    """An uncertain inertia asks for three if only the Sun is seen; three took all the budget of two spinners."""
+    model, truth = watched(2.0)
+    long = Body(np.diag([0.3, 1.35, 1.35]), np.zeros((0, 3, 3)), wander=0.1)
+    by_sun = replace(model, body=long)
+    field = FieldChange(model.obs.t_s, truth.attitude[0] @ [2e4, 0.0, 2e4], 300.0)
+    by_field = replace(by_sun, obs=replace(model.obs, terms=(*model.obs.terms, field)))
+    assert pairs_to_try(by_sun, SEARCH) == SEARCH.places
+    assert pairs_to_try(by_field, SEARCH) == 1
+
+
 def test_more_turns_than_can_be_tried_are_refused():
     fast, s = replace(watched(2.0)[0], rate_sigma=100.0), SEARCH
     with pytest.raises(InputError, match="too many whole turns"):
@@ -88,6 +100,18 @@ def test_a_budget_that_is_spent_says_that_something_was_left_out():
     budget.spend(USUAL)
     assert budget.exhausted() and budget.cut
     assert Budget.of(np.inf).most == np.inf
+
+
+def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate():
+    model, truth = watched(15.0, max_deg_s=20.0)
+    slowest = np.radians(10.0)
+    motions = search(
+        Chain(model, SEARCH), pair_starts(model, SEARCH, slowest), SEARCH, Budget(np.inf), 1
+    )
+    turned = np.linalg.norm(motions.omega - truth.omega, axis=2).max(axis=1) * 20.0
+    assert turned.min() < 0.35
+    model, _ = watched(15.0, max_deg_s=10.0)
+    assert not list(pair_starts(model, SEARCH, slowest))
 
 
 def test_windows_grow_to_all_samples():

@@ -18,7 +18,7 @@ from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, Gyro
-from sunspin.estimate.terms.panels import Instants, Panels
+from sunspin.estimate.terms.panels import Panels, ReadingTimes
 from sunspin.estimate.terms.rate_size import RateSize
 from sunspin.estimate.terms.term import facing
 from sunspin.estimate.terms.torques import (
@@ -77,7 +77,7 @@ def bare_panels(rng, scale_sigma=0.05, unread=0.0, late_s=0.0):
     sigma, every = np.where(rng.random((N, 6)) < unread, np.inf, 0.03), np.full((N, 6), 0.03)
     response = PanelResponse(CUBE_NORMALS, np.array([1.0, 2.0, 1.0, 1.0, 0.5, 1.0]))
     gain, scale = (np.ones(6), 0.1 * np.eye(6)), (np.full(N, 1.1), np.full(N, scale_sigma))
-    instants, shown = Instants(late_s * np.eye(6)[2], 0.0), np.ones(6, dtype=bool)
+    instants, shown = ReadingTimes(late_s * np.eye(6)[2], 0.0), np.ones(6, dtype=bool)
     readings, of_light = (rng.random((N, 6)), sigma, response), (sigma, sigma, every, np.ones(N))
     return Panels(*readings, *gain, *scale, tuple("abcdef"), instants, shown, *of_light)
 

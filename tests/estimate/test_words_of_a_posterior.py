@@ -1,7 +1,5 @@
 """What a posterior says and lists: by the probabilities of solutions, the quality of the draws, and the predictive check."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

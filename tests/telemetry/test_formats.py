@@ -14,7 +14,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.column_tests import signed_axes, to_write
-from sunspin.estimate.terms.panels import Instants
+from sunspin.estimate.terms.panels import ReadingTimes
 from sunspin.output.folder import write_netcdf
 from sunspin.telemetry.stored import restore_telemetry
 from sunspin.vehicle.file import parse_vehicle
@@ -172,13 +172,13 @@ def test_a_missing_epoch_is_asked_for(tmp_path):
 
 
 def test_panels_can_be_read_in_turn_or_averaged():
-    offsets = Instants(np.array([0.0, 2.0, 0.0]), 3.0)
+    offsets = ReadingTimes(np.array([0.0, 2.0, 0.0]), 3.0)
     shifts = list(offsets.shifts())
     np.testing.assert_allclose(sum(weight for _, weight in shifts), 1.0, rtol=1e-12)
     mean = sum(np.exp(0.3 * shift) * weight for shift, weight in shifts)
     exact = np.exp(0.3 * offsets.offset_s) * np.sinh(0.45) / 0.45
     np.testing.assert_allclose(mean, exact, rtol=1e-6)
-    assert len(list(Instants(np.zeros(3)).shifts())) == 1
+    assert len(list(ReadingTimes(np.zeros(3)).shifts())) == 1
 
 
 @pytest.mark.parametrize(

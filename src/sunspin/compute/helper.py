@@ -19,6 +19,9 @@ from typing import Any
 from sunspin.base.errors import InputError
 from sunspin.compute.pool import ENDED, may_fork, prepare_worker
 
+AGAIN_S = 1.0
+"""Seconds after which a helper that still works is asked once more to end; it ends its own processes in less."""
+
 
 class Helper:
     """This process's end of the pipe to its helper, which computes calls one after the other.
@@ -64,9 +67,10 @@ def helper_process(workers: int, prepare: Callable[[], Any]) -> Generator[Helper
     try:
         yield Helper(ours, workers)
     finally:
-        process.terminate()
-        process.join()
-        ours.close()
+        ours.close()  # ends it at the latest after its call, even if a library catches the error of the signal
+        while process.is_alive():
+            process.terminate()
+            process.join(AGAIN_S)
 
 
 def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> None:

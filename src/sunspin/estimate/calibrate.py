@@ -417,7 +417,14 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     # the sandwich estimate of the covariance: how much the gradients of the passes differ
     between = scores.T @ scores * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
     robust = covariance @ between @ covariance
-    return GyroFit(values, covariance, robust, prior, int(use.sum()), len(passes))
+    return GyroFit(
+        values=values,
+        model=covariance,
+        robust=robust,
+        prior=prior,
+        samples=int(use.sum()),
+        passes=len(passes),
+    )
 
 
 def rate_known(result: xr.Dataset) -> np.ndarray:

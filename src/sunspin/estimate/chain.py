@@ -67,12 +67,12 @@ class Fit:
     def take(self, which: np.ndarray | slice) -> Fit:
         """Return some of the motions."""
         return Fit(
-            self.model,
-            self.motions.take(which),
-            self.log_evidence[which],
-            self.u_covariance[which],
-            self.states_by_u[which],
-            None if self.lowest is None else self.lowest.take(which),
+            model=self.model,
+            motions=self.motions.take(which),
+            log_evidence=self.log_evidence[which],
+            u_covariance=self.u_covariance[which],
+            states_by_u=self.states_by_u[which],
+            lowest=None if self.lowest is None else self.lowest.take(which),
         )
 
     @property

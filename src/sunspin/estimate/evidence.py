@@ -221,7 +221,12 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     log_evidence = fitted.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
     u_covariance = fitted.u_covariance + widening
     return Fit(
-        fitted.model, motions, log_evidence, u_covariance, fitted.states_by_u, fitted.motions
+        model=fitted.model,
+        motions=motions,
+        log_evidence=log_evidence,
+        u_covariance=u_covariance,
+        states_by_u=fitted.states_by_u,
+        lowest=fitted.motions,
     )
 
 

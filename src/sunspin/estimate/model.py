@@ -213,6 +213,11 @@ class Observations:
         return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *seeing])
 
     @cached_property
+    def only_sun(self) -> bool:
+        """Return whether no sensor but the Sun's reads anything."""
+        return not any(term.present().any() for term in self.terms if not term.of_sun)
+
+    @cached_property
     def cost_limit(self) -> float:
         """Return the cost that a true motion does not exceed."""
         others = sum(int(term.present().sum()) for term in self.terms if not term.of_sun)

@@ -18,7 +18,7 @@ from sunspin.estimate.settings import PassSettings
 from sunspin.estimate.terms.clock import Latency
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
 from sunspin.estimate.terms.field import (
-    FieldCalibration,
+    CalibratedMagnetometer,
     FieldChange,
     FieldDirection,
     KnownField,
@@ -91,7 +91,7 @@ def observe(
     assessment: Assessment,
     source: str | None = None,
     local: Environment | None = None,
-    calibration: FieldCalibration | None = None,
+    calibration: CalibratedMagnetometer | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
     """Return terms and times of all samples, a sentence for each, and where the Sun comes from.

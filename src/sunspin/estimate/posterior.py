@@ -243,13 +243,13 @@ def search_nominal(
     carrier = Shooting(reference.about(stated), reference, settings, workers)
     motions = search_under(carrier)
     return NominalSearch(
-        assessment,
-        window,
-        reference,
-        carrier,
-        motions,
-        carrier.fit_all_samples(motions),
-        prior_words,
+        assessment=assessment,
+        window=window,
+        reference=reference,
+        carrier=carrier,
+        motions=motions,
+        fit=carrier.fit_all_samples(motions),
+        prior_words=prior_words,
     )
 
 
@@ -503,20 +503,20 @@ def _findings(
     t_s = nominal.window.start_s + nominal.window.obs.t_s
     rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
     return PosteriorFindings(
-        probability,
-        rate,
-        np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
-        np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
-        float(np.median(np.diff(t_s[read]))),
-        checked.p,
-        checked.noise_sigmas,
-        accused_panels(names, outliers[awake], panels.lit[awake]),
-        mix.draws.tail,
-        mix.draws.effective,
-        mix.draws.outside,
-        doubts,
-        dark_stretch(t_s[read], awake[read]),
-        True,
+        probability=probability,
+        rate=rate,
+        length=np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
+        speed=np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
+        interval_s=float(np.median(np.diff(t_s[read]))),
+        p=checked.p,
+        noise_sigmas=checked.noise_sigmas,
+        accused=accused_panels(names, outliers[awake], panels.lit[awake]),
+        tail=mix.draws.tail,
+        effective=mix.draws.effective,
+        outside=mix.draws.outside,
+        doubts=doubts,
+        dark=dark_stretch(t_s[read], awake[read]),
+        complete=True,
     )
 
 

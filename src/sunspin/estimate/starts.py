@@ -74,11 +74,14 @@ class PairStarts(NamedTuple):
     apart_rad: float
 
 
-def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]]:
+def pair_starts(
+    model: Model, s: SearchSettings, slowest: float = 0.0
+) -> Iterator[tuple[slice, Track]]:
     """Yield windows, each with the motions from which a search may begin there: those that a pair of neighbouring samples allows.
 
     The most promising pair comes first. Rates that take the Sun from its first sample to the second are tried on the samples around
-    the pair, the window, and the best are fitted there. `model`: without unknowns, for the search.
+    the pair, the window, and the best are fitted there. `model`: without unknowns, for the search. `slowest` (rad/s): slower rates
+    are left out.
     """
     pairs = _pairs(model)
     trusted = gyro_decides(model, pairs[0])
@@ -87,6 +90,9 @@ def pair_starts(model: Model, s: SearchSettings) -> Iterator[tuple[slice, Track]
         around, sample = model.seeing(window), first - window.start
         # a gyro is trusted at the first pair alone: further pairs are tried if nothing fits, and then it may be what is wrong
         begin = starts(around, sample, s, trusted and number == 0)
+        if slowest:
+            fast = np.linalg.norm(begin.omega, axis=1) > slowest
+            begin = begin._replace(sun_B=begin.sun_B[fast], omega=begin.omega[fast])
         if len(begin.omega) > s.crowd:
             begin = _thinned(around, sample, begin, s)
         if not len(begin.omega):
@@ -104,7 +110,9 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
     """Return how many pairs of samples a search starts from: one if a gyro, dense samples or a grid leave no rate out.
 
     A grid leaves none out unless errors of the inertia turn the body off it within the first window: of a long body at 15 deg/s,
-    its products two sigmas off, every start near the truth was dropped there, and an alias that fits was decided.
+    its products two sigmas off, every start near the truth was dropped there, and an alias that fits was decided. With another
+    sensor each pair of samples determines the whole turn between them: two spinners with a magnetometer were found from one pair,
+    and three took all the computing budget.
     """
     if len(images_of(model)) > 1:
         # panels bound the Sun so little that one pair may start from nothing
@@ -113,7 +121,7 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
     dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
     interval_s = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
     off_grid = model.body.wander * model.rate_max * interval_s > s.basin_rad / 2
-    grid_decides = not _constant_rate_holds(model, first) and not off_grid
+    grid_decides = not _constant_rate_holds(model, first) and not (off_grid and model.obs.only_sun)
     return 1 if dense or gyro_decides(model, first) or grid_decides else s.places
 
 

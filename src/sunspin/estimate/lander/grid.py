@@ -276,12 +276,28 @@ def settled_starts(
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
     table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
-    limits = Limits(s.nodes, s.limit, s.blur_rad, s.cap, s.settled, s.steps, s.gain_left)
+    limits = Limits(
+        nodes=s.nodes,
+        limit=s.limit,
+        blur=s.blur_rad,
+        cap=s.cap,
+        settled=s.settled,
+        steps=s.steps,
+        gain_left=s.gain_left,
+    )
     suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
 
     def starts_in(lowest: np.ndarray) -> np.ndarray:
         """Return the starts of some cells, given by their lowest corners."""
-        cells = Cells(lowest, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
+        cells = Cells(
+            lowest=lowest,
+            away=grid.away,
+            row_of=grid.row_of,
+            turn=grid.turn,
+            suns=suns,
+            middles=MIDDLES,
+            points=POINTS,
+        )
         return search_cells(cells, tables, table, limits)
 
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))

@@ -316,7 +316,14 @@ def _begun(
     law = _components(chart, peaks, np.zeros(d), promise)
     law = law._replace(covariance=s.widened * law.covariance)
     return Ridge(
-        chart, coefficients, (scatter + scatter.T) / 2, law, [(1.0, law)], law, promise, []
+        chart=chart,
+        coefficients=coefficients,
+        scatter=(scatter + scatter.T) / 2,
+        first=law,
+        proposing=[(1.0, law)],
+        learnt=law,
+        log_promise=promise,
+        laws=[],
     )
 
 

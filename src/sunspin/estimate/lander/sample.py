@@ -112,18 +112,25 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     total = float(logsumexp(log_weight))
     if not np.isfinite(total):
         none = np.zeros(len(own), dtype=np.int64)
-        return Draws(shots, log_weight, none, none, 0.0, np.inf, -np.inf), [
-            np.full(ridge.drawn, -np.inf) for ridge in ridges
-        ]
+        without_weight = Draws(
+            shots=shots,
+            log_weight=log_weight,
+            of_model=none,
+            region=none,
+            effective=0.0,
+            tail=np.inf,
+            evidence=-np.inf,
+        )
+        return without_weight, [np.full(ridge.drawn, -np.inf) for ridge in ridges]
     share = log_weight - total
     draws = Draws(
-        shots,
-        log_weight,
-        np.zeros(len(own), dtype=np.int64),
-        regions(np.exp(share), np.exp(log_part), s),
-        effective_draws(np.exp(share)),
-        pareto_tail(log_weight),
-        total - float(np.log(len(own))),
+        shots=shots,
+        log_weight=log_weight,
+        of_model=np.zeros(len(own), dtype=np.int64),
+        region=regions(np.exp(share), np.exp(log_part), s),
+        effective=effective_draws(np.exp(share)),
+        tail=pareto_tail(log_weight),
+        evidence=total - float(np.log(len(own))),
     )
     ends = np.cumsum([0, *(ridge.drawn for ridge in ridges)])
     return draws, [share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
@@ -274,15 +281,15 @@ def mixed(
     rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
     wide = [drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in kept]
     return Draws(
-        Shots.joined(wide),
-        log_weight + np.log(len(log_weight)),
-        np.repeat(kept, [len(drawn[m]) for m in kept]),
-        rank[label],
-        effective_draws(share),
-        pareto_tail(log_weight),
-        float(logsumexp(log_weight)),
-        float(sum(weight[m] * drawn[m].outside for m in kept)),
-        np.concatenate([one.rounds for one in drawn]),
+        shots=Shots.joined(wide),
+        log_weight=log_weight + np.log(len(log_weight)),
+        of_model=np.repeat(kept, [len(drawn[m]) for m in kept]),
+        region=rank[label],
+        effective=effective_draws(share),
+        tail=pareto_tail(log_weight),
+        evidence=float(logsumexp(log_weight)),
+        outside=float(sum(weight[m] * drawn[m].outside for m in kept)),
+        rounds=np.concatenate([one.rounds for one in drawn]),
     )
 
 

@@ -229,14 +229,14 @@ def pass_row(
     )
     first = about["t_first_s"]
     return PassRow(
-        about["samples"],
-        first,
-        about["t_last_s"],
-        first,
-        solutions["probability"].values,
-        rate,
-        sigmas(solutions),
-        quantiles,
-        answers,
-        columns_checked,
+        samples=about["samples"],
+        first_s=first,
+        last_s=about["t_last_s"],
+        at_s=first,
+        probability=solutions["probability"].values,
+        omega=rate,
+        sigma=sigmas(solutions),
+        speed=quantiles,
+        answers=answers,
+        columns_checked=columns_checked,
     )

@@ -106,14 +106,14 @@ def observe_window(
     whole_power, whole_used = (np.zeros((len(t_s), power.shape[1]), kind) for kind in (float, bool))
     whole_power[at_samples], whole_used[at_samples] = power, used
     read = PanelPowers(
-        whole_power,
-        whole_used,
-        np.asarray(sigma, dtype=np.float64),
-        threshold,
-        float(power[used].max()),
-        vehicle.response_in(),
-        guess,
-        vehicle.throttled,
+        power=whole_power,
+        used=whole_used,
+        sigma=np.asarray(sigma, dtype=np.float64),
+        threshold=threshold,
+        largest=float(power[used].max()),
+        response=vehicle.response_in(),
+        brightness=guess,
+        throttled=vehicle.throttled,
     )
     given = tuple(
         KINDS[str(one["kind"])].of(one, int(at), len(t_s))

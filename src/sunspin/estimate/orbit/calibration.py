@@ -30,6 +30,7 @@ from sunspin.estimate.orbit.invariants import (
     MATRIX,
     MATRIX_SIGMA,
     STUDENT,
+    SUN_RAD,
     ZERO,
     ZERO_SIGMA,
     Sky,
@@ -38,6 +39,7 @@ from sunspin.estimate.orbit.invariants import (
     residuals_left,
 )
 from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.solve.rotations import cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import zero_sigmas
@@ -77,7 +79,7 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 """Keys of a Sun sensor in the order of its unknowns: bias in rad, and scale over the stated one."""
 
 
-class Start(NamedTuple):
+class CalibrationStart(NamedTuple):
     """Where a fit begins: field (T) = `matrix` reading - `zero_T`, `shift_s` ahead of the orbit.
 
     `left_T`: the median residual of the field's strength there.
@@ -219,6 +221,16 @@ class Calibration:
         """Scales (F, 3) of x, y and turned y of each Sun sensor over the stated ones."""
         return 1 + self.values[SENSORS:].reshape(self.sensors, EACH)[:, 2:]
 
+    def turned_by_sun(self) -> np.ndarray:
+        """Return the covariance (9, 9) of the matrix, by rows, from errors that all directions of panels have in common.
+
+        Light of the Earth, and sides without a panel, move the Sun's directions of a whole file one way. Neither the residuals nor
+        the parts of the file show it: all directions of the field are turned by the same angle.
+        """
+        axes = np.eye(3) + self.values[MATRIX].reshape(3, 3)
+        turned = np.array([axes @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
+        return SUN_RAD**2 * turned.T @ turned
+
     def of_field(self, shift_s: float, sigma_s: float) -> FieldCalibration:
         """Return the magnetometer's part at another offset (s) with another sigma.
 
@@ -232,6 +244,8 @@ class Calibration:
         moved = replace(self, values=values)
         added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
         covariance = covariance + added_variance * np.outer(by_shift, by_shift)
+        if not self.sensors:
+            covariance[MATRIX, MATRIX] += moved.turned_by_sun()
         # matrix is the inverse of 1 + M, so that its change is -matrix dM matrix; by rows that is a Kronecker product
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
         slope = np.zeros((13, 13))
@@ -273,7 +287,7 @@ def along_orbit(
     _, state, scales = fit_magnetometer(readings.take(use), predicted.take(use))
     values = scales.in_T(state.unknown)[0]
     left, _ = residuals_left(field_of(readings.field, values), readings.sun, predicted)
-    start = Start(values[MATRIX].reshape(3, 3), values[ZERO], left_T=left)
+    start = CalibrationStart(values[MATRIX].reshape(3, 3), values[ZERO], left_T=left)
     prior = priors(assessment.vehicle, readings, orbit)
     prior[ZERO] = np.abs(axes) @ prior[ZERO]
     fitted = by_sun_sensors(orbit, assessment.vehicle, readings, start)
@@ -284,7 +298,7 @@ def along_orbit(
 
 
 def by_sun_sensors(
-    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: Start
+    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart
 ) -> Calibration | None:
     """Return the calibration of a file whose Sun sensors may be off; None if it has none, too few samples show them and the field,
     or the fit is clearly worse than its start."""
@@ -326,7 +340,7 @@ def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
 
 
 def fit_along(
-    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: Start, prior: np.ndarray
+    orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart, prior: np.ndarray
 ) -> Calibration:
     """Return the sensors calibrated by these readings, with the along-track offset and its drift.
 
@@ -358,7 +372,7 @@ def fit_along(
         law, state = law.settled(begin, rounds)
         unknown = state.unknown[0]
         matrix = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3)) * unit_T / unit
-        start = Start(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
+        start = CalibrationStart(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
     return _described(law, state, unit)
 
 
@@ -399,18 +413,18 @@ def _described(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
     robust = (1 - 1 / len(off)) * off.T @ off + covariance @ law.precision @ covariance
     residuals = np.array([law.left(law.stated_unknown(unknown)), law.left(unknown)])
     return Calibration(
-        unknown,
-        covariance,
-        robust,
-        np.linalg.inv(law.precision),
-        law.unit_T,
-        unit,
-        len(law.vehicle.sensors.sun_sensors),
-        law.scatter[2] * law.unit_T,
-        law.scatter[0],
-        residuals[:, 0],
-        residuals[:, 1],
-        {
+        values=unknown,
+        model=covariance,
+        robust=robust,
+        prior=np.linalg.inv(law.precision),
+        unit_T=law.unit_T,
+        unit=unit,
+        sensors=len(law.vehicle.sensors.sun_sensors),
+        noise_T=law.scatter[2] * law.unit_T,
+        sun_noise=law.scatter[0],
+        strength=residuals[:, 0],
+        angle=residuals[:, 1],
+        samples={
             "field": int(r.has_field.sum()),
             "Sun": int(r.has_sun.sum()),
             "passes": len(np.unique(r.pass_of)),

@@ -22,7 +22,7 @@ from sunspin.estimate.orbit.axes import axes_matrix, axes_words, contradicted, t
 from sunspin.estimate.orbit.calibration import (
     MOST_SAMPLES,
     Calibration,
-    Start,
+    CalibrationStart,
     by_sun_sensors,
 )
 from sunspin.estimate.orbit.invariants import (
@@ -88,12 +88,12 @@ class OrbitCheck:
     made: Calibration | None = None
     sun_in_shadow: SunInShadow = SunInShadow()
 
-    def start(self, orbit: Orbit) -> Start | None:
+    def start(self, orbit: Orbit) -> CalibrationStart | None:
         """Return where a fit of all sensors along the orbit may begin; None without a magnetometer."""
         if self.matrix is None or self.zero is None:
             return None
         shift_s = self.shift_s - orbit.shift_s
-        return Start(self.matrix, self.zero, shift_s, self.strength_residual_T)
+        return CalibrationStart(self.matrix, self.zero, shift_s, self.strength_residual_T)
 
 
 def check_orbit(

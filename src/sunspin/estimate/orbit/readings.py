@@ -134,7 +134,16 @@ def read(assessment: Assessment, most: int) -> Readings:
     usual = np.median(np.diff(time)) if n > 1 else 1.0
     pass_of = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])[:n]
     readings = Readings(
-        time, field, sun, covariance, light, angle, y_turned, panel_sun, panel_variance, pass_of
+        t_s=time,
+        field=field,
+        sun=sun,
+        covariance=covariance,
+        light=light,
+        angle=angle,
+        y_turned=y_turned,
+        panel_sun=panel_sun,
+        panel_sigma=panel_variance,
+        pass_of=pass_of,
     )
     shows = readings.has_field | readings.has_sun | np.isfinite(light)
     use = spread_evenly(telemetry, shows, most, readings.has_field & readings.has_sun)

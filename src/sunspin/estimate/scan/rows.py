@@ -78,7 +78,15 @@ class Start:
             raise InputError("sun_B must be a unit vector of three components", got=sun_B)
         speeds, attitude = wheel_speeds(vehicle, wheel_speed_rad_s), acting.attitude(B_from_N, sun)
         x, y, z = axes
-        return cls(x, y, z, sun, speeds, acting, attitude if acting.torques else None)
+        return cls(
+            omega_x=x,
+            omega_y=y,
+            omega_z=z,
+            sun_B=sun,
+            wheel_speed_rad_s=speeds,
+            acting=acting,
+            B_from_N=attitude if acting.torques else None,
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:

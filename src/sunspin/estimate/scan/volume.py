@@ -145,7 +145,14 @@ def scan(
             raise InputError("duration_s must be the length of the run in s", got=duration_s)
         target, count = target_segments(target_z, weights), np.size(target_z)
         rows = ScanRows(
-            body, start, float(duration_s), "emd", target, mask, emd_error=emd_error, **how
+            vehicle=body,
+            start=start,
+            t_s=float(duration_s),
+            measure="emd",
+            target=target,
+            mask=mask,
+            emd_error=emd_error,
+            **how,
         )
     out = ensemble(
         rows, workers=workers, store=store, scheduler=executor, progress=progress, label="scan"

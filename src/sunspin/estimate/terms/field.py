@@ -48,7 +48,7 @@ UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
 """What becomes of a sample without a field, if the field stands for the Sun."""
 
 
-class FieldCalibration(Protocol):
+class CalibratedMagnetometer(Protocol):
     """What a magnetometer reads in a known orbit, with e errors in common; readings (n, 3), fields in T."""
 
     @property
@@ -284,19 +284,19 @@ class KnownField(Term):
     noise_T: float
 
     @classmethod
-    def of(cls, fields: FieldChange, here: Surroundings, one: FieldCalibration) -> Self:
+    def of(cls, fields: FieldChange, here: Surroundings, one: CalibratedMagnetometer) -> Self:
         """Return readings calibrated along an orbit; noise and the zero's error are then those of the calibration."""
         field_N, along_N = here.field_N, here.field_along_N
         assert field_N is not None and along_N is not None
         read = fields.field_B
         return cls(
-            fields.t_s,
-            one.field(read),
-            one.sigma_T(read, field_N, along_N),
-            field_N,
-            one.columns(read),
-            one.along(along_N),
-            one.noise_T,
+            t_s=fields.t_s,
+            read_B=one.field(read),
+            sigma_T=one.sigma_T(read, field_N, along_N),
+            field_N=field_N,
+            own_B=one.columns(read),
+            along_N=one.along(along_N),
+            noise_T=one.noise_T,
         )
 
     def present(self) -> np.ndarray:

@@ -33,7 +33,7 @@ from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.planes import sphere
 
 AVERAGED = np.polynomial.legendre.leggauss(3)
-"""Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+"""ReadingTimes, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
 
 LEAST_LIT, DARK = 0.01, 0.03
 """Part of the Sun's disc below which it is down; and what panels read in the shadow in addition to their noise, as a share of full
@@ -52,14 +52,14 @@ BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 tried."""
 
 
-class Instants(NamedTuple):
+class ReadingTimes(NamedTuple):
     """When panels are read: `offset_s` (n_input) after the time of their row, as a mean over `averaged_s` about that instant."""
 
     offset_s: np.ndarray
     averaged_s: float = 0.0
 
     @classmethod
-    def of(cls, vehicle: Vehicle) -> Instants:
+    def of(cls, vehicle: Vehicle) -> ReadingTimes:
         """Return those of the vehicle file."""
         form = vehicle.telemetry
         offsets = np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names])
@@ -111,7 +111,7 @@ class Panels(Term):
     scale: np.ndarray
     scale_sigma: np.ndarray
     names: tuple[str, ...]
-    instants: Instants
+    instants: ReadingTimes
     ever_shown: np.ndarray
     sigma_light_noise: np.ndarray
     sigma_light_modelled: np.ndarray
@@ -131,21 +131,21 @@ class Panels(Term):
         zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
-            signals(assessment.telemetry),
-            quality["sigma_beside_gains"].values,
-            vehicle.response_in(),
-            quality["gain"].values / vehicle.input_gains,
-            errors,
-            quality["scale"].values,
-            quality["scale_sigma"].values,
-            vehicle.input_names,
-            Instants.of(vehicle),
-            shown.any(axis=0),
-            quality["sigma_beside_gains"].values,
-            quality["sigma_beside_earth"].values,
-            np.where(shown, dark, np.inf),
-            np.ones(len(shown)),
-            quality.attrs["earth_light"],
+            power=signals(assessment.telemetry),
+            sigma=quality["sigma_beside_gains"].values,
+            response=vehicle.response_in(),
+            gain=quality["gain"].values / vehicle.input_gains,
+            gain_errors=errors,
+            scale=quality["scale"].values,
+            scale_sigma=quality["scale_sigma"].values,
+            names=vehicle.input_names,
+            instants=ReadingTimes.of(vehicle),
+            ever_shown=shown.any(axis=0),
+            sigma_light_noise=quality["sigma_beside_gains"].values,
+            sigma_light_modelled=quality["sigma_beside_earth"].values,
+            dark_sigma=np.where(shown, dark, np.inf),
+            sun_up=np.ones(len(shown)),
+            earth_share=quality.attrs["earth_light"],
         )
         return panels, quality["why"].values.astype(object)
 

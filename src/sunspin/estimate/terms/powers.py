@@ -154,7 +154,6 @@ class PanelPowers(Term):
         late_s = self.best_times(states, u)[0]
         sun = sun_later(states, late_s)
         power, by_turn, by_u = self._throttle(*self._powers_with_slopes(sun, u))
-        # a dark reading differs only by what the prediction is above the threshold: its derivatives count above it alone
         value, by_power = self._differences(power)
         by_turn, by_u, law = by_turn * by_power, by_u * by_power, self.law(u)
         if not self.time_s:
@@ -205,7 +204,10 @@ class PanelPowers(Term):
         return slopes.power, cross(slopes.to_sun, sun[..., None, :]), by_u
 
     def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return predicted less read powers (K, n, p) in stated sigmas, and their slopes (K, n, p, 1) by the predicted power."""
+        """Return predicted less read powers (K, n, p) in stated sigmas, and their slopes (K, n, p, 1) by the predicted power.
+
+        A dark reading says only that the power is below the threshold: it differs by what the prediction is above.
+        """
         above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
         counts = self.used & (self.lit | (power > self.threshold))
         return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
@@ -213,35 +215,40 @@ class PanelPowers(Term):
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how late (K, n; s) each sample was taken at its best, and the curvature (K, n; 1/s2) of its cost without prior.
 
-        The better of two ways: readings far off are outliers from the first step on, or they are trusted in it, as the time may be
-        what is wrong.
+        Newton steps begin at no error, in two ways, of which the better one counts: readings far off are outliers from the first
+        step on, or they are trusted in it, as the time may be what is wrong.
         """
         none = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:
             return none, none
         law, limit = self.law(u), FAR_TIME * self.time_s
         gain, tilt = self.gain(u)[:, None], self.tilt(u)
+
+        def differences_at(late_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return differences (K, n, p) of samples taken so late (K, n), and their derivatives (K, n, p) by that time, 1/s."""
+            sun = sun_later(states, late_s)
+            slopes = self.response.slopes(sun, gain=gain, tilt=tilt)
+            value, by_power = self._differences(slopes.power)
+            moves = cross(sun, states.omega)[..., None, :]
+            return value, np.sum(slopes.to_sun * moves, axis=-1) * by_power[..., 0]
+
         best, curvature, least = none, none, np.full(none.shape, np.inf)
         for trusting in (False, True):
-            late = none
-            for again in range(TIME_STEPS + 1):
-                sun = sun_later(states, late)
-                slopes = self.response.slopes(sun, gain=gain, tilt=tilt)
-                value, counts = self._differences(slopes.power)
-                moves = cross(sun, states.omega)[..., None, :]
-                slope = np.sum(slopes.to_sun * moves, axis=-1) * counts[..., 0]
-                weight = law(value)[1]
-                if trusting and not again:
-                    weight = np.ones_like(weight)
-                hold = np.sum(weight * slope**2, axis=-1)
-                if again < TIME_STEPS:
-                    pull = hold * late - np.sum(weight * slope * value, axis=-1)
-                    late = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            late_s = none
+            for number in range(TIME_STEPS):
+                value, by_time = differences_at(late_s)
+                weight = np.ones_like(value) if trusting and number == 0 else law(value)[1]
+                hold = np.sum(weight * by_time**2, axis=-1)
+                pull = hold * late_s - np.sum(weight * by_time * value, axis=-1)
+                late_s = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+            value, by_time = differences_at(late_s)
+            cost, weight = law(value)
+            hold = np.sum(weight * by_time**2, axis=-1)
             # compared by the integral over the error (Laplace), not by the density, whose peak is narrow if the power changes fast
-            cost = law(value)[0] + 0.5 * (late / self.time_s) ** 2
+            cost = cost + 0.5 * (late_s / self.time_s) ** 2
             cost += 0.5 * np.log1p(self.time_s**2 * hold)
             better = cost < least
-            best, curvature = np.where(better, late, best), np.where(better, hold, curvature)
+            best, curvature = np.where(better, late_s, best), np.where(better, hold, curvature)
             least = np.minimum(cost, least)
         return best, curvature
 

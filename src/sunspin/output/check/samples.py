@@ -323,7 +323,7 @@ def _apart_rows_lines(assessment: Assessment) -> list[str]:
     """Return a line if rows without panels lie close to rows with panels, as with a packet for each instrument; else none."""
     samples, span_s = assessment.telemetry, assessment.vehicle.telemetry.sample_span_s
     has_panels = np.isfinite(signals(samples)).any(axis=1)
-    if span_s or not 2 <= has_panels.sum() <= (1 - APART_ROWS) * len(has_panels):
+    if span_s or not 2 <= has_panels.sum() <= (1 - APART_ROWS) * has_panels.size:
         return []
     t_s, with_panels = (
         samples["time"].values[~has_panels],
