@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import gc
 import io
@@ -54,6 +55,8 @@ def main() -> None:
         # warnings of libraries are for programmers, who can set PYTHONWARNINGS to see them
         warnings.simplefilter("ignore")
     _catch_signals()
+    # at its end Python would look for garbage in all that was imported, several times, although the memory is freed anyway
+    atexit.register(gc.freeze)
     try:
         with _seldom_collecting():
             code = cli.main(prog_name="sunspin", standalone_mode=False)
