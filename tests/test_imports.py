@@ -48,40 +48,31 @@ def test_a_results_file_has_the_accessor_after_import_of_sunspin(order, tmp_path
     assert done.stdout.startswith("at t = 1 s:")
 
 
-def test_sunspin_alone_imports_nothing_heavy():
-    code = "import sys, sunspin; print(*sys.modules)"
-    loaded = set(
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout.split()
-    )
-    assert not loaded & {"numpy", "xarray", "scipy", "numba", "matplotlib", "click"}
+def modules_after(code: str) -> set[str]:
+    """Return the modules that a new process has imported after this code."""
+    command = [sys.executable, "-c", f"import sys, sunspin as ss; {code}; print(*sys.modules)"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
 
 
-def test_a_first_scan_waits_for_no_module_that_it_does_not_use():
-    """Each of these takes as long to import as a small scan takes to run."""
-    code = "import sys, sunspin as ss; ss.scan, ss.load_case, ss.sun_directions; import sunspin.cli.scan; print(*sys.modules)"
-    loaded = set(
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout.split()
-    )
-    assert "sunspin.dynamics.batch" in loaded
-    assert not loaded & set(
-        "heyoka scipy.stats scipy.optimize scipy.spatial matplotlib plotly".split()
-    )
+SCAN = "ss.scan, ss.load_case, ss.sun_directions; import sunspin.cli.scan"
+NOT_OF_A_SCAN = "heyoka scipy.stats scipy.optimize scipy.spatial matplotlib plotly"
+RATES = "ss.rates; import sunspin.cli.rates"
 
 
-def test_rates_wait_for_no_module_that_they_do_not_use():
-    """These take longer to import than a short pass to estimate."""
-    code = "import sys, sunspin as ss; ss.rates; import sunspin.cli.rates; print(*sys.modules)"
-    loaded = set(
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout.split()
-    )
-    assert "sunspin.estimate.rates" in loaded
-    assert not loaded & {"scipy.stats", "scipy.optimize", "matplotlib"}
+@pytest.mark.parametrize(
+    ("code", "needed", "unused"),
+    [
+        ("pass", "sunspin", "numpy xarray scipy numba matplotlib click"),
+        (SCAN, "sunspin.dynamics.batch", NOT_OF_A_SCAN),
+        (RATES, "sunspin.estimate.rates", "scipy.stats scipy.optimize matplotlib"),
+    ],
+    ids=["sunspin alone", "a first scan", "rates"],
+)
+def test_code_waits_for_no_module_that_it_does_not_use(code, needed, unused):
+    """Each of these takes as long to import as a small scan or the estimate of a short pass takes to run."""
+    loaded = modules_after(code)
+    assert needed in loaded and not loaded & set(unused.split())
 
 
 def test_the_first_line_of_rates_comes_before_the_imports_that_take_longest(tmp_path):
@@ -123,13 +114,8 @@ cli(["init", ".", "--quiet"], standalone_mode=False)
 cli([sys.argv[1], "vehicle.toml", "telemetry.csv", "--quiet"], standalone_mode=False)
 print(*sys.modules)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code, command],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    options = {"cwd": tmp_path, "capture_output": True, "text": True, "check": True}
+    done = subprocess.run([sys.executable, "-c", code, command], **options)
     loaded = set(done.stdout.split())
     assert "sunspin.telemetry.assess" in loaded
     unused = (

@@ -16,16 +16,12 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Friction, Panel, Vehicle
 from tests.support.vehicles import random_vehicle
+from tests.support.vehicles import unit_vector as unit
 
 EXAMPLES = int(os.environ.get("SUNSPIN_EXAMPLES", "6"))
 few = settings(max_examples=EXAMPLES, deadline=None, derandomize=EXAMPLES <= 6)
 seeds, wheels = st.integers(0, 2**32 - 1), st.integers(0, 3)
 T = np.linspace(0, 40, 9)
-
-
-def unit(rng):
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)
 
 
 def case(seed: int, n_wheels: int, dry: float = 0.01, viscous: float = 1e-3, n_panels: int = 0):
@@ -43,24 +39,16 @@ def run(vehicle, omega, sun, speeds, t=T, **options):
 
 def close(a, b, turned_rad, tolerance=1e-10):
     """Equal but for what rounding, multiplied by the way turned, may do."""
-    np.testing.assert_allclose(
-        a,
-        b,
-        rtol=0,
-        atol=tolerance * (1 + turned_rad) * max(1.0, float(np.abs(b).max(initial=0.0))),
-    )
+    allowed = tolerance * (1 + turned_rad) * max(1.0, float(np.abs(b).max(initial=0.0)))
+    np.testing.assert_allclose(a, b, rtol=0, atol=allowed)
 
 
 def changed(vehicle: Vehicle, matrix: np.ndarray) -> Vehicle:
     """The vehicle turned (or mirrored) by an orthogonal matrix; a wheel's axis is a pseudovector."""
-    sign = np.linalg.det(matrix)
-    return Vehicle(
-        "changed",
-        matrix @ vehicle.inertia_kg_m2 @ matrix.T,
-        vehicle.mass_kg,
-        panels=[replace(p, normal_B=matrix @ p.normal_B) for p in vehicle.panels],
-        wheels=[replace(w, axis_B=sign * matrix @ w.axis_B) for w in vehicle.wheels],
-    )
+    sign, inertia = np.linalg.det(matrix), matrix @ vehicle.inertia_kg_m2 @ matrix.T
+    panels = [replace(p, normal_B=matrix @ p.normal_B) for p in vehicle.panels]
+    wheels = [replace(w, axis_B=sign * matrix @ w.axis_B) for w in vehicle.wheels]
+    return Vehicle("changed", inertia, vehicle.mass_kg, panels, wheels)
 
 
 @few
@@ -94,24 +82,21 @@ def test_rotating_the_panels_rotates_the_sun_direction(seed, n_panels):
     close(b["delta"].values[told], a["delta"].values[told], 0.0, 1e-12)
 
 
+def scaled_wheels(vehicle: Vehicle, inertia: float, coulomb: float, viscous: float) -> list:
+    """Return the wheels with inertia and friction times these factors."""
+    wheels = []
+    for w in vehicle.wheels:
+        law = Friction(coulomb * w.friction.coulomb_N_m, viscous * w.friction.viscous_N_m_s)
+        wheels.append(replace(w, inertia_kg_m2=inertia * w.inertia_kg_m2, friction=law))
+    return wheels
+
+
 @few
 @given(seeds, wheels, st.sampled_from([2.0, 3.7, 1e3, 1e-4]))
 def test_another_unit_of_mass_changes_no_motion(seed, n_wheels, factor):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
-    heavier = Vehicle(
-        "heavier",
-        factor * vehicle.inertia_kg_m2,
-        wheels=[
-            replace(
-                w,
-                inertia_kg_m2=factor * w.inertia_kg_m2,
-                friction=Friction(
-                    factor * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s
-                ),
-            )
-            for w in vehicle.wheels
-        ],
-    )
+    inertia, others = factor * vehicle.inertia_kg_m2, scaled_wheels(vehicle, *[factor] * 3)
+    heavier = Vehicle("heavier", inertia, wheels=others)
     a, b = run(vehicle, omega, sun, speeds), run(heavier, omega, sun, speeds)
     turned = np.linalg.norm(omega) * T[-1]
     close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
@@ -124,18 +109,7 @@ def test_another_unit_of_mass_changes_no_motion(seed, n_wheels, factor):
 def test_another_unit_of_time_changes_no_path(seed, n_wheels, factor):
     """Rates times f and torques times f^2 give the same orientations 1 / f earlier."""
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
-    faster = replace(
-        vehicle,
-        wheels=[
-            replace(
-                w,
-                friction=Friction(
-                    factor**2 * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s
-                ),
-            )
-            for w in vehicle.wheels
-        ],
-    )
+    faster = replace(vehicle, wheels=scaled_wheels(vehicle, 1.0, factor**2, factor))
     a = run(vehicle, omega, sun, speeds)
     b = run(faster, factor * omega, sun, factor * speeds, T / factor)
     turned = np.linalg.norm(omega) * T[-1]
@@ -151,9 +125,12 @@ def test_the_motion_does_not_depend_on_the_order_of_wheels(seed, order):
     a, b = run(vehicle, omega, sun, speeds), run(other, omega, sun, speeds[list(order)])
     turned = np.linalg.norm(omega) * T[-1]
     close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
-    close(
-        b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values[:, list(order)], turned, 1e-8
-    )
+    reordered = a["wheel_speed_rad_s"].values[:, list(order)]
+    close(b["wheel_speed_rad_s"].values, reordered, turned, 1e-8)
+
+
+def state_of(motion):
+    return [motion[name].values for name in ("omega_B", "sun_B", "wheel_speed_rad_s")]
 
 
 @few
@@ -161,9 +138,8 @@ def test_the_motion_does_not_depend_on_the_order_of_wheels(seed, order):
 def test_without_friction_a_reversed_motion_returns_to_its_start(seed, n_wheels):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.0, viscous=0.0)
     end = run(vehicle, omega, sun, speeds).isel(time=-1)
-    back = run(
-        vehicle, -end["omega_B"].values, end["sun_B"].values, -end["wheel_speed_rad_s"].values
-    ).isel(time=-1)
+    omega_back, sun_back, speeds_back = state_of(end)
+    back = run(vehicle, -omega_back, sun_back, -speeds_back).isel(time=-1)
     turned = np.linalg.norm(omega) * T[-1]
     close(back["sun_B"].values, sun, turned, 1e-8)
     close(-back["omega_B"].values, omega, turned, 1e-8)
@@ -175,17 +151,12 @@ def test_momentum_is_conserved_and_energy_never_added(seed, n_wheels, mode):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.05, viscous=3e-3)
     there = run(vehicle, omega, sun, speeds, np.linspace(0, 120, 121), wheel_mode=mode)
     H, r = there["momentum_B"].values, there["sun_B"].values
-    size = np.linalg.norm(H[0])
-    for invariant in (
-        np.linalg.norm(H, axis=1) / size,
-        np.linalg.norm(r, axis=1),
-        np.einsum("ij,ij->i", H, r) / size,
-    ):
-        assert np.ptp(invariant) < 1e-11
+    H = H / np.linalg.norm(H[0])
+    for one, other in ((H, H), (r, r), (H, r)):
+        assert np.ptp(np.einsum("ij,ij->i", one, other)) < 1e-11
     if mode == "coast":  # a motor that holds a speed may do work
-        energy = g.kinetic_energy(
-            vehicle, there["omega_B"].values, there["wheel_speed_rad_s"].values
-        )
+        omega, _, speeds = state_of(there)
+        energy = g.kinetic_energy(vehicle, omega, speeds)
         assert np.all(np.diff(energy) <= 1e-11 * energy[0])
 
 
@@ -194,45 +165,26 @@ def test_momentum_is_conserved_and_energy_never_added(seed, n_wheels, mode):
 def test_a_run_equals_its_parts_in_sequence(seed, n_wheels):
     vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
     whole = run(vehicle, omega, sun, speeds)
-    middle = whole.isel(time=4)
-    rest = run(
-        vehicle,
-        middle["omega_B"].values,
-        middle["sun_B"].values,
-        middle["wheel_speed_rad_s"].values,
-        T[4:],
-    )
+    rest = run(vehicle, *state_of(whole.isel(time=4)), T[4:])
     close(rest["sun_B"].values, whole["sun_B"].values[4:], np.linalg.norm(omega) * T[-1], 1e-8)
 
 
 @few
-@example(
-    2977344, [1, 0, 2, 3, 4, 5], 1e-3
-)  # a panel has failed, and all of an arc fits the others alike
+# a panel has failed, and all of an arc fits the others alike
+@example(2977344, [1, 0, 2, 3, 4, 5], 1e-3)
 @given(seeds, st.permutations(range(6)), st.sampled_from([1e-3, 1.0, 60.0]))
 def test_sun_directions_do_not_depend_on_panel_order_and_power_unit(seed, order, unit_of_power):
     vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
     order = list(order)
-    other = replace(
-        vehicle,
-        panels=[
-            replace(vehicle.panels[i], gain=unit_of_power * vehicle.panels[i].gain) for i in order
-        ],
-    )
-    power = np.maximum(
-        ss.panel_power(vehicle, np.array([unit(rng) for _ in range(60)]))
-        + rng.normal(size=(60, 6)) * 0.01,
-        0,
-    )
+    panels = [vehicle.panels[i] for i in order]
+    other = replace(vehicle, panels=[replace(p, gain=unit_of_power * p.gain) for p in panels])
+    power = ss.panel_power(vehicle, np.array([unit(rng) for _ in range(60)]))
+    power = np.maximum(power + rng.normal(size=(60, 6)) * 0.01, 0)
     power[::7, 0] = 0.0  # a panel that fails: patterns that cannot be
     power[1::9] = 0.0
     a = ss.sun_directions(vehicle, power, lit_threshold=0.03, noise=0.01)
-    b = ss.sun_directions(
-        other,
-        unit_of_power * power[:, order],
-        lit_threshold=0.03 * unit_of_power,
-        noise=0.01 * unit_of_power,
-    )
+    limits = {"lit_threshold": 0.03 * unit_of_power, "noise": 0.01 * unit_of_power}
+    b = ss.sun_directions(other, unit_of_power * power[:, order], **limits)
     assert np.array_equal(a["status"].values, b["status"].values)
     assert len(np.unique(a["status"].values)) > 2
     assert np.array_equal(a["status_text"].values, b["status_text"].values)

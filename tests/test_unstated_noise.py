@@ -22,6 +22,7 @@ from sunspin.telemetry.sun import LIT_FRACTION, is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
 from tests.support.orbit_cases import with_few_copies
 from tests.support.satellite_files import UNSTATED, Spinner
+from tests.support.simulate import telemetry_of
 
 COLUMNS = [
     (f"{value}_{axis}{unit}", sigma.format(axis=axis) + end)
@@ -46,12 +47,8 @@ VARIABLES = [
 ]
 """The same of results."""
 
-SMALL = tuple(
-    (
-        "--prior steady_torque=0 --prior inertia=0 --prior max_rate_rad_s=0.06 --draws "
-        "200 --workers 1"
-    ).split()
-)
+PRIORS = "--prior steady_torque=0 --prior inertia=0 --prior max_rate_rad_s=0.06".split()
+SMALL = (*PRIORS, *"--draws 200 --workers 1".split())
 QUICK = ("--effort", "0.02", "--no-column-tests", "--workers", "1")
 
 
@@ -74,24 +71,15 @@ def without_error(folder: Path) -> list[str]:
     for path in folder.glob("*.csv"):
         table = pd.read_csv(path, comment="#")
         both = [(value, sigma) for value, sigma in COLUMNS if {value, sigma} <= set(table)]
-        found += [
-            f"{path.name} {value}"
-            for value, sigma in both
-            if unsure(table[value].values, table[sigma].values)
-        ]
+        found += [f"{path.name} {v}" for v, s in both if unsure(table[v].values, table[s].values)]
     for path in folder.glob("*.nc"):
         tree = xr.open_datatree(path, engine="h5netcdf")
         for group in (tree, *tree.children.values()):
-            both = [
-                (value, sigma)
-                for value, sigma in VARIABLES
-                if {value, sigma} <= set(group.data_vars)
-            ]
-            found += [
-                f"{path.name} {v}"
-                for v, s in both
-                if unsure(group[v].values, error_of(group[v].values, group[s].values))
-            ]
+            for value, sigma in VARIABLES:
+                if {value, sigma} <= set(group.data_vars):
+                    number = group[value].values
+                    bad = unsure(number, error_of(number, group[sigma].values))
+                    found += [f"{path.name} {value}"] * bad
         tree.close()
     return found
 
@@ -122,16 +110,8 @@ def everything(spinner: Spinner, folder: Path, seed: int, *commands: str) -> Non
     if "sun" in commands:
         said("sun", vehicle, telemetry, "--json", "--out", str(folder / "sun"))
     for words in ((), tle) if "rates" in commands else ():
-        said(
-            "rates",
-            vehicle,
-            telemetry,
-            *words,
-            *QUICK,
-            "--json",
-            "--out",
-            str(folder / f"rates{len(words)}"),
-        )
+        place = str(folder / f"rates{len(words)}")
+        said("rates", vehicle, telemetry, *words, *QUICK, "--json", "--out", place)
     if "posterior" in commands:
         said("posterior", vehicle, telemetry, *SMALL, "--json", "--out", str(folder / "posterior"))
     bad = {place.name: without_error(place) for place in folder.iterdir() if place.is_dir()}
@@ -151,12 +131,7 @@ def test_a_spinner_without_noise_is_judged_and_its_rate_is_determined(tmp_path, 
     assert "error of panel readings" in text
     assert "NOISE NOT STATED" in text
     table = pd.read_csv(out / "passes.csv", comment="#")
-    speed = (
-        table["speed_median_deg_s"][0]
-        if "speed_median_deg_s" in table
-        else np.degrees(table["speed_median"][0])
-    )
-    assert speed == pytest.approx(40.0, abs=1.5)
+    assert table["speed_median_deg_s"][0] == pytest.approx(40.0, abs=1.5)
     assert without_error(out) == []
 
 
@@ -168,15 +143,12 @@ def test_the_noise_line_suggested_by_check_works(key, tmp_path):
     line = re.search(r"`(noise = (\S+))`, under \[telemetry\]", text)
     assert line is not None and "NOISE NOT STATED" in text
     assert float(line[2]) == pytest.approx(ASSUMED_SHARE * 2.5e-3, rel=0.1)
-    path = Path(vehicle)
-    path.write_text(
-        path.read_text("utf-8").replace("[telemetry]\n", f"[telemetry]\n{line[1]}\n"), "utf-8"
-    )
+    path, noise = Path(vehicle), float(line[2])
+    text = path.read_text("utf-8").replace("[telemetry]\n", f"[telemetry]\n{line[1]}\n")
+    path.write_text(text, "utf-8")
     assert "NOISE" not in said("check", vehicle, telemetry)
-    assert json.loads(said("check", vehicle, telemetry, "--json"))["telemetry"]["noise"] == float(
-        line[2]
-    )
-    assert ss.load_vehicle(vehicle).telemetry.noise == float(line[2])
+    about = json.loads(said("check", vehicle, telemetry, "--json"))["telemetry"]
+    assert about["noise"] == ss.load_vehicle(vehicle).telemetry.noise == noise
 
 
 def test_an_unknown_noise_is_assumed_and_lights_no_other_panel(tmp_path):
@@ -184,20 +156,15 @@ def test_an_unknown_noise_is_assumed_and_lights_no_other_panel(tmp_path):
     craft = ss.load_vehicle(vehicle)
     samples = ss.read_telemetry(telemetry, craft)
     sun, power = ss.sun_directions(craft, samples), samples["power_W"].values
-    assert sun.attrs["noise_from"] == ASSUMED_FROM and sun.attrs["noise"] == pytest.approx(
-        ASSUMED_SHARE, rel=0.1
-    )
+    assert sun.attrs["noise_from"] == ASSUMED_FROM
+    assert sun.attrs["noise"] == pytest.approx(ASSUMED_SHARE, rel=0.1)
     assert sun.attrs["lit_threshold"] == LIT_FRACTION * power.max()  # as ever without a noise
     assert is_reconstructed(sun["status"]).sum() > 10
     assert not unsure(sun["sun_B"].values, error_of(sun["sun_B"].values, sun["sun_cov_B"].values))
     assert np.isfinite(sun["sigma_rad"].values[is_reconstructed(sun["status"])]).all()
     assert ss.panel_health(craft, samples)["noise"] == {}  # what is assumed accuses no panel
-    stated = ss.sun_directions(
-        craft,
-        samples,
-        noise=float(sun.attrs["noise"]),
-        lit_threshold=float(sun.attrs["lit_threshold"]),
-    )
+    given = {name: float(sun.attrs[name]) for name in ("noise", "lit_threshold")}
+    stated = ss.sun_directions(craft, samples, **given)
     xr.testing.assert_equal(stated["sun_cov_B"], sun["sun_cov_B"])
 
 
@@ -206,9 +173,8 @@ def test_no_noise_is_estimated_from_exact_or_dark_readings():
     axes = np.vstack([np.eye(3), -np.eye(3), np.ones((1, 3)) / np.sqrt(3)])
     craft = Vehicle("v", panels=[Panel(str(k), axis, 1.0) for k, axis in enumerate(axes)])
     exact = ss.sun_directions(craft, ss.panel_power(craft, np.abs(rng.normal(size=(20, 3)))))
-    assert (
-        exact.attrs["noise_from"] == ASSUMED_FROM
-    )  # four panels lit and no residual beyond rounding
+    # four panels lit and no residual beyond rounding
+    assert exact.attrs["noise_from"] == ASSUMED_FROM
     dark = ss.sun_directions(craft, np.zeros((4, 7)))
     assert np.isnan(dark["sun_B"].values).all() and np.isnan(dark["sigma_rad"].values).all()
     for wrong in (0.0, -1.0, np.nan, np.inf):
@@ -223,24 +189,11 @@ def test_without_noise_the_status_of_a_sample_does_not_depend_on_the_unit(gain):
     """What is dark was judged by a share of the gain and not of full Sun."""
     rng = np.random.default_rng(0)
     craft = Vehicle("v", panels=[Panel(str(k), axis, 1.0) for k, axis in enumerate(-np.eye(3))])
-    power = np.abs(rng.normal(size=(60, 3))) * (rng.random((60, 1)) < 0.7) + 0.15 * rng.random(
-        (60, 3)
-    )
-    use = [
-        panel_quality(craft, file)["use"].values
-        for file in (of_powers(craft, power), of_powers(craft, gain * power))
-    ]
+    power = np.abs(rng.normal(size=(60, 3))) * (rng.random((60, 1)) < 0.7)
+    power += 0.15 * rng.random((60, 3))
+    files = (telemetry_of(craft, np.arange(60.0), unit * power) for unit in (1.0, gain))
+    use = [panel_quality(craft, file)["use"].values for file in files]
     assert np.array_equal(*use) and 5 < np.count_nonzero(use[0] == 2) < 50
-
-
-def of_powers(craft: Vehicle, power: np.ndarray) -> xr.Dataset:
-    variables = {
-        "power_W": (("time", "panel"), power),
-        "flag": ("time", np.zeros(len(power), dtype=np.uint8)),
-    }
-    return xr.Dataset(
-        variables, {"time": np.arange(len(power)) * 1.0, "panel": list(craft.panel_names)}
-    )
 
 
 @pytest.mark.long
@@ -258,17 +211,9 @@ def test_random_files_are_judged_and_directions_have_errors(seed, tmp_path, few_
 @pytest.mark.parametrize("orbit", [False, True])
 @pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_posteriors_without_a_noise_name_the_assumed_one(stated, orbit, tmp_path, undrawn):
-    spinner = replace(
-        UNSTATED,
-        samples=4,
-        interval_s=10.0,
-        rate_deg_s=3.0,
-        stated=stated,
-        orbit=orbit,
-        magnetometer=False,
-    )
+    few = {"samples": 4, "interval_s": 10.0, "rate_deg_s": 3.0, "magnetometer": False}
+    spinner = replace(UNSTATED, stated=stated, orbit=orbit, **few)
     everything(spinner, tmp_path, 3, "posterior")
     about = json.loads((tmp_path / "posterior" / "summary.json").read_text("utf-8"))
-    assert about["noise_from"] == ("given" if stated else ASSUMED_FROM) and about[
-        "noise"
-    ] == pytest.approx(0.02, rel=0.6)
+    assert about["noise_from"] == ("given" if stated else ASSUMED_FROM)
+    assert about["noise"] == pytest.approx(0.02, rel=0.6)

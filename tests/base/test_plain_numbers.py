@@ -24,14 +24,8 @@ SCRIPTS = (0x660, 0x6F0, 0x966, 0xFF10, 0x1D7CE)
 def plain(rng: np.random.Generator) -> str:
     """A plain decimal, in one of the ways in which people write it."""
     size = f"{rng.uniform(0, 100):.{rng.integers(0, 9)}f}"
-    forms = (
-        size,
-        size + "e-3",
-        size + "E+2",
-        str(rng.integers(0, 10**6)),
-        f"{rng.integers(0, 9)}.",
-        f".{rng.integers(0, 99)}",
-    )
+    forms = [size, size + "e-3", size + "E+2", str(rng.integers(0, 10**6))]
+    forms += [f"{rng.integers(0, 9)}.", f".{rng.integers(0, 99)}"]
     return str(rng.choice(["", "", "-", "+"])) + str(rng.choice(np.array(forms, dtype=object)))
 
 
@@ -39,29 +33,11 @@ def strange(text: str, rng: np.random.Generator) -> str:
     """The same number in a form that is none."""
     digits = [i for i, c in enumerate(text) if c.isdigit()]
     at, zero = int(rng.choice(digits)), int(rng.choice(SCRIPTS))
-    forms = (
-        text[: at + 1] + "_0" + text[at + 1 :],
-        text[:at] + chr(zero + int(text[at])) + text[at + 1 :],
-        text[: at + 1] + " 1" + text[at + 1 :],
-        text.replace("-", "\u2212") if "-" in text else f"\u2212{text}",
-        f"0x{digits[0]}f",
-        *(
-            "inf",
-            "-inf",
-            "nan",
-            "Infinity",
-            "1e400",
-            "--1",
-            "1e",
-            "e5",
-            "1.2.3",
-            "True",
-            "",
-            " ",
-            f"{text} W",
-        ),
-        *(f"\u00a0{text}", f"{text}j"),
-    )
+    head, tail = text[: at + 1], text[at + 1 :]
+    forms = [f"{head}_0{tail}", head[:-1] + chr(zero + int(text[at])) + tail, f"{head} 1{tail}"]
+    forms += [text.replace("-", "\u2212") if "-" in text else f"\u2212{text}", f"0x{digits[0]}f"]
+    forms += ["", " ", *"inf -inf nan Infinity 1e400 --1 1e e5 1.2.3 True".split()]
+    forms += [f"{text} W", f"\u00a0{text}", f"{text}j"]
     return str(rng.choice(np.array(forms, dtype=object)))
 
 
@@ -127,45 +103,30 @@ def test_a_number_in_another_notation_gets_a_message_on_notation(column, tmp_pat
     rows = [[str(10 * i), "0.5", "0.25", "0.1", "0.2", "0.3"] for i in range(3)]
 
     def changed(cells, mark="\t"):
-        return read(
-            tmp_path,
-            [
-                [*row[:column], cell, *row[column + 1 :]]
-                for row, cell in zip(rows, cells, strict=True)
-            ],
-            mark,
-        )
+        pairs = zip(rows, cells, strict=True)
+        return read(tmp_path, [[*r[:column], cell, *r[column + 1 :]] for r, cell in pairs], mark)
 
     name = ["t", "a", "b", "gx"][column]
     for cell in ("0,5", "-,5", "1,5e-3"):
-        with pytest.raises(
-            TelemetryError,
-            match=rf"line 3, column '{name}': the number has a decimal comma .*{cell}.*point",
-        ):
+        words = rf"line 3, column '{name}': the number has a decimal comma .*{cell}.*point"
+        with pytest.raises(TelemetryError, match=words):
             changed(["1", cell, "0.5"])
     for cell in ("1_000", "\u0663", "0x10", "0.5 W", "1 e5"):
-        with pytest.raises(
-            TelemetryError,
-            match=rf"line 2, column '{name}': no cell of this column is a number \(found {cell}",
-        ):
+        words = rf"line 2, column '{name}': no cell of this column is a number \(found {cell}"
+        with pytest.raises(TelemetryError, match=words):
             changed([cell] * 3)
         changed([cell, "0.5", cell])  # one number is enough for the others to be damaged
     for cell in ("", "nan", "N/A", "--", "off"):
         changed([cell] * 3)  # a sensor that is off
-    assert changed(["0,5", "1,5e-1", "2"], ";")["power_W"].values[1, 0] == (
-        0.15 if column == 1 else 0.5
-    )
+    comma = changed(["0,5", "1,5e-1", "2"], ";")
+    assert comma["power_W"].values[1, 0] == (0.15 if column == 1 else 0.5)
 
 
 @pytest.mark.parametrize("seed", range(16))
 def test_options_and_changes_of_values_accept_the_same_numbers(seed, capsys, monkeypatch):
     rng = np.random.default_rng(seed)
-    good = plain(rng)
-    while (
-        not (odd := strange(good, rng))
-        or odd != odd.strip()
-        or odd in ("True", "nan", "inf", "-inf")
-    ):
+    good, words = plain(rng), ("", "True", "nan", "inf", "-inf")
+    while (odd := strange(good, rng)) in words or odd != odd.strip():
         pass
     assert values.parse_numbers(f"1,{good}", "--omega-deg-s") == [1, float(good)]
     for wrong in (
@@ -215,14 +176,8 @@ def one_pair_of_lines(rng):
         assert str(error).isprintable()
     else:
         assert "\n".join(found.given).isascii()
-        for field in (
-            lines[1][8:16],
-            lines[1][17:25],
-            lines[1][34:42],
-            lines[1][43:51],
-            lines[1][52:63],
-            lines[0][20:32],
-        ):
+        angles = [lines[1][at : at + 8] for at in (8, 17, 34, 43)]
+        for field in (*angles, lines[1][52:63], lines[0][20:32]):
             assert re.fullmatch(r" *\d+\.\d+", field)
 
 
@@ -241,24 +196,14 @@ ROWS = [
 @pytest.mark.parametrize("cell", ["1_0", "\u0663", "inf", "nan", "", "0x10", "1 0", "x"])
 def test_a_coordinate_that_is_no_plain_decimal_is_refused(cell, tmp_path):
     def ephemeris(rows):
-        path = tmp_path / "e.csv"
-        path.write_text(
-            "# frame: J2000\ntime_utc,x_km,y_km,z_km\n" + "\n".join(rows) + "\n", "utf-8"
-        )
-        return read_orbit(path)
+        head = ["# frame: J2000", "time_utc,x_km,y_km,z_km"]
+        (tmp_path / "e.csv").write_text("\n".join([*head, *rows]) + "\n", "utf-8")
+        return read_orbit(tmp_path / "e.csv")
 
     assert ephemeris(ROWS)
     with pytest.raises(InputError, match="coordinate of the ephemeris"):
         ephemeris([*ROWS[:9], ROWS[9].rpartition(",")[0] + f",{cell}", *ROWS[10:]])
-    for time in (
-        "now",
-        "today",
-        "NaT",
-        "2026",
-        "2026-000T00:00:00",
-        "2026-999T00:00:00",
-        "\u0662026-01-01",
-        "9" * 30,
-    ):
+    times = "now today NaT 2026 2026-000T00:00:00 2026-999T00:00:00 \u0662026-01-01".split()
+    for time in (*times, "9" * 30):
         with pytest.raises(InputError, match="time"):
             ephemeris([*ROWS[:9], time + "," + ROWS[9].partition(",")[2], *ROWS[10:]])

@@ -48,13 +48,9 @@ def frame(when):
     return pd.DataFrame({"when": when, "pa": [0.5, 0.25, 0.125], "pb": [0.1, 0.2, 0.3]})
 
 
-TIMES = {
-    "elapsed": [10.0, 20.5, 31.25],
-    "unix": [1767225610.0, 1767225620.5, 1767225631.25],
-    "utc": pd.to_datetime(
-        [f"2026-01-01T00:00:{s}" for s in ("10", "20.5", "31.25")], format="ISO8601"
-    ),
-}
+ELAPSED = [10.0, 20.5, 31.25]
+TIMES = {"elapsed": ELAPSED, "unix": [1767225600.0 + t for t in ELAPSED]}
+TIMES["utc"] = pd.to_datetime([f"2026-01-01T00:00:{t}" for t in ELAPSED], format="ISO8601")
 
 
 @pytest.mark.evidence(

@@ -19,10 +19,8 @@ from validation.border import sunspin
 def satellite(each: int, scale: float = 1.0) -> str:
     """So many panels on each of six faces, read in W."""
     names = {f"{face}{k}": normal for face, normal in FACES.items() for k in range(each)}
-    panels = "".join(
-        f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_W = 2.0\n'
-        for name, normal in names.items()
-    )
+    form = '[[panel]]\nname = "{}"\nnormal_B = {}\ngain_W = 2.0\n'
+    panels = "".join(form.format(*each) for each in names.items())
     columns = "".join(f'"{name}" = "{name}"\n' for name in names)
     return f'name = "v"\n{panels}[telemetry]\nscale = {scale}\nnoise = 0.01\n[telemetry.columns]\n{columns}'
 

@@ -51,14 +51,11 @@ def test_periods_of_columns_are_printed_and_weigh_solutions(place):
     assert len(summary["periods"]) == 1
 
 
-@pytest.mark.parametrize(
-    ("column", "words"),
-    [
-        ("lihgt", "did you mean 'light'"),
-        ("px", "which the estimate uses already"),
-        ("13+-x@100", "--period"),
-    ],
-)
+REFUSED = [("lihgt", "did you mean 'light'"), ("px", "which the estimate uses already")]
+REFUSED += [("13+-x@100", "--period")]
+
+
+@pytest.mark.parametrize(("column", "words"), REFUSED)
 def test_a_column_that_cannot_be_used_is_refused(place, column, words):
     done = run("--period", column)
     assert isinstance(done.exception, SunspinError) and words in str(done.exception)

@@ -1,14 +1,19 @@
-"""The help of the commands: every example is parsed, and the cheap ones are run."""
+"""The help of the commands, whose examples are parsed and the cheap ones run; completion on Tab; answers to unknown names."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
 
 import click
 import pytest
 from click.testing import CliRunner
 
+import sunspin as ss
 from sunspin.cli import cli
 from sunspin.cli.common import COMMANDS
+from tests.support.commands import sunspin
 
 ELSEWHERE = {
     "rates": "minutes, or other people's data; the documents run it",
@@ -89,3 +94,42 @@ def test_the_name_of_a_case_can_replace_its_telemetry_file(tmp_path, monkeypatch
     assert '"synthetic_telemetry": true' in done.output
     (tmp_path / "philae").write_text("time_utc\n")  # a file of that name goes first
     assert CliRunner().invoke(cli, ["sun", "philae", "philae"]).exit_code != 0
+
+
+def program(**environment: str) -> str:
+    command = [sys.executable, "-c", "from sunspin.cli import main; main()"]
+    options = {"capture_output": True, "text": True, "timeout": 60}
+    return subprocess.run(command, env=os.environ | environment, **options).stdout
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_offered_for_each_shell(shell):
+    text = program(_SUNSPIN_COMPLETE=f"{shell}_source")
+    assert "_SUNSPIN_COMPLETE" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [("sunspin sim", "simulate"), ("sunspin export --format a", "aem-xml")]
+)
+def test_completion_offers_commands_and_choices(words, expected):
+    text = program(
+        _SUNSPIN_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1)
+    )
+    assert expected in text
+
+
+def test_an_unknown_command_is_answered_with_the_nearest_one(tmp_path):
+    assert "did you mean rates" in sunspin("ratse", cwd=tmp_path, code=2).err
+
+
+def test_an_unknown_option_is_answered_with_the_nearest_one(tmp_path):
+    done = sunspin("rates", "v.toml", "t.csv", "--max-rate", "1", cwd=tmp_path, code=2)
+    assert "--max-rate-deg-s" in done.err and done.err.count("\n") == 1
+
+
+def test_an_unknown_name_of_the_package_is_answered_with_the_nearest_one():
+    said = "no attribute 'posteriors'; did you mean 'posterior'?"
+    with pytest.raises(AttributeError, match=said):
+        _ = ss.posteriors
+    with pytest.raises(AttributeError, match="no attribute 'xyzzy'$"):
+        _ = ss.xyzzy

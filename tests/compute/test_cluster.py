@@ -59,12 +59,8 @@ def test_a_local_cluster_computes_the_rows_and_leaves_no_thread():
 
 def test_a_local_cluster_listens_only_on_this_machine(client):
     pids = {os.getpid(), *client.run(os.getpid).values()}
-    inodes = {
-        os.readlink(f"/proc/{pid}/fd/{fd}")
-        for pid in pids
-        for fd in os.listdir(f"/proc/{pid}/fd")
-        if is_socket(pid, fd)
-    }
+    files = ((pid, fd) for pid in pids for fd in os.listdir(f"/proc/{pid}/fd"))
+    inodes = {os.readlink(f"/proc/{pid}/fd/{fd}") for pid, fd in files if is_socket(pid, fd)}
     addresses = []
     for table in ("tcp", "tcp6"):
         with open(f"/proc/net/{table}") as file:

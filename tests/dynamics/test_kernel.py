@@ -51,9 +51,7 @@ def compare(vehicle, omega, speeds, t, command="coast", torques=None, problem=No
 
 CASES = [
     ("coast", 0, 0.0, 1.0),
-    ("coast", 1, 0.004, 1.0),
-    ("coast", 2, 0.004, 1.0),
-    ("coast", 3, 0.004, 1.0),
+    *(("coast", n_wheels, 0.004, 1.0) for n_wheels in (1, 2, 3)),
     ("coast", 4, 0.004, 0.25),
     ("hold", 2, 0.004, 1.0),
     ("brake", 2, 0.001, 1.0),
@@ -140,18 +138,11 @@ def plain_parameters(vehicle, commands, speeds) -> gyrostat.Parameters:
     free = np.array([command in ("coast", "brake") for command in commands])
     J = np.array([wheel.inertia_kg_m2 for wheel in vehicle.wheels])
     axes = np.array([wheel.axis_B for wheel in vehicle.wheels])
-    wheels = [
-        gyrostat.WheelParameters(
-            tuple(wheel.axis_B),
-            1 / wheel.inertia_kg_m2,
-            float(is_free),
-            np.sign(speed) * friction_limit(wheel, command),
-            wheel.friction.viscous_N_m_s,
-        )
-        for wheel, command, is_free, speed in zip(
-            vehicle.wheels, commands, free, speeds, strict=True
-        )
-    ]
+    wheels = []
+    for wheel, command, is_free, speed in zip(vehicle.wheels, commands, free, speeds, strict=True):
+        body, dry = 1 / wheel.inertia_kg_m2, np.sign(speed) * friction_limit(wheel, command)
+        law = float(is_free), dry, wheel.friction.viscous_N_m_s
+        wheels.append(gyrostat.WheelParameters(tuple(wheel.axis_B), body, *law))
     inverse = symmetric_inverse(gyrostat.free_inertia(vehicle, free))
     return gyrostat.Parameters(tuple(inverse), tuple((J * speeds * ~free) @ axes), tuple(wheels))
 
@@ -167,14 +158,10 @@ def test_the_motion_satisfies_the_plain_equations_to_1e_10(modes, sense):
     n = len(commands)
     for _ in range(4):
         vehicle = random_vehicle(rng, n, dry=1e-4, viscous=2e-4)
-        wheels = tuple(
-            replace(
-                wheel,
-                brake_torque_N_m=3e-4,
-                friction=Friction(1.0, 0.0) if command == "stuck" else wheel.friction,
-            )
-            for wheel, command in zip(vehicle.wheels, commands, strict=True)
-        )
+        wheels = []
+        for wheel, command in zip(vehicle.wheels, commands, strict=True):
+            law = Friction(1.0, 0.0) if command == "stuck" else wheel.friction
+            wheels.append(replace(wheel, brake_torque_N_m=3e-4, friction=law))
         vehicle = replace(vehicle, wheels=wheels)
         speeds = rng.uniform(8, 15, n) * rng.choice([-1, 1], n) * (np.array(commands) != "stuck")
         torques = 1e-3 * rng.normal(size=(2, 3))

@@ -129,11 +129,9 @@ def test_the_error_of_p_and_q_together_is_of_third_order():
 # ---- histograms ----------------------------------------------------------------------------------
 def philae_with(axes, **changes):
     """Philae's body with its wheel on other axes (n_wheel, 3)."""
-    body = philae_body()
-    wheels = tuple(
-        replace(body.wheels[0], name=f"w{i}", axis_B=axis / np.linalg.norm(axis), **changes)
-        for i, axis in enumerate(axes)
-    )
+    body, units = philae_body(), [axis / np.linalg.norm(axis) for axis in axes]
+    wheel = replace(body.wheels[0], **changes)
+    wheels = [replace(wheel, name=f"w{i}", axis_B=axis) for i, axis in enumerate(units)]
     return replace(body, wheels=wheels)
 
 

@@ -22,11 +22,8 @@ START_S = 40.0
 
 PULL = ["gravity_gradient"]
 
-BODY = Vehicle(
-    "body",
-    [[1.0, 0.02, 0.0], [0.02, 1.3, 0.01], [0.0, 0.01, 0.8]],
-    wheels=[Wheel("w", [0.0, 0.6, 0.8], 0.02, 3.0, Friction(1e-4, 1e-4))],
-)
+WHEEL = Wheel("w", [0.0, 0.6, 0.8], 0.02, 3.0, Friction(1e-4, 1e-4))
+BODY = Vehicle("body", [[1.0, 0.02, 0.0], [0.02, 1.3, 0.01], [0.0, 0.01, 0.8]], wheels=[WHEEL])
 OMEGA = np.array([0.03, -0.02, 0.05])
 SPEED = 3.0
 ATTITUDE = Rotation.from_euler("xyz", [0.4, -0.3, 1.1])

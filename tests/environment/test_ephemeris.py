@@ -160,12 +160,10 @@ WRONG = {
 def _scaled(text: str) -> str:
     """Positions in m where km are meant."""
     lines = [line.split() for line in text.splitlines()]
-    return "\n".join(
-        " ".join([cells[0], *(str(1000 * float(x)) for x in cells[1:])])
-        if len(cells) == 7 and cells[0][:2] == "20"
-        else " ".join(cells)
-        for cells in lines
-    )
+    for cells in lines:
+        if len(cells) == 7 and cells[0][:2] == "20":
+            cells[1:] = [str(1000 * float(x)) for x in cells[1:]]
+    return "\n".join(map(" ".join, lines))
 
 
 @pytest.mark.parametrize("text", WRONG)

@@ -102,6 +102,18 @@ def test_a_budget_that_is_spent_says_that_something_was_left_out():
     assert Budget.of(np.inf).most == np.inf
 
 
+def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate():
+    model, truth = watched(15.0, max_deg_s=20.0)
+    slowest = np.radians(10.0)
+    motions = search(
+        Chain(model, SEARCH), pair_starts(model, SEARCH, slowest), SEARCH, Budget(np.inf), 1
+    )
+    turned = np.linalg.norm(motions.omega - truth.omega, axis=2).max(axis=1) * 20.0
+    assert turned.min() < 0.35
+    model, _ = watched(15.0, max_deg_s=10.0)
+    assert not list(pair_starts(model, SEARCH, slowest))
+
+
 def test_windows_grow_to_all_samples():
     t_s, window, windows = np.arange(40.0), slice(3, 8), []
     while window != slice(0, 40):

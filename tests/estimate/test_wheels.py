@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from sunspin.base.errors import InputError
 from sunspin.estimate.carry import nutation
 from sunspin.estimate.columns import samples_of
 from sunspin.estimate.model import Body
@@ -19,7 +20,9 @@ from sunspin.vehicle import Friction
 from tests.support.passes import tumbling_pass
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls
 
-ONE_PASS, WHEELS = (import_module(f"sunspin.estimate.{name}") for name in ("one_pass", "wheels"))
+ONE_PASS, WHEELS, RATES = (
+    import_module(f"sunspin.estimate.{name}") for name in ("one_pass", "wheels", "rates")
+)
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +129,35 @@ def test_each_wheel_and_all_are_reversed_unless_they_hardly_turn_the_rate_or_wra
     fast = each * (1.01 * WRAPPED_RAD / turned)
     assert (0,) not in reversed_momenta(TWO, fast, inertia, t_s)
     assert not reversed_momenta(replace(TWO, wheels=()), each[:0], inertia, t_s)
+
+
+SLOWING = replace(ONE, wheels=(replace(WHEEL, friction=Friction(coulomb_N_m=2e-6)),))
+
+
+@pytest.mark.parametrize("name", [HELD, COASTING])
+def test_reversed_wheels_are_searched_under_what_the_wheels_are_decided_to_do(
+    seen, monkeypatch, name
+):
+    """Also if they are held, although a search under coasting ones was begun."""
+    data, _ = seen
+    momentum = wheel_models(SLOWING, data)[name]
+
+    def doubted(obs, compared, searches, fitter):
+        assert searches.name == name
+        np.testing.assert_allclose(searches.momenta[0,], -momentum)
+        raise InputError("no further")
+
+    decided = WHEELS.DecidedWheels(name, name, momentum, {})
+    monkeypatch.setattr(RATES, "decide_wheels", lambda *_: decided)
+    monkeypatch.setattr(RATES, "doubted_signs", doubted)
+    with pytest.raises(InputError, match="no further"):
+        rates(SLOWING, data, max_rate_rad_s=0.06)
+
+
+def test_results_with_a_wheel_do_not_depend_on_the_number_of_workers(seen):
+    data, _ = seen
+    one, two = (rates(SLOWING, data, max_rate_rad_s=0.06, workers=k) for k in (1, 2))
+    xr.testing.assert_identical(one, two)
 
 
 def test_a_wheel_of_the_right_sign_is_not_accused(seen):

@@ -25,10 +25,8 @@ def case():
 def paper(case):
     """Section 3.3 with 1500 runs, wheel off and held."""
     scenario, lines = sc.paper_scenario(case), published_candidates(case)
-    return {
-        name: ss.outcomes(case.vehicle, lines, name, 1500, 7, scenario=scenario, workers=2)
-        for name in ("off", "held")
-    }
+    how = {"scenario": scenario, "workers": 2}
+    return {s: ss.outcomes(case.vehicle, lines, s, 1500, 7, **how) for s in ("off", "held")}
 
 
 def rows_of(case, n=24, strategy="off", **changes) -> OutcomeRows:
@@ -190,14 +188,10 @@ def test_candidates_can_have_their_own_sun_wheel_speed_and_weight(case):
     import xarray as xr
 
     scenario = sc.Scenario((0.0, 0.6, 0.8), (865.0,), 10.0)
-    data = xr.Dataset(
-        {
-            "omega_B": (("draw", "axis"), [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]),
-            "sun_B": (("draw", "axis"), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]),
-            "wheel_speed_rad_s": (("draw", "wheel"), [[0.0], [0.0]]),
-            "log_weight": ("draw", [0.0, -3.0]),
-        }
-    )
+    data = xr.Dataset({"log_weight": ("draw", [0.0, -3.0])})
+    data["omega_B"] = ("draw", "axis"), [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]
+    data["sun_B"] = ("draw", "axis"), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]
+    data["wheel_speed_rad_s"] = ("draw", "wheel"), [[0.0], [0.0]]
     runs = ss.outcomes(case.vehicle, data, "off", 400, 0, scenario=scenario)
     second = runs["candidate"].values == 1
     assert 0.01 < second.mean() < 0.1  # 0.047 expected

@@ -35,10 +35,8 @@ def test_predicted_rates_before_and_after_the_collision_agree_with_the_simulated
     after = predicted["rate"].values[0, :, 1]
     true = np.linalg.norm(truth["collision_omega_after_B"])
     assert after.min() < true < after.max() and after.std() > 0.03
-    again, other = (
-        predict_through_collision(craft, tree, [LATER], seed=seed)["omega_B"].values[0, :, 0]
-        for seed in (3, 4)
-    )
+    runs = (predict_through_collision(craft, tree, [LATER], seed=seed) for seed in (3, 4))
+    again, other = (run["omega_B"].values[0, :, 0] for run in runs)
     np.testing.assert_array_equal(again, predicted["omega_B"].values[0, :, 1])
     assert not np.array_equal(again, other)
     law = Collision(restitution=0.3)

@@ -33,9 +33,7 @@ def summary(path):
 def test_arviz_opens_and_summarises_the_file_of_a_posterior(tmp_path):
     tree = philae_draws(400, 0.003)
     table = summary(write_netcdf(tmp_path / "posterior.nc", tree))
-    mean = table["mean"].astype(float)
+    mean, draws = table["mean"].astype(float), tree["posterior"]["omega_B"].values[0]
     assert list(table.index) == ["omega_B[x]", "omega_B[y]", "omega_B[z]", "inertia_xx"]
-    assert np.allclose(
-        mean.iloc[:3], tree["posterior"]["omega_B"].values[0].mean(axis=0), rtol=0, atol=6e-4
-    )
+    assert np.allclose(mean.iloc[:3], draws.mean(axis=0), rtol=0, atol=6e-4)
     assert mean.iloc[3] == pytest.approx(13.905, abs=0.05)

@@ -225,10 +225,8 @@ def test_the_estimate_does_not_use_the_sensor_with_which_it_is_compared(
     ):
         done = run.invoke(cli, arguments)
         assert done.exit_code == 0, done.output
-    without, withheld, columns = (
-        pd.read_csv(place / name / "rates.csv", comment="#")
-        for name in ("without", "withheld", "columns")
-    )
+    files = (place / name / "rates.csv" for name in ("without", "withheld", "columns"))
+    without, withheld, columns = (pd.read_csv(file, comment="#") for file in files)
     pd.testing.assert_frame_equal(without, withheld)
     pd.testing.assert_frame_equal(without, columns)
     table = pd.read_csv(place / "columns" / "compared.csv", comment="#")

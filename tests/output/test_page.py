@@ -89,11 +89,8 @@ def test_the_page_loads_nothing_and_is_small(study, page):
 
 def test_every_view_of_the_page_has_a_text_and_axes_with_units(user_runs, page):
     for read in (page, Page(user_runs["posterior"] / "report.html")):
-        words = {
-            attrs["data-plot"]: attrs["aria-label"]
-            for tag, attrs in read.tags
-            if tag == "div" and "data-plot" in attrs
-        }
+        plots = [attrs for tag, attrs in read.tags if tag == "div" and "data-plot" in attrs]
+        words = {attrs["data-plot"]: attrs["aria-label"] for attrs in plots}
         plots = json.loads(read.data)
         assert set(words) == set(plots) and all(len(str(text)) > 30 for text in words.values())
         for name, plot in plots.items():

@@ -25,13 +25,9 @@ from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from tests.support.vehicles import FACES
 
-CUBE = Vehicle(
-    "cube",
-    np.diag([0.02, 0.021, 0.01]),
-    panels=tuple(Panel(name, n, 5.0) for name, n in FACES.items()),
-    gain_unit="W",
-    telemetry=TelemetryForm(noise=0.05),
-)
+PANELS = [Panel(name, n, 5.0) for name, n in FACES.items()]
+FORM = TelemetryForm(noise=0.05)
+CUBE = Vehicle("cube", np.diag([0.02, 0.021, 0.01]), panels=PANELS, gain_unit="W", telemetry=FORM)
 PIECES = "$ \\ _ ^ { } % & # ~ \\frac $x$ $$ a é 中 _{ <b> ' \" -".split()
 OMEGA = np.radians([1.5, 0.5, 3.0])
 
@@ -48,8 +44,7 @@ def tumble(
     covariance = np.tile(np.diag([1e-8, 4e-8, 9e-8]), (n, 1, 1))
     result = xr.Dataset(
         {
-            "omega_B": run["omega_B"],
-            "sun_B": run["sun_B"],
+            **{name: run[name] for name in ("omega_B", "sun_B")},
             "pass_of": ("time", np.zeros(n, dtype=int)),
             "omega_cov_B": (("time", "axis", "axis2"), covariance),
             "omega_sigma_all_B": (("pass_id", "axis"), [[3e-4, 1e-4, 1e-4]]),
@@ -79,10 +74,8 @@ def test_gyro_readings_are_drawn_less_the_zero_that_was_estimated():
     result, samples = tumble()
     zero = np.radians([0.4, -0.3, 0.0])
     samples = samples.assign(gyro_B=(("time", "axis"), result["omega_B"].values + zero))
-    estimates = xr.Dataset(
-        {"estimate_value": (("pass_id", "estimate"), [zero[:2]])},
-        {"estimate": ["gyro_zero_x", "gyro_zero_y"]},
-    )
+    estimates = xr.Dataset(coords={"estimate": ["gyro_zero_x", "gyro_zero_y"]})
+    estimates["estimate_value"] = ("pass_id", "estimate"), [zero[:2]]
     for known, off in ((result.merge(estimates), np.zeros(3)), (result, zero)):
         figure = rates_figure(known, samples)
         for k, axes in enumerate(figure.axes[:3]):
@@ -115,11 +108,8 @@ def test_residuals_are_drawn_by_sensor_with_the_share_beyond_the_limit():
 )
 def test_a_pass_that_must_not_be_used_is_marked_in_its_figure(fits, decided, said):
     result, _ = tumble(20, 30.0)
-    found = result.assign(
-        probability=(("pass_id", "solution"), [[1.0]]),
-        fits=("pass_id", [fits]),
-        decided=("pass_id", [decided]),
-    )
+    found = result.assign(fits=("pass_id", [fits]), decided=("pass_id", [decided]))
+    found["probability"] = ("pass_id", "solution"), [[1.0]]
     assert rates_figure(found).axes[0].get_title().splitlines()[1] == said
 
 

@@ -27,9 +27,8 @@ def test_texts_in_a_table_hold_no_separator(tmp_path):
     cells, read = columns(tmp_path / "t.csv")
     assert cells["name"].tolist() == read["name"].tolist()
     assert read["name"].tolist() == ["panel 'x'; outer", "no mark", "panel No.2; again"]
-    assert cells["value"].tolist() == [1.5, -2.0, 3.25] and cells["sure"].tolist() == [
-        *frame["sure"]
-    ]
+    assert cells["value"].tolist() == [1.5, -2.0, 3.25]
+    assert cells["sure"].tolist() == frame["sure"].tolist()
     assert names == frame["name"].tolist()  # the table itself is as it was
 
 

@@ -52,9 +52,8 @@ def test_each_table_has_the_keys_of_a_comparison_entry():
 def test_an_entry_has_the_texts_of_its_table_and_is_judged_by_its_tolerance(case):
     row = rw.make_row(case, "turns", 2.4)
     assert row.what == "turns" and row.source == "paper, section 9" and row.agrees is True
-    assert (
-        row.note == "by us" and rw.make_row(case, "turns", 2.4, {"grows": "late"}).note == "by us"
-    )
+    other = rw.make_row(case, "turns", 2.4, {"grows": "late"})
+    assert row.note == other.note == "by us"
     assert rw.make_row(case, "turns", 2.4, {"turns": "late"}, what="more").note == "late"
     assert rw.make_row(case, "turns", 2.6).agrees is False
     assert rw.make_row(case, "turns", 9.0, agrees=True).agrees is True

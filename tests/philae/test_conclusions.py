@@ -39,17 +39,13 @@ def found(quick):
 
 def truth_of(omega, found):
     """Smaller and larger angle of the momentum (rad) and the speed at the touchdown of a known motion."""
-    sun = np.array(
-        rb.read_truth(CASE)["sun_B"]
-    )  # what the panels show is some degrees away from it
+    # what the panels show is some degrees away from it
+    sun = np.array(rb.read_truth(CASE)["sun_B"])
     states = replace(found.chain.rebound.states(np.array([omega])), sun_B=sun[None])
     theta, alpha, _ = rb.momentum_angles(CASE.vehicle, states)
     back = ss.propagate(CASE.vehicle, omega, sun, 865.0, [0.0, -found.chain.rebound.lead_s])
-    return (
-        min(theta[0], alpha[0]),
-        max(theta[0], alpha[0]),
-        float(np.linalg.norm(back["omega_B"].values[-1])),
-    )
+    speed = float(np.linalg.norm(back["omega_B"].values[-1]))
+    return min(theta[0], alpha[0]), max(theta[0], alpha[0]), speed
 
 
 @pytest.mark.long
@@ -81,9 +77,8 @@ def test_a_lander_that_never_tumbled_is_distinguished_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
     still, tumbled = found("never tumbled"), found("another motion")
     small = [np.degrees(one.chain.chosen.angle_range(0)) for one in (still, tumbled)]
-    assert (
-        small[0][0] < 3 and small[0][1] < 35 and small[1][1] > 60
-    )  # 7 of the 30 degrees are the coarse grid's cells
+    # 7 of the 30 degrees are the coarse grid's cells
+    assert small[0][0] < 3 and small[0][1] < 35 and small[1][1] > 60
     bounds = [one.chain.chosen.speed_range()[0] for one in (still, tumbled)]
     assert bounds[0] < 0.01 and bounds[1] > 0.07
     words = " ".join(touchdown.describe_motion(still.chain))
@@ -151,9 +146,8 @@ def test_readings_without_sunlight_give_no_conclusion(found):
 )
 def test_an_exchange_of_any_two_panels_is_detected(first, second):
     case = rb.with_telemetry(CASE, controls.exchange_panels(CASE, first, second))
-    assert not data_check.compute(
-        case, ss.sun_directions(case.vehicle, case.telemetry), None
-    ).consistent_with_sun
+    sun = ss.sun_directions(case.vehicle, case.telemetry)
+    assert not data_check.compute(case, sun, None).consistent_with_sun
 
 
 def test_panel_misalignment_within_its_sigma_does_not_reject_a_file():

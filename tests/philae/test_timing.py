@@ -43,9 +43,8 @@ def test_the_posterior_of_the_built_in_telemetry_contains_the_truth(rebound):
     result = timing.compute(rebound, None, 200, rebounds.Options())
     rows = {row.id: row for row in timing.rows(result)}
     truth, text = result.truth, timing.describe(result)
-    assert (
-        result.unique and "leaves one motion" in text and f"{truth.touchdown:.3f} is true" in text
-    )
+    assert result.unique and "leaves one motion" in text
+    assert f"{truth.touchdown:.3f} is true" in text
     for name, true, width in (
         ("timed_rate_at_touchdown", truth.touchdown, 0.02),
         ("timed_rate_at_collision", truth.collision, 0.003),
@@ -62,9 +61,8 @@ def test_the_posterior_of_the_built_in_telemetry_contains_the_truth(rebound):
     ):
         assert not covered(figure)
         assert "synthetic" in figure.get_suptitle()
-        assert all(
-            "rad/s" in axes.get_xlabel() or "min" in axes.get_xlabel() for axes in figure.axes
-        )
+        labels = [axes.get_xlabel() for axes in figure.axes]
+        assert all("rad/s" in label or "min" in label for label in labels)
 
 
 def _near_minimum(rebound):
@@ -95,9 +93,8 @@ def test_the_page_is_there_before_the_posterior_and_stays_if_it_fails(tmp_path, 
 
     monkeypatch.setattr(timing, "compute", fail)
     with small():
-        written = reproduction.reproduce(
-            tmp_path / "out", coarser=25, calibrate=30, on_page=look, seed=0
-        )
+        options = {"coarser": 25, "calibrate": 30, "seed": 0}
+        written = reproduction.reproduce(tmp_path / "out", on_page=look, **options)
     assert len(seen) == 1 and seen[0][0] and "timing" not in seen[0][1]
     assert "no motion explains" in written.summary["missing"]["timing"]
     acts = written.summary["headline"]

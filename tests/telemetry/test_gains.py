@@ -12,7 +12,7 @@ from sunspin.vehicle import Fact, Panel, Vehicle
 from tests.support.vehicles import CUBE_NORMALS
 
 CUBE = Vehicle(
-    "cube", gain_unit="W", panels=[Panel(f"p{k}", CUBE_NORMALS[k], 2.0) for k in range(6)]
+    "cube", gain_unit="W", panels=[Panel(f"p{k}", n, 2.0) for k, n in enumerate(CUBE_NORMALS)]
 )
 ALIVE = np.zeros(6, dtype=bool)
 

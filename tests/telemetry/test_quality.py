@@ -106,12 +106,9 @@ def test_outliers_and_stale_late_and_empty_frames_are_reported():
 @pytest.mark.parametrize("told", ["stated", "below zero", "cut to zero"])
 def test_noise_in_shadow_is_not_taken_for_an_oblique_sun(told):
     """Four sides see nothing of a Sun along z, so noise on them looks like one; in the dark nothing but noise is read."""
-    sides = Vehicle(
-        "sides",
-        gain_unit="A",
-        panels=[Panel(f"p{k}", n, 0.5) for k, n in enumerate(NORMALS[[0, 1, 3, 4]])],
-        telemetry=TelemetryForm(quantity="current_A", noise=0.015 if told == "stated" else None),
-    )
+    panels = [Panel(f"p{k}", n, 0.5) for k, n in enumerate(NORMALS[[0, 1, 3, 4]])]
+    form = TelemetryForm(quantity="current_A", noise=0.015 if told == "stated" else None)
+    sides = Vehicle("sides", gain_unit="A", panels=panels, telemetry=form)
     rng = np.random.default_rng(2)
     sun = rng.normal(size=(200, 3))
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)

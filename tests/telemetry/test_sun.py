@@ -1,8 +1,11 @@
-"""Panels and Sun directions: geometry, the exact minimum compared with brute force, status, uncertainty."""
+"""Panels and Sun directions: geometry, the exact minimum compared with brute force, status, uncertainty over many directions."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.stats import chi2, kstest
 
 import sunspin as ss
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, reconstructible_patterns
@@ -12,11 +15,9 @@ from tests.support.vehicles import directions
 
 
 def random_panels(seed: int, n: int) -> Vehicle:
-    rng = np.random.default_rng(seed)
-    normals = directions(n, seed + 1000)
-    return Vehicle(
-        "random", panels=[Panel(str(k), p, rng.uniform(0.5, 2)) for k, p in enumerate(normals)]
-    )
+    rng, normals = np.random.default_rng(seed), directions(n, seed + 1000)
+    panels = [Panel(str(k), p, rng.uniform(0.5, 2)) for k, p in enumerate(normals)]
+    return Vehicle("random", panels=panels)
 
 
 PHILAE = ss.load_vehicle("philae")
@@ -35,10 +36,8 @@ def test_panel_power_by_hand():
 def test_illumination_patterns_of_any_vehicle_are_those_of_random_directions(seed):
     vehicle = random_panels(seed, 5)
     names = np.array(vehicle.panel_names)
-    shown = {
-        frozenset(names[row].tolist())
-        for row in np.unique(panel_power(vehicle, directions(200_000)) > 0, axis=0)
-    }
+    lit = np.unique(panel_power(vehicle, directions(200_000)) > 0, axis=0)
+    shown = {frozenset(names[row].tolist()) for row in lit}
     assert shown <= set(lit_patterns(vehicle))
     # n great circles in general position cut the sphere into n(n-1)+2
     assert len(set(lit_patterns(vehicle))) == 5 * 4 + 2
@@ -201,3 +200,60 @@ def test_degenerate_panels_give_no_direction(normals):
     sun = ss.sun_directions(vehicle, panel_power(vehicle, directions(50)), lit_threshold=1e-9)
     assert not is_reconstructed(sun["status"]).any()
     assert sun["delta"].values[sun["n_lit"].values > 0].max() < 1e-9
+
+
+NOISE, N = 1.5, 3000
+
+
+def distances(assumed=PHILAE, noise=NOISE, offset=0.0, seed=0):
+    """Squared distance (n) of the truth in the stated tangent covariance: chi-square of two degrees of freedom if all is right."""
+    rng = np.random.default_rng(seed)
+    sun = rng.normal(size=(N, 3))
+    sun /= np.linalg.norm(sun, axis=1)[:, None]
+    power = ss.panel_power(PHILAE, sun)
+    power = power[clear := (power > 0).sum(axis=1) >= 3]
+    power = np.where(power > 0, power + rng.normal(size=power.shape) * NOISE + offset, 0.0)
+    least = np.where(power != 0, power, np.inf).min(axis=1)
+    enough = least > 6 * NOISE  # grazing panels are no longer linear
+    found = ss.sun_directions(assumed, power, noise=noise, lit_threshold=3 * NOISE)
+    use = is_reconstructed(found["status"]) & enough
+    truth = sun[clear][use]
+    told = found["sun_B"].values[use]
+    covariance = found["sun_cov_B"].values[use]
+    basis = np.linalg.svd(told[:, None, :])[2][:, 1:]
+    tangent = np.einsum("nai,nij,nbj->nab", basis, covariance, basis)
+    error = np.einsum("nai,ni->na", basis, truth - told)
+    return np.einsum("na,nab,nb->n", error, np.linalg.inv(tangent), error)
+
+
+def distance_of_laws(**change) -> float:
+    """Kolmogorov's distance of the distances' distribution from the chi-square law."""
+    return float(kstest(distances(**change), chi2(2).cdf).statistic)
+
+
+def test_direction_covariance_covers_over_all_directions():
+    found = distances()
+    assert len(found) > 300
+    for level in (0.5, 0.68, 0.95):
+        held = np.mean(found < chi2(2).ppf(level))
+        assert held == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(found)))
+    assert distance_of_laws() < 1.95 / np.sqrt(len(found))  # the 0.1 % point
+
+
+def scaled(factor):
+    first, second, third, *others = PHILAE.panels
+    changed = replace(third, gain=third.gain * factor)
+    return replace(PHILAE, panels=[first, second, changed, *others])
+
+
+WRONG = {
+    "noise too large": {"noise": 1.3 * NOISE},
+    "noise too small": {"noise": NOISE / 1.3},
+    "a gain 5 % off": {"assumed": scaled(1.05)},
+    "an offset": {"offset": 2.0 * NOISE},
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+def test_the_coverage_test_fails_if_the_model_is_wrong(wrong):
+    assert distance_of_laws(**wrong) > 3.0 / np.sqrt(len(distances()))

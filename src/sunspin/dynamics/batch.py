@@ -53,6 +53,9 @@ SMALLEST_DIRECTION_ERROR = 1e-11
 SAFETY = 1 / 300
 """Share of the allowed error that the law of steps may use up: motions near an unstable spin multiply what is left out."""
 
+LOOSE_ERROR = 1e-7
+"""Error of a whole run, times :data:`SAFETY`, above which a lower order is faster."""
+
 MOST_EVENTS = 2000
 """Events of wheels in one motion; more means that a wheel chatters."""
 
@@ -479,7 +482,7 @@ def advance(
     duration = abs(float(ends[-1]))
     task = rows.Task(
         plain(ends),
-        order_for(error),
+        order_for(error, nodes is not None),
         error / duration if duration else 1.0,
         problem.torques,
         attitude,
@@ -500,8 +503,13 @@ def advance(
     return Motion(*answer, n_wheels)
 
 
-def order_for(error: float) -> int:
-    """Return the order of the Taylor series that is fastest for an error of the whole run."""
+def order_for(error: float, with_heights: bool) -> int:
+    """Return the order of the Taylor series that is fastest for an error of the whole run.
+
+    Order 14 takes 6 to 9 % less time than 17 for directions to 1e-4 or 1e-3 rad. Heights of the Sun need short steps in any case.
+    """
+    if error > LOOSE_ERROR and not with_heights:
+        return 14
     return 17 if error > 1e-9 else 20
 
 

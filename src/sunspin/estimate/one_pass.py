@@ -24,7 +24,7 @@ from sunspin.estimate.evidence import (
 )
 from sunspin.estimate.field_led import begun, field_of, in_axes_of, models_to_search
 from sunspin.estimate.images import with_images
-from sunspin.estimate.model import AS_STATED, Model, Noise, Observations, Track
+from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import RatesSettings, SearchSettings
@@ -81,6 +81,18 @@ def one_pass(
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
         tracks = searched(stated, s.ladder.strong, s.search, budget)
         fits = min(fits, fitted(stated, tracks, s.ladder.strong, s), key=likeliest_cost)
+    # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
+    no_inertia = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
+    strained = any(map(len, fits)) and likeliest(fits).model.noise.acceleration >= s.ladder.strained
+    if no_inertia and strained:
+        tracks = searched(stated, s.ladder.strong, s.search, budget)
+        fits = united(fits + fitted(stated, tracks, s.ladder.strong, s), s.ladder, s.search)
+    # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
+    beyond = s.alternatives.beyond if no_inertia else 1.0
+    reach = replace(stated, rate_sigma=beyond * stated.rate_sigma)
+    if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
+        tracks = searched(reach, s.search.noise, s.search, budget, stated.rate_max)
+        fits = united(fits + fitted(stated, tracks, s.search.noise, s), s.ladder, s.search)
     if not any(len(one) for one in fits):
         raise InputError(
             "no motion has a well-defined probability",
@@ -91,7 +103,7 @@ def one_pass(
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
     # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
     for related in (other_bodies, partial(aliases, s=s.alternatives)):
-        others = related(leading(fits, s.alternatives.relatives_of, s.search), stated)
+        others = related(leading(fits, s.alternatives.relatives_of, s.search), reach)
         budget.spend(len(others) * len(stated.obs))
         fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
         fits = united(fits, s.ladder, s.search)
@@ -103,7 +115,7 @@ def one_pass(
             break
         fits += fits_of_alternative(model, fits, s, budget)
     # a stated strength of torques, a ladder of one rung, says that the body does not swing
-    if sees_sun_alone(stated.obs) and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
+    if stated.obs.only_sun and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
         fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
 
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
@@ -118,8 +130,13 @@ def one_pass(
     )
 
 
-def searched(stated: Model, noise: float, s: SearchSettings, budget: Budget) -> list[Track]:
-    """Return the motions that a search under unknown torques of this strength leaves: a track for each meaning of the readings."""
+def searched(
+    stated: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
+) -> list[Track]:
+    """Return the motions that a search under unknown torques of this strength leaves: a track for each meaning of the readings.
+
+    No start is slower than `slowest`, rad/s. A model that allows no motion has none, if slower ones were searched before.
+    """
     # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
     if field_of(stated) is not None:
         of_search = replace(s, more_places=0)
@@ -127,8 +144,14 @@ def searched(stated: Model, noise: float, s: SearchSettings, budget: Budget) -> 
         of_search = s
     tracks = []
     for loose in models_to_search(stated, Noise(noise)):
-        chain, starts = Chain(loose, s), pair_starts(loose, s)
-        motions = search(chain, starts, of_search, budget, pairs_to_try(loose, s))
+        chain, starts = Chain(loose, s), pair_starts(loose, s, slowest)
+        try:
+            places = 1 if slowest else pairs_to_try(loose, s)
+            motions = search(chain, starts, of_search, budget, places)
+        except InputError:
+            if not slowest:
+                raise
+            continue
         tracks.append(in_axes_of(stated, loose, no_faster(loose, motions, s), s))
     return tracks
 
@@ -142,6 +165,15 @@ def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     slow = np.flatnonzero(speed <= model.rate_max)
     fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
     return motions.take(slow) if fits else motions
+
+
+def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
+    """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
+    if not any(len(one) for one in fits):
+        return False
+    best = likeliest(fits)
+    speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
+    return bool(speed * np.diff(best.model.obs.t_s).min() > fast_rad)
 
 
 def fitted(stated: Model, tracks: Sequence[Track], noise: float, s: RatesSettings) -> list[Fit]:
@@ -168,11 +200,6 @@ def fits_of_alternative(
     new = ladder(model, begin, of_ladder, s.search, rung, top)
     budget.spend(sum(len(one) for one in new) * len(model.obs))
     return [one for one in new if one.log_evidence.max() > top - of_ladder.hopeless]
-
-
-def sees_sun_alone(obs: Observations) -> bool:
-    """Return whether no sensor but the Sun's reads anything."""
-    return not any(term.present().any() for term in obs.terms if not term.of_sun)
 
 
 def _one_pass_if_any(

@@ -40,7 +40,7 @@ from sunspin.estimate.observe import (
     wheel_models,
     why_not_used,
 )
-from sunspin.estimate.one_pass import PassFitter, sees_sun_alone
+from sunspin.estimate.one_pass import PassFitter
 from sunspin.estimate.orbit.calibration import along_orbit
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.rates_dataset import (
@@ -126,7 +126,8 @@ def rates(
     source : {"panels", "sun_sensor", "directions"}, optional
         Where the Sun comes from; default: what the telemetry has.
     max_rate_rad_s : float, optional
-        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s.
+        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s. If neither
+        states it, no inertia is known and panels alone see the body, a fast one is searched up to twice that.
     acceleration_noise : float, optional
         Strength of unknown torques, rad/s^1.5; default: the vehicle's, else every strength is tried.
     gap_s : float, optional
@@ -187,7 +188,7 @@ def rates(
 
     # What is believed before the data: the nominal model of the whole file.
     noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    rate_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
+    rate_max, stated_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
     # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
@@ -202,6 +203,9 @@ def rates(
     )
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
+    # who states the largest rate knows that none is faster
+    beyond = 1.0 if stated_max else min(settings.alternatives.beyond, LARGEST_RATE / rate_max)
+    settings = replace(settings, alternatives=replace(settings.alternatives, beyond=beyond))
     body = Body.of(vehicle, torques_stated=noise is not None)
     stated = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
     budget = Budget.of(effort)
@@ -317,17 +321,17 @@ def stated_noise(
 
 def largest_rate(
     vehicle: Vehicle, given: float | None, t_s: np.ndarray, passes: Sequence[Pass]
-) -> float:
-    """Return the largest rate (rad/s) of the search: as given, else the vehicle's, else by the shorter intervals."""
+) -> tuple[float, bool]:
+    """Return the largest rate (rad/s) of the search and whether it is stated: as given, else the vehicle's, else by intervals."""
     given = vehicle.sensors.disturbance.max_rate_rad_s if given is None else given
     if given is not None:
         if not (np.isfinite(given) and given > 0):
             raise InputError("max_rate_rad_s must be positive", got=given)
-        return float(given)
+        return float(given), True
     shorter = [
         np.sort(np.diff(t_s[one.kept]))[: max(2, len(one.kept) // 8)].mean() for one in passes
     ]
-    return min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE)
+    return min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE), False
 
 
 def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
@@ -336,7 +340,7 @@ def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
     `stated`: the nominal model of the whole file. Other sensors may do without directions.
     """
     panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
-    if not panels or not sees_sun_alone(stated.obs):
+    if not panels or not stated.obs.only_sun:
         return
     read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
     count = panels[0].sigma.shape[1] - len(panels[0].left_out)
@@ -398,7 +402,7 @@ def doubts_of(
             "torques too strong for a satellite, or the body is no sphere: give its inertia": odd,
             f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column": wheels,
             f"the gain of panel {gains} is not known: give cells, gain_W, gain_A, or a sigma": gains
-            and sees_sun_alone(model.obs),
+            and model.obs.only_sun,
         }
         for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True)
     ]

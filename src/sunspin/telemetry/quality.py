@@ -14,6 +14,7 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import (
+    FAINT,
     PRIOR_SIGMA,
     READING_SIGMA,
     WIDE_SIGMA,
@@ -65,6 +66,10 @@ FACED = 0.3
 
 COSINE_QUANTILE = 0.68
 """84 % quantile, over all directions, of the cosine between a panel's normal and the Earth; negative cosines count as zero."""
+
+PASSING_NEAR, PASSING_MOST = 2, 0.3
+"""Samples before and after one on whose panels its Earth's light may fall too; and the largest share of full Sun that counts as
+such light."""
 
 SURELY_LIT = 2.0
 """A reading of more than this many times the albedo comes from the Sun; a lower one may come from the Earth."""
@@ -400,6 +405,9 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
     lit = value > SURELY_LIT * albedo * level * gains
     share = np.where(lit, lit_share, albedo)
     beside_gains = np.where(lit, lit_beside_gains, albedo)
+    if earth <= FAINT:  # not modelled
+        passing = _passing_light(vehicle, relative / level, clean, albedo, relative_noise)[:, None]
+        share, beside_gains = np.hypot(share, passing), np.hypot(beside_gains, passing)
     # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
     # state, which is as large as the scatter of full Sun, or up to all of that light.
     unstated = 0.0
@@ -637,17 +645,48 @@ def _estimate_albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     It is the 84 % quantile, 1 to 30 %, of the readings `share` (n, n_panel; shares of full Sun) of panels opposite to sunlit ones.
     With fewer than `ALBEDO_READINGS` readings it is `ALBEDO_DEFAULT`.
     """
+    dark = _facing_away(vehicle, share)
+    dark = dark[np.isfinite(dark)]
+    enough = len(dark) >= ALBEDO_READINGS
+    albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if enough else ALBEDO_DEFAULT
+    return albedo, len(dark)
+
+
+def _facing_away(vehicle: Vehicle, share: np.ndarray) -> np.ndarray:
+    """Return the readings (n, n_pair) of panels opposite to sunlit ones, NaN if the opposite one is not lit.
+
+    `share` (n, n_panel) and the result are shares of full Sun.
+    """
     response = vehicle.response_in()
     model = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
     # both_lit[i, j]: in some direction panel i gets light while panel j faces the Sun, so i is not dark then
     both_lit = (model > 0).T.astype(int) @ (model > FACED) > 0
     pairs = np.argwhere(opposite_panels(response.facing_B) & ~both_lit)
-    readings = [share[share[:, j] > FACED, i] for i, j in pairs]
-    dark = np.concatenate(readings) if readings else np.zeros(0)
-    dark = dark[np.isfinite(dark)]
-    enough = len(dark) >= ALBEDO_READINGS
-    albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if enough else ALBEDO_DEFAULT
-    return albedo, len(dark)
+    dark, lit = share[:, pairs[:, 0]], share[:, pairs[:, 1]] > FACED
+    return np.where(lit, dark, np.nan)
+
+
+def _passing_light(
+    vehicle: Vehicle, share: np.ndarray, kept: np.ndarray, albedo: float, noise: float
+) -> np.ndarray:
+    """Return the light (n) on panels that face away from the Sun, where it is clearly more than in the rest of the file.
+
+    The Earth's light that grows towards the end of a pass is not in the `albedo` of most samples. The light of a sample is the
+    largest of those near it, because the rotation of the body shows it to other panels.
+
+    Parameters
+    ----------
+    share : (n, n_panel)
+        Readings as shares of full Sun; `noise`: one sigma of them.
+    kept : (n)
+        Samples that count.
+    """
+    dark = _facing_away(vehicle, np.where(kept[:, None], share, np.nan))
+    largest = np.nanmax(dark, axis=1, initial=0.0) if dark.shape[1] else np.zeros(len(share))
+    clear = (largest > max(SURELY_LIT * albedo, DARK_SIGMAS * noise)) & (largest < PASSING_MOST)
+    largest = np.where(clear, largest, 0.0)
+    padded = np.pad(largest, PASSING_NEAR)
+    return np.max([padded[k : k + len(largest)] for k in range(2 * PASSING_NEAR + 1)], axis=0)
 
 
 def _earth_light(albedo: float, readings: int, noise: float) -> float:

@@ -36,11 +36,9 @@ RATE_STEP = 3e-4
 UNKNOWN_STEP, UNKNOWN_STEP_S, LARGEST_UNKNOWN_STEP = 1e-4, 2700.0, 3e-3
 """The same of the unknowns, in sigmas, over a window of that many seconds; shorter windows take larger steps, up to the last."""
 
-SEARCH_ERROR, FINAL_ERROR = 1e-5, 1e-6
-"""Error of directions (rad) in runs of a search, and of the fit to all samples."""
-
-DERIVATIVE_ERROR = 1e-7
-"""The same in runs that are subtracted from each other in the fit to all samples."""
+SEARCH_ERROR, FINAL_ERROR = 1e-4, 1e-6
+"""Error of directions (rad) in runs of a search and of draws, and of the fit to all samples. Runs that are subtracted from each
+other err by a tenth of it."""
 
 FLOOR = 1e-9
 """Part of the largest curvature that is added to all: directions that no reading determines stay as they are."""
@@ -151,7 +149,7 @@ class FitProblem:
     @property
     def difference_error(self) -> float:
         """Return the error of directions (rad) in runs that are subtracted from each other."""
-        return SEARCH_ERROR if self.error_rad >= SEARCH_ERROR else DERIVATIVE_ERROR
+        return self.error_rad / 10
 
     def derivatives(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
         """Return what is seen (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
@@ -357,7 +355,7 @@ class Fitting:
 
     def _linearised(self, point: Point) -> DenseSystem:
         """Return the system after a step, with derivatives corrected by it."""
-        seen, fine = self.problem.seen(point.shots, self.problem.difference_error)
+        seen, fine = self.problem.seen(point.shots, self.problem.error_rad)
         change = np.where(fine[:, None, None], seen - point.before, 0.0)
         step = np.where(fine[:, None], point.step, 0.0)
         seen_slopes = corrected(point.seen_slopes, step, change)

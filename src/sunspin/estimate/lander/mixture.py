@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from scipy.special import logsumexp
 
 from sunspin.dynamics import batch
-from sunspin.estimate.lander.fit import SEARCH_ERROR
+from sunspin.estimate.lander.fit import FINAL_ERROR
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
 from sunspin.estimate.lander.sample import Checked, mixed, predictive_check
@@ -44,7 +44,7 @@ def at_first_sample(model: LanderModel, shots: Shots) -> First:
         rows,
         [-model.after_s],
         command=model.wheel_mode,
-        error=SEARCH_ERROR,
+        error=FINAL_ERROR,
         acting=model.acting,
         attitude=True,
         leave_long=True,
