@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -227,21 +227,8 @@ def rates(
         fitted = fit_passes(assessment, stated, passes, fitter, progress is True)
     stated, models = fitted.stated, fitted.models
 
-    # The solutions of each pass. Passes help each other: the same torques act in all of them, and from one to the next a rate
-    # changes only so much.
-    fits = share_noise(fitted.fits, settings.ladder)
-    whole = [stated.obs.of_pass(one.samples) for one in passes]
-    solved = [
-        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
-        for one, obs, p in zip(fits, whole, passes, strict=True)
-    ]
-    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
-    middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
-    solved, walk = link_passes(solved, middles, stated.rate_sigma)
-    solved = [
-        one.listed(settings.solutions, len(images_of(model)))
-        for one, model in zip(solved, models, strict=True)
-    ]
+    # The solutions of each pass, which the other passes and observed periods help to tell apart.
+    fits, solved, of_neighbours = solve_passes(fitted, passes, chosen, periods, settings)
 
     # The result, and what may be believed of it.
     stated = stated.under(common_noise(fits))
@@ -257,10 +244,9 @@ def rates(
     result = result.assign_attrs(
         latency_attributes(vehicle, solved)
         | coarse
-        | of_periods
+        | of_neighbours
         | {
             "wheels": fitted.wheels,
-            "walk_between_passes": walk,
             "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
             "samples_searched": sum(len(p.kept) for p in passes),
             "symmetric_unlisted": 0,
@@ -313,6 +299,35 @@ def fit_passes(
     compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
     doubt = doubted_signs(stated.obs, compared, searches, fitter)
     return FittedPasses(stated, wheels.words, models, fits, doubt)
+
+
+def solve_passes(
+    fitted: FittedPasses,
+    passes: Sequence[Pass],
+    chosen: Sequence[int],
+    periods: Sequence[PeriodSeen],
+    settings: RatesSettings,
+) -> tuple[list[PassFits], list[Solutions], dict[str, Any]]:
+    """Return fits and solutions of each pass with what other passes and `periods` say of them, and attributes on that.
+
+    Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much. `chosen`:
+    numbers of the passes in the file.
+    """
+    stated = fitted.stated
+    fits = share_noise(fitted.fits, settings.ladder)
+    whole = [stated.obs.of_pass(one.samples) for one in passes]
+    solved = [
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
+        for one, obs, p in zip(fits, whole, passes, strict=True)
+    ]
+    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
+    middles = [float(stated.obs.t_s[p.samples].mean()) for p in passes]
+    solved, walk = link_passes(solved, middles, stated.rate_sigma)
+    solved = [
+        one.listed(settings.solutions, len(images_of(model)))
+        for one, model in zip(solved, fitted.models, strict=True)
+    ]
+    return fits, solved, of_periods | {"walk_between_passes": walk}
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:
