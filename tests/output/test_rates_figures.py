@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ from sunspin.output.figures.time_axis import build_time_axis
 from sunspin.output.kind import Context
 from sunspin.output.kinds.rates import rate_at, rates_drawings
 from sunspin.output.kinds.telemetry import sun_directions_figure
+from sunspin.output.report.read import Results
+from sunspin.output.report.views import read_motions
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from tests.support.vehicles import FACES
@@ -159,6 +162,19 @@ def test_drawn_rates_follow_the_motion_and_fill_their_axes():
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
     assert pass_motions(result.drop_vars("curve_pass_of")) == []
+
+
+@pytest.mark.parametrize("passes", [4, 6])
+def test_a_page_of_more_motions_than_it_shows_says_so(passes: int) -> None:
+    result = with_curve(tumble(60, 30.0)[0])
+    of_samples = np.arange(60) * passes // 60
+    share = result["curve_time"].values / result["curve_time"].values[-1]
+    of_curve = np.minimum(share * passes, passes - 1).astype(int)
+    result = result.drop_dims("pass_id").assign_coords(pass_id=np.arange(passes))
+    result = result.assign(pass_of=("time", of_samples), curve_pass_of=("curve_time", of_curve))
+    motions = read_motions(Results(Path("any"), "rates", data={"rates": result}))
+    says = [motion.attrs["about"].endswith("Shown are 4 of 6 motions") for _, motion in motions]
+    assert says == [passes > 4] * 4
 
 
 def test_the_attitude_is_drawn_where_an_orbit_gives_it():

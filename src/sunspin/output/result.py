@@ -48,6 +48,13 @@ class Result:
         import_module(f"sunspin.output.kinds.{MODULES[name]}")
         return KINDS[name]
 
+    @property
+    def kind_or_none(self) -> Kind | None:
+        """Kind of the result; None for data of a results folder that are no result, such as its telemetry's samples."""
+        from sunspin.output.kinds import MODULES
+
+        return self._kind if self._data.attrs.get("kind") in MODULES else None
+
     def summary(self) -> Summary:
         """Return the main numbers as a dict of plain data; ``print()`` shows the text that the command line prints."""
         summary = self._kind.summary(self._data)

@@ -124,11 +124,14 @@ def pointing_drawings(data: Any, _: Context) -> Iterator[Drawing]:
     """Yield the figure of the angles against time; none if no pass is decided."""
     if not data["decided"].values.any():
         return
+    shown, passes = len(largest_passes(data)), data.sizes["pass_id"]
+    chosen = f" Shown are the {shown} of {passes} passes with the most samples."
     yield Drawing(
         "pointing",
         lambda: pointing_figure(data),
         "Angles of body axes to the Sun, nadir, ram and stations against time in each pass, with bars of one sigma.",
-        "Dots: samples with one sigma; lines: the estimated motion between them. Passes that are not decided are empty.",
+        "Dots: samples with one sigma; lines: the estimated motion between them. Passes that are not decided are empty."
+        + (chosen if shown < passes else ""),
     )
 
 

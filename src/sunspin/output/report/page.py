@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.extras import require_extra
-from sunspin.output.folder import CITE, to_plain_data, write_whole
-from sunspin.output.report.read import PageTable, Results, read_results
+from sunspin.output.folder import CITE, LARGEST_SVG_BYTES, to_plain_data, write_whole
+from sunspin.output.report.read import PageFigure, PageTable, Results, read_results
 from sunspin.output.report.rows import comparison
 from sunspin.output.text import number_text
 
@@ -55,7 +55,7 @@ def _render_page(results: Results) -> str:
     views = results.attempt("the views", lambda: _views(results)) or {}
     first_sentences, folded_sentences = _sentences(summary)
     figures = []
-    for figure in results.figures:
+    for figure in results.figures or results.attempt("the figures", lambda: _draw(results)) or []:
         image_type = "svg+xml" if figure.name.endswith(".svg") else "png"
         data = f"data:image/{image_type};base64,{base64.b64encode(figure.content).decode('ascii')}"
         figures.append(figure._asdict() | {"data": data})
@@ -85,6 +85,25 @@ def _render_page(results: Results) -> str:
         licence=_licence() if plotted else "",
         scripts=[Markup(_script(text)) for text in scripts],
     )
+
+
+def _draw(results: Results) -> list[PageFigure]:
+    """Return the figures of a folder that was written without the packages of figures, drawn from its data."""
+    from sunspin.output.kind import Context
+    from sunspin.output.result import draw
+
+    context = Context(results.data.get("telemetry"), results.vehicle)
+    figures = []
+    for data in results.data.values():
+        kind = data.sunspin.kind_or_none
+        if kind is None or kind.command != results.command:
+            continue
+        for picture in draw(data, context):
+            large = len(picture.files["svg"]) > LARGEST_SVG_BYTES
+            suffix = "png" if large else "svg"
+            content, name = picture.files[suffix], f"{picture.name}.{suffix}"
+            figures.append(PageFigure(name, content, picture.alt, picture.caption))
+    return figures
 
 
 def _sentences(summary: dict[str, Any]) -> tuple[list[str], list[str]]:

@@ -52,20 +52,29 @@ Motions = list[tuple[str, xr.Dataset]]
 def read_motions(results: Results) -> Motions:
     """Return the first `MOST_MOTIONS` motions of a folder; each pass of a result of `rates` is a motion.
 
-    Motions of the Philae study are first, in the order of `FIRST`; the others follow in the order of the manifest.
+    If there are more, their attribute `about` says so. Motions of the Philae study are first, in the order of `FIRST`; the others follow in the order of the manifest.
     """
-    motions, telemetry = [], results.data.get("telemetry")
+    motions, telemetry, total = [], results.data.get("telemetry"), 0
     for name, data in results.with_variables("B_from_N", "sun_B", "omega_B"):
         if "pass_of" not in data:
             motions.append((str(data.attrs.get("title", name)), data))
+            total += 1
             continue
+        total += data.sizes["pass_id"]
         wheels = str(data.attrs.get("wheels", ""))
         for title, motion in pass_motions(data):
             if results.vehicle is not None:
                 motion = with_wheel_speeds(motion, results.vehicle, telemetry, wheels)
             motions.append((title, motion))
     rank = {title: k for k, title in enumerate(FIRST)}
-    return sorted(motions, key=lambda motion: rank.get(motion[0], len(FIRST)))[:MOST_MOTIONS]
+    motions = sorted(motions, key=lambda motion: rank.get(motion[0], len(FIRST)))[:MOST_MOTIONS]
+    if len(motions) == total:
+        return motions
+    shown = f"Shown are {len(motions)} of {total} motions"
+    return [
+        (title, motion.assign_attrs(about=f"{motion.attrs.get('about', '')}. {shown}".strip(". ")))
+        for title, motion in motions
+    ]
 
 
 def sun_on_sphere(results: Results, motions: Motions) -> View | None:
