@@ -52,7 +52,8 @@ Motions = list[tuple[str, xr.Dataset]]
 def read_motions(results: Results) -> Motions:
     """Return the first `MOST_MOTIONS` motions of a folder; each pass of a result of `rates` is a motion.
 
-    If there are more, their attribute `about` says so. Motions of the Philae study are first, in the order of `FIRST`; the others follow in the order of the manifest.
+    If there are more, their attribute `about` says so. Motions of the Philae study are first, in the order of `FIRST`; the others
+    follow in the order of the manifest.
     """
     motions, telemetry, total = [], results.data.get("telemetry"), 0
     for name, data in results.with_variables("B_from_N", "sun_B", "omega_B"):
