@@ -52,12 +52,10 @@ def test_every_code_block_names_its_language(name):
     """A block without a language would not be run and nobody would see it; indented commands neither."""
     for block in BLOCKS[name]:
         assert block.language in LANGUAGES, f"{name}, line {block.line}"
-    text = re.sub(
-        r"^(`{3,}|:{3,}).*?^\1$", "", PAGES[name].read_text("utf-8"), flags=re.MULTILINE | re.DOTALL
-    )
-    assert not re.search(r"^ {4,}(\$|sunspin|make|python|pip) ", text, re.MULTILINE), (
-        f"{name} has commands outside a console block"
-    )
+    page, fences = PAGES[name].read_text("utf-8"), r"^(`{3,}|:{3,}).*?^\1$"
+    text = re.sub(fences, "", page, flags=re.MULTILINE | re.DOTALL)
+    bare = re.search(r"^ {4,}(\$|sunspin|make|python|pip) ", text, re.MULTILINE)
+    assert not bare, f"{name} has commands outside a console block"
 
 
 def test_the_runner_of_code_blocks_detects_wrong_output_and_failures(tmp_path):
@@ -72,9 +70,8 @@ def test_the_runner_of_code_blocks_detects_wrong_output_and_failures(tmp_path):
         (block,) = blocks(text)
         with pytest.raises((AssertionError, ZeroDivisionError, click.ClickException, SystemExit)):
             Reader(page, tmp_path).follow(block)
-    (block,) = blocks(
-        "<!-- not run: it needs a cluster of machines -->\n\n```console\n$ false\n```\n"
-    )
+    text = "<!-- not run: it needs a cluster of machines -->\n\n```console\n$ false\n```\n"
+    (block,) = blocks(text)
     assert block.skipped
 
 
@@ -94,9 +91,8 @@ def test_examples_are_numbered_without_gap():
 def test_links_of_the_pages_lead_to_existing_files():
     for name, path in PAGES.items():
         for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text("utf-8")):
-            assert link.split("/")[-1] in WRITTEN or (path.parent / link).exists(), (
-                f"{name}: {link}"
-            )
+            is_there = link.split("/")[-1] in WRITTEN or (path.parent / link).exists()
+            assert is_there, f"{name}: {link}"
 
 
 def test_each_convention_is_numbered_and_names_a_test_that_exists():
@@ -115,9 +111,6 @@ def test_each_convention_is_numbered_and_names_a_test_that_exists():
 def test_the_reference_lists_every_public_name():
     import sunspin
 
-    listed = re.findall(
-        r"^\.\. auto\w+:: sunspin\.(\w+)$",
-        (ROOT / "docs" / "api.md").read_text("utf-8"),
-        re.MULTILINE,
-    )
+    text = (ROOT / "docs" / "api.md").read_text("utf-8")
+    listed = re.findall(r"^\.\. auto\w+:: sunspin\.(\w+)$", text, re.MULTILINE)
     assert sorted(listed) == sorted(set(sunspin.__all__) - {"__version__"})

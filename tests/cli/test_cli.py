@@ -28,6 +28,17 @@ def test_help_does_not_import_the_heavy_libraries():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_command_ends_without_a_search_for_garbage():
+    """What is registered first runs last at the end of Python."""
+    code = """import atexit, gc, sys
+atexit.register(lambda: print("kept from the search:", gc.get_freeze_count() > 0))
+from sunspin.cli import main
+sys.argv[1:] = ["--version"]
+main()"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("kept from the search: True\n")
+
+
 @pytest.mark.evidence("sun", "verified", "the files that init writes")
 @pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
 def test_files_written_by_init_work_with_the_next_commands(start):

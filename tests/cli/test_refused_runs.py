@@ -19,20 +19,14 @@ PLAIN = "vehicle.toml telemetry.csv"
 RATE = "--omega-deg-s 1,0,2 --sun 1,0,0 --duration 60"
 
 RUNS = {
-    "sun": PLAIN,
-    "calibrate-sensors": PLAIN,
-    "rates": PLAIN,
-    "posterior": PLAIN,
+    **dict.fromkeys(("sun", "calibrate-sensors", "rates", "posterior"), PLAIN),
     "export": "run --epoch 2026-01-01T00:00:00Z",
-    "compare": "run run",
-    "history": "run",
-    "pointing": "run",
+    **{"compare": "run run", "history": "run", "pointing": "run"},
     "plan": "vehicle.toml --every 10 --samples 6 --passes 1",
     "simulate": f"vehicle.toml {RATE}",
     "scan": f"{PLAIN} --to 160 --omega-x-deg-s=-6:6:6 --omega-y-deg-s=-6:6:6 --omega-z-deg-s=0:6:6",
     "outcomes": "philae --runs 10 --omega-deg-s 6,0,12",
-    "reproduce": "",
-    "decode": "frames",
+    **{"reproduce": "", "decode": "frames"},
 }
 """A right run of each command with --out, in a folder with example files, a results folder and raw frames."""
 

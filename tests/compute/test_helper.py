@@ -78,8 +78,7 @@ def be_deaf(seconds):
             time.sleep(0.01)
 
 
-def test_a_helper_that_catches_the_request_to_end_ends_after_its_call(monkeypatch):
-    monkeypatch.setattr(module, "AGAIN_S", 0.05)
+def test_a_helper_that_catches_the_request_to_end_ends_after_its_call():
     before = set(active_children())
     with helper_process(2, prepare) as helper:
         helper.start(be_deaf, 1.0)

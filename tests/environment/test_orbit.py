@@ -39,21 +39,16 @@ ISS = {
     "OBJECT_NAME": "ISS (ZARYA)",
     "OBJECT_ID": "1998-067A",
     "EPOCH": "2024-03-01T12:00:00.000000",
-    "MEAN_MOTION": 15.49,
-    "ECCENTRICITY": 0.0006,
-    "INCLINATION": 51.64,
-    "RA_OF_ASC_NODE": 120.0,
+}
+ISS |= {"MEAN_MOTION": 15.49, "ECCENTRICITY": 0.0006, "INCLINATION": 51.64, "RA_OF_ASC_NODE": 120.0}
+ISS |= {
     "ARG_OF_PERICENTER": 30.0,
     "MEAN_ANOMALY": 40.0,
     "EPHEMERIS_TYPE": 0,
     "CLASSIFICATION_TYPE": "U",
-    "NORAD_CAT_ID": 25544,
-    "ELEMENT_SET_NO": 999,
-    "REV_AT_EPOCH": 44000,
-    "BSTAR": 0.0001,
-    "MEAN_MOTION_DDOT": 0,
-    "MEAN_MOTION_DOT": 0.0001,
 }
+ISS |= {"NORAD_CAT_ID": 25544, "ELEMENT_SET_NO": 999, "REV_AT_EPOCH": 44000, "BSTAR": 0.0001}
+ISS |= {"MEAN_MOTION_DDOT": 0, "MEAN_MOTION_DOT": 0.0001}
 
 
 def test_sgp4_gives_the_published_verification_states():
@@ -418,15 +413,9 @@ def test_an_OMM_of_another_theory_than_SGP4_is_refused(key, value, message, form
         parse_elements(FORMS[form](ISS | {key: value}), "case")
 
 
-PUBLISHED = {
-    "COMMENT": "GENERATED VIA A PUBLIC API",
-    "CREATION_DATE": "2024-03-01T18:00:00",
-    "ORIGINATOR": "SOMEBODY",
-    "CENTER_NAME": "EARTH",
-    "REF_FRAME": "TEME",
-    "TIME_SYSTEM": "UTC",
-    "MEAN_ELEMENT_THEORY": "SGP4",
-}
+PUBLISHED = {"COMMENT": "GENERATED VIA A PUBLIC API", "CREATION_DATE": "2024-03-01T18:00:00"}
+PUBLISHED |= {"ORIGINATOR": "SOMEBODY", "CENTER_NAME": "EARTH", "REF_FRAME": "TEME"}
+PUBLISHED |= {"TIME_SYSTEM": "UTC", "MEAN_ELEMENT_THEORY": "SGP4"}
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -504,6 +493,7 @@ def _of_type(digit: str) -> str:
 NO_BSTAR = {key: value for key, value in ISS.items() if key != "BSTAR"}
 SWAPPED = "\n".join([VANGUARD.splitlines()[1], VANGUARD.splitlines()[0]])
 BLANKS = {"\N{NO-BREAK SPACE}": "no-break space, U.00A0", "\t": "a control character, U.0009"}
+PLAIN = ".; write a plain blank"
 CHECKSUM = "case, line 1: the checksum of the line is 3, but its last character says '4';"
 ORDER = "case, line 1: line 2 of the elements comes before line 1; exchange the two lines"
 DIFFERENT = "the two lines are of different satellites .found 00005 and 00006."
@@ -541,10 +531,10 @@ UNREAD = "the catalogue number of the satellite cannot be read .found "
         (json.dumps([ISS, ISS | {"REF_FRAME": "GCRF"}]), "^case, message 2: REF_FRAME of the OMM"),
         *(
             (
-                VANGUARD.replace(line, line[0] + blank + line[2:]),
-                f"in column 2 .found {name}.; write a plain blank",
+                VANGUARD.replace(f"{k} 00005", f"{k}{blank}00005"),
+                f"in column 2 .found {name}{PLAIN}",
             )
-            for line in VANGUARD.splitlines()
+            for k in (1, 2)
             for blank, name in BLANKS.items()
         ),
         (VANGUARD.replace("00000-0", "00000\N{EN DASH}0"), EN_DASH),

@@ -10,6 +10,7 @@ from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.attitudes import SENSORS, AttitudeLaw, OrbitState
 from sunspin.estimate.orbit.calibration import (
+    SUN_TURNED_RAD,
     Calibration,
     CalibrationStart,
     FieldCalibration,
@@ -19,7 +20,6 @@ from sunspin.estimate.orbit.calibration import (
 )
 from sunspin.estimate.orbit.invariants import (
     MATRIX,
-    SUN_RAD,
     ZERO,
     MagnetometerLaw,
     MagnetometerState,
@@ -232,7 +232,7 @@ def test_at_another_offset_the_calibration_follows_its_regression_on_the_place()
 
 
 def test_directions_of_panels_turn_all_fields_by_one_angle():
-    """By SUN_RAD about each axis: no field changes along itself."""
+    """By SUN_TURNED_RAD about each axis: no field changes along itself."""
     by_sensors = fit_of_one_sensor()
     field, variances = 3e-5 * np.array([0.6, 0.0, 0.8]), []
     for fit in (by_sensors, replace(by_sensors, sensors=0)):
@@ -241,7 +241,7 @@ def test_directions_of_panels_turn_all_fields_by_one_angle():
         columns = calibration.columns(reading[None])[0]
         variances.append(columns.T @ columns)
     across = field @ field * np.eye(3) - np.outer(field, field)
-    expected = SUN_RAD**2 * across
+    expected = SUN_TURNED_RAD**2 * across
     np.testing.assert_allclose(variances[1] - variances[0], expected, atol=1e-6 * expected.max())
 
 

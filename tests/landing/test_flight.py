@@ -12,8 +12,7 @@ from tests.support.vehicles import FIRST_SUN
 
 SUN = FIRST_SUN / np.linalg.norm(FIRST_SUN)
 SCHEDULES = {
-    "off": ((0.0, "coast"),),
-    "held": ((0.0, "hold"),),
+    **{"off": ((0.0, "coast"),), "held": ((0.0, "hold"),)},
     "delayed": ((0.0, "hold"), (700.0, "coast")),
     "braked after a while": ((0.0, "coast"), (300.0, "brake")),
 }

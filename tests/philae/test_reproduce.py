@@ -45,9 +45,8 @@ def quick():
         patch.setattr(rp, "LANDING_RUNS", 1)
         patch.setattr(data_check, "SHUFFLES", 3)
         patch.setattr(published_lines, "LINE_POINTS", 3)
-        yield lambda case, **options: rp.compute(
-            case, **({"coarser": 10, "simulations": 30} | options)
-        )
+        usual = {"coarser": 10, "simulations": 30}
+        yield lambda case, **options: rp.compute(case, **(usual | options))
 
 
 @pytest.mark.long
@@ -57,9 +56,8 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(qui
     assert "no sample before the first touchdown" in found.missing["descent"]
     with_rows = "phases carries level_set touchdown mechanics published_lines inputs".split()
     assert list(rows_by_step(found)) == with_rows
-    assert any(
-        said.startswith("Section 3.1: the descent: not reproduced") for said in conclusions(found)
-    )
+    gap = "Section 3.1: the descent: not reproduced"
+    assert any(said.startswith(gap) for said in conclusions(found))
     assert "too few samples" in headline(found)[0]
     ids = [row.id for row in found.rows]
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
@@ -72,11 +70,8 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(qui
         figure = sheet.make()
         assert not covered(figure), (sheet.name, covered(figure))
         drawn = [text.get_text() for text in figure.findobj(Text)]
-        said = [
-            text
-            for text in (*drawn, sheet.alt, sheet.caption)
-            if "measured" in text.lower() and "no measured" not in text
-        ]
+        texts = (*drawn, sheet.alt, sheet.caption)
+        said = [text for text in texts if "measured" in text.lower() and "no measured" not in text]
         assert not said, (sheet.name, said)
 
 
@@ -89,14 +84,8 @@ def test_with_measured_telemetry_input_figures_become_tests(quick):
     assert not any(row.note.startswith("synthetic telemetry") for row in rows)
     kinds = {row.id: row.kind for row in rows}
     # neither made from these figures nor selected for them
-    names = (
-        "delta_mean",
-        "descent_rate_cubic",
-        "shadowed_panel",
-        "lines_found",
-        "sun_height_range",
-    )
-    assert {kinds[name] for name in names} == {"test"}
+    names = "delta_mean descent_rate_cubic shadowed_panel lines_found sun_height_range"
+    assert {kinds[name] for name in names.split()} == {"test"}
 
 
 @pytest.mark.long
@@ -135,9 +124,8 @@ def test_the_study_runs_with_a_wheel_at_rest(quick):
 
 @pytest.mark.long
 def test_telemetry_of_no_landing_gives_no_conclusion(quick):
-    found = quick(
-        rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20
-    )
+    exchanged = controls.CONTROLS["panels 1 and 2 exchanged"](CASE)
+    found = quick(rb.with_telemetry(CASE, exchanged), coarser=20)
     assert found.candidate_sets.result is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
@@ -158,9 +146,8 @@ def test_every_numbered_figure_of_the_paper_has_an_entry(tmp_path):
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
     assert shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png"
     assert shown["figure_3"] == "fig03_measured.png"
-    assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith(
-        "not drawn: a picture"
-    )
+    assert shown["figure_13"] == "not drawn"
+    assert shown["figure_1"].startswith("not drawn: a picture")
 
 
 def test_a_changed_value_is_not_marked_as_used_from_the_paper():
@@ -169,13 +156,11 @@ def test_a_changed_value_is_not_marked_as_used_from_the_paper():
     rows = [{row.id: row for row in inputs.rows(case)} for case in (CASE, changed)]
     for name in ("table_2", "wheel_speed"):
         assert all(found[name].published == rows[0][name].ours for found in rows), name
-        assert rows[1][name].ours != rows[0][name].ours and rows[1][name].note.startswith(
-            "not as published"
-        )
+        assert rows[1][name].ours != rows[0][name].ours, name
+        assert rows[1][name].note.startswith("not as published"), name
     same = set(rows[0]) - {"table_2", "wheel_speed", "rate_at_touchdown_min_rounded"}
-    assert all(rows[0][name] == rows[1][name] for name in same) and rows[0][
-        "table_2"
-    ].note.startswith("used as published")
+    assert all(rows[0][name] == rows[1][name] for name in same)
+    assert rows[0]["table_2"].note.startswith("used as published")
 
 
 def failing(*_):

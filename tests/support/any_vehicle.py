@@ -148,14 +148,11 @@ def pass_against_truth(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str,
     best = int(np.argmin(np.where(np.isnan(far), np.inf, far)))
     bad = bool(result["cost"].values[k, 0] > result["cost_limit"].values[k])
     word = "fits badly" if bad else "decided" if probability[0] >= DECIDED else "several"
-    return {
-        "word": word,
-        "listed": is_listed(result["omega_mean_B"].values[k], sigma, probability, truth),
-        "best": bool(near[0]),
-        "probability": float(probability[near].sum()),
-        "pulls": (miss / sigma)[best].tolist(),
-        "miss_deg_s": np.degrees(miss[best]).tolist(),
-    }
+    listed = is_listed(result["omega_mean_B"].values[k], sigma, probability, truth)
+    about = {"word": word, "listed": listed, "best": bool(near[0])}
+    about |= {"probability": float(probability[near].sum())}
+    about |= {"pulls": (miss / sigma)[best].tolist(), "miss_deg_s": np.degrees(miss[best]).tolist()}
+    return about
 
 
 # ---------------------------------------------------------------------------------------------------------------------- posterior
@@ -236,16 +233,9 @@ def posterior_case(seed: int, i: int, revolutions: float = 0.24) -> PosteriorCas
         vehicle = replace(vehicle, telemetry=replace(form, noise=noise * truth["scale"]))
     # no torque acts
     priors = {"max_rate_rad_s": float(rng.uniform(1.1, 2.0) * rate), "steady_torque": 0.0}
-    about = {
-        "rate": rate,
-        "turns_between": rate * interval / 2 / np.pi,
-        "samples": n,
-        "panels": len(vehicle.panels),
-        "wheels": len(vehicle.wheels),
-        "noise": noise,
-        "stated": stated is not None,
-        "dark": dark,
-    }
+    about = {"rate": rate, "turns_between": rate * interval / 2 / np.pi, "samples": n}
+    about |= {"panels": len(vehicle.panels), "wheels": len(vehicle.wheels)}
+    about |= {"noise": noise, "stated": stated is not None, "dark": dark}
     return PosteriorCase(vehicle, telemetry, omega, priors, about)
 
 

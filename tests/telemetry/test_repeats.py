@@ -295,21 +295,11 @@ def dead(t, value):
 
 
 FAULTS = {
-    "-999": cell(-999.0),
-    "-1": cell(-1.0),
-    "999": cell(999.0),
-    "65535": cell(65535.0),
-    "0x7FFF": cell(float(0x7FFF)),
-    "not a number": cell(np.nan),
-    "row of -999": row(-999.0),
-    "row of 65535": row(65535.0),
-    "row without numbers": row(np.nan),
-    "frozen": repeated,
-    "late": late,
-    "battery-limited": dimmed(0.6),
-    "idle": dimmed(0.2),
-    "nothing lit": dimmed(0.0),
-    "dead panel": dead,
+    **{str(value): cell(float(value)) for value in (-999, -1, 999, 65535, 0x7FFF)},
+    **{"not a number": cell(np.nan), "row without numbers": row(np.nan)},
+    **{"row of -999": row(-999.0), "row of 65535": row(65535.0)},
+    **{"frozen": repeated, "late": late, "dead panel": dead},
+    **{"battery-limited": dimmed(0.6), "idle": dimmed(0.2), "nothing lit": dimmed(0.0)},
 }
 
 

@@ -186,11 +186,8 @@ x_scale = 1.0
 x_sigma_rad = 0.02
 y_sigma_rad = 0.5
 """
-IN_TESLA = {
-    "zero": np.array([2e-6, -1e-6, 3e-6]),
-    "noise": 3e-7,
-    "dipole": np.array([0.3, 0.1, -0.2]),
-}
+IN_TESLA = {"zero": np.array([2e-6, -1e-6, 3e-6]), "noise": 3e-7}
+IN_TESLA["dipole"] = np.array([0.3, 0.1, -0.2])
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])

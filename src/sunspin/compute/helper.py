@@ -19,8 +19,8 @@ from typing import Any
 from sunspin.base.errors import InputError
 from sunspin.compute.pool import ENDED, may_fork, prepare_worker
 
-AGAIN_S = 1.0
-"""Seconds after which a helper that still works is asked once more to end; it ends its own processes in less."""
+AGAIN_S = 0.1
+"""Seconds after which a helper that has not ended is asked once more: right after it was copied Python ignores errors."""
 
 
 class Helper:
@@ -76,9 +76,7 @@ def helper_process(workers: int, prepare: Callable[[], Any]) -> Generator[Helper
 def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> None:
     """Compute calls and send value and error (one of them None) of each, until the parent ends."""
     prepare_worker()
-    signal.signal(
-        signal.SIGTERM, lambda *_: sys.exit()
-    )  # an error, which ends a pool of its own too
+    signal.signal(signal.SIGTERM, _end)
     parents.close()  # else the pipe would stay open without the parent
     with suppress(Exception):  # a call that needs it will fail too, and say why
         prepare()
@@ -92,6 +90,12 @@ def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> 
                 failure.add_note("".join(traceback.format_exception(failure)))
                 error = failure
             own.send((value, error))
+
+
+def _end(*_: Any) -> None:
+    """Handle the request to end by an error, which ends a pool of this process too; further requests do not disturb that."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit()
 
 
 @contextmanager

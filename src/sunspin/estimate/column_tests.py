@@ -64,7 +64,8 @@ files with two columns exchanged the right change was at most 0.8 from the best.
 
 AS_GOOD = 3.0
 """The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one. And
-the log evidence by which a change may be better than the file in a decided pass: right files have such a change in 5 % at most."""
+the log evidence by which a change may be better than the file in a decided pass. Of 100 right files that were compared six have
+such a change, all of bodies slower than 0.3 deg/s; in none is a change better by :data:`CLEARLY` and fits better too."""
 
 MOST_COMPARED = 60
 """Samples that are compared so, evenly chosen."""

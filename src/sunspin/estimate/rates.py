@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -66,6 +67,7 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
 from sunspin.estimate.wheels import (
     FittedPass,
+    Reversed,
     decide_wheels,
     doubted_signs,
     expected,
@@ -222,38 +224,11 @@ def rates(
         load_step()
     with process_pool(processes) as pool:
         fitter = PassFitter(settings, budget, map if pool is None else pool.map)
-        first = passes[longest(passes)[0]]
-        # while the wheels are decided, a search of what they probably do may run
-        searches = search_reversed(assessment, expected(assessment), stated, first, fitter)
-        wheels = decide_wheels(assessment, stated, passes, fitter)
-        if searches.name != wheels.name:
-            searches = search_reversed(assessment, wheels.name, stated, first, fitter)
-        stated = stated.with_momentum(wheels.momentum)
-        models = [kept_samples(stated, one) for one in passes]
-        open_still = [k for k in range(len(passes)) if k not in wheels.fits]
-        fitted = fitter.fits([models[k] for k in open_still])
-        if progress is True:
-            fitted = PassBar(fitted, "rates", len(open_still), leave=False, unit="pass")
-        done = wheels.fits | dict(zip(open_still, fitted, strict=True))
-        fits = [done[k] for k in range(len(passes))]
-        compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
-        doubt = doubted_signs(stated.obs, compared, searches, fitter)
+        fitted = fit_passes(assessment, stated, passes, fitter, progress is True)
+    stated, models = fitted.stated, fitted.models
 
-    # The solutions of each pass. Passes help each other: the same torques act in all of them, and from one to the next a rate
-    # changes only so much.
-    fits = share_noise(fits, settings.ladder)
-    whole = [stated.obs.of_pass(one.samples) for one in passes]
-    solved = [
-        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
-        for one, obs, p in zip(fits, whole, passes, strict=True)
-    ]
-    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
-    middles = [float(seen.obs.t_s[p.samples].mean()) for p in passes]
-    solved, walk = link_passes(solved, middles, stated.rate_sigma)
-    solved = [
-        one.listed(settings.solutions, len(images_of(model)))
-        for one, model in zip(solved, models, strict=True)
-    ]
+    # The solutions of each pass, which the other passes and observed periods help to tell apart.
+    fits, solved, of_neighbours = solve_passes(fitted, passes, chosen, periods, settings)
 
     # The result, and what may be believed of it.
     stated = stated.under(common_noise(fits))
@@ -269,18 +244,90 @@ def rates(
     result = result.assign_attrs(
         latency_attributes(vehicle, solved)
         | coarse
-        | of_periods
+        | of_neighbours
         | {
-            "wheels": wheels.words,
-            "walk_between_passes": walk,
+            "wheels": fitted.wheels,
             "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
             "samples_searched": sum(len(p.kept) for p in passes),
             "symmetric_unlisted": 0,
         }
     )
     again_if_asked = again if column_tests else None
-    result = check_columns(result, assessment, doubt, again_if_asked, settings, budget)
+    result = check_columns(result, assessment, fitted.doubt, again_if_asked, settings, budget)
     return with_units(result.assign_attrs(verdict=rates_words(result)))
+
+
+class FittedPasses(NamedTuple):
+    """The passes of a file as they were fitted.
+
+    `stated`: the nominal model of the whole file with the momentum that the wheels have, and `wheels`: what they do, in words.
+    `models`, `fits`: nominal model and fits of each pass. `doubt`: wheels that may turn the other way.
+    """
+
+    stated: Model
+    wheels: str
+    models: list[Model]
+    fits: list[PassFits]
+    doubt: Reversed | None
+
+
+def fit_passes(
+    assessment: Assessment,
+    stated: Model,
+    passes: Sequence[Pass],
+    fitter: PassFitter,
+    show_bar: bool,
+) -> FittedPasses:
+    """Return the fits of each pass, made side by side: first those of the longest passes, which show what the wheels do.
+
+    `stated`: nominal model of the whole file, with any momentum of the wheels; `show_bar`: a bar of passes in the terminal.
+    """
+    first = passes[longest(passes)[0]]
+    # while the wheels are decided, a search of what they probably do may run
+    searches = search_reversed(assessment, expected(assessment), stated, first, fitter)
+    wheels = decide_wheels(assessment, stated, passes, fitter)
+    if searches.name != wheels.name:
+        searches = search_reversed(assessment, wheels.name, stated, first, fitter)
+    stated = stated.with_momentum(wheels.momentum)
+    models = [kept_samples(stated, one) for one in passes]
+    open_still = [k for k in range(len(passes)) if k not in wheels.fits]
+    of_open = fitter.fits([models[k] for k in open_still])
+    if show_bar:
+        of_open = PassBar(of_open, "rates", len(open_still), leave=False, unit="pass")
+    done = wheels.fits | dict(zip(open_still, of_open, strict=True))
+    fits = [done[k] for k in range(len(passes))]
+    compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
+    doubt = doubted_signs(stated.obs, compared, searches, fitter)
+    return FittedPasses(stated, wheels.words, models, fits, doubt)
+
+
+def solve_passes(
+    fitted: FittedPasses,
+    passes: Sequence[Pass],
+    chosen: Sequence[int],
+    periods: Sequence[PeriodSeen],
+    settings: RatesSettings,
+) -> tuple[list[PassFits], list[Solutions], dict[str, Any]]:
+    """Return fits and solutions of each pass with what other passes and `periods` say of them, and attributes on that.
+
+    Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much. `chosen`:
+    numbers of the passes in the file.
+    """
+    stated = fitted.stated
+    fits = share_noise(fitted.fits, settings.ladder)
+    whole = [stated.obs.of_pass(one.samples) for one in passes]
+    solved = [
+        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
+        for one, obs, p in zip(fits, whole, passes, strict=True)
+    ]
+    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
+    middles = [float(stated.obs.t_s[p.samples].mean()) for p in passes]
+    solved, walk = link_passes(solved, middles, stated.rate_sigma)
+    solved = [
+        one.listed(settings.solutions, len(images_of(model)))
+        for one, model in zip(solved, fitted.models, strict=True)
+    ]
+    return fits, solved, of_periods | {"walk_between_passes": walk}
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:

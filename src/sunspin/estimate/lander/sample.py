@@ -101,17 +101,18 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     """
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
     shots = Shots.joined([one.proposals.shots for one in drawn if one.proposals is not None])
-    own = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])
-    log_part = np.zeros((len(own), 1))
-    if len(drawn) > 1:
-        every = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
-        log_part = every - logsumexp(every, axis=1, keepdims=True)
+    ridge_of = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])  # of each draw
     log_weight = np.concatenate([one.log_weights(s.freedom) - np.log(one.drawn) for one in drawn])
-    log_weight = log_weight + (log_part[np.arange(len(own)), own] if len(drawn) > 1 else 0.0)
-    log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(own))
+    # how a draw (n) is divided between the ridges (r): a part of it belongs to each, by how densely that has proposed it
+    log_part = np.zeros((len(ridge_of), 1))
+    if len(drawn) > 1:
+        log_shares = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
+        log_part = log_shares - logsumexp(log_shares, axis=1, keepdims=True)
+        log_weight = log_weight + log_part[np.arange(len(ridge_of)), ridge_of]
+    log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(ridge_of))
     total = float(logsumexp(log_weight))
     if not np.isfinite(total):
-        none = np.zeros(len(own), dtype=np.int64)
+        none = np.zeros(len(ridge_of), dtype=np.int64)
         without_weight = Draws(
             shots=shots,
             log_weight=log_weight,
@@ -126,11 +127,11 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     draws = Draws(
         shots=shots,
         log_weight=log_weight,
-        of_model=np.zeros(len(own), dtype=np.int64),
+        of_model=np.zeros(len(ridge_of), dtype=np.int64),
         region=regions(np.exp(share), np.exp(log_part), s),
         effective=effective_draws(np.exp(share)),
         tail=pareto_tail(log_weight),
-        evidence=total - float(np.log(len(own))),
+        evidence=total - float(np.log(len(ridge_of))),
     )
     ends = np.cumsum([0, *(ridge.drawn for ridge in ridges)])
     return draws, [share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
@@ -270,14 +271,16 @@ def mixed(
     a less probable model belongs to one of an earlier model if the two differ by less than models bend one motion.
     """
     evidence = np.array([one.evidence for one in drawn]) + np.array(log_priors)
-    weight = np.exp(evidence - logsumexp(evidence))
+    weight = np.exp(evidence - logsumexp(evidence))  # probability of each model
     kept = [m for m in range(len(drawn)) if m == 0 or weight[m] > s.no_weight]
     count = max(drawn[m].shots.u.shape[1] for m in kept)
+    # log weights of the draws of a model, whose sum is its evidence times its prior
     parts = {m: drawn[m].log_weight - np.log(len(drawn[m])) + log_priors[m] for m in kept}
     labels = _regions_of_models(drawn, weight, kept, reach_s, s)
     log_weight = np.concatenate([parts[m] for m in kept])
     share = np.exp(log_weight - logsumexp(log_weight))
     label = np.concatenate([labels[m] for m in kept])
+    # regions are numbered by falling probability, and all models have as many unknowns as the largest
     rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
     wide = [drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in kept]
     return Draws(
