@@ -195,7 +195,7 @@ def rates(
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
-        max_rate_rad_s=rate_max,
+        max_rate_rad_s=max_rate_rad_s,
         gap_s=np.inf,
         environment=environment,
         calibration=calibration,
