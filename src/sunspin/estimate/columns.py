@@ -273,7 +273,7 @@ def _with_rivals(
 def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:
     """Return how changes are judged, under the wheels and the largest rate of a result.
 
-    If a solution of the file as it is written is faster than the largest rate, which nobody stated then, quick searches go as far as
+    If a solution of the file as it is written is faster than the largest rate, which nobody stated, quick searches go as far as
     its own search did.
     """
     attrs = result.attrs
