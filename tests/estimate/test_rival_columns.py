@@ -49,6 +49,12 @@ def is_not_accused(result) -> bool:
     return bool(result["decided"].values.all()) and "columns_doubt" not in result.attrs
 
 
+def test_exchanged_columns_are_named_where_reversed_wheels_fit_better_than_the_file():
+    """The file fits, and with its wheel reversed it fits better; with +Y and +Z as they were it fits better still."""
+    _, result = of_satellite((7, 25), [0, 2, 1, 3, 4])
+    assert set(fits_and_names(result)) == {"the columns of panels +Y and +Z exchanged"}
+
+
 def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
     named = fits_and_names(estimate(spinner, column_tests=True))
     right = named.pop("the columns of panels -x and -y exchanged")

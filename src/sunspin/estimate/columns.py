@@ -2,8 +2,8 @@
 
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
 the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
-panels alone that fits they are tried in two cases: its samples, each by itself, fit other columns far better; or they fit other
-columns as well, and only the motion can tell which are right.
+panels alone that fits they are tried in three cases: its samples, each by itself, fit other columns far better; or they fit other
+columns as well, and only the motion can tell which are right; or the data fit better with a wheel that turns the other way.
 """
 
 from __future__ import annotations
@@ -101,7 +101,9 @@ def check_columns(
     if fits and observed.panels and not observed.sensors:
         costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
     denied = costs is not None and costs.deny_the_columns()
-    others_tried = again is not None and (not fits or denied)
+    # a file with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged
+    suspected = denied or (costs is not None and doubt is not None)
+    others_tried = again is not None and (not fits or suspected)
     trials = None if again is None else trials_of(result, again, settings, tests)
     if trials is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, trials)
