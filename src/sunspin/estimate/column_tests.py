@@ -297,8 +297,8 @@ def better_rivals(
     light = vehicle.response_in().power(observed.sun_B) / noise
     read = np.nan_to_num(signals(telemetry)) / noise
 
-    # an exchange of two dark columns counts if the estimated motion would light them differently, or if their readings differ: a
-    # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma
+    # An exchange of two dark columns counts if the estimated motion would light them differently, or if their readings differ: a
+    # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma. Any other leaves readings and motion as they are.
     dark, rivals = [], []
     for change, is_allowed in zip(changes, allowed, strict=True):
         moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
@@ -321,7 +321,7 @@ def better_rivals(
     evidence_as_written = trials.evidence(vehicle, telemetry)
     if not np.isfinite(evidence_as_written):
         return None
-    # none that look the same are named with dark columns: by the lit ones alone all of these do
+    # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
     found = [
         _best_of_classes(observed, telemetry, some, others, trials, evidence_as_written)
         for some, others in ((dark, []), (rivals, changes))

@@ -442,7 +442,7 @@ def doubts_of(
         strong = one.noise[0] >= settings.ladder.strong
         no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
-    cures = [
+    left_open = [
         {
             f"budget reached: {more_effort(effort)}": one.cut,
             f"coarse: {slower(limit)}" if np.isfinite(limit) else "": np.isfinite(limit),
@@ -453,7 +453,7 @@ def doubts_of(
         }
         for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True)
     ]
-    words = ["; ".join(what for what, so in one.items() if so) for one in cures]
+    words = ["; ".join(what for what, so in one.items() if so) for one in left_open]
     coarse = [limit for limit in fine if np.isfinite(limit)]
     return words, {
         "effort_given": effort,
