@@ -25,11 +25,14 @@ T = 20.0 * np.arange(30)
 
 
 def looked_at(
-    vehicle: Vehicle, t: np.ndarray, without_panels: slice = slice(0), **sensors: np.ndarray
+    vehicle: Vehicle,
+    t: np.ndarray,
+    without_panels: slice | np.ndarray = slice(0),
+    **sensors: np.ndarray,
 ) -> Assessment:
     """Return the assessment of noisy samples at times t (n), s, of a body that rotates about an oblique axis.
 
-    `without_panels`: rows without readings of panels; `sensors`: variables (n, 3) of the telemetry.
+    `without_panels`: rows (slice or mask) without readings of panels; `sensors`: variables (n, 3) of the telemetry.
     """
     sun = Rotation.from_rotvec(0.03 * t[:, None] * [0.6, 0.3, 0.74]).apply([0.3, -0.7, 0.65])
     power = ss.panel_power(vehicle, sun)
@@ -80,3 +83,15 @@ def test_check_proposes_a_span_for_rows_of_other_instruments_close_to_those_of_p
     # half-way between the rows of panels they are samples of their own, and a stated span is not proposed again
     assert proposals(10.0) == []
     assert proposals(0.4, sample_span_s=1.0) == []
+
+
+def test_the_proposed_span_ignores_rows_whose_row_of_panels_was_lost_or_that_follow_the_pass() -> (
+    None
+):
+    lost = np.array([7, 12, 13])
+    late = T[-1] + 700.0 * np.arange(1, 6)
+    others = np.concatenate([T - 2.0, late])
+    t = np.sort(np.concatenate([np.delete(T, lost), others]))
+    lines = describe_samples(looked_at(BOX, t, np.isin(t, others))).lines
+    (line,) = [line for line in lines if "sample_span_s = " in line]
+    assert "27 rows have no panel and lie 2 s from" in line and "sample_span_s = 2.4 " in line

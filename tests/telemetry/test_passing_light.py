@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.telemetry.assess import assess
+from sunspin.telemetry.gains import FAINT
 from sunspin.telemetry.quality import PASSING_NEAR
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -22,18 +23,22 @@ T = 20.0 * np.arange(60)
 """Times of samples, s."""
 
 
-def sigmas(light: np.ndarray) -> np.ndarray:
-    """Return sigma of each reading (n, 6) of a rotating box; `light` (n): what the Earth adds to the panel opposite to the Sun."""
-    sun = Rotation.from_rotvec(0.03 * T[:, None] * [0.6, 0.3, 0.74]).apply([0.3, -0.7, 0.65])
+def judged(light: np.ndarray, t: np.ndarray = T) -> xr.Dataset:
+    """Return the quality of readings at times t (n) of a rotating box; `light` (n): on the panel opposite to the Sun."""
+    sun = Rotation.from_rotvec(0.03 * t[:, None] * [0.6, 0.3, 0.74]).apply([0.3, -0.7, 0.65])
     power = ss.panel_power(BOX, sun)
     power += NOISE * np.random.default_rng(4).normal(size=power.shape)
-    power[np.arange(len(T)), (power.argmax(axis=1) + 3) % 6] += light
+    power[np.arange(len(t)), (power.argmax(axis=1) + 3) % 6] += light
     variables = {"power_W": (("time", "panel"), np.maximum(power, 0.0))}
-    coords = {"time": T, "panel": list(BOX.panel_names)}
+    coords = {"time": t, "panel": list(BOX.panel_names)}
     attrs = {"unused_columns": "", "missing_sensors": "", "epoch_utc": "2026-01-01T00:00:00Z"}
-    variables |= {"flag": ("time", np.zeros(len(T), np.uint8))}
-    quality = assess(BOX, xr.Dataset(variables, coords, attrs)).quality
-    return np.asarray(quality["sigma_beside_gains"].values)
+    variables |= {"flag": ("time", np.zeros(len(t), np.uint8))}
+    return assess(BOX, xr.Dataset(variables, coords, attrs)).quality
+
+
+def sigmas(light: np.ndarray, t: np.ndarray = T) -> np.ndarray:
+    """Return sigma of each reading (n, 6), where the errors of gains are modelled."""
+    return np.asarray(judged(light, t)["sigma_beside_gains"].values)
 
 
 @pytest.mark.parametrize("size", [0.08, 0.2])
@@ -51,3 +56,19 @@ def test_a_reading_too_large_for_the_light_of_the_earth_leaves_the_errors_alone(
     """Exchanged columns look like that: they must not fit because errors were widened."""
     light = np.where(T >= T[-5], 0.5, 0.0)
     np.testing.assert_allclose(sigmas(light), sigmas(0.0 * T), atol=0.02)
+
+
+@pytest.mark.parametrize("gap_s", [20.0, 5600.0])
+def test_light_at_the_end_of_a_pass_is_not_in_the_errors_of_the_next_pass(gap_s: float) -> None:
+    """But a lost packet does not end it."""
+    t = np.where(T < 800.0, T, T + gap_s)
+    light = np.where((T >= 700.0) & (T < 800.0), 0.15, 0.0)
+    after = np.flatnonzero(T >= 800.0)[:PASSING_NEAR]
+    assert np.all(sigmas(light, t)[after].max(axis=1) > 0.1) == (gap_s < 100.0)
+
+
+def test_a_modelled_light_leaves_no_error_of_lit_panels_on_unlit_ones() -> None:
+    quality = judged(np.where(T >= T[-5], 0.15, 0.0))
+    assert quality.attrs["earth_light"] <= FAINT  # else it is not added
+    modelled = quality["sigma_beside_earth"].values
+    np.testing.assert_allclose(modelled.min(axis=1), modelled.min(), rtol=0.02)

@@ -129,7 +129,7 @@ def rates(
         Where the Sun comes from; default: what the telemetry has.
     max_rate_rad_s : float, optional
         No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s. If neither
-        states it, no inertia is known and panels alone see the body, a fast one is searched up to twice that.
+        states it, no inertia is known and only the Sun is measured, a fast body is searched up to twice that.
     acceleration_noise : float, optional
         Strength of unknown torques, rad/s^1.5; default: the vehicle's, else every strength is tried.
     gap_s : float, optional
@@ -195,7 +195,7 @@ def rates(
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
-        max_rate_rad_s=rate_max,
+        max_rate_rad_s=max_rate_rad_s,
         gap_s=np.inf,
         environment=environment,
         calibration=calibration,

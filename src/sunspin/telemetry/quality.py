@@ -71,6 +71,10 @@ PASSING_NEAR, PASSING_MOST = 2, 0.3
 """Samples before and after one on whose panels its Earth's light may fall too; and the largest share of full Sun that counts as
 such light."""
 
+PASSING_INTERVALS = 4
+"""Usual sampling intervals within which samples are near each other: a lost packet does not part them, the gap between
+passes does."""
+
 SURELY_LIT = 2.0
 """A reading of more than this many times the albedo comes from the Sun; a lower one may come from the Earth."""
 
@@ -237,8 +241,9 @@ def judge_readings(
         if not determined; `noise`, median over panels; `full_sun_from` and `gains_from`, origin in words.
     """
     readings = _select_readings(vehicle, telemetry, repeats)
-    light = _measure_light(vehicle, telemetry["time"].values, readings)
-    errors = _estimate_errors(vehicle, readings, light)
+    t_s = np.asarray(telemetry["time"].values, dtype=np.float64)
+    light = _measure_light(vehicle, t_s, readings)
+    errors = _estimate_errors(vehicle, t_s, readings, light)
     kept, dark, idle, limited = readings.kept, light.dark, light.idle, light.limited
 
     # use and reason of each sample; np.select takes the first that applies
@@ -378,8 +383,10 @@ def _measure_light(vehicle: Vehicle, t_s: np.ndarray, readings: _Readings) -> _L
     )
 
 
-def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _Errors:
-    """Estimate Earth's light and the gains from samples in full Sun, then sigma of each reading."""
+def _estimate_errors(
+    vehicle: Vehicle, t_s: np.ndarray, readings: _Readings, light: _Light
+) -> _Errors:
+    """Estimate Earth's light and the gains from samples in full Sun, then sigma of each reading, taken at the times `t_s` (n)."""
     value, level, noise = light.value, light.level, light.noise
     stated_gains, full = vehicle.input_gains, light.full
     clean = readings.kept & ~light.limited & ~light.idle & ~light.dark
@@ -405,8 +412,11 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
     lit = value > SURELY_LIT * albedo * level * gains
     share = np.where(lit, lit_share, albedo)
     beside_gains = np.where(lit, lit_beside_gains, albedo)
-    if earth <= FAINT:  # not modelled
-        passing = _passing_light(vehicle, relative / level, clean, albedo, relative_noise)[:, None]
+    if earth <= FAINT:
+        # Too faint to be modelled as a source. Only in a known orbit, and if the file does not say how much light there is, an
+        # estimate models it all the same, with errors from `modelled_share`.
+        least = max(SURELY_LIT * albedo, DARK_SIGMAS * relative_noise)
+        passing = _passing_light(vehicle, t_s, relative / level, clean, least)[:, None]
         share, beside_gains = np.hypot(share, passing), np.hypot(beside_gains, passing)
     # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
     # state, which is as large as the scatter of full Sun, or up to all of that light.
@@ -414,9 +424,7 @@ def _estimate_errors(vehicle: Vehicle, readings: _Readings, light: _Light) -> _E
     if vehicle.input_noise is None:
         unstated = albedo if fitted.spread is None else min(fitted.spread, albedo)
     unmodelled = max(EARTH_LEFT * albedo, unstated)
-    modelled_share = np.minimum(
-        share, np.hypot(unmodelled, np.where(share == albedo, 0.0, READING_SIGMA))
-    )
+    modelled_share = np.minimum(share, np.hypot(unmodelled, np.where(lit, READING_SIGMA, 0.0)))
     # in a power-limited sample a share of its largest reading in addition
     largest = value.max(axis=1, initial=0.0)[:, None]
     by_battery = np.where(value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
@@ -667,26 +675,34 @@ def _facing_away(vehicle: Vehicle, share: np.ndarray) -> np.ndarray:
 
 
 def _passing_light(
-    vehicle: Vehicle, share: np.ndarray, kept: np.ndarray, albedo: float, noise: float
+    vehicle: Vehicle, t_s: np.ndarray, share: np.ndarray, kept: np.ndarray, least: float
 ) -> np.ndarray:
     """Return the light (n) on panels that face away from the Sun, where it is clearly more than in the rest of the file.
 
     The Earth's light that grows towards the end of a pass is not in the `albedo` of most samples. The light of a sample is the
-    largest of those near it, because the rotation of the body shows it to other panels.
+    largest of those near it in rows and in time, because the rotation of the body shows it to other panels.
 
     Parameters
     ----------
+    t_s : (n)
+        Times of samples, s.
     share : (n, n_panel)
-        Readings as shares of full Sun; `noise`: one sigma of them.
+        Readings as shares of full Sun.
     kept : (n)
         Samples that count.
+    least : float
+        Smallest share of full Sun that is clearly more than in the rest of the file.
     """
     dark = _facing_away(vehicle, np.where(kept[:, None], share, np.nan))
     largest = np.nanmax(dark, axis=1, initial=0.0) if dark.shape[1] else np.zeros(len(share))
-    clear = (largest > max(SURELY_LIT * albedo, DARK_SIGMAS * noise)) & (largest < PASSING_MOST)
-    largest = np.where(clear, largest, 0.0)
-    padded = np.pad(largest, PASSING_NEAR)
-    return np.max([padded[k : k + len(largest)] for k in range(2 * PASSING_NEAR + 1)], axis=0)
+    clear = kept & (largest > least) & (largest < PASSING_MOST)
+    interval_s = np.median(np.diff(np.unique(t_s[kept]))) if kept.sum() > 1 else np.inf
+    light = np.zeros(len(share))
+    for row in np.flatnonzero(clear):
+        rows = slice(max(row - PASSING_NEAR, 0), row + PASSING_NEAR + 1)
+        near = np.abs(t_s[rows] - t_s[row]) <= PASSING_INTERVALS * interval_s
+        light[rows] = np.maximum(light[rows], np.where(near, largest[row], 0.0))
+    return light
 
 
 def _earth_light(albedo: float, readings: int, noise: float) -> float:

@@ -335,10 +335,12 @@ def _apart_rows_lines(assessment: Assessment) -> list[str]:
     apart_s = np.minimum(np.abs(t_s - with_panels[after - 1]), np.abs(with_panels[after] - t_s))
     if not 0 < np.median(apart_s) < APART_SHARE * interval_s:
         return []
-    span_s = 1.2 * float(np.quantile(apart_s, 0.95))
+    # other rows belong to no row with panels: it was lost, or the packet came after the pass
+    near_s = apart_s[apart_s < APART_SHARE * interval_s]
+    span_s = 1.2 * float(np.quantile(near_s, 0.95))
     return [
-        f"  {len(t_s)} rows have no panel and lie {np.median(apart_s):.2g} s from a row with panels (median): if they are packets "
-        f"of one instant, set sample_span_s = {span_s:.2g} under [telemetry], and rows so close become one sample"
+        f"  {len(near_s)} rows have no panel and lie {np.median(near_s):.2g} s from a row with panels (median): if they are "
+        f"packets of one instant, set sample_span_s = {span_s:.2g} under [telemetry], and rows so close become one sample"
     ]
 
 
