@@ -3,9 +3,9 @@
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
 reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
 evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
-(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well; or reversed wheels fit better.
-Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion, and none
-is recommended.
+(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well; or reversed wheels fit
+better. Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion,
+and none is recommended.
 """
 
 from __future__ import annotations
