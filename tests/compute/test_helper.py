@@ -1,19 +1,22 @@
 """The process that works in the background: its answers, errors and end."""
 
 import os
+import signal
+import subprocess
 import sys
 import time
 from contextlib import suppress
 from multiprocessing import active_children
 from pathlib import Path
-from threading import active_count
+from threading import Lock, Thread, active_count
 
 import pytest
 
 from sunspin.base.errors import InputError
 from sunspin.compute import helper as module
+from sunspin.compute import pool
 from sunspin.compute.helper import helper_process
-from sunspin.compute.pool import process_pool
+from sunspin.compute.pool import EndedError, process_pool
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux")
 
@@ -86,16 +89,44 @@ def test_a_helper_that_catches_the_request_to_end_ends_after_its_call():
     assert not set(active_children()) - before
 
 
+def test_a_helper_that_never_obeys_the_request_to_end_is_killed(monkeypatch):
+    monkeypatch.setattr(module, "END_S", 0.5)
+    before, begin = set(active_children()), time.monotonic()
+    with helper_process(2, prepare) as helper:
+        helper.start(be_deaf, 1000.0)
+        time.sleep(0.5)
+    assert time.monotonic() - begin < 60 and not set(active_children()) - before
+
+
 def sleep_in_pool(seconds):
     """Sleep in a process of a pool."""
-    with process_pool(2) as pool:
-        pool.submit(os.getpid).result()
-        pool.submit(time.sleep, seconds).result()
+    with process_pool(2) as workers:
+        workers.submit(os.getpid).result()
+        workers.submit(time.sleep, seconds).result()
 
 
 def children_of(process_id):
     """Return the ids of the children of a process."""
     return Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()
+
+
+def runs(process_id):
+    """Return whether a process exists and has not ended; its parent may not have asked yet how it ended."""
+    try:
+        return Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def all_end(process_ids, within_s=20.0):
+    """Return whether no process runs any more after a time, in seconds; end those that do."""
+    end = time.monotonic() + within_s
+    while any(map(runs, process_ids)) and time.monotonic() < end:
+        time.sleep(0.05)
+    running = [process_id for process_id in process_ids if runs(process_id)]
+    for process_id in running:
+        os.kill(int(process_id), signal.SIGKILL)
+    return not running
 
 
 def test_a_pool_of_a_helper_ends_with_it():
@@ -105,7 +136,94 @@ def test_a_pool_of_a_helper_ends_with_it():
         helper.start(sleep_in_pool, 1000.0)
         while len(workers := children_of(process_id)) < 2:
             time.sleep(0.05)
-    assert not any(Path(f"/proc/{worker}").exists() for worker in workers)
+    assert all_end(workers)
+
+
+def test_a_helper_killed_while_its_pool_works_is_reported_although_the_pool_holds_the_pipe(
+    monkeypatch,
+):
+    monkeypatch.setattr(pool, "KILL_WITH_PARENT", 0)  # no option of the system: the pool stays
+    errors = []
+
+    def wait():
+        try:
+            helper.result()
+        except EndedError as error:
+            errors.append(error)
+
+    with helper_process(2, prepare) as helper:
+        helper.start(os.getpid)
+        process_id = helper.result()
+        helper.start(sleep_in_pool, 1000.0)
+        while len(workers := children_of(process_id)) < 2:
+            time.sleep(0.05)
+        waiting = Thread(target=wait, daemon=True)
+        waiting.start()
+        os.kill(process_id, signal.SIGKILL)
+        waiting.join(20.0)
+        assert len(errors) == 1
+    assert not all_end(workers, within_s=0.0)
+
+
+PARENT = """
+import os
+from sunspin.compute.helper import helper_process
+from tests.compute.test_helper import sleep_in_pool
+
+with helper_process(2, list) as helper:
+    helper.start(os.getpid)
+    print(helper.result(), flush=True)
+    helper.start(sleep_in_pool, 1000.0)
+    helper.result()
+"""
+
+
+def test_helper_and_pool_end_with_a_killed_parent():
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "-c", PARENT]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as parent:
+        process_id = parent.stdout.readline().strip()
+        while len(workers := children_of(process_id)) < 2:
+            time.sleep(0.05)
+        parent.kill()
+        assert all_end([process_id, *workers])
+
+
+class TwoPartsError(ValueError):
+    """An error of which pickle cannot make a copy."""
+
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+
+def fail_in_two_parts():
+    """Raise an error of which pickle cannot make a copy."""
+    raise TwoPartsError("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "text"),
+    [(Lock, RuntimeError, "pickle"), (fail_in_two_parts, RuntimeError, "TwoPartsError: a and b")],
+)
+def test_what_cannot_be_sent_back_is_said_and_the_next_call_is_answered(call, error, text):
+    with helper_process(2, prepare) as helper:
+        helper.start(call)
+        helper.start(int, "5")
+        with pytest.raises(error, match=text):
+            helper.result()
+        assert helper.result() == 5
+
+
+def test_a_worker_of_the_pool_of_a_helper_that_was_killed_is_reported_as_such():
+    with helper_process(2, prepare) as helper:
+        helper.start(os.getpid)
+        process_id = helper.result()
+        helper.start(sleep_in_pool, 1000.0)
+        while len(workers := children_of(process_id)) < 2:
+            time.sleep(0.05)
+        os.kill(int(workers[0]), signal.SIGKILL)
+        with pytest.raises(EndedError, match=r"ended from outside.*fewer workers"):
+            helper.result()
 
 
 def test_a_helper_needs_no_thread_of_this_process_so_that_it_may_still_be_copied():

@@ -1,6 +1,8 @@
 """Processes on this machine: forking only if it is safe, errors and interruptions."""
 
 import os
+import signal
+import sys
 import threading
 import time
 from multiprocessing import active_children
@@ -43,3 +45,17 @@ def test_processes_are_not_forked_while_other_threads_run():
     finally:
         wait.set()
         other.join()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+@pytest.mark.parametrize(
+    ("here", "in_workers"),
+    [(signal.SIG_IGN, signal.SIG_IGN), (lambda *_: None, signal.SIG_DFL)],
+)
+def test_workers_ignore_the_end_of_the_terminal_if_their_parent_does(here, in_workers):
+    before = signal.signal(signal.SIGHUP, here)
+    try:
+        with process_pool(2) as pool:
+            assert pool.submit(signal.getsignal, signal.SIGHUP).result() == in_workers
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -1,5 +1,6 @@
 """Figures drawn by a helper while this process writes the data."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -10,10 +11,28 @@ from sunspin.compute import helper as module
 from sunspin.compute.helper import helper_process
 from sunspin.output.figures import load
 
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux")
 
-@pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux")
-def test_a_helper_draws_the_same_figures_as_this_process(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "may_fork", lambda: True)  # the threads of other tests are idle
+
+@pytest.fixture(autouse=True)
+def idle_threads(monkeypatch):
+    """Let this process be copied: the threads of other tests are idle."""
+    monkeypatch.setattr(module, "may_fork", lambda: True)
+
+
+@pytest.mark.parametrize("call", [os.abort, None])
+def test_a_result_is_saved_with_its_figures_although_the_helper_was_ended(tmp_path, call):
+    """Before the result is given to it, or while it draws."""
+    vehicle, telemetry = ss.load_example("cubesat")
+    result = ss.sun_directions(vehicle, telemetry)
+    with helper_process(2, call or os.abort) as helper:
+        if call is not None:
+            helper.start(call)
+        folder = result.sunspin.save(tmp_path / "r", helper=helper)
+    assert list(folder.glob("*.svg")) and (folder / "manifest.json").exists()
+
+
+def test_a_helper_draws_the_same_figures_as_this_process(tmp_path):
     vehicle, telemetry = ss.load_example("cubesat")
     result = ss.rates(vehicle, telemetry, max_rate_rad_s=0.09, acceleration_noise=1e-5)
     file = Path(ss.__file__).parent / "template" / "vehicle.toml"

@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from copy import copy
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any
 
-from sunspin.base.errors import InputError
-from sunspin.compute.pool import ENDED, may_fork, prepare_worker
+from sunspin.compute.pool import EndedError, may_fork, prepare_worker
+
+LOOK_S = 0.5
+"""Interval, in seconds, at which a process that waits for its helper looks whether the helper still lives."""
+
+END_S = 5.0
+"""Time, in seconds, in which a helper may end itself and its pool; then it is killed, and its pool with it."""
 
 AGAIN_S = 0.1
 """Seconds after which a helper that has not ended is asked once more: right after it was copied Python ignores errors."""
@@ -29,17 +37,24 @@ class Helper:
     `workers`: processes that a call may use.
     """
 
-    def __init__(self, pipe: Connection, workers: int) -> None:
-        self._pipe, self.workers = pipe, workers
+    def __init__(self, pipe: Connection, process: BaseProcess, workers: int) -> None:
+        self._pipe, self._process, self.workers = pipe, process, workers
 
     def start(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Let the helper compute a call; function and arguments are pickled."""
+        """Let the helper compute a call; function and arguments are pickled. Raise `EndedError` if it was ended from outside."""
         with _ended_helper_reported():
             self._pipe.send((function, arguments))
 
     def result(self) -> Any:
-        """Return the result of the call that was started first, or raise its error; wait until the helper has it."""
+        """Return the result of the call that was started first, or raise its error; wait until the helper has it.
+
+        Raise `EndedError` if the helper was ended from outside.
+        """
         with _ended_helper_reported():
+            # The pipe alone would not tell: processes of the helper's own pool hold its other end.
+            while not self._pipe.poll(LOOK_S):
+                if not self._process.is_alive() and not self._pipe.poll():
+                    raise EndedError
             value, error = self._pipe.recv()
         if error is not None:
             raise error
@@ -65,11 +80,15 @@ def helper_process(workers: int, prepare: Callable[[], Any]) -> Generator[Helper
         process.start()
     its.close()
     try:
-        yield Helper(ours, workers)
+        yield Helper(ours, process, workers)
     finally:
         ours.close()  # ends it at the latest after its call, even if a library catches the error of the signal
+        end = time.monotonic() + END_S
         while process.is_alive():
-            process.terminate()
+            if time.monotonic() < end:
+                process.terminate()
+            else:
+                process.kill()
             process.join(AGAIN_S)
 
 
@@ -89,7 +108,17 @@ def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> 
             except Exception as failure:
                 failure.add_note("".join(traceback.format_exception(failure)))
                 error = failure
-            own.send((value, error))
+            _answer(own, value, error)
+
+
+def _answer(own: Connection, value: Any, error: Exception | None) -> None:
+    """Send value and error; if one of them cannot be sent or restored, a `RuntimeError` with the reason instead."""
+    try:
+        copy(error)  # fails where restoring it at the other end would
+        own.send((value, error))
+    except Exception as failure:
+        text = "".join(traceback.format_exception(error or failure))
+        own.send((None, RuntimeError(text)))
 
 
 def _end(*_: Any) -> None:
@@ -100,8 +129,8 @@ def _end(*_: Any) -> None:
 
 @contextmanager
 def _ended_helper_reported() -> Generator[None]:
-    """Turn the error of a pipe whose other end is gone into an `InputError`."""
+    """Turn the error of a pipe whose other end is gone into an `EndedError`."""
     try:
         yield
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        raise InputError(ENDED, do="free memory or use fewer workers") from None
+        raise EndedError from None

@@ -7,6 +7,7 @@ holds would stay locked in a copy, so a process with more than one thread is nev
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import signal
@@ -16,12 +17,21 @@ import warnings
 from collections.abc import Generator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 
 from sunspin.base.errors import InputError
 
-ENDED = "a worker process was ended from outside, perhaps for lack of memory"
+KILL_WITH_PARENT = 1
+"""Option `PR_SET_PDEATHSIG` of the system call `prctl` of Linux: the signal that a process gets when its parent ends."""
+
+
+class EndedError(InputError):
+    """A process that worked for this one was ended from outside."""
+
+    def __init__(self, *_: str) -> None:  # its text, if it comes from another process
+        what = "a worker process was ended from outside, perhaps for lack of memory"
+        super().__init__(what, do="free memory or use fewer workers")
 
 
 def worker_count(workers: int | None) -> int:
@@ -63,17 +73,25 @@ def process_pool(workers: int) -> Generator[Executor | None]:
         yield pool
     except BaseException as error:
         for process in set(active_children()) - children_before:
-            process.terminate()
+            process.kill()  # right after it was copied Python may lose a request to end
         if not isinstance(error, BrokenExecutor):
             raise
-        raise InputError(ENDED, do="free memory or use fewer workers") from None
+        raise EndedError from None
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def prepare_worker() -> None:
-    """Set up a new worker process: it ignores Ctrl-C, as its parent ends it, and obeys the default of other signals."""
+    """Set up a new worker process: it ignores Ctrl-C, as its parent ends it, and ends with a parent that is killed."""
     gc.freeze()  # garbage collection would touch, and so copy, the memory shared with the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-        signal.signal(kind, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # `nohup` lets a run outlast its terminal: a signal of the terminal that the parent ignores is ignored here too
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    if sys.platform == "linux":
+        # A killed parent cannot end its workers, and they would not notice, as each holds both ends of the pipes to the others.
+        ctypes.CDLL(None).prctl(KILL_WITH_PARENT, signal.SIGKILL)
+        parent = parent_process()
+        if parent is not None and os.getppid() != parent.pid:  # it was killed before that
+            os._exit(1)

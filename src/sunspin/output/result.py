@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
 from itertools import islice, repeat
@@ -17,7 +18,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.extras import missing_packages, require_extra
 from sunspin.base.provenance import clock_notes
-from sunspin.compute.pool import process_pool
+from sunspin.compute.pool import EndedError, process_pool
 
 if TYPE_CHECKING:
     from sunspin.compute.helper import Helper
@@ -179,7 +180,8 @@ class Result:
         kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
         if helper is not None:
-            helper.start(draw, data, context, helper.workers)
+            with suppress(EndedError):
+                helper.start(draw, data, context, helper.workers)
         if isinstance(data, xr.DataArray):
             # attributes of a DataArray would be those of its variable, but `kind` must be one of the file
             attrs = {key: value for key, value in data.attrs.items() if key != "units"}
@@ -193,7 +195,10 @@ class Result:
             synthetic=bool(data.attrs.get("synthetic")),
         )
         write_data(path, contents)
-        pictures = draw(self._data, context) if helper is None else helper.result()
+        try:
+            pictures = draw(self._data, context) if helper is None else helper.result()
+        except EndedError:  # no reason to lose the result
+            pictures = draw(self._data, context)
         for picture in pictures:
             write_files(picture.files, path, picture.name)
         inputs = []
