@@ -72,7 +72,7 @@ def test_outcomes_without_collision_hull_and_antenna_print_only_what_is_known(tm
         (["philae", "--vertical", "1,2"], "--vertical takes"),
         (["philae", "--omega-deg-s", "60,120"], "--omega-deg-s takes 3 numbers"),
         (["philae", "--after", "-5"], "after_s must be positive"),
-        (["skcube", "--omega-deg-s", "0,0,60"], "--sun is missing"),
+        (["skcube", "--omega-deg-s", "0,0,60"], "--sun X,Y,Z and --after SECONDS are missing"),
     ],
 )
 def test_bad_input_of_outcomes_is_refused_in_one_sentence(arguments, text, tmp_path):

@@ -35,14 +35,15 @@ T = np.arange(0.0, 300.0, 10.0)
 GYRO, FIELD, QUATERNION = "gyro_B", "field_B", "attitude_B_from_N"
 
 
-def motion(fits: bool = True) -> xr.Dataset:
-    """Return a steady spin in the form of a result of `rates`."""
-    omega = np.tile([0.02, -0.03, 0.05], (T.size, 1))
+def motion(fits: bool = True, off_rad_s: float = 0.0, sigma_rad_s: float = 1e-4) -> xr.Dataset:
+    """Return a steady spin in the form of a result of `rates`, its rate off along x, with a sigma of each component."""
+    omega = np.tile([0.02 + off_rad_s, -0.03, 0.05], (T.size, 1))
+    cov = sigma_rad_s**2 * np.eye(3)
     attitude = Rotation.from_rotvec(-T[:, None] * omega)
     return xr.Dataset(
         {
             "omega_B": (("time", "axis"), omega),
-            "omega_cov_B": (("time", "axis", "axis2"), np.tile(1e-8 * np.eye(3), (T.size, 1, 1))),
+            "omega_cov_B": (("time", "axis", "axis2"), np.tile(cov, (T.size, 1, 1))),
             "B_from_N": (("time", "quaternion"), attitude.as_quat()),
             "sun_B": (("time", "axis"), attitude.apply([0.2, 0.6, 0.77])),
             "pass_of": ("time", np.zeros(T.size, dtype=int)),
@@ -158,6 +159,16 @@ def test_wrong_axes_of_a_sensor_are_named(name, wrong, words, do):
 def test_a_sensor_whose_readings_agree_with_the_motion_of_the_others_is_not_accused(name):
     """Though the pass fits only without it: the model may not follow the motion, and the others not show it."""
     assert sought(seen(name)) is None
+
+
+@pytest.mark.parametrize("name", [GYRO, FIELD, QUATERNION])
+def test_a_right_sensor_is_accused_only_if_the_motion_of_the_others_is_more_certain(name):
+    """The rate of the others is 1 deg/s off: within a sigma of 2 deg/s it excuses the sensor, within one of 0.01 not."""
+    known, unknown = (
+        motion(off_rad_s=np.radians(1.0), sigma_rad_s=np.radians(sigma)) for sigma in (0.01, 2.0)
+    )
+    assert sought(seen(name), run=lambda *_: unknown) is None
+    assert sought(seen(name), run=lambda *_: known) is not None
 
 
 def with_its_end_backward(read: np.ndarray) -> np.ndarray:

@@ -105,7 +105,7 @@ def test_a_period_that_may_be_another_counts_both():
     near = np.exp(-0.5 * ((of_each - of_each[:, 2:]) / 0.5) ** 2).sum(axis=1) * [0.75, 0.25]
     assert after.probability == pytest.approx(near / near.sum(), abs=0.02)
     (row,) = json.loads(attrs["periods"])
-    assert row["counts"] and row["share_with_periods"] > 0.99
+    assert row["told"] and row["carried"] > 0.99
     elsewhere = replace(seen, t_s=1e5)
     unchanged, attrs = pd.weigh_by_periods([one], body, [elsewhere], [0])
     assert unchanged == [one] and attrs == {}
@@ -122,19 +122,19 @@ def test_a_period_reweights_solutions_and_names_the_kind_of_rotation():
     (after,), attrs = pd.weigh_by_periods([one], body, [of_second], [3])
     (row,) = json.loads(attrs["periods"])
     assert after.probability[1] > 0.99 and np.array_equal(after.without_periods, [0.8, 0.2])
-    assert row["counts"] and row["pass"] == 3
+    assert row["told"] and row["pass"] == 3
     assert row["shares"][0] > 0.9 and row["without"] == pytest.approx([0.2, 0.8])
 
     # a period that none has, and one that only an unlikely solution has
     (same,), attrs = pd.weigh_by_periods([one], body, [ss.Period(40.0, 400.0, 0.5)], [0])
     (row,) = json.loads(attrs["periods"])
     assert np.array_equal(same.probability, one.probability)
-    assert not row["counts"] and row["nearest_sigmas"] > pd.FAR_SIGMAS
+    assert not row["told"] and row["nearest_sigmas"] > pd.FAR_SIGMAS
     rare, body = two_solutions([0.99, 0.01])
     (kept,), attrs = pd.weigh_by_periods([rare], body, [of_second], [0])
     (row,) = json.loads(attrs["periods"])
     assert np.array_equal(kept.probability, rare.probability)
-    assert not row["counts"] and row["share_with_periods"] == pytest.approx(0.01)
+    assert not row["told"] and row["carried"] == pytest.approx(0.01)
 
 
 def test_a_period_at_a_time_of_no_pass_is_refused():
@@ -160,7 +160,7 @@ def test_rates_with_a_period_keep_probabilities_with_and_without_it():
     assert before.dims == ("pass_id", "solution")
     assert result["probability"].values[0].sum() == pytest.approx(1, abs=1e-2)
     assert result["probability"].values[0, 0] > before.values[0, 0]
-    assert json.loads(result.attrs["periods"])[0]["counts"]
+    assert json.loads(result.attrs["periods"])[0]["told"]
 
 
 PHILAE = AS_DRAWN.vehicle
@@ -200,7 +200,7 @@ def test_draws_are_weighted_by_a_period_and_the_reading_is_named(monkeypatch):
     assert weight.sum() == pytest.approx(1)
     assert weight @ periods[:, 1] == pytest.approx(14.0, abs=0.01)
     assert group.attrs["effective_draws"] == pytest.approx(n * 2 * np.sqrt(np.pi) / 10, rel=0.01)
-    assert group.attrs["counts"] and "spin 100%" in period_sentences(group)[0]
+    assert group.attrs["told"] and "spin 100%" in period_sentences(group)[0]
 
 
 def even_periods(count):
@@ -213,7 +213,7 @@ def even_periods(count):
 )
 def test_periods_that_the_draws_cannot_decide_are_reported(monkeypatch, middle, sigma, words):
     group = weighted(monkeypatch, even_periods(4000), middle, sigma)
-    assert not group.attrs["counts"] and words in period_sentences(group)[0]
+    assert not group.attrs["told"] and words in period_sentences(group)[0]
 
 
 def test_the_advice_to_draw_more_makes_periods_decisive(monkeypatch):

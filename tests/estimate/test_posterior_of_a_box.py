@@ -68,7 +68,7 @@ def test_a_period_that_no_draw_has_decides_nothing():
     """The sum of precession and spin takes 89 s; a period of 20 s is none of the three."""
     tree = of_box(periods=[ss.Period(60.0, 20.0, 0.1)])
     about = tree["period"].attrs
-    assert about["counts"] == 0 and about["nearest_sigmas"] > 4
+    assert about["told"] == 0 and about["nearest_sigmas"] > 4
     name, shares = "solution_probability", tree["period"].to_dataset()
     np.testing.assert_allclose(shares[name].values, shares[f"{name}_before"].values)
 

@@ -8,7 +8,7 @@ import xarray as xr
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.column_tests import CostsOfSamples, gains_of_silent
-from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time
+from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time, trials_of
 from sunspin.estimate.equivalence import AS_WRITTEN, exchange
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
@@ -47,6 +47,12 @@ def fits_and_names(result) -> dict:
 
 def is_not_accused(result) -> bool:
     return bool(result["decided"].values.all()) and "columns_doubt" not in result.attrs
+
+
+def test_exchanged_columns_are_named_where_reversed_wheels_fit_better_than_the_file():
+    """The file fits, and with its wheel reversed it fits better; with +Y and +Z as they were it fits better still."""
+    _, result = of_satellite((7, 25), [0, 2, 1, 3, 4])
+    assert set(fits_and_names(result)) == {"the columns of panels +Y and +Z exchanged"}
 
 
 def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
@@ -164,6 +170,30 @@ def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tes
     tested = estimate(simulated, column_tests=True)
     named = [change["what"] for change in json.loads(tested.attrs["columns_changes"])]
     assert f"the columns of panels {' and '.join(simulated.exchanged)} exchanged" in named
+
+
+def test_other_columns_are_searched_as_far_as_the_file_as_it_is_written(monkeypatch):
+    """A largest rate that nobody stated stays so; a solution beyond it extends the quick searches of other columns too."""
+    asked = []
+
+    def unchanged(result, assessment, doubt, *how):
+        asked.extend(how)
+        return result
+
+    monkeypatch.setattr("sunspin.estimate.rates.check_columns", unchanged)
+    monkeypatch.setattr("sunspin.estimate.columns.quick_evidence", lambda model, *_: model.rate_max)
+    data, _ = tumbling_pass(FOUR_SIDES, 10, 60.0, seed=4)
+    result = rates(FOUR_SIDES, data, column_tests=True)
+    again, settings, budget = asked
+    assert again.keywords["max_rate_rad_s"] is None
+    limit = result.attrs["max_rate_rad_s"]
+    for factor, reach in ((0.9, limit), (1.5, 2.0 * limit)):
+        rate = np.full(result["omega_x"].shape, factor * limit)
+        faster = result.assign(
+            omega_x=(result["omega_x"].dims, rate), omega_y=0 * result["omega_x"], omega_z=0.0
+        )
+        trials = trials_of(faster, again, settings, budget)
+        assert trials.evidence(FOUR_SIDES, data) == pytest.approx(reach)
 
 
 def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():

@@ -23,7 +23,7 @@ SOUND = {"Sun": Misfit(40, 0.0, 1.0)}
 
 def said(omega=(1.0, 0.0, 0.0), sigma=(0.1,) * 3, rate_sigma=1.0, probability=(1.0,), **checks):
     """Return the answers for solutions (K, 3) with independent components, the first of which is another one than the rest."""
-    checks = {"misfits": SOUND, "explained": True, "cure": ""} | checks
+    checks = {"misfits": SOUND, "explained": True, "left_open": ""} | checks
     omega, sigma = np.atleast_2d(omega), np.atleast_2d(sigma)
     covariance = np.stack([np.diag(one**2) for one in sigma])
     first = np.arange(len(omega)) == 0
@@ -46,7 +46,7 @@ TWO = {"omega": np.eye(3)[[0, 0]], "sigma": np.full((2, 3), 0.1), "probability":
         ({"misfits": {"Sun": Misfit(300, 0.34, 1.0)}}, "POOR FIT (Sun)"),
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "POOR FIT (gyro)"),
         ({"explained": False}, "POOR FIT"),
-        ({"cure": "give more effort"}, "search incomplete (give more effort)"),
+        ({"left_open": "give more effort"}, "search incomplete (give more effort)"),
     ],
 )
 def test_a_pass_is_decided_only_if_all_checks_pass(change, why):

@@ -85,6 +85,8 @@ def test_printed_numbers_have_no_minus_zero_and_a_fitting_unit():
     assert with_sigma(-0.0004, 0.1).startswith("0.00 ")
     assert with_sigma([-0.001, 0.2], [0.1, 0.0123], "deg/s") == "(0.00 ± 0.10, 0.200 ± 0.012) deg/s"
     assert with_sigma(6.4123e-8, 1.94e-9, "T") == "6.41e-08 ± 1.9e-09 T"
+    assert with_sigma(8.44160005297, 9.2e-17, "deg/s") == "8.442 deg/s"  # equal runs
+    assert with_sigma(0.0, 1e-17) == "0 ± 1e-17"
     assert with_sigma(1.5, np.nan) == "1.5" and with_sigma(1234.5678, 34.0) == "1235 ± 34"
     assert with_range(3.104, 3.02, 3.21) == "3.104 (3.020 to 3.210)"
     assert range_text(3.02, 3.21, sigma=0.2) == "3.02 to 3.21"

@@ -79,8 +79,8 @@ def steps_of_the_rate(
         square = (defects(best.model, motion).value[0] ** 2).sum(axis=1)
         square[[interval for interval, _ in steps]] = 0.0
         worst = int(np.argmax(square))
-        # A motion that wants hardly any torque gains what it leaves the equations by in one interval. One that wants more gains
-        # weaker torques everywhere, which only the fit can show.
+        # Under the weakest torques a step gains at most half the squared defect of its interval. Under stronger ones
+        # other intervals gain too, as weaker torques then suffice there, which only the fit can show.
         calm = best.model.noise.acceleration == min(one.model.noise.acceleration for one in fits)
         if calm and square[worst] / 2 < price:
             return

@@ -412,8 +412,8 @@ def fit(
 def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) -> Track:
     """Return motions after a step `nodes` (K, n, 6) of turns and rates, and with unknowns u (K, m), along the equations of motion.
 
-    A step is straight in the states of all samples, and the equations of motion bend: under weak torques what a straight step
-    leaves them by costs much, so that a chain creeps along a valley of inertia and rates. Here the state of the middle sample moves
+    A straight step, by what each state changes, violates the equations of motion; under weak torques this defect costs much, so
+    that a chain creeps along a valley of inertia and rates. Here the state of the middle sample moves
     as the step says. All others follow from it by the equations of motion, and by the defects that linear theory predicts after
     the step: it is the step of single shooting, of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
     """

@@ -2,9 +2,10 @@
 
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
 reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
-evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in two cases
-(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well. Changes that look the same
-in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion, and none is recommended.
+evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
+(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well; or reversed wheels fit
+better. Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion,
+and none is recommended.
 """
 
 from __future__ import annotations
@@ -296,8 +297,8 @@ def better_rivals(
     light = vehicle.response_in().power(observed.sun_B) / noise
     read = np.nan_to_num(signals(telemetry)) / noise
 
-    # an exchange of two dark columns counts if the estimated motion would light them differently, or if their readings differ: a
-    # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma
+    # An exchange of two dark columns counts if the estimated motion would light them differently, or if their readings differ: a
+    # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma. Any other leaves readings and motion as they are.
     dark, rivals = [], []
     for change, is_allowed in zip(changes, allowed, strict=True):
         moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
@@ -320,7 +321,7 @@ def better_rivals(
     evidence_as_written = trials.evidence(vehicle, telemetry)
     if not np.isfinite(evidence_as_written):
         return None
-    # none that look the same are named with dark columns: by the lit ones alone all of these do
+    # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
     found = [
         _best_of_classes(observed, telemetry, some, others, trials, evidence_as_written)
         for some, others in ((dark, []), (rivals, changes))
@@ -588,7 +589,8 @@ def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicl
     """Return squared distances, in sigmas, of a sensor's readings from a motion, where both are known.
 
     `estimate`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
-    compared from sample to sample of a pass, as their frame in space is not known.
+    compared from sample to sample of a pass, as their frame in space is not known. The sigmas contain the errors of the motion: of
+    its rate, and of its rotation from sample to sample.
     """
     from scipy.spatial.transform import Rotation
 
@@ -596,22 +598,26 @@ def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicl
     known = np.asarray(np.isfinite(value).all(axis=1))
     inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
     pairs = inside & known[1:] & known[:-1]
+    spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)
     if name == "gyro_B" and sensors.gyro is not None:
         gyro = sensors.gyro
-        spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)
         zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
         own = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
         return ((value - estimate["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
     turned = Rotation.from_quat(estimate["B_from_N"].values)
+    interval_s = np.diff(estimate["time"].values)
+    of_turn = (
+        spread[:-1].sum(axis=1) * interval_s**2
+    )  # variance of the rotation between two samples, rad^2
     magnetometer = sensors.magnetometer
     if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
         in_space = turned.inv().apply(np.where(known[:, None], value, 0.0))
         strength = np.linalg.norm(in_space[:-1], axis=1)
-        turning = FIELD_TURN * np.diff(estimate["time"].values) * strength
-        spread = 2 * magnetometer.noise**2 + turning**2
-        return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / spread)[pairs]
+        of_axes = ((FIELD_TURN * interval_s) ** 2 + of_turn) * strength**2
+        of_pair = 2 * magnetometer.noise**2 + of_axes
+        return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / of_pair)[pairs]
     if name == "attitude_B_from_N" and sensors.attitude is not None:
         read = Rotation.from_quat(np.where(known[:, None], value, [0.0, 0.0, 0.0, 1.0]))
         off = ((read[1:] * read[:-1].inv()).inv() * (turned[1:] * turned[:-1].inv())).magnitude()
-        return (off / (np.sqrt(2) * sensors.attitude.sigma_rad))[pairs] ** 2
+        return (off**2 / (2 * sensors.attitude.sigma_rad**2 + of_turn))[pairs]
     return np.zeros(0)

@@ -2,8 +2,8 @@
 
 A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
 the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
-panels alone that fits they are tried in two cases: its samples, each by itself, fit other columns far better; or they fit other
-columns as well, and only the motion can tell which are right.
+panels alone that fits they are tried in three cases: its samples, each by itself, fit other columns far better; or they fit other
+columns as well, and only the motion can tell which are right; or the data fit better with a wheel that turns the other way.
 """
 
 from __future__ import annotations
@@ -65,6 +65,9 @@ SAMPLES_DENY = "the samples, each by itself, fit other columns far better"
 strong torques among them, none has a change that is better by more than 5 in log likelihood. Of 64 files with two columns exchanged
 50 have one that is better by :data:`~sunspin.estimate.column_tests.WORTH_A_SEARCH`."""
 
+TRY_COLUMNS = "estimate with `column_tests=True` (without `--no-column-tests`), which tries these"
+"""What to do if no tests were asked for: in Python, and on the command line, where only that option prevents them."""
+
 COLUMN_SHARE = 8.0
 """Budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and up to 21
 changes of a cube are tried."""
@@ -98,15 +101,17 @@ def check_columns(
     if fits and observed.panels and not observed.sensors:
         costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
     denied = costs is not None and costs.deny_the_columns()
-    others_tried = again is not None and (not fits or denied)
-    trials = None if again is None else _trials_of(result, again, settings, tests)
+    # a file with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged
+    suspected = denied or (costs is not None and doubt is not None)
+    others_tried = again is not None and (not fits or suspected)
+    trials = None if again is None else trials_of(result, again, settings, tests)
     if trials is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, trials)
     if trials is not None and costs is not None and "columns_doubt" not in result.attrs:
         least = 0.0 if doubt is None else doubt.gain
         result = _with_rivals(result, observed, telemetry, costs, trials, least)
     if denied and "columns_doubt" not in result.attrs:
-        how = "" if again is not None else ": estimate with `column_tests=True`, which tries these"
+        how = "" if again is not None else f": {TRY_COLUMNS}"
         result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
     # both kinds of tests share a budget
     if others_tried or tests.cut:
@@ -267,10 +272,18 @@ def _with_rivals(
     return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
 
 
-def _trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:
-    """Return how changes are judged, under the wheels and the largest rate of a result."""
+def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:
+    """Return how changes are judged, under the wheels and the largest rate of a result.
+
+    If a solution of the file as it is written is faster than the largest rate, which nobody stated, quick searches go as far as
+    its own search did.
+    """
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
+    speed = np.sqrt(sum(result[f"omega_{axis}"].values ** 2 for axis in "xyz"))
+    rate_max = attrs["max_rate_rad_s"]
+    if (speed > rate_max).any():
+        rate_max *= settings.alternatives.beyond
 
     def evidence(changed: Vehicle, data: xr.Dataset) -> float:
         """Return the log evidence of the pass by a quick search."""
@@ -281,7 +294,7 @@ def _trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget
         except InputError:
             return -np.inf
         noise = Noise(settings.search.noise)
-        stated = Model(seen.obs, Body.of(changed), noise, attrs["max_rate_rad_s"] / 2)
+        stated = Model(seen.obs, Body.of(changed), noise, rate_max / 2)
         momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
         stated = stated.with_momentum(momentum)
         silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0

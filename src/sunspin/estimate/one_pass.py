@@ -82,13 +82,14 @@ def one_pass(
         tracks = searched(stated, s.ladder.strong, s.search, budget)
         fits = min(fits, fitted(stated, tracks, s.ladder.strong, s), key=likeliest_cost)
     # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
-    no_inertia = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
+    taken_for_sphere = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
     strained = any(map(len, fits)) and likeliest(fits).model.noise.acceleration >= s.ladder.strained
-    if no_inertia and strained:
+    if taken_for_sphere and strained:
         tracks = searched(stated, s.ladder.strong, s.search, budget)
         fits = united(fits + fitted(stated, tracks, s.ladder.strong, s), s.ladder, s.search)
     # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
-    beyond = s.alternatives.beyond if no_inertia else 1.0
+    beyond = s.alternatives.beyond if taken_for_sphere else 1.0
+    # the nominal model with a larger limit, only for search and aliases
     reach = replace(stated, rate_sigma=beyond * stated.rate_sigma)
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
         tracks = searched(reach, s.search.noise, s.search, budget, stated.rate_max)

@@ -104,10 +104,9 @@ def weigh_by_periods(
     """Return the passes with probabilities that count the periods in, and the attribute `periods`: JSON, what each decided.
 
     If no solution of a pass has its periods, the samples contradict them, or too few draws have them, its probabilities stay. JSON
-    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws;
-    `share_with_periods`, the probability without periods of the solutions that have them; `counts`, whether the period changes
-    probabilities; and `without`, the probability without periods of the solution that is the likeliest with them, and of the one
-    that is without.
+    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws; `carried`,
+    the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
+    of the solution that is the likeliest now, and of the one that was then.
     """
     # a column may have a period where there is no pass
     seen = [one for one in seen if not isinstance(one, FoundPeriod) or _in_a_pass(passes, one)]
@@ -160,8 +159,8 @@ def _weigh(
     about = {
         "nearest_sigmas": weighed.nearest_sigmas,
         "effective": weighed.effective,
-        "share_with_periods": share_with_periods,
-        "counts": counts,
+        "carried": share_with_periods,
+        "told": counts,
         "without": [float(before[np.argmax(after)]), float(before.max())],
     }
     rows = [

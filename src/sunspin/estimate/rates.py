@@ -129,7 +129,7 @@ def rates(
         Where the Sun comes from; default: what the telemetry has.
     max_rate_rad_s : float, optional
         No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s. If neither
-        states it, no inertia is known and panels alone see the body, a fast one is searched up to twice that.
+        states it, no inertia is known and only the Sun is measured, a fast body is searched up to twice that.
     acceleration_noise : float, optional
         Strength of unknown torques, rad/s^1.5; default: the vehicle's, else every strength is tried.
     gap_s : float, optional
@@ -195,7 +195,7 @@ def rates(
     again = partial(
         rates,
         source=None if seen.source == "directions" else seen.source,
-        max_rate_rad_s=rate_max,
+        max_rate_rad_s=max_rate_rad_s,
         gap_s=np.inf,
         environment=environment,
         calibration=calibration,
@@ -442,7 +442,7 @@ def doubts_of(
         strong = one.noise[0] >= settings.ladder.strong
         no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
-    cures = [
+    left_open = [
         {
             f"budget reached: {more_effort(effort)}": one.cut,
             f"coarse: {slower(limit)}" if np.isfinite(limit) else "": np.isfinite(limit),
@@ -453,7 +453,7 @@ def doubts_of(
         }
         for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True)
     ]
-    words = ["; ".join(what for what, so in one.items() if so) for one in cures]
+    words = ["; ".join(what for what, so in one.items() if so) for one in left_open]
     coarse = [limit for limit in fine if np.isfinite(limit)]
     return words, {
         "effort_given": effort,

@@ -260,20 +260,20 @@ def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def believed(
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
-    cures: Sequence[str],
+    left_open_of: Sequence[str],
     rate_sigma: float,
     epoch_utc: str | None,
 ) -> dict[str, Any]:
     """Return the variables that say what may be believed of each pass (:func:`answers`), and its solutions at mid-pass.
 
-    That is at the sample nearest to the middle of the pass. `cures`: what the search of each pass may have left out and what would
-    help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
+    That is at the sample nearest to the middle of the pass. `left_open_of`: what the search of each pass may have left out and what
+    would help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
     """
     sensors = sorted({name for one in solved for name in one.residual})
     misfits = np.full((len(solved), len(sensors), 3), np.nan)
     residual = np.full((len(sensors), sum(len(one.samples) for one in passes)), np.nan)
     rows, begin = [], 0
-    for k, (one, cure) in enumerate(zip(solved, cures, strict=True)):
+    for k, (one, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
         t_s = one.obs.t_s
         mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
         of_pass = slice(begin, begin + len(t_s))
@@ -285,7 +285,7 @@ def believed(
         omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
         motions = AtOnce(one.probability, omega, covariance, either_side(one.track))
         explained = bool(one.track.cost[0] <= one.cost_limit)
-        four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, cure)
+        four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, left_open)
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # exchanged columns give a motion of the same size, so that a size confirms none
         # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion

@@ -150,7 +150,7 @@ def _constant_rate_holds(model: Model, first: int) -> bool:
 
 
 def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> PairStarts:
-    """Return the starts of a pair of samples, the `first` of which is given. Rest is always among them.
+    """Return the starts of a pair of samples, the `first` of which is given. Rest is among them unless a gyro is trusted.
 
     Each direction to the Sun that the first sample allows has rates of its own: those that a trusted gyro reads; or a grid, if
     moments or wheels turn the rate between the samples; or else all constant rates that end at a direction of the second sample.
@@ -167,7 +167,7 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
     read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
     read = read[np.linalg.norm(read, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
-    # `rates_of_suns`: rates (m, 3) for each direction to the Sun; `apart`: between a turn and that of the nearest start, rad
+    # `rates_of_suns`: rates (m, 3) for each direction to the Sun; `apart`: from a turn to that of the nearest start, rad, at most
     if trust_gyro and len(read) and gyro_decides(model, first):
         sigma = min(one.rate_sigma for one in known)
         rates_of_suns, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)

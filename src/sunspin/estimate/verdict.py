@@ -166,8 +166,8 @@ def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray) -> S
 class Answers(NamedTuple):
     """The four answers for one pass.
 
-    `constrained` (3) by component; `wrong`: the sensors that do not agree with the motion; `cure`: what the search may have left
-    out and what would help; `speed`: that of the motion.
+    `constrained` (3) by component; `wrong`: the sensors that do not agree with the motion; `left_open`: what the search may have
+    left out and what would help; `speed`: that of the motion.
     """
 
     unique: bool
@@ -175,7 +175,7 @@ class Answers(NamedTuple):
     fits: bool
     search_complete: bool
     wrong: tuple[str, ...]
-    cure: str
+    left_open: str
     speed: Speed
 
     @property
@@ -206,7 +206,7 @@ class Answers(NamedTuple):
         elif not self.speed.constrained and self.fits:
             reasons.append(self.speed.limit)
         if not self.search_complete:
-            reasons.append("search incomplete" + (f" ({self.cure})" if self.cure else ""))
+            reasons.append("search incomplete" + (f" ({self.left_open})" if self.left_open else ""))
         return "; ".join(reasons)
 
 
@@ -224,12 +224,16 @@ class AtOnce(NamedTuple):
 
 
 def answers(
-    motions: AtOnce, rate_sigma: float, misfits: Mapping[str, Misfit], explained: bool, cure: str
+    motions: AtOnce,
+    rate_sigma: float,
+    misfits: Mapping[str, Misfit],
+    explained: bool,
+    left_open: str,
 ) -> tuple[Answers, np.ndarray]:
     """Return the answers for the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
 
-    `rate_sigma` (rad/s): sigma of a component before the data; `misfits`: by sensor. `explained`: whether all readings together
-    cost as little as those of a motion of this kind. `cure`: what the search may have left out, in words; empty if nothing.
+    `rate_sigma` (rad/s): sigma of a component before the data; `misfits`: by sensor. `explained`: whether the best motion's
+    cost is at most `cost_limit`. `left_open`: what the search may have left out, in words; empty if nothing.
     """
     probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
@@ -240,9 +244,9 @@ def answers(
         unique=bool(probability[one_rate].sum() >= DECIDED),
         constrained=(x, y, z),
         fits=bool(explained and not wrong),
-        search_complete=not cure,
+        search_complete=not left_open,
         wrong=wrong,
-        cure=cure,
+        left_open=left_open,
         speed=speed_of(omega[0], drawn, probability),
     )
     return four_answers, np.quantile(drawn, SPEEDS, axis=1).T

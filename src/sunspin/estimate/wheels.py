@@ -35,7 +35,8 @@ EVIDENCE = " (evidence "
 """What stands after the name of a wheel model where its evidence is said."""
 
 FAR = 20.0
-"""Log evidence by which reversed wheels are out of the question if they are worse in a quick search, which holds the inertia."""
+"""Reversed wheels are given up if a quick search finds their log evidence worse by this; it is large, because that search holds the
+inertia."""
 
 WRAPPED_RAD = 10.0
 """Nor are wheels tried that turn the rate round by more than this from sample to sample: at 42 rad one of five right files was
@@ -258,6 +259,7 @@ def doubted_signs(
     if not searches.momenta:
         return None
     settings, first = fitter.settings, compared[0]
+    # the fits of the file as it is written have found its motions: the quick evidence begins from them, without a search
     known = leading(first.fits.fits, MOTIONS, settings.search)
     quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []

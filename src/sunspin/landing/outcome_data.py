@@ -77,10 +77,13 @@ def outcome_dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Data
     }
     kinds = np.array(KINDS)
     if shape is not None:
+        # a point that is no leg's tip has the number -1, and so the last name
+        leg_names = np.array([*(leg.name for leg in vehicle.legs), ""], dtype=np.str_)
         coords |= {
             "point_B_m": (("point", "axis"), shape.points_B_m, {"units": "m"}),
             "point_kind": ("point", kinds[shape.kind]),
             "point_leg": ("point", shape.leg),
+            "point_leg_name": ("point", leg_names[shape.leg]),
             "point_on_panel": (("point", "panel"), shape.panels),
             "panel": ("panel", np.array(vehicle.panel_names, dtype=np.str_)),
         }

@@ -201,10 +201,14 @@ def build_scenario(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Sc
             key: timeline.seconds(*ends) for key, ends in TIMES.items() if events.issuperset(ends)
         }
     fields |= given
-    for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
-        if key not in fields:
-            do = f"no times and directions are known of {craft.name!r}"
-            raise InputError(f"{option} is missing", do=do)
+    options = {"sun_B": "--sun X,Y,Z", "after_s": "--after SECONDS"}
+    if missing := [option for key, option in options.items() if key not in fields]:
+        what = f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        do = (
+            f"no Sun direction and times are built in for {craft.name!r}: give the Sun in body axes at the candidate rate, and "
+            "the time from there (or from the collision) to the landing"
+        )
+        raise InputError(what, do=do)
     return Scenario(**fields)
 
 

@@ -49,12 +49,15 @@ class Result:
         import_module(f"sunspin.output.kinds.{MODULES[name]}")
         return KINDS[name]
 
-    @property
-    def kind_or_none(self) -> Kind | None:
-        """Kind of the result; None for data of a results folder that are no result, such as its telemetry's samples."""
+    def pictures(self, command: str, context: Context) -> list[Picture]:
+        """Return the figures that `command` writes of this result, drawn; none if it is no result of that command.
+
+        Data of a results folder may be no result of its command, such as the samples in a folder of `rates`.
+        """
         from sunspin.output.kinds import MODULES
 
-        return self._kind if self._data.attrs.get("kind") in MODULES else None
+        is_result = self._data.attrs.get("kind") in MODULES and self._kind.command == command
+        return draw(self._data, context) if is_result else []
 
     def summary(self) -> Summary:
         """Return the main numbers as a dict of plain data; ``print()`` shows the text that the command line prints."""

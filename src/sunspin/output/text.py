@@ -10,6 +10,9 @@ import numpy as np
 from sunspin.output.folder import to_plain_data
 from sunspin.vehicle.timeline import utc_after
 
+ROUNDING = 1e-9
+"""Sigma relative to its number below which it comes from rounding: all runs of a simulation gave one number."""
+
 LONGEST = 400
 """Characters at which :func:`number_text` cuts a text."""
 
@@ -61,12 +64,12 @@ def _is_list_of_names(value: Any) -> bool:
 def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
     """Return a number with its sigma to two digits: 1.234 ± 0.056 deg/s; numbers (n) stand in parentheses.
 
-    Without a finite, positive sigma the number stands alone.
+    Without a finite, positive sigma the number stands alone, and if sigma is only rounding.
     """
     unit = f" {unit}" if unit else ""
     if np.ndim(value):
         return f"({', '.join(map(with_sigma, value, sigma))}){unit}"
-    if not (np.isfinite(sigma) and sigma > 0):
+    if not (np.isfinite(sigma) and sigma > ROUNDING * abs(value)):
         return f"{number_text(float(value))}{unit}"
     if sigma < 1e-5:  # powers of ten, with digits of the value down to the second one of sigma
         digits = max(int(np.floor(np.log10(max(abs(value), sigma) / sigma))) + 2, 2)

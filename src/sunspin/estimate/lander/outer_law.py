@@ -63,13 +63,14 @@ class Bend(NamedTuple):
         # principal directions of the correlation: of independent coordinates all would have size one
         value, vector = np.linalg.eigh((weight[:, None] * off).T @ off / np.outer(sigma, sigma))
         size = np.sqrt(value.clip(1e-12))
-        white, root = (off / sigma) @ vector / size, np.sqrt(weight)[:, None]
+        white, root_weight = (off / sigma) @ vector / size, np.sqrt(weight)[:, None]
         thin = size < s.thin
         while thin.any():
             terms = monomials(white[:, ~thin], np.arange(int(np.sum(~thin))))
             if count < s.draws_per_term * terms.shape[1]:
                 return None
-            coefficients = np.linalg.lstsq(root * terms, root * white[:, thin], rcond=1e-10)[0]
+            weighted = root_weight * terms, root_weight * white[:, thin]
+            coefficients = np.linalg.lstsq(*weighted, rcond=1e-10)[0]
             left = weight @ (white[:, thin] - terms @ coefficients) ** 2
             straight = left * count / (count - terms.shape[1]) > s.straight**2
             if not straight.any():

@@ -56,7 +56,7 @@ def draws_by_periods(
     decides = weighed.effective >= LEAST_DRAWS and weighed.nearest_sigmas <= FAR_SIGMAS
     attrs = {
         "effective_draws": weighed.effective,
-        "counts": int(decides),
+        "told": int(decides),
         "nearest_sigmas": weighed.nearest_sigmas,
         "seen_s": [one.t_s for one in seen],
         "period_s": [one.period_s for one in seen],

@@ -31,7 +31,7 @@ from sunspin.estimate.settings import SAMPLING, SamplingSettings
 from sunspin.solve.weights import effective_draws, pareto_tail
 
 INSIDE_TAIL = 10.0
-"""Times the largest weight of all draws that a walker's weight may have before it counts as outside of the proposals."""
+"""Times the largest weight of a ridge's draws that a walker's weight may have before it counts as outside of the proposals."""
 
 
 def sample(
@@ -193,9 +193,10 @@ def share_outside(
 ) -> float:
     """Return the share of walkers that start from draws and end where hardly anything was proposed.
 
-    Walkers are Metropolis chains in y and z - z*(y), which follow the ridge. Their density is estimated by one draw of the reading
-    unknowns, which leaves chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn, exceeds
-    the largest weight of all draws by :data:`INSIDE_TAIL`.
+    Walkers are Metropolis chains in the outer coordinates y and in z - z*(y), where z are the stiff ones (:class:`Chart`) and z*(y)
+    their best values for y; so they follow the ridge. Their density is estimated by one draw of the reading unknowns, which leaves
+    chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn, exceeds the largest weight of its
+    own ridge by :data:`INSIDE_TAIL`.
     """
     share = np.concatenate(log_shares)
     picked = _systematic(share, s.walkers, rng)
@@ -209,13 +210,13 @@ def share_outside(
         weight = np.exp(log_shares[r] - logsumexp(log_shares[r]))
         off = proposals.y - weight @ proposals.y
         d = proposals.y.shape[1]
-        root = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(d))
+        outer = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(d))
         inner = np.linalg.cholesky(ridge.scatter)
         y, z, log_mass = proposals.y[rows], proposals.z[rows], proposals.log_mass[rows]
         shots = proposals.shots.take(rows)
         size = s.walk_size / np.sqrt(d + chart.stiff)
         for _ in range(s.walk_steps):
-            to = y + size * rng.standard_normal(y.shape) @ root.T
+            to = y + size * rng.standard_normal(y.shape) @ outer.T
             aside = z + ridge.best(to) - ridge.best(y)
             aside = aside + size * rng.standard_normal(z.shape) @ inner.T
             trial, of_trial = complete_motions(target, chart, to, aside, shots.u, rng, s)

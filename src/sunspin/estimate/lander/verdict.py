@@ -224,7 +224,7 @@ def pass_row(
         fits=not findings.refused,
         search_complete=not (findings.doubts or findings.approximate),
         wrong=(),
-        cure="",
+        left_open="",
         speed=Speed(value, off, float(np.quantile(speed, UPPER))),
     )
     first = about["t_first_s"]

@@ -377,7 +377,7 @@ def fit_along(
         unknown = state.unknown[0]
         matrix = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3)) * unit_T / unit
         start = CalibrationStart(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
-    return _described(law, state, unit)
+    return calibration_of(law, state, unit)
 
 
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
@@ -395,11 +395,11 @@ def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
     return precision
 
 
-def _described(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
+def calibration_of(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
     """Return the calibration that a fit ends with, and its covariances; `unit`: of its readings of the field.
 
     The jackknife leaves out each part of the file in turn. Where the unknowns go without it is one Newton step, as the gradients of
-    the remaining samples add to minus that of the part.
+    the remaining samples and of the prior add to minus that of the part.
     """
     unknown, r = state.unknown[0], law.readings
     best = law.settle(unknown, state.attitude[0])

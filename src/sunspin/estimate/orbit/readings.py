@@ -105,12 +105,12 @@ def read(assessment: Assessment, most: int) -> Readings:
         y_turned = telemetry["sun_sensor_y_turned"].values != 0
 
     sun, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-    light, panel_variance = np.full(n, np.nan), np.full(n, np.nan)
+    light, panel_sigma = np.full(n, np.nan), np.full(n, np.nan)
     by_earth = np.zeros(n, dtype=bool)
     if assessment.has_panels:
         directions, by_earth = sun_by_panels(assessment)
         sun, covariance = directions["sun_B"].values, directions["sun_cov_B"].values
-        panel_variance = directions["sigma_rad"].values ** 2 / 2
+        panel_sigma = directions["sigma_rad"].values / np.sqrt(2)
         status = directions["status"].values
         light = np.where(status == SunStatus.DARK, 0.0, 1.0)
         light[status == SunStatus.MISSING] = np.nan
@@ -126,10 +126,10 @@ def read(assessment: Assessment, most: int) -> Readings:
         by_earth = by_earth & ~known
         if vehicle.sensors.sun_vector is not None and not n_sensors and not assessment.has_panels:
             panel_sun = stated
-            panel_variance = np.full(n, vehicle.sensors.sun_vector.sigma_rad**2)
+            panel_sigma = np.full(n, vehicle.sensors.sun_vector.sigma_rad)
     # a direction without an error is no reading
     sun = np.where(_whole(covariance.reshape(n, 9))[:, None], sun, np.nan)
-    panel_sun = np.where(np.isfinite(panel_variance)[:, None], panel_sun, np.nan)
+    panel_sun = np.where(np.isfinite(panel_sigma)[:, None], panel_sun, np.nan)
 
     usual = np.median(np.diff(time)) if n > 1 else 1.0
     pass_of = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])[:n]
@@ -142,15 +142,15 @@ def read(assessment: Assessment, most: int) -> Readings:
         angle=angle,
         y_turned=y_turned,
         panel_sun=panel_sun,
-        panel_sigma=panel_variance,
+        panel_sigma=panel_sigma,
         pass_of=pass_of,
     )
     shows = readings.has_field | readings.has_sun | np.isfinite(light)
     use = spread_evenly(telemetry, shows, most, readings.has_field & readings.has_sun)
     by_earth, panels_by_earth, readings = by_earth[use], panels_by_earth[use], readings.take(use)
-    # errors by the Earth's light, which the samples have in common; `panel_sigma` still holds a variance
+    # errors that the samples have in common: by the Earth's light, and of the panels
     added = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
-    variance = np.nan_to_num(readings.panel_sigma, nan=1.0) + PANEL_RAD**2
+    variance = np.nan_to_num(readings.panel_sigma, nan=1.0) ** 2 + PANEL_RAD**2
     variance = variance + earth_variance(panels_by_earth.sum()) * panels_by_earth
     return readings._replace(covariance=readings.covariance + added, panel_sigma=np.sqrt(variance))
 

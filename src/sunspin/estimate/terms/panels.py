@@ -33,7 +33,7 @@ from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.planes import sphere
 
 AVERAGED = np.polynomial.legendre.leggauss(3)
-"""ReadingTimes, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
+"""Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
 
 LEAST_LIT, DARK = 0.01, 0.03
 """Part of the Sun's disc below which it is down; and what panels read in the shadow in addition to their noise, as a share of full

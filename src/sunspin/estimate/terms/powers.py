@@ -215,8 +215,8 @@ class PanelPowers(Term):
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return how late (K, n; s) each sample was taken at its best, and the curvature (K, n; 1/s2) of its cost without prior.
 
-        Newton steps begin at no error, in two ways, of which the better one counts: readings far off are outliers from the first
-        step on, or they are trusted in it, as the time may be what is wrong.
+        Newton steps begin at no error, in two ways, of which the better one counts: with outliers down-weighted at once, or with
+        all readings at full weight in the first step, as the time may be what is wrong.
         """
         none = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:

@@ -177,16 +177,18 @@ def first_contact_figure(runs: dict[str, Any]) -> Any:
 
 
 def _first_contacts(runs: Any) -> dict[str, Estimate]:
-    """Return the probability with standard error of each leg, each panel and the bare body to touch first, by label."""
+    """Return the probability with standard error of each leg, each panel of the hull and the bare body to touch first, by label."""
     # point of the hull that touches first in each run, -1 for none; leg of each point, -1 for none
     estimates, touching_point = tally(runs), runs["contact_point"].values
     contacts, leg_of_point = {}, runs["point_leg"].values
     touching_leg = leg_of_point[touching_point[touching_point >= 0]]
-    for leg in range(int(leg_of_point.max()) + 1):
-        share = float(np.mean(touching_leg == leg))
+    tips = np.flatnonzero(leg_of_point >= 0)
+    for tip in tips[np.argsort(leg_of_point[tips])]:
+        share = float(np.mean(touching_leg == leg_of_point[tip]))
         error = np.sqrt(share * (1 - share) / runs.sizes["run"])
-        contacts[f"leg {leg + 1}"] = Estimate(share, float(error))
-    panels = runs["panel"].values
+        name = escape_name(runs["point_leg_name"].values[tip])
+        contacts[f"leg {name}"] = Estimate(share, float(error))
+    panels = runs["panel"].values[runs["point_on_panel"].values.any(axis=0)]
     labels = {
         f"touch_panel_{panel}": f"panel {label}"
         for panel, label in zip(panels, axis_labels(panels), strict=True)

@@ -75,7 +75,7 @@ def posterior_summary(tree: Any) -> Summary:
         period = tree["period"].to_dataset()
         lines += [f"  {text}" for text in period_sentences(period)]
         effective = float(period.attrs["effective_draws"])
-        numbers["period"] = {"counts": bool(period.attrs["counts"]), "effective_draws": effective}
+        numbers["period"] = {"told": bool(period.attrs["told"]), "effective_draws": effective}
         for name in ("probability", "solution_probability", "rate_quantile"):
             numbers["period"][name] = period[name].values.tolist()
     if "predictions" in tree.children:

@@ -171,10 +171,10 @@ def _period_sentence(result: Any, period: dict[str, Any]) -> str:
             f"periods not used: of the draws of pass {period['pass']} only {period['effective']:.0f} have them; its probabilities "
             "stay as they are"
         )
-    if not period["counts"]:
+    if not period["told"]:
         return (
             f"periods: the samples of pass {period['pass']} contradict {period['period_s']:g} s at {period['t_s']:g} s: solutions "
-            f"that have it hold {period['share_with_periods']:.1%} of the probability, which stays as it is"
+            f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
     shares = zip(READINGS, period["shares"], strict=True)
     words = f"period {period['period_s']:g} +- {period['sigma_s']:g} s at {period['t_s']:g} s: "

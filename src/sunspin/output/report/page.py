@@ -90,18 +90,13 @@ def _render_page(results: Results) -> str:
 def _draw(results: Results) -> list[PageFigure]:
     """Return the figures of a folder that was written without the packages of figures, drawn from its data."""
     from sunspin.output.kind import Context
-    from sunspin.output.result import draw
 
     context = Context(results.data.get("telemetry"), results.vehicle)
     figures = []
     for data in results.data.values():
-        kind = data.sunspin.kind_or_none
-        if kind is None or kind.command != results.command:
-            continue
-        for picture in draw(data, context):
-            large = len(picture.files["svg"]) > LARGEST_SVG_BYTES
-            suffix = "png" if large else "svg"
-            content, name = picture.files[suffix], f"{picture.name}.{suffix}"
+        for picture in data.sunspin.pictures(results.command, context):
+            suffix = "png" if len(picture.files["svg"]) > LARGEST_SVG_BYTES else "svg"
+            name, content = f"{picture.name}.{suffix}", picture.files[suffix]
             figures.append(PageFigure(name, content, picture.alt, picture.caption))
     return figures
 
