@@ -89,7 +89,7 @@ def prepare_worker() -> None:
     # `nohup` lets a run outlast its terminal: a signal of the terminal that the parent ignores is ignored here too
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    if sys.platform == "linux":
+    if sys.platform == "linux" and hasattr(signal, "SIGKILL"):
         # A killed parent cannot end its workers, and they would not notice, as each holds both ends of the pipes to the others.
         ctypes.CDLL(None).prctl(KILL_WITH_PARENT, signal.SIGKILL)
         parent = parent_process()
