@@ -129,13 +129,24 @@ def all_end(process_ids, within_s=20.0):
     return not running
 
 
+def two_workers_of(process_id):
+    """Return the numbers of the two workers of a process, when both run."""
+    while len(workers := children_of(process_id)) < 2:
+        time.sleep(0.05)
+    return workers
+
+
+def with_sleeping_pool(helper):
+    """Let a helper start a pool that sleeps, and return the numbers of its process and of the workers."""
+    helper.start(os.getpid)
+    process_id = helper.result()
+    helper.start(sleep_in_pool, 1000.0)
+    return process_id, two_workers_of(process_id)
+
+
 def test_a_pool_of_a_helper_ends_with_it():
     with helper_process(2, prepare) as helper:
-        helper.start(os.getpid)
-        process_id = helper.result()
-        helper.start(sleep_in_pool, 1000.0)
-        while len(workers := children_of(process_id)) < 2:
-            time.sleep(0.05)
+        _, workers = with_sleeping_pool(helper)
     assert all_end(workers)
 
 
@@ -152,11 +163,7 @@ def test_a_helper_killed_while_its_pool_works_is_reported_although_the_pool_hold
             errors.append(error)
 
     with helper_process(2, prepare) as helper:
-        helper.start(os.getpid)
-        process_id = helper.result()
-        helper.start(sleep_in_pool, 1000.0)
-        while len(workers := children_of(process_id)) < 2:
-            time.sleep(0.05)
+        process_id, workers = with_sleeping_pool(helper)
         waiting = Thread(target=wait, daemon=True)
         waiting.start()
         os.kill(process_id, signal.SIGKILL)
@@ -184,8 +191,7 @@ def test_helper_and_pool_end_with_a_killed_parent():
     command = [sys.executable, "-c", PARENT]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as parent:
         process_id = parent.stdout.readline().strip()
-        while len(workers := children_of(process_id)) < 2:
-            time.sleep(0.05)
+        workers = two_workers_of(process_id)
         parent.kill()
         assert all_end([process_id, *workers])
 
@@ -217,11 +223,7 @@ def test_what_cannot_be_sent_back_is_said_and_the_next_call_is_answered(call, er
 
 def test_a_worker_of_the_pool_of_a_helper_that_was_killed_is_reported_as_such():
     with helper_process(2, prepare) as helper:
-        helper.start(os.getpid)
-        process_id = helper.result()
-        helper.start(sleep_in_pool, 1000.0)
-        while len(workers := children_of(process_id)) < 2:
-            time.sleep(0.05)
+        _, workers = with_sleeping_pool(helper)
         os.kill(int(workers[0]), signal.SIGKILL)
         with pytest.raises(EndedError, match=r"ended from outside.*fewer workers"):
             helper.result()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import repeat
 
 import numpy as np
@@ -76,17 +76,22 @@ def one_pass(
     # Search: all motions that the readings allow while the inertia is held; then the fit, with all unknowns free.
     tracks = [begin] if begin is not None else searched(stated, s.search.noise, s.search, budget)
     fits = fitted(stated, tracks, s.search.noise, s)
+
+    @cache
+    def under_strong() -> list[Fit]:
+        """Return the fits of a search as if strong torques acted, which two doubts may ask for."""
+        tracks = searched(stated, s.ladder.strong, s.search, budget)
+        return fitted(stated, tracks, s.ladder.strong, s)
+
     # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
     # motion, as under the strongest torques nearly everything fits.
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        tracks = searched(stated, s.ladder.strong, s.search, budget)
-        fits = min(fits, fitted(stated, tracks, s.ladder.strong, s), key=likeliest_cost)
+        fits = min(fits, under_strong(), key=likeliest_cost)
     # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
     taken_for_sphere = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
     strained = any(map(len, fits)) and likeliest(fits).model.noise.acceleration >= s.ladder.strained
     if taken_for_sphere and strained:
-        tracks = searched(stated, s.ladder.strong, s.search, budget)
-        fits = united(fits + fitted(stated, tracks, s.ladder.strong, s), s.ladder, s.search)
+        fits = united(fits + under_strong(), s.ladder, s.search)
     # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
     beyond = s.alternatives.beyond if taken_for_sphere else 1.0
     # the nominal model with a larger limit, only for search and aliases

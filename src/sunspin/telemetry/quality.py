@@ -360,7 +360,7 @@ def _measure_light(vehicle: Vehicle, t_s: np.ndarray, readings: _Readings) -> _L
 
     bright = brightness(vehicle, usable)
     dark = bright < DEAD_FRACTION * full
-    unlit_light, _ = _estimate_albedo(vehicle, relative[sound & ~dark] / full)
+    unlit_light, _ = _estimate_albedo(_facing_away(vehicle, relative[sound & ~dark] / full))
     dark |= ~_beyond_noise(vehicle, value, usable, noise, full, unlit_light)
     level = np.full((len(value), 1), full)
     if vehicle.throttled:  # the battery may limit any sample, by one factor for all its readings
@@ -391,7 +391,8 @@ def _estimate_errors(
     stated_gains, full = vehicle.input_gains, light.full
     clean = readings.kept & ~light.limited & ~light.idle & ~light.dark
     relative = readings.value / stated_gains
-    albedo, albedo_samples = _estimate_albedo(vehicle, (relative / level)[clean])
+    away = _facing_away(vehicle, relative / level)
+    albedo, albedo_samples = _estimate_albedo(away[clean])
     relative_noise = float(np.median(noise) / (full * np.median(stated_gains)))
     earth = _earth_light(albedo, albedo_samples, relative_noise)
     fitted = estimate_gains(vehicle, value[clean], full, light.dead, light.missed, earth)
@@ -416,7 +417,7 @@ def _estimate_errors(
         # Too faint to be modelled as a source. Only in a known orbit, and if the file does not say how much light there is, an
         # estimate models it all the same, with errors from `modelled_share`.
         least = max(SURELY_LIT * albedo, DARK_SIGMAS * relative_noise)
-        passing = _passing_light(vehicle, t_s, relative / level, clean, least)[:, None]
+        passing = _passing_light(t_s, away, clean, least)[:, None]
         share, beside_gains = np.hypot(share, passing), np.hypot(beside_gains, passing)
     # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
     # state, which is as large as the scatter of full Sun, or up to all of that light.
@@ -647,14 +648,13 @@ def _quantisation_step(value: np.ndarray) -> float:
     return float(gaps.min()) if np.mean(whole) > 0.9 else 0.0
 
 
-def _estimate_albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
+def _estimate_albedo(away: np.ndarray) -> tuple[float, int]:
     """Return the light on panels that face away from the Sun, as a share of full Sun, and the number of readings behind it.
 
-    It is the 84 % quantile, 1 to 30 %, of the readings `share` (n, n_panel; shares of full Sun) of panels opposite to sunlit ones.
+    It is the 84 % quantile, 1 to 30 %, of the readings `away` (n, n_pair) of panels opposite to sunlit ones (:func:`_facing_away`).
     With fewer than `ALBEDO_READINGS` readings it is `ALBEDO_DEFAULT`.
     """
-    dark = _facing_away(vehicle, share)
-    dark = dark[np.isfinite(dark)]
+    dark = away[np.isfinite(away)]
     enough = len(dark) >= ALBEDO_READINGS
     albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if enough else ALBEDO_DEFAULT
     return albedo, len(dark)
@@ -674,9 +674,7 @@ def _facing_away(vehicle: Vehicle, share: np.ndarray) -> np.ndarray:
     return np.where(lit, dark, np.nan)
 
 
-def _passing_light(
-    vehicle: Vehicle, t_s: np.ndarray, share: np.ndarray, kept: np.ndarray, least: float
-) -> np.ndarray:
+def _passing_light(t_s: np.ndarray, away: np.ndarray, kept: np.ndarray, least: float) -> np.ndarray:
     """Return the light (n) on panels that face away from the Sun, where it is clearly more than in the rest of the file.
 
     The Earth's light that grows towards the end of a pass is not in the `albedo` of most samples. The light of a sample is the
@@ -686,18 +684,17 @@ def _passing_light(
     ----------
     t_s : (n)
         Times of samples, s.
-    share : (n, n_panel)
-        Readings as shares of full Sun.
+    away : (n, n_pair)
+        Readings of panels opposite to sunlit ones, as :func:`_facing_away` returns them.
     kept : (n)
         Samples that count.
     least : float
         Smallest share of full Sun that is clearly more than in the rest of the file.
     """
-    dark = _facing_away(vehicle, np.where(kept[:, None], share, np.nan))
-    largest = np.nanmax(dark, axis=1, initial=0.0) if dark.shape[1] else np.zeros(len(share))
+    largest = np.nanmax(away, axis=1, initial=0.0)
     clear = kept & (largest > least) & (largest < PASSING_MOST)
     interval_s = np.median(np.diff(np.unique(t_s[kept]))) if kept.sum() > 1 else np.inf
-    light = np.zeros(len(share))
+    light = np.zeros(len(away))
     for row in np.flatnonzero(clear):
         rows = slice(max(row - PASSING_NEAR, 0), row + PASSING_NEAR + 1)
         near = np.abs(t_s[rows] - t_s[row]) <= PASSING_INTERVALS * interval_s
