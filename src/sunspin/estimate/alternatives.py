@@ -17,7 +17,7 @@ from sunspin.estimate.chain import RATE, Fit, defects, fit
 from sunspin.estimate.evidence import likeliest
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
-from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
 LEAST_STEP = 1e-3
@@ -48,7 +48,7 @@ def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
     """
     for term in stated.obs.terms:
-        if isinstance(term, Gyro) and term.zero_stated and term.present().any():
+        if isinstance(term, GyroRates) and term.zero_stated and term.present().any():
             others = (one.with_any_zero() if one is term else one for one in stated.obs.terms)
             yield replace(
                 stated,

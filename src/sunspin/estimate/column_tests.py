@@ -23,7 +23,7 @@ from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     CLEARLY,
-    Change,
+    ColumnChange,
     Observed,
     alike,
     column_changes,
@@ -81,7 +81,7 @@ MOST_NAMED = 6
 class Named(NamedTuple):
     """A change that fits, with the rate (3) in rad/s that it gives, if that is known."""
 
-    change: Change
+    change: ColumnChange
     omega: np.ndarray | None = None
 
 
@@ -170,7 +170,7 @@ class CostsOfSamples:
     """
 
     as_written: float
-    changes: list[Change]
+    changes: list[ColumnChange]
     of_changes: np.ndarray
 
     @classmethod
@@ -255,7 +255,7 @@ def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> 
 def _best_of(
     observed: Observed,
     telemetry: xr.Dataset,
-    candidates: Sequence[tuple[Change, float]],
+    candidates: Sequence[tuple[ColumnChange, float]],
     as_written: tuple[float, float],
     trials: Trials,
 ) -> Better | None:
@@ -329,7 +329,7 @@ def better_rivals(
     return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
 
 
-def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> list[float]:
+def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange) -> list[float]:
     """Return the gains, in order, of the inputs that are left out under a change, as their panels never show a signal."""
     return sorted(
         vehicle.input_gains[silent_inputs(assess(*change.applied(vehicle, telemetry)))].tolist()
@@ -345,8 +345,8 @@ def silent_inputs(assessment: Assessment) -> np.ndarray:
 def _best_of_classes(
     observed: Observed,
     telemetry: xr.Dataset,
-    classes: Sequence[Change],
-    others: Sequence[Change],
+    classes: Sequence[ColumnChange],
+    others: Sequence[ColumnChange],
     trials: Trials,
     evidence_as_written: float,
 ) -> Better | None:
@@ -377,7 +377,7 @@ def _best_of_classes(
 
 
 def with_equivalents(
-    observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]
+    observed: Observed, change: ColumnChange, result: xr.Dataset, others: Sequence[ColumnChange]
 ) -> list[Named]:
     """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
     omega, _ = rate_in_the_middle(result)
@@ -393,7 +393,9 @@ def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
     return result["omega_B"].values[at], float(t[at])
 
 
-def sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
+def sample_costs(
+    vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[ColumnChange]
+) -> np.ndarray:
     """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
 
     The square of a sample is the least |read - brightness light|^2 over directions, in which panels get `light`, and over a
@@ -455,7 +457,7 @@ def to_write(table: str, keys: Mapping[str, Any]) -> str:
     return f"set {lines} under [{table}] of the vehicle file"
 
 
-def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
+def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:
     """Return the 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
     table = TABLES[name]
     part = vehicle.sensors.with_columns[table]
@@ -468,7 +470,7 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
             for what, order, sign in signed_axes()
         ]
     return [
-        Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
+        ColumnChange(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
         for what, matrix, keys in ways
     ]
 

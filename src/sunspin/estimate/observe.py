@@ -24,11 +24,11 @@ from sunspin.estimate.terms.field import (
     KnownField,
     reads_directions,
 )
-from sunspin.estimate.terms.inertial import AttitudeChange, Gyro
+from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.terms.term import Term
-from sunspin.estimate.terms.torques import GravityGradient, MagneticTorque, StatedDipole
+from sunspin.estimate.terms.torques import GravityTorque, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
 from sunspin.vehicle import Vehicle
@@ -130,7 +130,7 @@ def observe(
     why[find_late_frames(telemetry)] = LATE
 
     compared = None if isinstance(sun, FieldDirection) else known or fields
-    rates = Gyro.read(vehicle, sensors), RateSize.read(vehicle, sensors)
+    rates = GyroRates.read(vehicle, sensors), RateMagnitudes.read(vehicle, sensors)
     read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
     others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
@@ -161,7 +161,7 @@ def _torques(
         inertia = vehicle.require_inertia()
         strength = np.full(len(t_s), torques.gradient_strength())
         inertia = inertia / (np.trace(inertia) / 3)
-        terms.append(GravityGradient(here.nadir_N, strength, inertia))
+        terms.append(GravityTorque(here.nadir_N, strength, inertia))
     return terms
 
 

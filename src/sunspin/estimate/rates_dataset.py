@@ -22,7 +22,7 @@ from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimate.solutions import Solutions
 from sunspin.estimate.terms.field import FieldDirection, KnownField
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
@@ -139,11 +139,13 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
-    sensors = [term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateSize.name)]
+    sensors = [
+        term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateMagnitudes.name)
+    ]
     read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
-    if any(term.name == RateSize.name for term in seen.obs.terms):
-        attrs["rate_size_used"] = int(RateSize.name in read)
+    if any(term.name == RateMagnitudes.name for term in seen.obs.terms):
+        attrs["rate_size_used"] = int(RateMagnitudes.name in read)
     untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
     return attrs | {"wheels_untold": ", ".join(untold)}
 
@@ -292,7 +294,7 @@ def believed(
         alone = [term.label for term in one.obs.terms if isinstance(term, FieldDirection)] or [
             "Sun"
         ]
-        blind = set(by_sensor) <= {*alone, RateSize.label}
+        blind = set(by_sensor) <= {*alone, RateMagnitudes.label}
         checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
         solution = one.probability, omega, sigma, speed, four_answers, checked
         rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))
