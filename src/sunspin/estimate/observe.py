@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -76,10 +76,14 @@ class FileReadings:
 
 @dataclass(frozen=True)
 class Pass:
-    """A stretch of samples without a long gap: indices of all its samples (n), and of those that the search keeps."""
+    """A stretch of samples without a long gap.
+
+    `samples` (n): their indices in the file; `kept`: of those that the search uses; `number` of the pass, counted from zero.
+    """
 
     samples: np.ndarray
     kept: np.ndarray
+    number: int
 
     @property
     def kept_in_pass(self) -> np.ndarray:
@@ -221,7 +225,8 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
         for piece in np.split(part, np.searchsorted(t_s[part], edges)):
             if len(piece) >= 3:
                 dense_from = _dense_from(seen.obs.sees_sun[piece], s)
-                passes.append(Pass(piece, piece[thinned(len(piece), s, dense_from)]))
+                kept = piece[thinned(len(piece), s, dense_from)]
+                passes.append(Pass(piece, kept, len(passes)))
     if not passes:
         raise InputError(
             "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
@@ -229,25 +234,27 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
     return passes
 
 
-def asked(passes: Sequence[Pass], pass_id: int | None) -> list[int]:
-    """Return which passes are estimated."""
+def passes_asked_for(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
+    """Return the passes that are estimated: the one with this number, or all. Raises InputError if there is none."""
     if pass_id is None:
-        return list(range(len(passes)))
+        return list(passes)
     whole = isinstance(pass_id, int | np.integer) and not isinstance(pass_id, bool)
     if not whole or not 0 <= pass_id < len(passes):
         raise InputError(
             "there is no such pass", got=pass_id, do=f"the file has passes 0 to {len(passes) - 1}"
         )
-    return [int(pass_id)]
+    return [passes[pass_id]]
 
 
-def why_not_used(seen: FileReadings, passes: Sequence[Pass], chosen: Sequence[int]) -> np.ndarray:
-    """Return what became of each sample (n), in words, if only some passes are estimated."""
+def with_unused_samples(
+    seen: FileReadings, passes: Sequence[Pass], estimated: Sequence[Pass]
+) -> FileReadings:
+    """Return the readings with the reason of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
     why = seen.why.copy()
     why[np.setdiff1d(seen.usable, np.concatenate([one.samples for one in passes]))] = ALONE
-    for k in set(range(len(passes))) - set(chosen):
-        why[passes[k].samples] = NOT_ASKED
-    return why
+    for left_out in set(range(len(passes))) - {one.number for one in estimated}:
+        why[passes[left_out].samples] = NOT_ASKED
+    return replace(seen, why=why)
 
 
 def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings):

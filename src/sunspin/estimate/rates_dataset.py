@@ -40,7 +40,7 @@ from sunspin.solve.rotations import (
     quaternion_from_matrix,
     without_sign_jumps,
 )
-from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.assess import LOW_SHARE, Assessment
 from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle import Vehicle
 
@@ -60,7 +60,6 @@ LATENCY = "late_s"
 def dataset(
     assessment: Assessment,
     seen: FileReadings,
-    why: np.ndarray,
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     stated: Model,
@@ -68,10 +67,9 @@ def dataset(
 ) -> xr.Dataset:
     """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
 
-    `why` (n): what became of each sample of the file; `stated`: the nominal model, under the strength of torques that the file
-    as a whole has; `noise_stated`: the vehicle file or the user gives that strength.
+    `stated`: the nominal model, under the strength of torques that the file as a whole has; `noise_stated`: the vehicle file or
+    the user gives that strength.
     """
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     index = np.concatenate([one.samples for one in passes])
     best = [one.track.take(slice(0, 1)) for one in solved]
     # one pass after the other along time
@@ -96,29 +94,29 @@ def dataset(
             "omega_sigma_all_B": (("pass_id", "axis"), np.array(spread)),
             "cost": (each, padded([one.track.cost for one in solved])),
             "cost_limit": ("pass_id", [one.cost_limit for one in solved]),
-            "why": ("sample", why.astype(np.str_)),
+            "why": ("sample", seen.why.astype(np.str_)),
         },
         coords={
             "time": seen.obs.t_s[index],
             "sample": seen.obs.t_s,
             "axis": ["x", "y", "z"],
-            "pass_id": np.arange(len(passes)),
+            "pass_id": [one.number for one in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(vehicle, telemetry, seen, index, stated, noise_stated),
+        attrs=_attributes(assessment, seen, index, stated, noise_stated),
     )
     return result.assign(_curves(solved, stated))
 
 
 def _attributes(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    assessment: Assessment,
     seen: FileReadings,
     used: np.ndarray,
     stated: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": seen.source,
@@ -146,8 +144,12 @@ def _attributes(
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
     if any(term.name == RateMagnitudes.name for term in seen.obs.terms):
         attrs["rate_size_used"] = int(RateMagnitudes.name in read)
-    untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
-    return attrs | {"wheels_untold": ", ".join(untold)}
+    wheels = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
+    gains = assessment.doubtful_gains if seen.source == "panels" else {}
+    return attrs | {
+        "wheels_untold": ", ".join(wheels),
+        "gains_unknown": ", ".join(name for name, share in gains.items() if share < LOW_SHARE),
+    }
 
 
 def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
