@@ -109,7 +109,9 @@ class Better:
             signs = change.reversed_wheels and not change.columns
             check = "CHECK THE SIGNS" if signs else "CHECK THE COLUMNS"
             return f"{better} {change.what} {gain}: {check}{do}"
-        shown = [f"({chr(97 + k)}) {_line(one)}" for k, one in enumerate(self.named[:MOST_NAMED])]
+        shown = [
+            f"({chr(97 + k)}) {_line(named)}" for k, named in enumerate(self.named[:MOST_NAMED])
+        ]
         more = len(self.named) - len(shown)
         others = f"; and {more} other changes" if more else ""
         at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
@@ -119,13 +121,13 @@ class Better:
         )
 
 
-def _line(one: Named) -> str:
+def _line(named: Named) -> str:
     """Return a change of several in words, with its rate."""
-    do = f" ({one.change.do})" if one.change.axes or one.change.reversed_wheels else ""
-    if one.omega is None:
-        return f"{one.change.what}{do}"
-    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(one.omega))
-    return f"{one.change.what}{do}: omega ({rate}) deg/s"
+    do = f" ({named.change.do})" if named.change.axes or named.change.reversed_wheels else ""
+    if named.omega is None:
+        return f"{named.change.what}{do}"
+    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(named.omega))
+    return f"{named.change.what}{do}: omega ({rate}) deg/s"
 
 
 @dataclass(frozen=True)
@@ -305,16 +307,19 @@ def better_rivals(
         if not is_allowed:
             continue
         if len(moved) == 2 and not observed.lit[moved].any():
-            differ = max((np.diff(one[:, moved], axis=1) ** 2).sum() / 2 for one in (light, read))
+            differ = max(
+                (np.diff(of_samples[:, moved], axis=1) ** 2).sum() / 2
+                for of_samples in (light, read)
+            )
             if differ > CLEARLY:
                 dark.append(change)
-        elif not any(len(equivalence(observed, one, change)) for one in known):
+        elif not any(len(equivalence(observed, tested, change)) for tested in known):
             rivals.append(change)
     # a panel without a signal is left out: evidences are compared only if as many panels, of the same gains, are
     silent = gains_of_silent(vehicle, telemetry, AS_WRITTEN) if dark or rivals else []
     dark, rivals = (
-        [one for one in some if gains_of_silent(vehicle, telemetry, one) == silent]
-        for some in (dark, rivals)
+        [change for change in group if gains_of_silent(vehicle, telemetry, change) == silent]
+        for group in (dark, rivals)
     )
     if not (dark or rivals):
         return None
@@ -323,10 +328,14 @@ def better_rivals(
         return None
     # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
     found = [
-        _best_of_classes(observed, telemetry, some, others, trials, evidence_as_written)
-        for some, others in ((dark, []), (rivals, changes))
+        _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
+        for classes, others in ((dark, []), (rivals, changes))
     ]
-    return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
+    return max(
+        (better for better in found if better is not None),
+        key=lambda better: better.gain,
+        default=None,
+    )
 
 
 def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange) -> list[float]:
@@ -382,8 +391,11 @@ def with_equivalents(
     """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
     omega, _ = rate_in_the_middle(result)
     along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
-    same = alike(along, change, [one for one in others if one.what != change.what])
-    return [Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same)]
+    same = alike(along, change, [other for other in others if other.what != change.what])
+    return [
+        Named(change, omega),
+        *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
+    ]
 
 
 def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
@@ -503,7 +515,9 @@ def _other_axes(
     vehicle = observed.vehicle
     changes = changes_of_sensor(vehicle, name)  # the first is what the file states
     read = telemetry[name].sel(time=estimate["time"].values).values
-    costs = np.array([_cost(estimate, read @ one.axes[name].T, name, vehicle) for one in changes])
+    costs = np.array(
+        [_cost(estimate, read @ change.axes[name].T, name, vehicle) for change in changes]
+    )
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:

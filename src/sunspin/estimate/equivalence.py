@@ -127,7 +127,9 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[ColumnChange
     if not any(name in telemetry for name in READINGS):
         return []
     pairs = [exchange(vehicle, a, b) for a, b in combinations(range(len(vehicle.inputs)), 2)]
-    alone = sorted(one.panels[0] for one in vehicle.inputs if len(one.panels) == 1)
+    alone = sorted(
+        panel_input.panels[0] for panel_input in vehicle.inputs if len(panel_input.panels) == 1
+    )
     names = vehicle.panel_names
     return pairs + [
         ColumnChange(
@@ -150,7 +152,7 @@ def wheel_changes(vehicle: Vehicle) -> list[ColumnChange]:
     """Return the changes that reverse each wheel, and all of them."""
     count = len(vehicle.wheels)
     which = dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))])
-    return [wheel_change(vehicle, one) for one in which if one]
+    return [wheel_change(vehicle, numbers) for numbers in which if numbers]
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ class Observed:
     @classmethod
     def of(cls, vehicle: Vehicle, telemetry: xr.Dataset, **more) -> Observed:
         """Return what a Dataset of `read_telemetry` has read; `more`: fields that it does not say, as `momenta`."""
-        name = next((one for one in READINGS if one in telemetry), None)
+        name = next((variable for variable in READINGS if variable in telemetry), None)
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
             power = np.nan_to_num(telemetry[name].transpose("time", "panel").values)
@@ -187,7 +189,9 @@ class Observed:
             lit = (share > LIT_SHARE * full_sun).sum(axis=0) >= LIT_SAMPLES
         names = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
         were_read = frozenset(
-            one for one in names if one in telemetry and bool(telemetry[one].notnull().any())
+            variable
+            for variable in names
+            if variable in telemetry and bool(telemetry[variable].notnull().any())
         )
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
         return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **more)
@@ -219,7 +223,7 @@ def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -
         is_new = all(np.abs(m - other).max() > AXES_ALIKE for _, other in distinct)
         if cost <= CLEARLY and is_new:
             distinct.append((cost, m))
-    distinct.sort(key=lambda one: one[0])
+    distinct.sort(key=lambda pair: pair[0])
     return np.array([m for _, m in distinct]).reshape(-1, 3, 3)
 
 
@@ -232,8 +236,8 @@ def alike(
     observed: Observed, first: ColumnChange, others: Sequence[ColumnChange]
 ) -> list[tuple[ColumnChange, np.ndarray]]:
     """Return those of the changes that look the same as the first, with the best M (3, 3) of each."""
-    maps = [(one, equivalence(observed, first, one)) for one in others]
-    return [(one, each[0]) for one, each in maps if len(each)]
+    maps = [(other, equivalence(observed, first, other)) for other in others]
+    return [(other, each[0]) for other, each in maps if len(each)]
 
 
 def unseen_changes(
@@ -285,7 +289,7 @@ def symmetric_exchanges(vehicle: Vehicle) -> list[ColumnChange]:
     Symmetries are mirrors that map the normals of all panels onto each other, and the half turns by two such mirrors at right
     angles. There are no such changes for panels that share inputs.
     """
-    if any(len(one.panels) > 1 for one in vehicle.inputs):
+    if any(len(panel_input.panels) > 1 for panel_input in vehicle.inputs):
         return []
     normals, count = np.array(vehicle.panel_normals_B), len(vehicle.panels)
 
@@ -353,7 +357,7 @@ def _panel_maps(
     first_panels, second_panels = _panels_of(observed, first), _panels_of(observed, second)
     if any(len(first_panels[k]) != len(second_panels[k]) for k in lit) or not len(lit):
         return
-    shows_largest = {one.panels: one.largest for one in vehicle.inputs}
+    shows_largest = {panel_input.panels: panel_input.largest for panel_input in vehicle.inputs}
     for k in lit:
         shared = len(first_panels[k]) > 1
         if shared and shows_largest[first_panels[k]] != shows_largest[second_panels[k]]:
@@ -485,6 +489,6 @@ def _sensors_agree(
         if name == "field_B" and dipole is not None:  # the torque must be the same
             off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
             mapped = mapped if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
-        if all(np.abs(one - second_axes).max() > AXES_ALIKE for one in mapped):
+        if all(np.abs(candidate - second_axes).max() > AXES_ALIKE for candidate in mapped):
             return False
     return True

@@ -46,7 +46,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     directions = assessment.still_directions
     ways = list(signed_axes())  # the stated one first
     read = [rate[:, order] * sign for _, order, sign in ways]
-    even = [rotations_between_samples(time, one) for one in read]
+    even = [rotations_between_samples(time, rates) for rates in read]
     nutating: list[np.ndarray] | None = None  # computed if needed
     for lag in LAGS:
         at_rest = np.zeros_like(even[0])

@@ -251,8 +251,8 @@ def with_unused_samples(
 ) -> FileReadings:
     """Return the readings with the reason of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
     why = seen.why.copy()
-    why[np.setdiff1d(seen.usable, np.concatenate([one.samples for one in passes]))] = ALONE
-    for left_out in set(range(len(passes))) - {one.number for one in estimated}:
+    why[np.setdiff1d(seen.usable, np.concatenate([a_pass.samples for a_pass in passes]))] = ALONE
+    for left_out in set(range(len(passes))) - {a_pass.number for a_pass in estimated}:
         why[passes[left_out].samples] = NOT_ASKED
     return replace(seen, why=why)
 
@@ -374,13 +374,17 @@ def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
             w.friction if name is None else w.alternative_frictions.get(name, w.friction)
             for w in vehicle.wheels
         ]
-        if not any(one.coulomb_N_m or one.viscous_N_m_s for one in frictions):
+        if not any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
             continue
         speed = [
             spin_down_speed(
-                one.coulomb_N_m, one.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, after_s
+                friction.coulomb_N_m,
+                friction.viscous_N_m_s,
+                w.inertia_kg_m2,
+                w.speed_rad_s,
+                after_s,
             )
-            for one, w in zip(frictions, vehicle.wheels, strict=True)
+            for friction, w in zip(frictions, vehicle.wheels, strict=True)
         ]
         speeds[COASTING + (f", friction {name!r}" if name else "")] = np.stack(speed, axis=1)
     return speeds

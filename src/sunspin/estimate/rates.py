@@ -186,7 +186,7 @@ def rates(
     every_pass = split(seen, gap_s, settings.passes)
     passes = passes_asked_for(every_pass, pass_id)
     seen = with_unused_samples(seen, every_pass, passes)
-    kept = sum(len(one.kept) for one in passes)
+    kept = sum(len(a_pass.kept) for a_pass in passes)
 
     # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
@@ -211,7 +211,7 @@ def rates(
     stated = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
     budget = Budget.of(effort)
     if callable(progress):
-        used = sum(len(one.samples) for one in passes)
+        used = sum(len(a_pass.samples) for a_pass in passes)
         thin = f", thinned to {kept} for the search" if kept < used else ""
         progress(f"{used} samples used in {count_of_passes(len(passes))}{thin}")
 
@@ -242,7 +242,7 @@ def rates(
         | of_neighbours
         | {
             "wheels": fitted.wheels,
-            "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
+            "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
             "samples_searched": kept,
             "symmetric_unlisted": 0,
         }
@@ -284,7 +284,7 @@ def fit_passes(
     if searches.name != wheels.name:
         searches = search_reversed(assessment, wheels.name, stated, first, fitter)
     stated = stated.with_momentum(wheels.momentum)
-    models = [kept_samples(stated, one) for one in passes]
+    models = [kept_samples(stated, a_pass) for a_pass in passes]
     open_still = [k for k in range(len(passes)) if k not in wheels.fits]
     of_open = fitter.fits([models[k] for k in open_still])
     if show_bar:
@@ -308,19 +308,19 @@ def solve_passes(
     """
     stated = fitted.stated
     fits = share_noise(fitted.fits, settings.ladder)
-    whole = [stated.obs.of_pass(one.samples) for one in passes]
+    whole = [stated.obs.of_pass(a_pass.samples) for a_pass in passes]
     solved = [
-        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
-        for one, obs, p in zip(fits, whole, passes, strict=True)
+        solutions(one, obs, a_pass.kept_in_pass, settings.solutions, settings.search)
+        for one, obs, a_pass in zip(fits, whole, passes, strict=True)
     ]
     solved, of_periods = weigh_by_periods(
-        solved, stated.body, periods, [one.number for one in passes]
+        solved, stated.body, periods, [a_pass.number for a_pass in passes]
     )
     middles = [float(stated.obs.t_s[p.samples].mean()) for p in passes]
     solved, walk = link_passes(solved, middles, stated.rate_sigma)
     solved = [
-        one.listed(settings.solutions, len(images_of(model)))
-        for one, model in zip(solved, fitted.models, strict=True)
+        of_pass.listed(settings.solutions, len(images_of(model)))
+        for of_pass, model in zip(solved, fitted.models, strict=True)
     ]
     return fits, solved, of_periods | {"walk_between_passes": walk}
 
@@ -380,7 +380,8 @@ def largest_rate(
         return float(given), 1.0
     # the mean of the shortest eighth of the intervals of each pass
     shorter = [
-        np.sort(np.diff(t_s[one.kept]))[: max(2, len(one.kept) // 8)].mean() for one in passes
+        np.sort(np.diff(t_s[a_pass.kept]))[: max(2, len(a_pass.kept) // 8)].mean()
+        for a_pass in passes
     ]
     rate_max = min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE)
     return rate_max, min(settings.alternatives.beyond, LARGEST_RATE / rate_max)
@@ -398,12 +399,12 @@ def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
     count = panels[0].sigma.shape[1] - len(panels[0].left_out)
     if read >= count:
         return
-    for one in passes:
-        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
+    for a_pass in passes:
+        of_pass = replace(stated, obs=stated.obs.of_pass(a_pass.kept))
         model = of_pass.for_search(stated.noise)[0]
         # whether the direction of the Sun is known at a sample, and was at the one before
         known = False
-        for sample in range(len(one.kept)):
+        for sample in range(len(a_pass.kept)):
             allowed = allowed_directions(model, sample)
             before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
             if before and known:
@@ -417,9 +418,11 @@ def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
 
 def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
-    total = np.sum([one.log_evidence_of_rungs() for one in fits], axis=0)
+    total = np.sum([pass_fits.log_evidence_of_rungs() for pass_fits in fits], axis=0)
     if not np.isfinite(total).any():  # no rung was hopeful in all passes
-        total = np.sum([np.maximum(one.log_evidence_of_rungs(), -1e6) for one in fits], axis=0)
+        total = np.sum(
+            [np.maximum(pass_fits.log_evidence_of_rungs(), -1e6) for pass_fits in fits], axis=0
+        )
     return fits[0].rungs[int(np.argmax(total))]
 
 
@@ -442,17 +445,17 @@ def left_open_by_search(
     strength_free = len(settings.ladder.rungs) > 1  # a stated strength of torques is the only rung
     fine = [fine_up_to(model, settings.search) for model in models]
     no_sphere = []
-    for model, one in zip(models, solved, strict=True):
+    for model, of_pass in zip(models, solved, strict=True):
         shortest = float(np.diff(model.obs.t_s).min())
         # what torques turn a body over the shortest interval T: noise T^1.5 / sqrt(3)
-        far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
-        strong = one.noise[0] >= settings.ladder.strong
+        far = of_pass.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
+        strong = of_pass.noise[0] >= settings.ladder.strong
         no_sphere.append(bool(strength_free and model.body.sphere and (far or strong)))
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
     words = []
-    for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True):
+    for model, pass_fits, limit, odd in zip(models, fits, fine, no_sphere, strict=True):
         parts = []
-        if one.cut:
+        if pass_fits.cut:
             parts.append(f"budget reached: {more_effort(effort)}")
         if np.isfinite(limit):
             parts.append(f"coarse: {slower(limit)}")
@@ -474,6 +477,6 @@ def left_open_by_search(
         "effort_given": effort,
         "fine_up_to_rad_s": min(coarse, default=np.nan),
         "coarse_passes": len(coarse),
-        "cut_passes": sum(one.cut for one in fits),
+        "cut_passes": sum(pass_fits.cut for pass_fits in fits),
         "no_sphere": sum(no_sphere),
     }
