@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.chain import carried, costs, fit, log_left_out
+from sunspin.estimate.chain import costs, fit, log_left_out, propagate
 from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.swings import log_mean_likelihood, swings_by_all_ways
@@ -52,7 +52,7 @@ def seen_turning(omega, sigma):
 def best_motion(model, omega):
     """Return the fit of a motion that begins at this rate (3) and the first reading's direction."""
     begin = facing(model.obs.terms[0].direction_B[:1])
-    return fit(model, carried(model, 0, begin, omega[None]), 40, 1e-6)
+    return fit(model, propagate(model, 0, begin, omega[None]), 40, 1e-6)
 
 
 def mean_likelihood(model, sigma, wander=0.0):
@@ -137,7 +137,7 @@ def test_an_oscillation_pays_for_gains_that_are_not_known_as_a_rotation_does():
     omega = np.array([0.01, -0.015, 0.01])
     suns = seen_turning(omega, 0.0)
     model = panels_of(suns, 0.1, gain_sigma=0.3)
-    nominal = fit(model, carried(model, 0, facing(suns)[:1], omega[None]), 40, 1e-6)
+    nominal = fit(model, propagate(model, 0, facing(suns)[:1], omega[None]), 40, 1e-6)
     swing = swings_by_all_ways(model, [nominal], EVERY, RATES.ladder)[-1]
     wander = np.array([swing.model.noise.rate])
     errors = np.linspace(-2.0, 2.0, 81)

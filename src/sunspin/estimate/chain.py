@@ -263,8 +263,8 @@ class Earlier(NamedTuple):
         if by_turn is not None:
             by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
             if previous is None:  # of two neighbours both are turned by a rate, nearly alike
-                moved = -late_s[:, None, None, None] * by_turn
-                by_rate = moved if by_rate is None else by_rate + moved
+                by_shift = -late_s[:, None, None, None] * by_turn
+                by_rate = by_shift if by_rate is None else by_rate + by_shift
             by_turn = by_turn @ self.turned
         if previous is not None:
             by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.states.omega[:, :-1])
@@ -374,7 +374,7 @@ def fit(
     limits = np.array([unknown.limit for unknown in model.unknowns])
     longest = RATE_LIMIT * model.rate_sigma
 
-    def moved(state: tuple[np.ndarray, ...], change: tuple[np.ndarray, np.ndarray | None]):
+    def move(state: tuple[np.ndarray, ...], change: tuple[np.ndarray, np.ndarray | None]):
         attitude, omega, u = state
         nodes, shared = change
         u = u if shared is None else np.clip(u + shared, -limits, limits)
@@ -392,7 +392,7 @@ def fit(
     u[:, : motions.u.shape[1]] = motions.u[:, : u.shape[1]]
     solution = least_squares(
         lambda state: equations(model, Track(*state)),
-        moved,
+        move,
         solve_bordered,
         (motions.attitude, motions.omega, u),
         steps=steps,
@@ -483,26 +483,26 @@ def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
 
-def carried(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
+def propagate(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
     """Return the motions, without unknowns, that have attitudes (K, 3, 3) and rates (K, 3) at a sample."""
     n = len(model.obs)
     attitudes, rates = np.empty((len(omega), n, 3, 3)), np.empty((len(omega), n, 3))
     attitudes[:, sample], rates[:, sample] = attitude, omega
-    _carry_on(model, attitudes, rates, sample, sample)
+    _propagate_outward(model, attitudes, rates, sample, sample)
     return Track.free(attitudes, rates)
 
 
-def _carry_on(
+def _propagate_outward(
     model: Model, attitudes: np.ndarray, rates: np.ndarray, first: int, last: int
 ) -> None:
     """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
-    for start, end in _ways(first, last, attitudes.shape[1]):
+    for start, end in _outward_steps(first, last, attitudes.shape[1]):
         stepped = _step_between(model.obs, model.body.inertia, rates[:, start], start, end)
         attitudes[:, end] = stepped.turned @ attitudes[:, start]
         rates[:, end] = stepped.omega
 
 
-def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
+def _outward_steps(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
     """Yield steps from samples to their neighbours, away from `first` and `last` to both ends of n samples.
 
     Both ways at once while both go on: a step takes nearly as long for one interval as for two.
@@ -526,7 +526,7 @@ def _step_between(
     return step(inertia, omega, obs.t_s[end] - obs.t_s[start], momenta, derivatives)
 
 
-def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
+def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -> Track:
     """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
 
     Where samples are close together a chain is too stiff to move: its steps are straight in the turns of all samples, and the
@@ -547,7 +547,7 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
-        for start, end in _ways(sample, sample, n):
+        for start, end in _outward_steps(sample, sample, n):
             stepped = _step_between(
                 model.obs, model.body.inertia, track.omega[:, start], start, end, derivatives=True
             )
@@ -630,10 +630,10 @@ class Chain:
         n, k = wider.stop - wider.start, len(motions)
         attitude, omega = np.empty((k, n, 3, 3)), np.empty((k, n, 3))
         attitude[:, first:last], omega[:, first:last] = motions.attitude, motions.omega
-        _carry_on(model, attitude, omega, first, last - 1)
+        _propagate_outward(model, attitude, omega, first, last - 1)
         middle = (window.stop - window.start) // 2
         others = along_the_valley(self.model.seeing(window), motions, middle, self.s)
-        carried_on = carried(model, first + middle, *others)
+        carried_on = propagate(model, first + middle, *others)
         return Track.joined([Track.free(attitude, omega), carried_on])
 
 

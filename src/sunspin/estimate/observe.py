@@ -195,7 +195,7 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
     return wanted
 
 
-def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
+def split_passes(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
     """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
     use = seen.usable
     if len(use) < 3:
@@ -330,7 +330,7 @@ def _why_unused(seen: FileReadings) -> str:
     return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
-def cut(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
+def take_samples(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
     """Return some samples of a file (indices), whose wheels still coast from the first sample of the whole file."""
     return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})
 

@@ -15,14 +15,14 @@ from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import Chain, Fit
 from sunspin.estimate.evidence import (
     PassFits,
+    best_cost,
+    best_fit,
+    best_motions,
     ladder,
-    leading,
-    likeliest,
-    likeliest_cost,
-    restated,
-    united,
+    merge_fits,
+    rescale_unknowns,
 )
-from sunspin.estimate.field_led import begun, field_of, in_axes_of, models_to_search
+from sunspin.estimate.field_led import leading_field, models_to_search, prepare_fit, to_nominal_axes
 from sunspin.estimate.images import with_images
 from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
@@ -62,72 +62,76 @@ class PassFitter:
 
 
 def one_pass(
-    stated: Model, settings: RatesSettings, budget: Budget, begin: Track | None = None
+    nominal: Model, settings: RatesSettings, budget: Budget, begin: Track | None = None
 ) -> PassFits:
     """Return every motion of one pass under every model that may explain it, with evidence.
 
-    `stated`: the nominal model of the samples kept for the search. `begin`: motions from which the fit begins, for which no search
+    `nominal`: the nominal model of the samples kept for the search. `begin`: motions from which the fit begins, for which no search
     is made then: those of the same pass under a model that hardly differs.
     """
     s = settings
     budget = replace(budget)  # passes are estimated side by side, each with its own
-    limit = stated.obs.cost_limit
+    limit = nominal.obs.cost_limit
 
     # Search: all motions that the readings allow while the inertia is held; then the fit, with all unknowns free.
-    tracks = [begin] if begin is not None else searched(stated, s.search.noise, s.search, budget)
-    fits = fitted(stated, tracks, s.search.noise, s)
+    tracks = (
+        [begin] if begin is not None else search_motions(nominal, s.search.noise, s.search, budget)
+    )
+    fits = fit_tracks(nominal, tracks, s.search.noise, s)
 
     @cache
     def under_strong() -> list[Fit]:
         """Return the fits of a search as if strong torques acted, which two doubts may ask for."""
-        tracks = searched(stated, s.ladder.strong, s.search, budget)
-        return fitted(stated, tracks, s.ladder.strong, s)
+        tracks = search_motions(nominal, s.ladder.strong, s.search, budget)
+        return fit_tracks(nominal, tracks, s.ladder.strong, s)
 
     # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
     # motion, as under the strongest torques nearly everything fits.
-    if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, under_strong(), key=likeliest_cost)
+    if len(nominal.body.errors) and best_cost(fits) > limit:
+        fits = min(fits, under_strong(), key=best_cost)
     # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
-    taken_for_sphere = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
-    strained = any(map(len, fits)) and likeliest(fits).model.noise.acceleration >= s.ladder.strained
+    taken_for_sphere = bool(
+        nominal.body.sphere and len(nominal.body.errors) and nominal.obs.only_sun
+    )
+    strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
     if taken_for_sphere and strained:
-        fits = united(fits + under_strong(), s.ladder, s.search)
+        fits = merge_fits(fits + under_strong(), s.ladder, s.search)
     # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
     beyond = s.alternatives.beyond if taken_for_sphere else 1.0
     # the nominal model with a larger limit, only for search and aliases
-    reach = replace(stated, rate_sigma=beyond * stated.rate_sigma)
+    reach = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
-        tracks = searched(reach, s.search.noise, s.search, budget, stated.rate_max)
-        fits = united(fits + fitted(stated, tracks, s.search.noise, s), s.ladder, s.search)
+        tracks = search_motions(reach, s.search.noise, s.search, budget, nominal.rate_max)
+        fits = merge_fits(fits + fit_tracks(nominal, tracks, s.search.noise, s), s.ladder, s.search)
     if not any(len(fitted) for fitted in fits):
         raise InputError(
             "no motion has a well-defined probability",
-            got=f"{len(stated.obs)} samples in the pass from {stated.obs.t_s[0]:.0f} s",
+            got=f"{len(nominal.obs)} samples in the pass from {nominal.obs.t_s[0]:.0f} s",
             do="add samples, or check their errors",
         )
 
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
     # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
     for related in (other_bodies, partial(aliases, s=s.alternatives)):
-        others = related(leading(fits, s.alternatives.relatives_of, s.search), reach)
-        budget.spend(len(others) * len(stated.obs))
-        fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
-        fits = united(fits, s.ladder, s.search)
+        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), reach)
+        budget.spend(len(others) * len(nominal.obs))
+        fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
+        fits = merge_fits(fits, s.ladder, s.search)
 
     # Alternatives: what else may have moved the body. The generator sees `fits` grow: a second step of the rate is added to the
     # first.
-    for model in alternatives(stated, fits, s.alternatives):
+    for model in alternatives(nominal, fits, s.alternatives):
         if budget.exhausted():
             break
         fits += fits_of_alternative(model, fits, s, budget)
     # a stated strength of torques, a ladder of one rung, says that the body does not swing
-    if stated.obs.only_sun and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
-        fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
+    if nominal.obs.only_sun and best_cost(fits) <= limit and len(s.ladder.rungs) > 1:
+        fits += swings_by_all_ways(nominal, fits, s.alternatives, s.ladder)
 
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(
-        stated=stated,
+        nominal=nominal,
         fits=tuple(fits),
         rungs=s.ladder.rungs,
         log_rung=even,
@@ -136,20 +140,20 @@ def one_pass(
     )
 
 
-def searched(
-    stated: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
+def search_motions(
+    nominal: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
 ) -> list[Track]:
     """Return the motions that a search under unknown torques of this strength leaves: a track for each meaning of the readings.
 
     No start is slower than `slowest`, rad/s. A model that allows no motion has none, if slower ones were searched before.
     """
     # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
-    if field_of(stated) is not None:
+    if leading_field(nominal) is not None:
         of_search = replace(s, more_places=0)
     else:
         of_search = s
     tracks = []
-    for loose in models_to_search(stated, Noise(noise)):
+    for loose in models_to_search(nominal, Noise(noise)):
         chain, starts = Chain(loose, s), pair_starts(loose, s, slowest)
         try:
             places = 1 if slowest else pairs_to_try(loose, s)
@@ -158,11 +162,11 @@ def searched(
             if not slowest:
                 raise
             continue
-        tracks.append(in_axes_of(stated, loose, no_faster(loose, motions, s), s))
+        tracks.append(to_nominal_axes(nominal, loose, drop_faster(loose, motions, s), s))
     return tracks
 
 
-def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
+def drop_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     """Return motions without those that turn faster than the largest rate in the mean, if one that does not fits.
 
     A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
@@ -177,31 +181,33 @@ def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
     """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
     if not any(len(fitted) for fitted in fits):
         return False
-    best = likeliest(fits)
+    best = best_fit(fits)
     speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
     return bool(speed * np.diff(best.model.obs.t_s).min() > fast_rad)
 
 
-def fitted(stated: Model, tracks: Sequence[Track], noise: float, s: RatesSettings) -> list[Fit]:
+def fit_tracks(
+    nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
+) -> list[Fit]:
     """Return fits on all rungs of motions and of their images; the first rung is the strength of torques of their search."""
     fits = []
     for motions in tracks:
-        begin = begun(stated.under(noise), with_images(motions, stated, s.search))
-        fits += ladder(stated, begin, s.ladder, s.search, noise)
-    return united(fits, s.ladder, s.search)
+        begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
+        fits += ladder(nominal, begin, s.ladder, s.search, noise)
+    return merge_fits(fits, s.ladder, s.search)
 
 
 def fits_of_alternative(
     model: Model, fits: Sequence[Fit], s: RatesSettings, budget: Budget
 ) -> list[Fit]:
     """Return fits of an alternative model, on the rungs that are not hopeless next to the best of the `fits` so far."""
-    nominal = likeliest([fitted for fitted in fits if fitted.model.what == AS_STATED])
+    most_probable = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
     # under the torques that the nominal model wants an alternative can grow; a stated strength may be too stiff for that
-    rung = nominal.model.noise.acceleration
+    rung = most_probable.model.noise.acceleration
     rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
-    top = float(likeliest(fits).log_evidence.max())
-    begin = leading(fits, s.alternatives.begin_with, s.search)
-    begin = restated(begin, nominal.model, model.under(rung))
+    top = float(best_fit(fits).log_evidence.max())
+    begin = best_motions(fits, s.alternatives.begin_with, s.search)
+    begin = rescale_unknowns(begin, most_probable.model, model.under(rung))
     of_ladder = replace(s.ladder, hopeless=s.alternatives.hopeless)
     new = ladder(model, begin, of_ladder, s.search, rung, top)
     budget.spend(sum(len(fitted) for fitted in new) * len(model.obs))
@@ -209,10 +215,10 @@ def fits_of_alternative(
 
 
 def _one_pass_if_any(
-    stated: Model, settings: RatesSettings, budget: Budget, begin: Track | None
+    nominal: Model, settings: RatesSettings, budget: Budget, begin: Track | None
 ) -> PassFits | None:
     """Return the fits of a pass as :func:`one_pass` does; None if the model allows no motion at all."""
     try:
-        return one_pass(stated, settings, budget, begin)
+        return one_pass(nominal, settings, budget, begin)
     except InputError:
         return None

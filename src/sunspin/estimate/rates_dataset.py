@@ -57,17 +57,17 @@ LATENCY = "late_s"
 """Name of the estimate of how late sensors other than the Sun's are."""
 
 
-def dataset(
+def motion_dataset(
     assessment: Assessment,
     seen: FileReadings,
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
-    stated: Model,
+    nominal: Model,
     noise_stated: bool,
 ) -> xr.Dataset:
     """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
 
-    `stated`: the nominal model, under the strength of torques that the file as a whole has; `noise_stated`: the vehicle file or
+    `nominal`: the nominal model, under the strength of torques that the file as a whole has; `noise_stated`: the vehicle file or
     the user gives that strength.
     """
     index = np.concatenate([a_pass.samples for a_pass in passes])
@@ -105,16 +105,16 @@ def dataset(
             "pass_id": [a_pass.number for a_pass in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(assessment, seen, index, stated, noise_stated),
+        attrs=_attributes(assessment, seen, index, nominal, noise_stated),
     )
-    return result.assign(_curves(solved, stated))
+    return result.assign(_curves(solved, nominal))
 
 
 def _attributes(
     assessment: Assessment,
     seen: FileReadings,
     used: np.ndarray,
-    stated: Model,
+    nominal: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
@@ -122,11 +122,11 @@ def _attributes(
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": seen.source,
-        "acceleration_noise": stated.noise.acceleration,
-        "max_rate_rad_s": stated.rate_max,
+        "acceleration_noise": nominal.noise.acceleration,
+        "max_rate_rad_s": nominal.rate_max,
         "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
         "body": "nearly a sphere (no inertia)"
-        if stated.body.sphere
+        if nominal.body.sphere
         else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max(
             (term.earth_share for term in panels if term.earth_share > FAINT), default=0.0
@@ -154,11 +154,11 @@ def _attributes(
     }
 
 
-def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
+def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
     """Return the variables on `curve_time`: the best motion of each pass on even instants between its samples."""
     times, tracks = [], []
     for solution in solved:
-        model = replace(stated, obs=solution.obs)
+        model = replace(nominal, obs=solution.obs)
         instants, track = curve(model, solution.track.take(slice(0, 1)), float(solution.noise[0]))
         times.append(instants)
         tracks.append(track)
@@ -205,7 +205,7 @@ def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[st
     }
 
 
-def in_space(
+def with_space_axes(
     result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: FileReadings
 ) -> xr.Dataset:
     """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
@@ -263,7 +263,7 @@ def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.where(is_rounding, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def believed(
+def verdict_variables(
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     left_open_of: Sequence[str],
@@ -319,7 +319,7 @@ def believed(
     )
 
 
-def repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
+def with_doubted_repeats(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
     """Return the result with no pass decided whose samples may be held values (`Repeats.unsure`), and with why."""
     repeats = assessment.repeats
     times = assessment.telemetry["time"].values[repeats.unsure]

@@ -123,14 +123,14 @@ def solutions(
     kept : (n)
         Places of the kept samples among them.
     """
-    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, of_search)
+    groups = _grouped(_members(fits, s), fits.nominal.obs.t_s, s, of_search)
     shares: dict[str, float] = {AS_STATED: 0.0}
     for member in (member for group in groups for member in group):
         what = member.fit.model.what
         shares[what] = shares.get(what, 0.0) + member.weight
     named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
     every = Solutions.joined([_solution(group, whole, kept) for group in groups])
-    return replace(every, model=(named, shares[named]), cost_limit=fits.stated.obs.cost_limit)
+    return replace(every, model=(named, shares[named]), cost_limit=fits.nominal.obs.cost_limit)
 
 
 def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:

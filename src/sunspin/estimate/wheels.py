@@ -18,7 +18,7 @@ import xarray as xr
 
 from sunspin.estimate.carry import RATE, nutation, require_followed
 from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
-from sunspin.estimate.evidence import PassFits, leading, likeliest
+from sunspin.estimate.evidence import PassFits, best_fit, best_motions
 from sunspin.estimate.model import Model, Observations, Track
 from sunspin.estimate.observe import Pass, wheel_models
 from sunspin.estimate.one_pass import PassFitter, one_pass
@@ -102,25 +102,25 @@ class ReversedSearches:
 
 
 def decide_wheels(
-    assessment: Assessment, stated: Model, passes: Sequence[Pass], fitter: PassFitter
+    assessment: Assessment, nominal: Model, passes: Sequence[Pass], fitter: PassFitter
 ) -> DecidedWheels:
     """Return what the wheels do: of several possibilities the one under which the longest passes have the largest evidence.
 
-    `stated`: the nominal model of the whole file, with any momentum of the wheels.
+    `nominal`: the nominal model of the whole file, with any momentum of the wheels.
     """
     momenta = wheel_models(assessment.vehicle, assessment.telemetry)
     for a_pass in passes:
-        longest_s = float(np.diff(stated.obs.t_s[a_pass.kept]).max())
+        longest_s = float(np.diff(nominal.obs.t_s[a_pass.kept]).max())
         for momentum in momenta.values():
-            require_followed(stated.body.inertia, momentum[a_pass.kept], longest_s)
+            require_followed(nominal.body.inertia, momentum[a_pass.kept], longest_s)
     first, *others = momenta
     if not others:
         return DecidedWheels(first, first, momenta[first], {})
 
     # the model of each pass that is compared, under each model of the wheels
-    compared = longest(passes)
+    compared = longest_passes(passes)
     models = {
-        (name, k): kept_samples(stated.with_momentum(momentum), passes[k])
+        (name, k): model_of_kept(nominal.with_momentum(momentum), passes[k])
         for name, momentum in momenta.items()
         for k in compared
     }
@@ -138,7 +138,7 @@ def decide_wheels(
     begin = {}  # motions of each pass, none if the first model allows none
     for k in compared:
         of_first = fits[first, k]
-        best = None if of_first is None else leading(of_first.fits, s.most, s)
+        best = None if of_first is None else best_motions(of_first.fits, s.most, s)
         begin[k] = Track.free(best.attitude, best.omega) if best is not None and len(best) else None
     jobs = [(name, k) for name in alike for k in compared]
     fitted = fitter.fits_if_any([models[job] for job in jobs], [begin[k] for _, k in jobs])
@@ -158,14 +158,14 @@ def decide_wheels(
     return DecidedWheels(best_name, words, momenta[best_name], done)
 
 
-def longest(passes: Sequence[Pass]) -> list[int]:
+def longest_passes(passes: Sequence[Pass]) -> list[int]:
     """Return the places of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
     return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
-def kept_samples(stated: Model, of_pass: Pass) -> Model:
-    """Return the model of the samples of a pass that the search keeps; `stated`: that of the whole file."""
-    return replace(stated, obs=stated.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
+def model_of_kept(nominal: Model, of_pass: Pass) -> Model:
+    """Return the model of the samples of a pass that the search keeps; `nominal`: that of the whole file."""
+    return replace(nominal, obs=nominal.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
 
 
 def name_of_wheels(words: str) -> str:
@@ -223,24 +223,25 @@ def reversed_momenta(
     return momenta
 
 
-def expected(assessment: Assessment) -> str:
+def probable_wheel_model(assessment: Assessment) -> str:
     """Return the name of what the wheels probably do: a file with their friction, which lets them coast, probably says so."""
     names = list(wheel_models(assessment.vehicle, assessment.telemetry))
     return names[:2][-1]
 
 
 def search_reversed(
-    assessment: Assessment, name: str, stated: Model, longest_pass: Pass, fitter: PassFitter
+    assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
 ) -> ReversedSearches:
     """Return the quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
 
-    `name`: what the wheels do; `stated`: the nominal model of the whole file.
+    `name`: what the wheels do; `nominal`: the nominal model of the whole file.
     """
     vehicle = assessment.vehicle
     each = momentum_of_each(vehicle, assessment.telemetry, name)
-    momenta = reversed_momenta(vehicle, each, stated.body.inertia, stated.obs.t_s)
+    momenta = reversed_momenta(vehicle, each, nominal.body.inertia, nominal.obs.t_s)
     models = [
-        kept_samples(stated.with_momentum(momentum), longest_pass) for momentum in momenta.values()
+        model_of_kept(nominal.with_momentum(momentum), longest_pass)
+        for momentum in momenta.values()
     ]
     return ReversedSearches(name, momenta, fitter.quick_evidence(models))
 
@@ -263,7 +264,7 @@ def doubted_signs(
         return None
     settings, first = fitter.settings, compared[0]
     # the fits of the file as it is written have found its motions: the quick evidence begins from them, without a search
-    known = leading(first.fits.fits, MOTIONS, settings.search)
+    known = best_motions(first.fits.fits, MOTIONS, settings.search)
     quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
     for (which, momentum), quick in zip(searches.momenta.items(), searches.evidence, strict=True):
@@ -302,7 +303,7 @@ def log_evidence(fits: PassFits) -> float:
 
 def _is_another(first: PassFits, second: PassFits) -> bool:
     """Return whether the most probable motion of the second is none that the first allows."""
-    best_fits = likeliest(first.fits), likeliest(second.fits)
+    best_fits = best_fit(first.fits), best_fit(second.fits)
     a, b = (fitted.motions.take(np.array([np.argmax(fitted.log_evidence)])) for fitted in best_fits)
     sigma = np.sqrt(np.einsum("nii->ni", a.covariance[0, :, RATE, RATE]))
     off = np.abs(b.omega[0] - a.omega[0]) / sigma
