@@ -126,8 +126,8 @@ def panels_of(suns, noise, gain_sigma):
     sigma, names = np.full((n, 6), noise), tuple("abcdef")
     gain, scale = (np.ones(6), gain_sigma * np.ones((1, 6))), (np.ones(n), np.full(n, 1e-3))
     instants, shown = ReadingTimes(np.zeros(6)), np.ones(6, dtype=bool)
-    readings, of_light = (light, sigma, PanelResponse(faces, np.ones(6))), (sigma, sigma, sigma)
-    term = Panels(*readings, *gain, *scale, names, instants, shown, *of_light, np.ones(n))
+    readings, light_slice = (light, sigma, PanelResponse(faces, np.ones(6))), (sigma, sigma, sigma)
+    term = Panels(*readings, *gain, *scale, names, instants, shown, *light_slice, np.ones(n))
     obs = Observations(APART_S * np.arange(n), np.zeros((n, 3)), (term,))
     return Model(obs, SPHERE, Noise(NOISE), 0.03)
 

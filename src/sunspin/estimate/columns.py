@@ -289,12 +289,12 @@ def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget:
         """Return the log evidence of the pass by a quick search."""
         try:
             assessment = assess(changed, data)
-            seen = observe(assessment, source)
-            (one, *_) = split_passes(seen, np.inf, settings.passes)
+            readings = observe(assessment, source)
+            (one, *_) = split_passes(readings, np.inf, settings.passes)
         except InputError:
             return -np.inf
         noise = Noise(settings.search.noise)
-        nominal = Model(seen.obs, Body.of(changed), noise, rate_max / 2)
+        nominal = Model(readings.obs, Body.of(changed), noise, rate_max / 2)
         momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
         nominal = nominal.with_momentum(momentum)
         silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0

@@ -80,7 +80,7 @@ def prepare_fit(model: Model, motions: Track) -> Track:
     about_sun = False
     if len(motions):
         # what shows the turn about the Sun first
-        for term, place in sorted(model.placed_terms, key=lambda pair: not pair[0].about_sun):
-            attitude, u[:, place] = term.begin(States(attitude, motions.omega), about_sun)
+        for term, own in sorted(model.terms_with_slices, key=lambda pair: not pair[0].about_sun):
+            attitude, u[:, own] = term.begin(States(attitude, motions.omega), about_sun)
             about_sun |= term.about_sun
     return Track(attitude, motions.omega, u)

@@ -149,15 +149,15 @@ def search_motions(
     """
     # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
     if leading_field(nominal) is not None:
-        of_search = replace(s, more_places=0)
+        search_settings = replace(s, more_places=0)
     else:
-        of_search = s
+        search_settings = s
     tracks = []
     for loose in models_to_search(nominal, Noise(noise)):
         chain, starts = Chain(loose, s), pair_starts(loose, s, slowest)
         try:
             places = 1 if slowest else pairs_to_try(loose, s)
-            motions = search(chain, starts, of_search, budget, places)
+            motions = search(chain, starts, search_settings, budget, places)
         except InputError:
             if not slowest:
                 raise
@@ -208,10 +208,10 @@ def fits_of_alternative(
     top = float(best_fit(fits).log_evidence.max())
     begin = best_motions(fits, s.alternatives.begin_with, s.search)
     begin = rescale_unknowns(begin, most_probable.model, model.under(rung))
-    of_ladder = replace(s.ladder, hopeless=s.alternatives.hopeless)
-    new = ladder(model, begin, of_ladder, s.search, rung, top)
+    ladder_settings = replace(s.ladder, hopeless=s.alternatives.hopeless)
+    new = ladder(model, begin, ladder_settings, s.search, rung, top)
     budget.spend(sum(len(fitted) for fitted in new) * len(model.obs))
-    return [fitted for fitted in new if fitted.log_evidence.max() > top - of_ladder.hopeless]
+    return [fitted for fitted in new if fitted.log_evidence.max() > top - ladder_settings.hopeless]
 
 
 def _one_pass_if_any(

@@ -182,16 +182,16 @@ def rates(
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
     calibration = along_orbit(local, assessment) if calibration is None else calibration
-    seen = observe(assessment, source, local, calibration, acting(torques, local))
-    every_pass = split_passes(seen, gap_s, settings.passes)
+    readings = observe(assessment, source, local, calibration, acting(torques, local))
+    every_pass = split_passes(readings, gap_s, settings.passes)
     passes = passes_asked_for(every_pass, pass_id)
-    seen = with_unused_samples(seen, every_pass, passes)
+    readings = with_unused_samples(readings, every_pass, passes)
     kept = sum(len(a_pass.kept) for a_pass in passes)
 
     # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
-        source=None if seen.source == "directions" else seen.source,
+        source=None if readings.source == "directions" else readings.source,
         max_rate_rad_s=max_rate_rad_s,
         gap_s=np.inf,
         environment=environment,
@@ -202,13 +202,13 @@ def rates(
     )
 
     # What is believed before the data: the nominal model of the whole file.
-    noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    rate_max, beyond = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes, settings)
+    noise = stated_noise(vehicle, acceleration_noise, readings.dipole_modelled)
+    rate_max, beyond = largest_rate(vehicle, max_rate_rad_s, readings.obs.t_s, passes, settings)
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
     settings = replace(settings, alternatives=replace(settings.alternatives, beyond=beyond))
     body = Body.of(vehicle, torques_stated=noise is not None)
-    nominal = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
+    nominal = Model(readings.obs, body, Noise(settings.search.noise), rate_max / 2)
     budget = Budget.of(effort)
     if callable(progress):
         used = sum(len(a_pass.samples) for a_pass in passes)
@@ -230,12 +230,12 @@ def rates(
 
     # The result, and what may be believed of it.
     nominal = fitted.nominal.under(common_noise(fits))
-    result = motion_dataset(assessment, seen, passes, solved, nominal, noise is not None)
+    result = motion_dataset(assessment, readings, passes, solved, nominal, noise is not None)
     left_open, counts = left_open_by_search(result, fitted.models, fits, solved, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(verdict_variables(passes, solved, left_open, nominal.rate_sigma, epoch))
     result = result.assign(without_periods(solved))
-    result = with_space_axes(with_doubted_repeats(result, assessment), local, solved, seen)
+    result = with_space_axes(with_doubted_repeats(result, assessment), local, solved, readings)
     result = result.assign_attrs(
         latency_attributes(vehicle, solved)
         | counts

@@ -59,7 +59,7 @@ LATENCY = "late_s"
 
 def motion_dataset(
     assessment: Assessment,
-    seen: FileReadings,
+    readings: FileReadings,
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     nominal: Model,
@@ -96,32 +96,32 @@ def motion_dataset(
             "omega_sigma_all_B": (("pass_id", "axis"), np.array(spread)),
             "cost": (each, padded([of_pass.track.cost for of_pass in solved])),
             "cost_limit": ("pass_id", [of_pass.cost_limit for of_pass in solved]),
-            "why": ("sample", seen.why.astype(np.str_)),
+            "why": ("sample", readings.why.astype(np.str_)),
         },
         coords={
-            "time": seen.obs.t_s[index],
-            "sample": seen.obs.t_s,
+            "time": readings.obs.t_s[index],
+            "sample": readings.obs.t_s,
             "axis": ["x", "y", "z"],
             "pass_id": [a_pass.number for a_pass in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(assessment, seen, index, nominal, noise_stated),
+        attrs=_attributes(assessment, readings, index, nominal, noise_stated),
     )
     return result.assign(_curves(solved, nominal))
 
 
 def _attributes(
     assessment: Assessment,
-    seen: FileReadings,
+    readings: FileReadings,
     used: np.ndarray,
     nominal: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
-    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
+    panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
-        "source": seen.source,
+        "source": readings.source,
         "acceleration_noise": nominal.noise.acceleration,
         "max_rate_rad_s": nominal.rate_max,
         "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
@@ -140,14 +140,14 @@ def _attributes(
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
     sensors = [
-        term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateMagnitudes.name)
+        term for term in readings.obs.terms if term.name in (*OTHER_SENSORS, RateMagnitudes.name)
     ]
     read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
-    if any(term.name == RateMagnitudes.name for term in seen.obs.terms):
+    if any(term.name == RateMagnitudes.name for term in readings.obs.terms):
         attrs["rate_size_used"] = int(RateMagnitudes.name in read)
     wheels = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
-    gains = assessment.doubtful_gains if seen.source == "panels" else {}
+    gains = assessment.doubtful_gains if readings.source == "panels" else {}
     return attrs | {
         "wheels_untold": ", ".join(wheels),
         "gains_unknown": ", ".join(name for name, share in gains.items() if share < LOW_SHARE),
@@ -206,14 +206,17 @@ def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[st
 
 
 def with_space_axes(
-    result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: FileReadings
+    result: xr.Dataset,
+    local: Environment | None,
+    solved: Sequence[Solutions],
+    readings: FileReadings,
 ) -> xr.Dataset:
     """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
 
     In an orbit it has the turn about the Sun with its sigma, and if a magnetometer was used attitudes from J2000. A magnetometer
     alone gives directions of the field in place of the Sun's.
     """
-    if any(isinstance(term, FieldDirection) for term in seen.obs.terms):
+    if any(isinstance(term, FieldDirection) for term in readings.obs.terms):
         about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
         return result.assign(
             field_direction_B=result["sun_B"].assign_attrs(about),
@@ -235,7 +238,7 @@ def with_space_axes(
         orbit_drift_s_day=orbit.drift_s_day,
         orbit_shift_sigma_s=float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
     )
-    if not any(isinstance(term, KnownField) for term in seen.obs.terms):
+    if not any(isinstance(term, KnownField) for term in readings.obs.terms):
         return result
     # the field shows the turn about the Sun, so that attitudes are known in space
     from_J2000 = {}

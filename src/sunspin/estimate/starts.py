@@ -275,7 +275,7 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     most = int(2 * rate_max / turn)
     more = turn * np.array([k for k in range(-most, most + 1) if k])
     begin = motions.take(slice(s.relatives_of))
-    inertia = model.body.inertia_at(begin.u[:, model.of_body])
+    inertia = model.body.inertia_at(begin.u[:, model.inertia_slice])
     momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
     momentum += model.obs.momentum
     size = np.linalg.norm(momentum, axis=2, keepdims=True)
@@ -287,7 +287,7 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
         # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
         rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
         rates += more[turns, None, None] * np.eye(3)
-        u[:, model.of_body] = _errors_of_body(model.body, rates, u[:, model.of_body])
+        u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
     return Track(begin.attitude[which], faster[turns, which], u)
 
 
@@ -313,7 +313,7 @@ def other_bodies(motions: Track, model: Model) -> Track:
     best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
     sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
     u = best.u.copy()
-    u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+    u[:, model.inertia_slice] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
     return Track(best.attitude, best.omega, u)
 
 

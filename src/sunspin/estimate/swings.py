@@ -36,7 +36,7 @@ SWINGS = "an oscillation quicker than the samples"
 
 
 def swings_by_all_ways(
-    nominal: Model, fits: Sequence[Fit], s: AlternativeSettings, of_ladder: LadderSettings
+    nominal: Model, fits: Sequence[Fit], s: AlternativeSettings, ladder_settings: LadderSettings
 ) -> list[Fit]:
     """Return fits of a body that swings about rest, by each angle of the settings between two samples, under weak torques.
 
@@ -50,9 +50,9 @@ def swings_by_all_ways(
     span_s = float(np.ptp(obs.t_s))
     motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
     # gains as the best motion has them: errors enlarged by what is unknown of them would count as likelihood
-    terms = zip(nominal.obs.terms, nominal.of_terms, strict=True)
-    known = replace(obs, terms=tuple(term.held(motion.u[0, place]) for term, place in terms))
-    alone = _of_known(best.model, motion, known, of_ladder)
+    held = tuple(term.held(motion.u[0, own]) for term, own in nominal.terms_with_slices)
+    known = replace(obs, terms=held)
+    alone = _of_known(best.model, motion, known, ladder_settings)
     if not np.isfinite(alone.log_evidence[0]):
         return []
     # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
@@ -69,8 +69,8 @@ def swings_by_all_ways(
         if log < least:
             continue
         # under torques that turn the body less over the pass than the swing does, the sum is the same
-        weak = [rung for rung in of_ladder.rungs if rung * span_s / np.sqrt(3) <= wander]
-        for rung in weak or [min(of_ladder.rungs)]:
+        weak = [rung for rung in ladder_settings.rungs if rung * span_s / np.sqrt(3) <= wander]
+        for rung in weak or [min(ladder_settings.rungs)]:
             model = replace(nominal, noise=Noise(rung, rate=float(wander)), what=SWINGS)
             fitted = fit(model, still, 8)
             # about rest: how slow the body is in the mean the readings tell to this, a share of the rates before them
@@ -85,9 +85,9 @@ def _of_known(model: Model, motion: Track, known: Observations, s: LadderSetting
 
     Unknowns of the body, and of terms that hold none, stay; so does what the sizes of their sigmas add.
     """
-    places = zip(known.terms, model.of_terms, strict=True)
-    kept = [motion.u[:, place] for term, place in places if term.unknowns()]
-    u = np.concatenate([motion.u[:, model.of_body], *kept], axis=1)
+    slices = zip(known.terms, model.term_slices, strict=True)
+    kept = [motion.u[:, own] for term, own in slices if term.unknowns()]
+    u = np.concatenate([motion.u[:, model.inertia_slice], *kept], axis=1)
     begin = Track(motion.attitude, motion.omega, u)
     fitted = fit(replace(model, obs=known), begin, s.steps, s.tolerance)
     return over_shares(fitted, s.beyond_fit)
