@@ -47,15 +47,13 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
     """
-    for term in nominal.obs.terms:
+    for number, term in enumerate(nominal.obs.terms):
         if isinstance(term, GyroRates) and term.zero_stated and term.present().any():
-            others = (
-                any_term.with_any_zero() if any_term is term else any_term
-                for any_term in nominal.obs.terms
-            )
+            terms = list(nominal.obs.terms)
+            terms[number] = term.with_any_zero()
             yield replace(
                 nominal,
-                obs=replace(nominal.obs, terms=tuple(others)),
+                obs=replace(nominal.obs, terms=tuple(terms)),
                 what="another zero offset of the gyro",
                 log_prior=nominal.log_prior + s.zero_odds,
             )
@@ -68,10 +66,11 @@ def steps_of_the_rate(
 
     A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
     step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
-    with a thrust was decided and wrong by 6 sigma. A step may be anywhere, which costs evidence, and near a sample the data hardly
-    tell before from after: the last steps are also tried one interval earlier and later. `fits` as in :func:`alternatives`.
+    with a thrust was decided and wrong by 6 sigma. The interval of a step is not known, which costs the log of the number of
+    intervals in evidence. Near a sample the data hardly show whether a step came before or after it, so the last step is also tried
+    one interval earlier and later. `fits` as in :func:`alternatives`.
     """
-    # the fits of the model with the steps so far, which begin without any, and their evidence
+    # the best fit with the steps so far, at first with none, and its evidence
     best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
     top = float(best.log_evidence.max())
     steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
@@ -104,22 +103,22 @@ def steps_of_the_rate(
 
 
 def _size_of_step(model: Model, motion: Track, interval: int) -> float:
-    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size.
+    """Return the size (rad/s) that the data give a step of the rate in an interval: the root mean square of its components.
 
-    The motion is fitted with a step that is as free as the rate itself. What it then leaves of the equations of motion in the
-    interval, undone from its whitening, is the change of the rate: the size is the root mean square of its components.
+    The motion (K = 1) is fitted with a step whose prior is as wide as that of the rate itself. By how much the rate then leaves the
+    equations of motion in the interval is the step.
     """
     widest = model.rate_sigma
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
-    wide = replace(model, noise=noise)
-    free = fit(wide, motion, 6).motions
-    defect = defects(wide, free)
+    with_free_step = replace(model, noise=noise)
+    fitted = fit(with_free_step, motion, steps=6).motions
+    defect = defects(with_free_step, fitted)
     change = defect.unwhitened(defect.value)[0, interval, RATE]
     return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
 
 
 def _with_steps(nominal: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:
-    """Return the model with steps, each of which costs evidence."""
+    """Return the model with steps of the rate, (interval, size in rad/s) each; a step costs `price` in log evidence."""
     t_s = nominal.obs.t_s
     times = sorted((t_s[interval] + t_s[interval + 1]) / 2 for interval, _ in steps)
     at = ", ".join(f"{time:.0f}" for time in times)

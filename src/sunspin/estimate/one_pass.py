@@ -66,44 +66,43 @@ def one_pass(
 ) -> PassFits:
     """Return every motion of one pass under every model that may explain it, with evidence.
 
-    `nominal`: the nominal model of the samples kept for the search. `begin`: motions from which the fit begins, for which no search
-    is made then: those of the same pass under a model that hardly differs.
+    `nominal`: the nominal model of the samples kept for the search. `begin`: motions of the same pass under a model that hardly
+    differs; the fit then begins from them, without a search.
     """
-    s = settings
-    budget = replace(budget)  # passes are estimated side by side, each with its own
-    limit = nominal.obs.cost_limit
+    s, limit = settings, nominal.obs.cost_limit
+    budget = replace(budget)  # each pass has its own, as passes are estimated side by side
 
-    # Search: all motions that the readings allow while the inertia is held; then the fit, with all unknowns free.
-    tracks = (
-        [begin] if begin is not None else search_motions(nominal, s.search.noise, s.search, budget)
-    )
-    fits = fit_tracks(nominal, tracks, s.search.noise, s)
+    def search_and_fit(model: Model, noise: float, slowest: float = 0.0) -> list[Fit]:
+        """Return the fits of the motions that a search of `model` under unknown torques of this strength leaves."""
+        tracks = search_motions(model, noise, s.search, budget, slowest)
+        return fit_tracks(nominal, tracks, noise, s)
 
-    @cache
-    def under_strong() -> list[Fit]:
-        """Return the fits of a search as if strong torques acted, which two doubts may ask for."""
-        tracks = search_motions(nominal, s.ladder.strong, s.search, budget)
-        return fit_tracks(nominal, tracks, s.ladder.strong, s)
+    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
+    if begin is None:
+        fits = search_and_fit(nominal, s.search.noise)
+    else:
+        fits = fit_tracks(nominal, [begin], s.search.noise, s)
 
-    # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
-    # motion, as under the strongest torques nearly everything fits.
+    # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
+    # motion is asked, since under the strongest torques nearly everything fits.
+    under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
-        fits = min(fits, under_strong(), key=best_cost)
-    # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
+        fits = min(fits, under_strong_torques(), key=best_cost)
+    # Second: the search took a body without an inertia for a sphere, so that torques stand for its nutation.
     taken_for_sphere = bool(
         nominal.body.sphere and len(nominal.body.errors) and nominal.obs.only_sun
     )
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
     if taken_for_sphere and strained:
-        fits = merge_fits(fits + under_strong(), s.ladder, s.search)
-    # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
+        fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
+    # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well. `wider`: the nominal model with a
+    # larger limit, only for search and aliases.
     beyond = s.alternatives.beyond if taken_for_sphere else 1.0
-    # the nominal model with a larger limit, only for search and aliases
-    reach = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
+    wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
-        tracks = search_motions(reach, s.search.noise, s.search, budget, nominal.rate_max)
-        fits = merge_fits(fits + fit_tracks(nominal, tracks, s.search.noise, s), s.ladder, s.search)
-    if not any(len(fitted) for fitted in fits):
+        faster = search_and_fit(wider, s.search.noise, nominal.rate_max)
+        fits = merge_fits(fits + faster, s.ladder, s.search)
+    if not any(map(len, fits)):
         raise InputError(
             "no motion has a well-defined probability",
             got=f"{len(nominal.obs)} samples in the pass from {nominal.obs.t_s[0]:.0f} s",
@@ -113,7 +112,7 @@ def one_pass(
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
     # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
     for related in (other_bodies, partial(aliases, s=s.alternatives)):
-        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), reach)
+        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), wider)
         budget.spend(len(others) * len(nominal.obs))
         fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
         fits = merge_fits(fits, s.ladder, s.search)
@@ -143,15 +142,13 @@ def one_pass(
 def search_motions(
     nominal: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of this strength leaves: a track for each meaning of the readings.
+    """Return the motions that a search under unknown torques of strength `noise` leaves, a track for each meaning of the readings.
 
-    No start is slower than `slowest`, rad/s. A model that allows no motion has none, if slower ones were searched before.
+    No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no motion raises InputError. With one,
+    slower motions were searched before, and the list may be empty.
     """
-    # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
-    if leading_field(nominal) is not None:
-        search_settings = replace(s, more_places=0)
-    else:
-        search_settings = s
+    # In axes that follow the field a right motion may cost more than the limit, since they turn in space: no further places then.
+    search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
     for loose in models_to_search(nominal, Noise(noise)):
         chain, starts = Chain(loose, s), pair_starts(loose, s, slowest)
@@ -179,7 +176,7 @@ def drop_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
 
 def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
     """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
-    if not any(len(fitted) for fitted in fits):
+    if not any(map(len, fits)):
         return False
     best = best_fit(fits)
     speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
@@ -189,7 +186,7 @@ def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
 def fit_tracks(
     nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
 ) -> list[Fit]:
-    """Return fits on all rungs of motions and of their images; the first rung is the strength of torques of their search."""
+    """Return fits of motions and their images under every strength of torques; `noise`, that of their search, comes first."""
     fits = []
     for motions in tracks:
         begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
@@ -200,11 +197,13 @@ def fit_tracks(
 def fits_of_alternative(
     model: Model, fits: Sequence[Fit], s: RatesSettings, budget: Budget
 ) -> list[Fit]:
-    """Return fits of an alternative model, on the rungs that are not hopeless next to the best of the `fits` so far."""
+    """Return fits of an alternative model, under the strengths of torques that are not hopeless next to the best of `fits`."""
     most_probable = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
-    # under the torques that the nominal model wants an alternative can grow; a stated strength may be too stiff for that
+    # The fit begins under the torques that the nominal model wants, so that the alternative can take their place. A stated strength
+    # may hold the motion too stiffly for that.
     rung = most_probable.model.noise.acceleration
-    rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
+    if len(s.ladder.rungs) == 1:
+        rung = max(rung, s.search.noise)
     top = float(best_fit(fits).log_evidence.max())
     begin = best_motions(fits, s.alternatives.begin_with, s.search)
     begin = rescale_unknowns(begin, most_probable.model, model.under(rung))

@@ -201,7 +201,7 @@ def rates(
         settings=settings,
     )
 
-    # What is believed before the data: the nominal model of the whole file.
+    # What is known before the data: the nominal model of the whole file.
     noise = stated_noise(vehicle, acceleration_noise, readings.dipole_modelled)
     rate_max, beyond = largest_rate(vehicle, max_rate_rad_s, readings.obs.t_s, passes, settings)
     if noise is not None:  # a stated strength is a ladder of one rung
@@ -226,7 +226,7 @@ def rates(
         fitted = fit_passes(assessment, nominal, passes, fitter, progress is True)
 
     # The solutions of each pass, which the other passes and observed periods help to tell apart.
-    fits, solved, of_neighbours = solve_passes(fitted, passes, periods, settings)
+    fits, solved, pass_attrs = solve_passes(fitted, passes, periods, settings)
 
     # The result, and what may be believed of it.
     nominal = fitted.nominal.under(common_noise(fits))
@@ -239,7 +239,7 @@ def rates(
     result = result.assign_attrs(
         latency_attributes(vehicle, solved)
         | counts
-        | of_neighbours
+        | pass_attrs
         | {
             "wheels": fitted.wheels,
             "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
@@ -256,7 +256,7 @@ class FittedPasses(NamedTuple):
     """The passes of a file as they were fitted.
 
     `nominal`: the nominal model of the whole file with the momentum that the wheels have, and `wheels`: what they do, in words.
-    `models`, `fits`: nominal model and fits of each pass. `doubt`: wheels that may turn the other way.
+    `models`, `fits`: the nominal model and the fits of each pass. `doubt`: wheels that may turn the other way, None if none may.
     """
 
     nominal: Model
@@ -278,19 +278,20 @@ def fit_passes(
     `nominal`: nominal model of the whole file, with any momentum of the wheels; `show_bar`: a bar of passes in the terminal.
     """
     first = passes[longest_passes(passes)[0]]
-    # while the wheels are decided, a search of what they probably do may run
+    # while the wheels are decided, other processes may search what they probably do
     searches = search_reversed(assessment, probable_wheel_model(assessment), nominal, first, fitter)
     wheels = decide_wheels(assessment, nominal, passes, fitter)
     if searches.name != wheels.name:
         searches = search_reversed(assessment, wheels.name, nominal, first, fitter)
     nominal = nominal.with_momentum(wheels.momentum)
     models = [model_of_kept(nominal, a_pass) for a_pass in passes]
-    open_still = [k for k in range(len(passes)) if k not in wheels.fits]
-    of_open = fitter.fits([models[k] for k in open_still])
+    # the longest passes were perhaps fitted to decide the wheels
+    unfitted = [k for k in range(len(passes)) if k not in wheels.fits]
+    new_fits = fitter.fits([models[k] for k in unfitted])
     if show_bar:
-        of_open = PassBar(of_open, "rates", len(open_still), leave=False, unit="pass")
-    done = wheels.fits | dict(zip(open_still, of_open, strict=True))
-    fits = [done[k] for k in range(len(passes))]
+        new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
+    fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
+    fits = [fits_by_pass[k] for k in range(len(passes))]
     compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest_passes(passes)]
     doubt = doubted_signs(nominal.obs, compared, searches, fitter)
     return FittedPasses(nominal, wheels.words, models, fits, doubt)
@@ -306,23 +307,22 @@ def solve_passes(
 
     Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     """
-    nominal = fitted.nominal
+    obs, body = fitted.nominal.obs, fitted.nominal.body
     fits = share_noise(fitted.fits, settings.ladder)
-    whole = [nominal.obs.of_pass(a_pass.samples) for a_pass in passes]
-    solved = [
-        solutions(one, obs, a_pass.kept_in_pass, settings.solutions, settings.search)
-        for one, obs, a_pass in zip(fits, whole, passes, strict=True)
-    ]
-    solved, of_periods = weigh_by_periods(
-        solved, nominal.body, periods, [a_pass.number for a_pass in passes]
-    )
-    middles = [float(nominal.obs.t_s[p.samples].mean()) for p in passes]
-    solved, walk = link_passes(solved, middles, nominal.rate_sigma)
+    solved = []
+    for pass_fits, a_pass in zip(fits, passes, strict=True):
+        all_samples = obs.of_pass(a_pass.samples)
+        kept = a_pass.kept_in_pass
+        solved.append(solutions(pass_fits, all_samples, kept, settings.solutions, settings.search))
+    numbers = [a_pass.number for a_pass in passes]
+    solved, period_attrs = weigh_by_periods(solved, body, periods, numbers)
+    middle_s = [float(obs.t_s[a_pass.samples].mean()) for a_pass in passes]
+    solved, walk = link_passes(solved, middle_s, fitted.nominal.rate_sigma)
     solved = [
         of_pass.listed(settings.solutions, len(images_of(model)))
         for of_pass, model in zip(solved, fitted.models, strict=True)
     ]
-    return fits, solved, of_periods | {"walk_between_passes": walk}
+    return fits, solved, period_attrs | {"walk_between_passes": walk}
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:
@@ -390,7 +390,8 @@ def largest_rate(
 def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
     """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
 
-    `nominal`: the nominal model of the whole file. Other sensors may do without directions.
+    Packets of panels that come one after the other make such rows. If another sensor was read, directions may be missing.
+    `nominal`: the nominal model of the whole file.
     """
     panels = [term for term in nominal.obs.terms if isinstance(term, Panels)]
     if not panels or not nominal.obs.only_sun:
@@ -402,13 +403,14 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
     for a_pass in passes:
         of_pass = replace(nominal, obs=nominal.obs.of_pass(a_pass.kept))
         model = of_pass.for_search(nominal.noise)[0]
-        # whether the direction of the Sun is known at a sample, and was at the one before
-        known = False
+        was_known = False  # the direction of the Sun at the sample before
         for sample in range(len(a_pass.kept)):
             allowed = allowed_directions(model, sample)
-            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
-            if before and known:
+            # the smallest cosine between any two directions that the sample allows
+            is_known = bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if was_known and is_known:
                 return
+            was_known = is_known
     raise InputError(
         "too few Sun directions to estimate a rate",
         got=f"rows with readings of {read} of {count} panels at most",
@@ -418,11 +420,12 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
 
 def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
-    total = np.sum([pass_fits.log_evidence_of_rungs() for pass_fits in fits], axis=0)
-    if not np.isfinite(total).any():  # no rung was hopeful in all passes
-        total = np.sum(
-            [np.maximum(pass_fits.log_evidence_of_rungs(), -1e6) for pass_fits in fits], axis=0
-        )
+    log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])  # (pass, rung)
+    total = log.sum(axis=0)
+    if not np.isfinite(
+        total
+    ).any():  # each rung is without a fit in some pass: the one with the fewest such passes
+        total = np.maximum(log, -1e6).sum(axis=0)
     return fits[0].rungs[int(np.argmax(total))]
 
 
@@ -442,24 +445,22 @@ def left_open_by_search(
 
     `result`: its attributes name wheels of unknown speed and panels of unknown gain.
     """
+    wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
     strength_free = len(settings.ladder.rungs) > 1  # a stated strength of torques is the only rung
     fine = [fine_up_to(model, settings.search) for model in models]
-    no_sphere = []
-    for model, of_pass in zip(models, solved, strict=True):
-        shortest = float(np.diff(model.obs.t_s).min())
-        # what torques turn a body over the shortest interval T: noise T^1.5 / sqrt(3)
-        far = of_pass.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
+    words, no_sphere = [], 0
+    for model, pass_fits, of_pass, limit in zip(models, fits, solved, fine, strict=True):
+        # torques of the strength q turn a body by q T^1.5 / sqrt(3) over the shortest interval T
+        shortest_s = float(np.diff(model.obs.t_s).min())
+        far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > UNSEEN_RAD
         strong = of_pass.noise[0] >= settings.ladder.strong
-        no_sphere.append(bool(strength_free and model.body.sphere and (far or strong)))
-    wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
-    words = []
-    for model, pass_fits, limit, odd in zip(models, fits, fine, no_sphere, strict=True):
         parts = []
         if pass_fits.cut:
             parts.append(f"budget reached: {more_effort(effort)}")
         if np.isfinite(limit):
             parts.append(f"coarse: {slower(limit)}")
-        if odd:
+        if strength_free and model.body.sphere and (far or strong):
+            no_sphere += 1
             parts.append(
                 "torques too strong for a satellite, or the body is no sphere: give its inertia"
             )
@@ -478,5 +479,5 @@ def left_open_by_search(
         "fine_up_to_rad_s": min(coarse, default=np.nan),
         "coarse_passes": len(coarse),
         "cut_passes": sum(pass_fits.cut for pass_fits in fits),
-        "no_sphere": sum(no_sphere),
+        "no_sphere": no_sphere,
     }
