@@ -82,10 +82,11 @@ class Fit:
 
 
 class Whitening(NamedTuple):
-    """Inverse Cholesky factors of the covariance that white angular acceleration makes in intervals (n), alike for each axis.
+    """Matrices W (n, 6, 6) that give defects of turn and rate in intervals (n) unit variance: W^T W is the inverse covariance.
 
-    The covariance of turn and rate is q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt), and a swing adds r^2 dt to that of the turn. `matrix`
-    (n, 6, 6); `log_determinant`: half the log of the determinants of all covariances.
+    White angular acceleration q makes the covariance q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt) of turn and rate about each axis. A
+    swing r (`Noise.rate`) adds r^2 dt to the variance of the turn. W is the inverse of its Cholesky factor. `log_determinant`: half
+    the sum of the logs of the determinants of all covariances.
     """
 
     matrix: np.ndarray
@@ -93,10 +94,11 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
-        """Return those of unknown torques."""
+        """Return the whitening of what the equations of motion leave out in intervals dt (n), s."""
         square = noise.in_intervals(dt) ** 2
-        hidden = noise.rate**2 * dt + LEAST_TURN**2
-        # the Cholesky factor (turn, 0; mixed, rate) of the covariance of one axis
+        hidden = noise.rate**2 * dt + LEAST_TURN**2  # variance of the turn alone
+        # the Cholesky factor (turn, 0; mixed, rate) of the covariance about one axis; its inverse is (1 / turn, 0; -mixed / (turn
+        # rate), 1 / rate)
         turn = np.sqrt(square * dt**3 / 3 + hidden)
         mixed = square * dt**2 / 2 / turn
         rate = np.sqrt(square * dt * (square * dt**3 / 12 + hidden)) / turn
@@ -113,8 +115,8 @@ class NormalEquations:
 
     A residual r with the derivative A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has
     blocks of turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). The unknowns
-    add a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m). At the
-    beginning there is the prior of the unknowns alone, which are in sigmas.
+    add a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient is `slope` (K, n, 6) and `border_slope` (K, m). They begin
+    with the prior of the unknowns u, which are in sigmas: |u|^2 / 2.
     """
 
     def __init__(self, motions: Track) -> None:
@@ -128,9 +130,9 @@ class NormalEquations:
 
     def add_readings(self, residual: Residual, unknowns: np.ndarray) -> None:
         """Add differences (K, n, r) of readings; `unknowns` (m): indices of the unknowns to which their `by_u` belongs."""
-        part, weight = residual.law(residual.value)
-        self.cost += part.sum(axis=1)
-        # by turn and by rate at the sample: the rows of the state, A, and w A^T
+        cost, weight = residual.law(residual.value)
+        self.cost += cost.sum(axis=1)
+        # for turn and rate at the sample: the rows of the state, the derivative A, and w A^T
         of_state = [
             (rows, derivative, _transposed(weight[..., None, None] * derivative))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
@@ -138,8 +140,8 @@ class NormalEquations:
         ]
         for rows, _, weighted in of_state:
             self.slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
-            for other_rows, other, _ in of_state:
-                self.diagonal[..., rows, other_rows] += weighted @ other
+            for columns, derivative, _ in of_state:
+                self.diagonal[..., rows, columns] += weighted @ derivative
             if residual.by_u is not None:
                 self.border[..., rows, unknowns] += weighted @ residual.by_u
         if residual.by_previous is not None:
@@ -148,8 +150,8 @@ class NormalEquations:
             weighted = _transposed(weight[:, 1:, None, None] * previous)
             self.slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
             self.diagonal[:, :-1, TURN, TURN] += weighted @ previous
-            for other_rows, other, _ in of_state:
-                self.upper[..., TURN, other_rows] += weighted @ other[:, 1:]
+            for columns, derivative, _ in of_state:
+                self.upper[..., TURN, columns] += weighted @ derivative[:, 1:]
             if residual.by_u is not None:
                 self.border[:, :-1, TURN, unknowns] += weighted @ residual.by_u[:, 1:]
         if residual.by_u is not None:
@@ -259,16 +261,22 @@ class Earlier(NamedTuple):
     def derivatives_at_sample(
         self, residual: Residual, late_s: np.ndarray
     ) -> tuple[Residual, np.ndarray]:
-        """Return differences of the earlier state with derivatives by that of the sample, and by the time (K, n, r) between, s."""
+        """Return differences from the earlier state with derivatives by the state at the sample, and those by the latency (K, n, r).
+
+        Moving back by T turns the body by -omega T and changes its rate by -(acceleration) T. So by the latency the derivative is
+        -(by_turn omega + by_rate acceleration). A change of the rate at the sample also moves the earlier attitude, by -T times it.
+        """
         by_late = np.zeros(residual.value.shape)
         by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
         if by_rate is not None:
             by_late -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
         if by_turn is not None:
             by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
-            if previous is None:  # of two neighbours both are turned by a rate, nearly alike
-                by_shift = -late_s[:, None, None, None] * by_turn
-                by_rate = by_shift if by_rate is None else by_rate + by_shift
+            if (
+                previous is None
+            ):  # a change of the rate moves both of two neighbours nearly alike, and their difference hardly
+                by_moved = -late_s[:, None, None, None] * by_turn
+                by_rate = by_moved if by_rate is None else by_rate + by_moved
             by_turn = by_turn @ self.turned
         if previous is not None:
             by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.states.omega[:, :-1])
@@ -283,6 +291,7 @@ def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
     stepped = step(inertia, motions.omega, back, (momentum, momentum))
+    # Euler's equations: I dw/dt = (I w + h) x w
     turning = np.cross(stepped.omega @ inertia + momentum, stepped.omega)
     acceleration = turning @ np.linalg.inv(inertia)
     return Earlier(
@@ -470,8 +479,8 @@ def log_left_out(model: Model) -> float:
 def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
-    That of the states with the unknowns held, and what the unknowns' own covariance adds. With the matrix H of
-    the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
+    It is the variance of the states with the unknowns held, plus what the covariance of the unknowns adds. With the matrix H of the
+    normal equations of the states the former is w^T H^-1 w: they are solved once for each row w of the weights.
     """
     system = equations(fitted.model, fitted.motions)._replace(
         border=None, corner=None, border_slope=None
@@ -482,6 +491,7 @@ def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
         w = weights[..., row, :]
         (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(fitted)))
         variances.append(np.einsum("kni,kni->k", w, nodes))
+    # the sums change by B u with the unknowns u, whose covariance C adds B C B^T
     by_u = np.einsum("knri,knim->krm", weights, fitted.states_by_u)
     of_u = np.einsum("krm,kmj,krj->kr", by_u, fitted.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
@@ -499,7 +509,7 @@ def propagate(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray
 def _propagate_outward(
     model: Model, attitudes: np.ndarray, rates: np.ndarray, first: int, last: int
 ) -> None:
-    """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
+    """Fill in attitudes (K, n, 3, 3) and rates (K, n, 3), which are given from sample `first` to `last`, at all other samples."""
     for start, end in _outward_steps(first, last, attitudes.shape[1]):
         stepped = _step_between(model.obs, model.body.inertia, rates[:, start], start, end)
         attitudes[:, end] = stepped.turned @ attitudes[:, start]
@@ -525,7 +535,7 @@ def _step_between(
     end: list[int],
     derivatives: bool = False,
 ) -> Step:
-    """Carry the rates `omega` (K, i, 3) at i samples `start` to the samples `end`; `inertia` (3, 3), or (K, 3, 3)."""
+    """Propagate the rates `omega` (K, i, 3) from i samples `start` to the samples `end`; `inertia` (3, 3), or (K, 3, 3)."""
     momenta = obs.momentum[start], obs.momentum[end]
     return step(inertia, omega, obs.t_s[end] - obs.t_s[start], momenta, derivatives)
 
@@ -646,11 +656,11 @@ def along_the_valley(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return further attitudes (K, 3, 3) and rates (K, 3) at the sample `middle`, on either side of motions.
 
-    They are along the least certain direction of each motion's rate. A few samples of the Sun hardly tell the spin about the Sun's
-    direction, so that the cost has a long flat valley in which a fit rests anywhere. As the window grows, the valley bends and
-    breaks into several minima: a slow body was lost so, as a motion that begins at one place ends in the nearest of them. Here the
-    valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
-    far from the best.
+    They differ in the rate along its least certain direction. A few samples of the Sun hardly show the rate about the Sun
+    direction, so that the cost has a long flat valley, in which a fit ends anywhere. As the window grows, the valley bends and
+    breaks into several minima, and a motion ends in the nearest of them: a slow body was lost so. Here the valley is sampled as
+    densely as a fit moves. Motions that do not fit have no further ones, since their covariance is wrong, nor have those far from
+    the best.
     """
     limit = s.valley_fits * model.obs.cost_limit
     limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)
