@@ -261,7 +261,7 @@ class Earlier(NamedTuple):
     def derivatives_at_sample(
         self, residual: Residual, late_s: np.ndarray
     ) -> tuple[Residual, np.ndarray]:
-        """Return differences from the earlier state with derivatives by the state at the sample, and those by the latency (K, n, r).
+        """Return differences from the earlier state with derivatives by the state at the sample, and by the latency (K, n, r).
 
         Moving back by T turns the body by -omega T and changes its rate by -(acceleration) T. So by the latency the derivative is
         -(by_turn omega + by_rate acceleration). A change of the rate at the sample also moves the earlier attitude, by -T times it.
