@@ -78,8 +78,8 @@ def bare_panels(rng, scale_sigma=0.05, unread=0.0, late_s=0.0):
     response = PanelResponse(CUBE_NORMALS, np.array([1.0, 2.0, 1.0, 1.0, 0.5, 1.0]))
     gain, scale = (np.ones(6), 0.1 * np.eye(6)), (np.full(N, 1.1), np.full(N, scale_sigma))
     instants, shown = ReadingTimes(late_s * np.eye(6)[2], 0.0), np.ones(6, dtype=bool)
-    readings, of_light = (rng.random((N, 6)), sigma, response), (sigma, sigma, every, np.ones(N))
-    return Panels(*readings, *gain, *scale, tuple("abcdef"), instants, shown, *of_light)
+    readings, light_slice = (rng.random((N, 6)), sigma, response), (sigma, sigma, every, np.ones(N))
+    return Panels(*readings, *gain, *scale, tuple("abcdef"), instants, shown, *light_slice)
 
 
 def panels(rng, known):
