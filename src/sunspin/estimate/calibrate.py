@@ -19,12 +19,12 @@ from sunspin.estimate.orbit.calibration import (
     MOST_SAMPLES,
     SUN_KEYS,
     Calibration,
-    fit_along,
+    fit_sensors,
     priors,
 )
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimate.orbit.invariants import STUDENT
-from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.estimate.orbit.readings import Readings, orbit_readings
 from sunspin.estimate.rates import rates
 from sunspin.estimate.verdict import COLUMNS_DOUBTED, NARROWER
 from sunspin.telemetry.assess import Assessment, assess
@@ -115,7 +115,7 @@ def calibrate_sensors(
         keys, calibrated = _panels(assess(vehicle, telemetry), notes)
     if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
         assessment = assess(calibrated, telemetry)
-        readings = read(assessment, MOST_SAMPLES)
+        readings = orbit_readings(assessment, MOST_SAMPLES)
         fitted = _in_orbit(assessment, orbit, readings, notes)
         if fitted is not None and orbit is not None:
             keys += _magnetometer(vehicle, fitted)
@@ -203,7 +203,7 @@ def _in_orbit(
     notes.append(f"orbit: {check.verdict.value}")
     start = check.start(orbit)
     if start is not None and readings.has_field.any():
-        fitted = check.made or fit_along(
+        fitted = check.fitted_sensors or fit_sensors(
             orbit, vehicle, readings, start, priors(vehicle, readings, orbit)
         )
         if fitted.samples["field"] + fitted.samples["field and Sun"] >= FEWEST:

@@ -42,7 +42,7 @@ from sunspin.estimate.observe import (
     why_not_used,
 )
 from sunspin.estimate.one_pass import PassFitter
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.rates_dataset import (
     believed,
@@ -181,7 +181,7 @@ def rates(
     # What the file shows: all samples, why each is used or not, and the passes that they form.
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
-    calibration = along_orbit(local, assessment) if calibration is None else calibration
+    calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
     seen = observe(assessment, source, local, calibration, acting(torques, local))
     every = split(seen, gap_s, settings.passes)
     chosen = asked(every, pass_id)
