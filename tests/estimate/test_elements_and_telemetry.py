@@ -234,6 +234,8 @@ def test_elements_that_the_angle_to_the_sun_contradicts_do_not_fit(folder, monke
         sun = np.full_like(readings.sun, np.nan)
         sun[seen[:count]] = units(rng.normal(size=(count, 3)))
         scrambled = readings._replace(sun=sun)
-        monkeypatch.setattr(orbit_check, "read", lambda *_, scrambled=scrambled: scrambled)
+        monkeypatch.setattr(
+            orbit_check, "orbit_readings", lambda *_, scrambled=scrambled: scrambled
+        )
         check = check_orbit(right, assessment.vehicle, assessment, settings=FEW)
         assert check.verdict is verdict
