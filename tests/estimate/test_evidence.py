@@ -161,7 +161,7 @@ def test_motions_that_are_known_have_the_evidence_of_a_search():
 def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():
     model, every = stated(), np.arange(20)
     seen = assess(CUBE, xr.Dataset(coords={"time": model.obs.t_s}))
-    only = Pass(every, every)
+    only = Pass(every, every, 0)
     fitter = PassFitter(RATES, Budget.of(1.0), lambda _, models, *__: list(models))
     searches = wheels.search_reversed(seen, "none", model, only, fitter)
     assert not searches.momenta and not searches.evidence

@@ -17,7 +17,7 @@ from sunspin.estimate.chain import RATE, Fit, defects, fit
 from sunspin.estimate.evidence import likeliest
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
-from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
 LEAST_STEP = 1e-3
@@ -48,8 +48,11 @@ def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
     """
     for term in stated.obs.terms:
-        if isinstance(term, Gyro) and term.zero_stated and term.present().any():
-            others = (one.with_any_zero() if one is term else one for one in stated.obs.terms)
+        if isinstance(term, GyroRates) and term.zero_stated and term.present().any():
+            others = (
+                any_term.with_any_zero() if any_term is term else any_term
+                for any_term in stated.obs.terms
+            )
             yield replace(
                 stated,
                 obs=replace(stated.obs, terms=tuple(others)),
@@ -69,7 +72,7 @@ def steps_of_the_rate(
     tell before from after: the last steps are also tried one interval earlier and later. `fits` as in :func:`alternatives`.
     """
     # the fits of the model with the steps so far, which begin without any, and their evidence
-    best = likeliest([one for one in fits if one.model.what == AS_STATED])
+    best = likeliest([fitted for fitted in fits if fitted.model.what == AS_STATED])
     top = float(best.log_evidence.max())
     steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
     intervals = len(stated.obs) - 1
@@ -81,20 +84,22 @@ def steps_of_the_rate(
         worst = int(np.argmax(square))
         # Under the weakest torques a step gains at most half the squared defect of its interval. Under stronger ones
         # other intervals gain too, as weaker torques then suffice there, which only the fit can show.
-        calm = best.model.noise.acceleration == min(one.model.noise.acceleration for one in fits)
+        calm = best.model.noise.acceleration == min(
+            fitted.model.noise.acceleration for fitted in fits
+        )
         if calm and square[worst] / 2 < price:
             return
         sigma = _size_of_step(best.model, motion, worst)
         steps = (*steps, (worst, sigma))
         model = _with_steps(stated, steps, price)
         yield model
-        with_step = [one for one in fits if one.model.what == model.what]
+        with_step = [fitted for fitted in fits if fitted.model.what == model.what]
         if not with_step or likeliest(with_step).log_evidence.max() <= top:
             return
         best = likeliest(with_step)
         top = float(best.log_evidence.max())
         for interval in (worst - 1, worst + 1):
-            if 0 <= interval < intervals and all(interval != other for other, _ in steps):
+            if 0 <= interval < intervals and all(interval != taken for taken, _ in steps):
                 yield _with_steps(stated, (*steps[:-1], (interval, sigma)), price)
 
 

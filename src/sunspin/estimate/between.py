@@ -30,13 +30,13 @@ def link_passes(
 
     `middle_s`: the middle of each pass; `rate_sigma` (rad/s): of a rate before the data.
     """
-    independent = [np.log(np.maximum(one.probability, 1e-300)) for one in passes]
+    independent = [np.log(np.maximum(of_pass.probability, 1e-300)) for of_pass in passes]
     # log evidence relative to that of independent passes, which is 0
     best, best_evidence = None, 0.0
     for walk in WALKS:
         transitions = [
-            _log_transition(one, after, walk**2 * abs(middle_s[k + 1] - middle_s[k]), rate_sigma)
-            for k, (one, after) in enumerate(zip(passes[:-1], passes[1:], strict=True))
+            _log_transition(before, after, walk**2 * abs(middle_s[k + 1] - middle_s[k]), rate_sigma)
+            for k, (before, after) in enumerate(zip(passes[:-1], passes[1:], strict=True))
         ]
         forward = [independent[0]]
         for transition, own in zip(transitions, independent[1:], strict=True):

@@ -179,8 +179,8 @@ def _panel_keys(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Ve
     unit, count = vehicle.gain_unit or "1", int((quality["use"].values == 0).sum())
     numbers = np.stack([stated, gain, sigma, prior], axis=1)[..., None]  # (n_panel, 4, 1)
     keys = [
-        Key(("panel", panel.name), name, *of_panel, unit, count)
-        for panel, of_panel in zip(vehicle.panels, numbers, strict=True)
+        Key(("panel", panel.name), name, old, new, error, before, unit, count)
+        for panel, (old, new, error, before) in zip(vehicle.panels, numbers, strict=True)
     ]
     return keys, scale_gains(vehicle, gain / stated)
 
@@ -344,7 +344,8 @@ def _sun_sensor_keys(vehicle: Vehicle, readings: Readings, fitted: Calibration) 
                 continue
             unit = "rad" if key.endswith("bias_rad") else "rad/reading"
             where, count = ("sun_sensor", sensor.name), int(samples.sum())
-            yield Key(where, key, *of_key[:, None], unit, count)
+            old, new, error, before = of_key[:, None]
+            yield Key(where, key, old, new, error, before, unit, count)
 
 
 # ----------------------------------------------------------------------------------------------------------------------------- gyro

@@ -138,8 +138,8 @@ class NormalEquations:
         ]
         for rows, _, weighted in of_state:
             self.slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
-            for others, other, _ in of_state:
-                self.diagonal[..., rows, others] += weighted @ other
+            for other_rows, other, _ in of_state:
+                self.diagonal[..., rows, other_rows] += weighted @ other
             if residual.by_u is not None:
                 self.border[..., rows, place] += weighted @ residual.by_u
         if residual.by_previous is not None:
@@ -148,8 +148,8 @@ class NormalEquations:
             weighted = _transposed(weight[:, 1:, None, None] * previous)
             self.slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
             self.diagonal[:, :-1, TURN, TURN] += weighted @ previous
-            for others, other, _ in of_state:
-                self.upper[..., TURN, others] += weighted @ other[:, 1:]
+            for other_rows, other, _ in of_state:
+                self.upper[..., TURN, other_rows] += weighted @ other[:, 1:]
             if residual.by_u is not None:
                 self.border[:, :-1, TURN, place] += weighted @ residual.by_u[:, 1:]
         if residual.by_u is not None:

@@ -262,10 +262,10 @@ def _with_rivals(
             np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
             for name in ("omega", "sigma")
         )
-        rates_of_changes = [one.omega for one in better.named if one.omega is not None]
+        rates_of_changes = [named.omega for named in better.named if named.omega is not None]
         if all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates_of_changes):
             return result  # the rate is right with either
-        what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
+        what = " or with ".join(named.change.what for named in better.named[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
         return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
@@ -352,11 +352,14 @@ def _with_doubted_wheels(
             "single change of columns or signs explains them"
         )
     others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
-    others = [one for one in others if one.what != change.what]
+    others = [other for other in others if other.what != change.what]
     at = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
     omega = doubt.omega[at]
     same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
-    named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
+    named = (
+        Named(change, omega),
+        *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
+    )
     return _with_named_changes(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
 
 
@@ -364,12 +367,14 @@ def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
     """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
     rows = [
         {
-            "what": one.change.what,
-            "do": one.change.do,
+            "what": named.change.what,
+            "do": named.change.do,
             "at_s": better.at_s,
-            "omega_deg_s": None if one.omega is None else np.degrees(one.omega).round(6).tolist(),
+            "omega_deg_s": None
+            if named.omega is None
+            else np.degrees(named.omega).round(6).tolist(),
         }
-        for one in better.named
+        for named in better.named
     ]
     clock = partial(clock_time, result.attrs.get("epoch_utc"))
     return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))

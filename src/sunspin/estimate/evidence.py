@@ -90,14 +90,14 @@ def ladder(
             if not len(last):
                 break
             fits[rung] = shared
-            best = max(rival, *(float(one.log_evidence.max()) for one in fits.values()))
+            best = max(rival, *(float(fitted.log_evidence.max()) for fitted in fits.values()))
             if shared.log_evidence.max() < best - s.hopeless:
                 break
         return last, last_rung
 
     rungs = sorted(s.rungs)
     top, rung = follow([rung for rung in rungs if rung > first_rung], start, first_rung)
-    best = max((float(one.log_evidence.max()) for one in fits.values()), default=-np.inf)
+    best = max((float(fitted.log_evidence.max()) for fitted in fits.values()), default=-np.inf)
     if not len(top) or of_first.log_evidence.max(initial=-np.inf) >= best - s.hopeless:
         top, rung = start, first_rung
     follow([below for below in reversed(rungs) if below < rung], top, rung)
@@ -237,35 +237,42 @@ def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]
     is even. What the others say of a rung is the product of their evidences of it, each of them mixed in the same way with its mean
     evidence: one odd pass must not decide.
     """
-    log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
+    log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in passes])  # (passes, rungs)
     even = np.full(log.shape[1], -np.log(log.shape[1]))
     # a pass has the file's rung with the probability `common`, else any; logs of different passes add
     alone = logsumexp(log + even, axis=1, keepdims=True)
     combined = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
     others = combined.sum(axis=0) - combined
     prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
-    return [replace(one, log_rung=row) for one, row in zip(passes, prior, strict=True)]
+    return [replace(pass_fits, log_rung=row) for pass_fits, row in zip(passes, prior, strict=True)]
 
 
 def leading(fits: Sequence[Fit], count: int, of_search: SearchSettings) -> Track:
     """Return the most probable motions of the nominal model, of any rung, without copies."""
-    stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
+    stated = [fitted for fitted in fits if fitted.model.what == AS_STATED and len(fitted)]
     if not stated:
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
-    motions = Track.joined([one.to_begin_from for one in stated])
-    log = np.concatenate([one.log_evidence for one in stated])
+    motions = Track.joined([fitted.to_begin_from for fitted in stated])
+    log = np.concatenate([fitted.log_evidence for fitted in stated])
     t_s = stated[0].model.obs.t_s
     return motions.take(distinct(motions, t_s, of_search, count, np.inf, order_by=-log))
 
 
 def likeliest(fits: Sequence[Fit]) -> Fit:
     """Return the fit with the most probable motion, before the prior of the rungs."""
-    return max((one for one in fits if len(one)), key=lambda one: float(one.log_evidence.max()))
+    return max(
+        (fitted for fitted in fits if len(fitted)),
+        key=lambda fitted: float(fitted.log_evidence.max()),
+    )
 
 
 def likeliest_cost(fits: Sequence[Fit]) -> float:
     """Return the cost of the most probable motion: under the strongest torques nearly everything costs little."""
-    pairs = [(one.log_evidence[k], one.motions.cost[k]) for one in fits for k in range(len(one))]
+    pairs = [
+        (fitted.log_evidence[k], fitted.motions.cost[k])
+        for fitted in fits
+        for k in range(len(fitted))
+    ]
     return float(max(pairs)[1]) if pairs else np.inf
 
 
@@ -275,13 +282,13 @@ def united(fits: Sequence[Fit], s: LadderSettings, of_search: SearchSettings) ->
     for fitted in fits:
         groups.setdefault((fitted.model.what, fitted.model.noise.acceleration), []).append(fitted)
     joined = [_joined(group) for group in groups.values()]
-    return [one.take(_distinct(one, s, of_search)) for one in joined]
+    return [fitted.take(_distinct(fitted, s, of_search)) for fitted in joined]
 
 
 def _joined(fits: list[Fit]) -> Fit:
     """Return the motions of several fits of one model."""
-    parts = ((one.log_evidence, one.u_covariance, one.states_by_u) for one in fits)
-    motions = Track.joined([one.motions for one in fits])
-    lowest = Track.joined([one.to_begin_from for one in fits])
+    parts = ((fitted.log_evidence, fitted.u_covariance, fitted.states_by_u) for fitted in fits)
+    motions = Track.joined([fitted.motions for fitted in fits])
+    lowest = Track.joined([fitted.to_begin_from for fitted in fits])
     joined = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Fit(fits[0].model, motions, *joined, lowest)

@@ -11,7 +11,7 @@ from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import SUN_N, Model, Noise, States, Track
 from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.field import KnownField
-from sunspin.estimate.terms.torques import GravityGradient
+from sunspin.estimate.terms.torques import GravityTorque
 from sunspin.solve.rotations import rotate_attitude
 
 FEWEST_SUNS = 4
@@ -57,7 +57,7 @@ def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -
             for term, found in zip(stated.obs.terms, plain.obs.terms, strict=True)
         )
         model = replace(plain, obs=replace(plain.obs, terms=terms))
-    elif any(isinstance(term, GravityGradient) for term in stated.obs.terms):
+    elif any(isinstance(term, GravityTorque) for term in stated.obs.terms):
         turns, frames, model = SUN_TURNS, np.eye(3), loose
     else:
         return motions

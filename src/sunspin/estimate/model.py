@@ -242,7 +242,7 @@ class Model:
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
         """Return all numbers that are estimated with a motion: those of the body, then those of each term."""
-        of_terms = (one for term in self.obs.terms for one in term.unknowns())
+        of_terms = (unknown for term in self.obs.terms for unknown in term.unknowns())
         return (*self.body.unknowns, *of_terms)
 
     @property

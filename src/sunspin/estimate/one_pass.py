@@ -99,7 +99,7 @@ def one_pass(
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
         tracks = searched(reach, s.search.noise, s.search, budget, stated.rate_max)
         fits = united(fits + fitted(stated, tracks, s.search.noise, s), s.ladder, s.search)
-    if not any(len(one) for one in fits):
+    if not any(len(fitted) for fitted in fits):
         raise InputError(
             "no motion has a well-defined probability",
             got=f"{len(stated.obs)} samples in the pass from {stated.obs.t_s[0]:.0f} s",
@@ -175,7 +175,7 @@ def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
 
 def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
     """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
-    if not any(len(one) for one in fits):
+    if not any(len(fitted) for fitted in fits):
         return False
     best = likeliest(fits)
     speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
@@ -195,7 +195,7 @@ def fits_of_alternative(
     model: Model, fits: Sequence[Fit], s: RatesSettings, budget: Budget
 ) -> list[Fit]:
     """Return fits of an alternative model, on the rungs that are not hopeless next to the best of the `fits` so far."""
-    nominal = likeliest([one for one in fits if one.model.what == AS_STATED])
+    nominal = likeliest([fitted for fitted in fits if fitted.model.what == AS_STATED])
     # under the torques that the nominal model wants an alternative can grow; a stated strength may be too stiff for that
     rung = nominal.model.noise.acceleration
     rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
@@ -204,8 +204,8 @@ def fits_of_alternative(
     begin = restated(begin, nominal.model, model.under(rung))
     of_ladder = replace(s.ladder, hopeless=s.alternatives.hopeless)
     new = ladder(model, begin, of_ladder, s.search, rung, top)
-    budget.spend(sum(len(one) for one in new) * len(model.obs))
-    return [one for one in new if one.log_evidence.max() > top - of_ladder.hopeless]
+    budget.spend(sum(len(fitted) for fitted in new) * len(model.obs))
+    return [fitted for fitted in new if fitted.log_evidence.max() > top - of_ladder.hopeless]
 
 
 def _one_pass_if_any(

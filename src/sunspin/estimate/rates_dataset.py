@@ -22,7 +22,7 @@ from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimate.solutions import Solutions
 from sunspin.estimate.terms.field import FieldDirection, KnownField
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
@@ -40,7 +40,7 @@ from sunspin.solve.rotations import (
     quaternion_from_matrix,
     without_sign_jumps,
 )
-from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.assess import LOW_SHARE, Assessment
 from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle import Vehicle
 
@@ -60,7 +60,6 @@ LATENCY = "late_s"
 def dataset(
     assessment: Assessment,
     seen: FileReadings,
-    why: np.ndarray,
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     stated: Model,
@@ -68,21 +67,22 @@ def dataset(
 ) -> xr.Dataset:
     """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
 
-    `why` (n): what became of each sample of the file; `stated`: the nominal model, under the strength of torques that the file
-    as a whole has; `noise_stated`: the vehicle file or the user gives that strength.
+    `stated`: the nominal model, under the strength of torques that the file as a whole has; `noise_stated`: the vehicle file or
+    the user gives that strength.
     """
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
-    index = np.concatenate([one.samples for one in passes])
-    best = [one.track.take(slice(0, 1)) for one in solved]
+    index = np.concatenate([a_pass.samples for a_pass in passes])
+    best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
     # one pass after the other along time
     attitude, omega, covariance, sun = (
         np.concatenate([getattr(track, name)[0] for track in best])
         for name in ("attitude", "omega", "covariance", "sun_B")
     )
-    pass_of = np.repeat(np.arange(len(passes)), [len(one.samples) for one in passes])
+    pass_of = np.repeat(np.arange(len(passes)), [len(a_pass.samples) for a_pass in passes])
     quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
     each = ("pass_id", "solution")
-    spread = [spread_of(one.mean, one.mean_sigma**2, one.probability) for one in solved]
+    spread = [
+        spread_of(of_pass.mean, of_pass.mean_sigma**2, of_pass.probability) for of_pass in solved
+    ]
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), omega),
@@ -91,34 +91,34 @@ def dataset(
             "sun_sigma_rad": ("time", _sun_sigma(sun, covariance[:, TURN, TURN])),
             "B_from_N": (("time", "quaternion"), quaternion),
             "pass_of": ("time", pass_of),
-            "omega_mean_B": ((*each, "axis"), padded([one.mean for one in solved])),
-            "omega_sigma_B": ((*each, "axis"), padded([one.mean_sigma for one in solved])),
+            "omega_mean_B": ((*each, "axis"), padded([of_pass.mean for of_pass in solved])),
+            "omega_sigma_B": ((*each, "axis"), padded([of_pass.mean_sigma for of_pass in solved])),
             "omega_sigma_all_B": (("pass_id", "axis"), np.array(spread)),
-            "cost": (each, padded([one.track.cost for one in solved])),
-            "cost_limit": ("pass_id", [one.cost_limit for one in solved]),
-            "why": ("sample", why.astype(np.str_)),
+            "cost": (each, padded([of_pass.track.cost for of_pass in solved])),
+            "cost_limit": ("pass_id", [of_pass.cost_limit for of_pass in solved]),
+            "why": ("sample", seen.why.astype(np.str_)),
         },
         coords={
             "time": seen.obs.t_s[index],
             "sample": seen.obs.t_s,
             "axis": ["x", "y", "z"],
-            "pass_id": np.arange(len(passes)),
+            "pass_id": [a_pass.number for a_pass in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(vehicle, telemetry, seen, index, stated, noise_stated),
+        attrs=_attributes(assessment, seen, index, stated, noise_stated),
     )
     return result.assign(_curves(solved, stated))
 
 
 def _attributes(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    assessment: Assessment,
     seen: FileReadings,
     used: np.ndarray,
     stated: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": seen.source,
@@ -139,13 +139,19 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
-    sensors = [term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateSize.name)]
+    sensors = [
+        term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateMagnitudes.name)
+    ]
     read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
-    if any(term.name == RateSize.name for term in seen.obs.terms):
-        attrs["rate_size_used"] = int(RateSize.name in read)
-    untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
-    return attrs | {"wheels_untold": ", ".join(untold)}
+    if any(term.name == RateMagnitudes.name for term in seen.obs.terms):
+        attrs["rate_size_used"] = int(RateMagnitudes.name in read)
+    wheels = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
+    gains = assessment.doubtful_gains if seen.source == "panels" else {}
+    return attrs | {
+        "wheels_untold": ", ".join(wheels),
+        "gains_unknown": ", ".join(name for name, share in gains.items() if share < LOW_SHARE),
+    }
 
 
 def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
@@ -183,7 +189,7 @@ def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[st
         late, sigma, words = np.nan, np.nan, "taken as read together"
     else:
         late, sigma, words = clock.late_s, clock.sigma_s, "vehicle file"
-    rows = [one.estimates[0][LATENCY] for one in solved if LATENCY in one.estimates[0]]
+    rows = [of_pass.estimates[0][LATENCY] for of_pass in solved if LATENCY in of_pass.estimates[0]]
     if rows and clock is not None:
         values, sigmas = (np.array([row[k] for row in rows]) for k in (1, 2))
         prior_precision = sigma**-2
@@ -216,7 +222,7 @@ def in_space(
         ).assign_attrs(frame_N=FIELD_Z_LOCAL)
     if not isinstance(local, SunAlongZ):
         return result
-    best = [one.track.take(slice(0, 1)) for one in solved]
+    best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
     sun = np.concatenate([track.sun_B[0] for track in best])
     covariance = np.concatenate([track.covariance[0, :, TURN, TURN] for track in best])
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance, sun), 0.0))
@@ -269,43 +275,46 @@ def believed(
     That is at the sample nearest to the middle of the pass. `left_open_of`: what the search of each pass may have left out and what
     would help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
     """
-    sensors = sorted({name for one in solved for name in one.residual})
+    sensors = sorted({name for of_pass in solved for name in of_pass.residual})
     misfits = np.full((len(solved), len(sensors), 3), np.nan)
-    residual = np.full((len(sensors), sum(len(one.samples) for one in passes)), np.nan)
+    residual = np.full((len(sensors), sum(len(a_pass.samples) for a_pass in passes)), np.nan)
     rows, begin = [], 0
-    for k, (one, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
-        t_s = one.obs.t_s
+    for k, (solutions, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
+        t_s = solutions.obs.t_s
         mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
         of_pass = slice(begin, begin + len(t_s))
         begin += len(t_s)
-        by_sensor = {name: misfit(part[0]) for name, part in one.residual.items()}
-        for name, part in one.residual.items():
+        by_sensor = {name: misfit(part[0]) for name, part in solutions.residual.items()}
+        for name, part in solutions.residual.items():
             misfits[k, sensors.index(name)] = by_sensor[name]
             residual[sensors.index(name), of_pass] = part[0]
-        omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
-        motions = AtOnce(one.probability, omega, covariance, either_side(one.track))
-        explained = bool(one.track.cost[0] <= one.cost_limit)
+        omega, covariance = (
+            solutions.track.omega[:, mid],
+            solutions.track.covariance[:, mid, RATE, RATE],
+        )
+        motions = AtOnce(solutions.probability, omega, covariance, either_side(solutions.track))
+        explained = bool(solutions.track.cost[0] <= solutions.cost_limit)
         four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, left_open)
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # exchanged columns give a motion of the same size, so that a size confirms none
         # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion
-        alone = [term.label for term in one.obs.terms if isinstance(term, FieldDirection)] or [
-            "Sun"
-        ]
-        blind = set(by_sensor) <= {*alone, RateSize.label}
+        alone = [
+            term.label for term in solutions.obs.terms if isinstance(term, FieldDirection)
+        ] or ["Sun"]
+        blind = set(by_sensor) <= {*alone, RateMagnitudes.label}
         checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
-        solution = one.probability, omega, sigma, speed, four_answers, checked
+        solution = solutions.probability, omega, sigma, speed, four_answers, checked
         rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))
     return (
         passes_table(rows, epoch_utc)
-        | _estimates([one.estimates[0] for one in solved])
+        | _estimates([of_pass.estimates[0] for of_pass in solved])
         | {
             "misfit": (("pass_id", "sensor", "figure"), misfits),
             "residual": (("sensor", "time"), residual),
             "sensor": sensors,
             "figure": ["readings", "beyond", "chance"],
-            "model": ("pass_id", [one.model[0] for one in solved]),
-            "model_probability": ("pass_id", [one.model[1] for one in solved]),
+            "model": ("pass_id", [of_pass.model[0] for of_pass in solved]),
+            "model_probability": ("pass_id", [of_pass.model[1] for of_pass in solved]),
         }
     )
 

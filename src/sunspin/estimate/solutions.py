@@ -52,15 +52,15 @@ class Solutions:
     def joined(every: Sequence[Solutions]) -> Solutions:
         """Return the solutions of several, of one pass."""
         parts = {
-            name: np.concatenate([getattr(one, name) for one in every])
+            name: np.concatenate([getattr(of_some, name) for of_some in every])
             for name in ("probability", "mean", "mean_sigma", "noise")
         }
         residual = {
-            name: np.concatenate([one.residual[name] for one in every])
+            name: np.concatenate([of_some.residual[name] for of_some in every])
             for name in every[0].residual
         }
-        estimates = tuple(each for one in every for each in one.estimates)
-        track = Track.joined([one.track for one in every])
+        estimates = tuple(row for of_some in every for row in of_some.estimates)
+        track = Track.joined([of_some.track for of_some in every])
         return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
 
     def take(self, which: np.ndarray) -> Solutions:
@@ -140,14 +140,17 @@ def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
     with every size of it. Whole turns more may fit alike, and which motion is likelier must not hang on what was taken for likely
     before the data.
     """
-    log = [one.log_evidence + fits.log_rung[fits.rung(one)] for one in fits.fits]
-    sized = [part + _any_size(one, s) for part, one in zip(log, fits.fits, strict=True)]
+    log = [fitted.log_evidence + fits.log_rung[fits.rung(fitted)] for fitted in fits.fits]
+    sized = [part + _any_size(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)]
     weights = np.max(
-        [np.exp(one - logsumexp(one)) for one in (np.concatenate(log), np.concatenate(sized))],
+        [
+            np.exp(log_weight - logsumexp(log_weight))
+            for log_weight in (np.concatenate(log), np.concatenate(sized))
+        ],
         axis=0,
     )
     weights = weights / weights.sum()
-    places = [(one, k) for one in fits.fits for k in range(len(one))]
+    places = [(fitted, k) for fitted in fits.fits for k in range(len(fitted))]
     order = np.argsort(-weights, kind="stable")
     order = order[weights[order] > s.counted * weights.max()]
     total = weights[order].sum()

@@ -164,12 +164,12 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
             do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
         )
     known = [term.starts(first) for term in model.obs.terms]
-    read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
+    read = np.concatenate([np.zeros((0, 3)), *(sensor.rates for sensor in known)])
     read = read[np.linalg.norm(read, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
     # `rates_of_suns`: rates (m, 3) for each direction to the Sun; `apart`: from a turn to that of the nearest start, rad, at most
     if trust_gyro and len(read) and gyro_decides(model, first):
-        sigma = min(one.rate_sigma for one in known)
+        sigma = min(sensor.rate_sigma for sensor in known)
         rates_of_suns, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
     elif not _constant_rate_holds(model, first):
         # wheels or moments bend the motion: no closed form

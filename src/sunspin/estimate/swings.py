@@ -44,7 +44,7 @@ def swings_by_all_ways(
     seen. The log evidence of a size is the log of the mean likelihood over all ways on the sphere, in the measure of the other
     fits; its motion is at rest.
     """
-    best = likeliest([one for one in fits if one.model.what == AS_STATED])
+    best = likeliest([fitted for fitted in fits if fitted.model.what == AS_STATED])
     obs = stated.obs
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
     span_s = float(np.ptp(obs.t_s))
@@ -60,7 +60,7 @@ def swings_by_all_ways(
     others = float(best.log_evidence.max() - alone.log_evidence[0])
     measure = others + log_left_out(stated) + stated.log_prior
     # what the log of the mean likelihood must be at least
-    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless - measure
+    least = max(float(fitted.log_evidence.max()) for fitted in fits) - s.hopeless - measure
     if _bound(alone.model, alone.motions, wanders).max() + ROUGHLY * len(obs) < least:
         return []
     still = _still(motion)

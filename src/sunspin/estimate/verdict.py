@@ -236,9 +236,11 @@ def answers(
     cost is at most `cost_limit`. `left_open`: what the search may have left out, in words; empty if nothing.
     """
     probability, omega, covariance, one_rate = motions
-    wrong = tuple(name for name, one in misfits.items() if not one.fits)
+    wrong = tuple(name for name, sensor_misfit in misfits.items() if not sensor_misfit.fits)
     sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
-    x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
+    x, y, z = (
+        bool(component_sigma < NARROWER * rate_sigma) for component_sigma in sigma
+    )  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     four_answers = Answers(
         unique=bool(probability[one_rate].sum() >= DECIDED),
@@ -302,14 +304,14 @@ def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, An
         "utc_end": ("pass_id", [utc(row.last_s) for row in rows]),
         "samples": ("pass_id", [row.samples for row in rows]),
         "probability": (each, padded([row.probability for row in rows])),
-        "decided": flags([one.decided for one in said]),
-        "unique": flags([one.unique for one in said]),
+        "decided": flags([verdict.decided for verdict in said]),
+        "unique": flags([verdict.unique for verdict in said]),
         **{
-            f"constrained_{axis}": flags([one.constrained[k] for one in said])
+            f"constrained_{axis}": flags([verdict.constrained[k] for verdict in said])
             for k, axis in enumerate("xyz")
         },
-        "fits": flags([one.fits for one in said]),
-        "search_complete": flags([one.search_complete for one in said]),
+        "fits": flags([verdict.fits for verdict in said]),
+        "search_complete": flags([verdict.search_complete for verdict in said]),
         "columns_checked": ("pass_id", [row.columns_checked for row in rows]),
         "utc_at": ("pass_id", [utc(row.at_s) for row in rows]),
     }
@@ -318,10 +320,10 @@ def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, An
     for name in ("omega", "sigma"):
         for k, axis in enumerate("xyz"):
             table[f"{name}_{axis}"] = each, padded([getattr(row, name)[:, k] for row in rows])
-    table["constrained_speed"] = flags([one.speed.constrained for one in said])
-    table["speed_sigma"] = "pass_id", [one.speed.sigma for one in said]
-    table["speed_below"] = "pass_id", [one.speed.below for one in said]
-    table["why_not_decided"] = "pass_id", [one.why_not for one in said]
+    table["constrained_speed"] = flags([verdict.speed.constrained for verdict in said])
+    table["speed_sigma"] = "pass_id", [verdict.speed.sigma for verdict in said]
+    table["speed_below"] = "pass_id", [verdict.speed.below for verdict in said]
+    table["why_not_decided"] = "pass_id", [verdict.why_not for verdict in said]
     return table
 
 
@@ -427,7 +429,7 @@ def alike_motions(vehicle: Vehicle) -> str:
     count = len(vehicle.response_in().symmetries)
     if count == 1:
         return ""
-    shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]
+    shared = [panel_input.name for panel_input in vehicle.inputs if len(panel_input.panels) > 1]
     which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
     copies = "a mirror solution" if count == 2 else f"{count - 1} symmetric solutions"
     return (

@@ -109,10 +109,10 @@ def decide_wheels(
     `stated`: the nominal model of the whole file, with any momentum of the wheels.
     """
     momenta = wheel_models(assessment.vehicle, assessment.telemetry)
-    for one in passes:
-        longest_s = float(np.diff(stated.obs.t_s[one.kept]).max())
+    for a_pass in passes:
+        longest_s = float(np.diff(stated.obs.t_s[a_pass.kept]).max())
         for momentum in momenta.values():
-            require_followed(stated.body.inertia, momentum[one.kept], longest_s)
+            require_followed(stated.body.inertia, momentum[a_pass.kept], longest_s)
     first, *others = momenta
     if not others:
         return DecidedWheels(first, first, momenta[first], {})
@@ -144,7 +144,10 @@ def decide_wheels(
     fitted = fitter.fits_if_any([models[job] for job in jobs], [begin[k] for _, k in jobs])
     fits |= dict(zip(jobs, fitted, strict=True))
 
-    evidence = {job: -np.inf if one is None else log_evidence(one) for job, one in fits.items()}
+    evidence = {
+        job: -np.inf if pass_fits is None else log_evidence(pass_fits)
+        for job, pass_fits in fits.items()
+    }
     if not np.isfinite(list(evidence.values())).any():
         one_pass(models[first, compared[0]], fitter.settings, fitter.budget)  # raises, and says why
     total = {name: sum(evidence[name, k] for k in compared) for name in momenta}
@@ -201,22 +204,22 @@ def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.n
 
 
 def reversed_momenta(
-    vehicle: Vehicle, each: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
+    vehicle: Vehicle, of_each_wheel: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
 ) -> dict[tuple[int, ...], np.ndarray]:
     """Return the wheels' momenta (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
 
     Without wheels so slow that they hardly turn the rate round, or so fast that they wrap. `each` (n_wheel, n, 3): their momenta
     as the file has them; `inertia` (3, 3) in mean moments.
     """
-    if not len(each) or not each.any():
+    if not len(of_each_wheel) or not of_each_wheel.any():
         return {}
     momenta = {}
     for change in wheel_changes(vehicle):
-        of_reversed = each[list(change.reversed_wheels)].sum(axis=0)
+        of_reversed = of_each_wheel[list(change.reversed_wheels)].sum(axis=0)
         rate = float(nutation(inertia, of_reversed).max(initial=0.0))
         wraps = rate * float(np.median(np.diff(t_s))) >= WRAPPED_RAD
         if rate * float(np.ptp(t_s)) > WEAK_RAD and not wraps:
-            momenta[change.reversed_wheels] = each.sum(axis=0) - 2 * of_reversed
+            momenta[change.reversed_wheels] = of_each_wheel.sum(axis=0) - 2 * of_reversed
     return momenta
 
 
@@ -266,7 +269,10 @@ def doubted_signs(
     for (which, momentum), quick in zip(searches.momenta.items(), searches.evidence, strict=True):
         if quick < quick_as_written - FAR:
             continue
-        models = [one.model.with_momentum(momentum[one.samples.kept]) for one in compared]
+        models = [
+            fitted_pass.model.with_momentum(momentum[fitted_pass.samples.kept])
+            for fitted_pass in compared
+        ]
         gain, has_another_motion, new_fits = 0.0, False, []
         for model, as_written in zip(models, compared, strict=True):
             (fitted,) = fitter.fits_if_any([model])
@@ -286,7 +292,7 @@ def doubted_signs(
         fits_well = bool(agree and solved.track.cost[0] <= solved.cost_limit)
         best = solved.obs.t_s, solved.track.omega[0], solved.track.sun_B[0]
         doubted.append(Reversed(which, gain, fits_well, *best))
-    return max(doubted, key=lambda one: one.gain, default=None)
+    return max(doubted, key=lambda reversed_wheels: reversed_wheels.gain, default=None)
 
 
 def log_evidence(fits: PassFits) -> float:
@@ -297,7 +303,7 @@ def log_evidence(fits: PassFits) -> float:
 def _is_another(first: PassFits, second: PassFits) -> bool:
     """Return whether the most probable motion of the second is none that the first allows."""
     best_fits = likeliest(first.fits), likeliest(second.fits)
-    a, b = (one.motions.take(np.array([np.argmax(one.log_evidence)])) for one in best_fits)
+    a, b = (fitted.motions.take(np.array([np.argmax(fitted.log_evidence)])) for fitted in best_fits)
     sigma = np.sqrt(np.einsum("nii->ni", a.covariance[0, :, RATE, RATE]))
     off = np.abs(b.omega[0] - a.omega[0]) / sigma
     return bool(np.median(off.max(axis=1)) > OTHER_SIGMAS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.column_tests import changes_of_sensor
-from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
+from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
 from sunspin.estimate.orbit.invariants import (
     FEWEST,
     Predicted,
@@ -25,7 +25,7 @@ CLEARER = 0.5
 """Other axes are named if their median residual is below this part of that of the stated axes, and of any others."""
 
 
-def better_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> Change | None:
+def better_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> ColumnChange | None:
     """Return the change of a magnetometer's axes with which the angle between field and Sun is as predicted at the first offset.
 
     None if the axes of the file, or those of two changes, fit nearly as well, or if only the sign of all three is wrong, which the
@@ -48,7 +48,7 @@ def better_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> C
     return changes[best] if is_clear else None
 
 
-def axes_matrix(change: Change) -> np.ndarray:
+def axes_matrix(change: ColumnChange) -> np.ndarray:
     """Return the matrix (3, 3) by which a change of axes multiplies the readings of the field."""
     return change.axes["field_B"]
 
@@ -69,7 +69,7 @@ def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarr
     return bool(np.median(difference[known]) > allowed)
 
 
-def axes_words(change: Change, assessment: Assessment) -> str:
+def axes_words(change: ColumnChange, assessment: Assessment) -> str:
     """Return in words a result of :func:`better_axes`, how to correct the vehicle file, and which other changes look the same."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     columns = column_changes(vehicle, telemetry)

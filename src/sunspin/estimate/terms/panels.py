@@ -318,7 +318,7 @@ class Panels(Term):
         if axis is None:
             return images
         mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
-        new = [one for one in mirrored if np.abs(images - one).max(axis=(1, 2)).min() > FLAT]
+        new = [image for image in mirrored if np.abs(images - image).max(axis=(1, 2)).min() > FLAT]
         return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
