@@ -17,7 +17,7 @@ from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
 from sunspin.estimate.orbit.readings import EARTH_RAD, read
 from sunspin.estimate.settings import ORBIT
 from sunspin.telemetry.assess import assess
-from sunspin.vehicle.parts import Orbit
+from sunspin.vehicle.parts import StatedOrbit
 from tests.support.orbit_cases import check_case
 from tests.support.orbits import with_node_turned
 from tests.support.vehicles import units
@@ -127,7 +127,7 @@ def test_elements_of_the_command_line_replace_those_of_the_vehicle_file(case, tm
     assert orbit_of(vehicle, data) is None
     with pytest.raises(ss.InputError, match="an along-track offset needs elements; give --tle"):
         orbit_of(vehicle, data, shift_sigma_s=3.0)
-    stated = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit(given, -3.0, 7.0, 2.0))
+    stated = ss.Vehicle("cube", panels=vehicle.panels, orbit=StatedOrbit(given, -3.0, 7.0, 2.0))
     of_file = orbit_of(stated, data)
     numbers = (of_file.shift_s, of_file.shift_sigma_s, of_file.clock_s, of_file.clock_sigma_s)
     assert numbers == (-3.0, 7.0, 2.0, 1.0)
@@ -136,7 +136,7 @@ def test_elements_of_the_command_line_replace_those_of_the_vehicle_file(case, tm
     other = orbit_of(stated, data, path, 9.0)
     assert other.shift_sigma_s == 9.0
     assert other.elements[0].given[1] == second != of_file.elements[0].given[1]
-    bad = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit((given[1], given[0])))
+    bad = ss.Vehicle("cube", panels=vehicle.panels, orbit=StatedOrbit((given[1], given[0])))
     with pytest.raises(ss.InputError, match=r"\[orbit\] of cube, line 1: line 2 of the elements"):
         orbit_of(bad, data)
 

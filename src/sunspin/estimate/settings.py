@@ -71,7 +71,7 @@ class SearchSettings:
     crowd: int = 3000
     """With more starts than this, they are tried on the pair alone first, and on four samples."""
 
-    tried: tuple[int, int, int] = (20_000, 1500, 120)
+    tried: tuple[int, int, int] = (6_000, 1500, 120)
     """Starts that are kept by the pair alone, by four samples, and by the first window."""
 
     growth: float = 1.33

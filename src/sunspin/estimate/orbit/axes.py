@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.column_tests import changes_of_sensor
-from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
+from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
 from sunspin.estimate.orbit.invariants import (
     FEWEST,
     Predicted,
@@ -23,7 +23,7 @@ to 0.07 rad on simulated spinners whose panels get 10 to 30 % of the Earth's lig
 second as a share of what the stated axes, and any others, leave."""
 
 
-def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> Change | None:
+def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> ColumnChange | None:
     """Return the change of axes with which a magnetometer's angle to the Sun is the predicted one, if with those of the file it is
     not.
 
@@ -48,7 +48,7 @@ def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> C
     return ways[best] if is_clear else None
 
 
-def axes_matrix(way: Change) -> np.ndarray:
+def axes_matrix(way: ColumnChange) -> np.ndarray:
     """Return the matrix (3, 3) that turns readings of the field into those after a change of axes."""
     return way.axes["field_B"]
 
@@ -68,7 +68,7 @@ def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarr
     return bool(np.median(off[known]) > allowed)
 
 
-def axes_words(way: Change, assessment: Assessment) -> str:
+def axes_words(way: ColumnChange, assessment: Assessment) -> str:
     """Return what :func:`turned_axes` means, what to write into the vehicle file, and what else looks the same."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     columns = column_changes(vehicle, telemetry)

@@ -16,7 +16,7 @@ from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimate.settings import ORBIT, OrbitSettings
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.parts import Orbit as Stated
+from sunspin.vehicle.parts import StatedOrbit
 
 
 def elements_of(
@@ -52,7 +52,7 @@ def orbit_of(
     sources = elements_of(vehicle, elements, shift_sigma_s)
     if sources is None:
         return None
-    stated = vehicle.orbit or Stated()
+    stated = vehicle.orbit or StatedOrbit()
     return in_orbit(
         sources,
         str(telemetry.attrs["epoch_utc"]),

@@ -214,7 +214,7 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Table:
+class Histograms:
     """The histograms `hist` (n, BINS), in s, and outcomes (n) of the motions of a grid; 1 kB a motion."""
 
     rows: ScanRows
@@ -245,7 +245,7 @@ def make_table(
     mask: str | None = "reconstructible",
     workers: int | None = None,
     progress: bool = False,
-) -> Table:
+) -> Histograms:
     """Run every motion of a grid once and return the histograms of r_z.
 
     Parameters
@@ -263,4 +263,4 @@ def make_table(
     start = Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s)
     rows = ScanRows(vehicle, start, float(duration_s), "hist", mask=mask)
     out = ensemble(rows, workers=workers, progress=progress, label="scan")
-    return Table(rows, out["hist"], out["outcome"])
+    return Histograms(rows, out["hist"], out["outcome"])

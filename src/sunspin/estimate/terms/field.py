@@ -284,19 +284,21 @@ class KnownField(Term):
     noise_T: float
 
     @classmethod
-    def of(cls, fields: FieldChange, here: Surroundings, one: CalibratedMagnetometer) -> Self:
+    def of(
+        cls, fields: FieldChange, here: Surroundings, calibration: CalibratedMagnetometer
+    ) -> Self:
         """Return readings calibrated along an orbit; noise and the zero's error are then those of the calibration."""
         field_N, along_N = here.field_N, here.field_along_N
         assert field_N is not None and along_N is not None
         read = fields.field_B
         return cls(
             t_s=fields.t_s,
-            read_B=one.field(read),
-            sigma_T=one.sigma_T(read, field_N, along_N),
+            read_B=calibration.field(read),
+            sigma_T=calibration.sigma_T(read, field_N, along_N),
             field_N=field_N,
-            own_B=one.columns(read),
-            along_N=one.along(along_N),
-            noise_T=one.noise_T,
+            own_B=calibration.columns(read),
+            along_N=calibration.along(along_N),
+            noise_T=calibration.noise_T,
         )
 
     def present(self) -> np.ndarray:
