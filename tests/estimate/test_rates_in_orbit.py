@@ -16,7 +16,7 @@ from sunspin.estimate.field_led import leading_field
 from sunspin.estimate.model import Body, Model, Noise, Track
 from sunspin.estimate.observe import FIELD_ALONE, observe, split_passes, thinned
 from sunspin.estimate.one_pass import drop_faster
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.rates import along_the_sun, rates
 from sunspin.estimate.settings import FIELD_TURN, RATES
 from sunspin.estimate.terms.field import FieldChange, KnownField
@@ -39,7 +39,7 @@ def case():
     """Return vehicle, telemetry, orbit, calibration, truth and begin of a pass of a CubeSat with a dipole under clouds."""
     vehicle, data, elements, truth, about = rates_case(1, 3, patches=1000)
     orbit = replace(orbit_of(elements, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
-    calibration = along_orbit(orbit, assess(vehicle, data))
+    calibration = calibrate_magnetometer(orbit, assess(vehicle, data))
     return vehicle, data, orbit, calibration, truth, about["begin_s"][0]
 
 

@@ -42,7 +42,7 @@ from sunspin.estimate.observe import (
     with_unused_samples,
 )
 from sunspin.estimate.one_pass import PassFitter
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.rates_dataset import (
     latency_attributes,
@@ -181,7 +181,7 @@ def rates(
     # What the file shows: all samples, why each is used or not, and the passes that they form.
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
-    calibration = along_orbit(local, assessment) if calibration is None else calibration
+    calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
     readings = observe(assessment, source, local, calibration, acting(torques, local))
     every_pass = split_passes(readings, gap_s, settings.passes)
     passes = passes_asked_for(every_pass, pass_id)

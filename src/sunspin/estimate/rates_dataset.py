@@ -240,7 +240,7 @@ def with_space_axes(
         orbit_name=printable(orbit.elements[0].name),
         orbit_shift_s=orbit.shift_s,
         orbit_drift_s_day=orbit.drift_s_day,
-        orbit_shift_sigma_s=float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
+        orbit_shift_sigma_s=orbit.offset_sigma_s,
     )
     if not any(isinstance(term, KnownField) for term in readings.obs.terms):
         return result

@@ -21,12 +21,12 @@ from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan import error_growth
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.near_minimum import near_minimum
 from sunspin.estimate.scan.volume import Histograms, make_table, scan
 from sunspin.output.figures import COLOURS, empty_figure, titled
+from sunspin.philae import error_growth
 from sunspin.philae.rebound import (
     LINE_RANGE,
     Options,

@@ -37,7 +37,6 @@ from sunspin.dynamics.batch import Outcome
 from sunspin.estimate.scan.histogram import distances_to_target, target_segments
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.volume import Histograms
-from sunspin.estimate.spin import fit_spin
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.descent import find_first_clean_sample
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
@@ -70,6 +69,7 @@ from sunspin.philae.simulation import (
     simulate_ground_phases,
     simulate_second_rebound,
 )
+from sunspin.philae.spin import fit_spin
 from sunspin.philae.sun_directions import share_in_shadowed_range
 from sunspin.telemetry.health import panel_health
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
