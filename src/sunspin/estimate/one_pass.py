@@ -28,7 +28,13 @@ from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import RatesSettings, SearchSettings
-from sunspin.estimate.starts import aliases, other_bodies, pair_starts, pairs_to_try
+from sunspin.estimate.starts import (
+    aliases,
+    aliases_about_two_axes,
+    other_bodies,
+    pair_starts,
+    pairs_to_try,
+)
 from sunspin.estimate.swings import swings_by_all_ways
 
 
@@ -87,11 +93,11 @@ def one_pass(
     # motion, as under the strongest torques nearly everything fits.
     if len(stated.body.errors) and likeliest_cost(fits) > limit:
         fits = min(fits, under_strong(), key=likeliest_cost)
-    # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
-    taken_for_sphere = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
+    # Torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
     strained = any(map(len, fits)) and likeliest(fits).model.noise.acceleration >= s.ladder.strained
-    if taken_for_sphere and strained:
+    if strained and len(stated.body.errors) and stated.obs.only_sun:
         fits = united(fits + under_strong(), s.ladder, s.search)
+    taken_for_sphere = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
     # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
     beyond = s.alternatives.beyond if taken_for_sphere else 1.0
     # the nominal model with a larger limit, only for search and aliases
@@ -108,8 +114,13 @@ def one_pass(
 
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
     # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
-    for related in (other_bodies, partial(aliases, s=s.alternatives)):
-        others = related(leading(fits, s.alternatives.relatives_of, s.search), reach)
+    far = replace(stated, rate_sigma=s.alternatives.beyond * stated.rate_sigma)
+    for related, model in (
+        (other_bodies, reach),
+        (partial(aliases, s=s.alternatives), reach),
+        (partial(aliases_about_two_axes, s=s.alternatives), far),
+    ):
+        others = related(leading(fits, s.alternatives.relatives_of, s.search), model)
         budget.spend(len(others) * len(stated.obs))
         fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
         fits = united(fits, s.ladder, s.search)

@@ -195,6 +195,15 @@ class AlternativeSettings:
     relatives_of: int = 3
     """Motions, the likeliest, of which whole turns more and less are tried."""
 
+    most_of_two: int = 8
+    """Motions with whole revolutions about two axes that are tried, at most."""
+
+    momentum_off_rad: float = 0.35
+    """They are tried if the angular momentum of the new rates is nearer than this to its place in space."""
+
+    least_cosine: float = 0.2
+    """The inertia of a body changes with its spin only if the angular momentum has so large a part along the spin axis."""
+
     beyond: float = 2.0
     """Times the largest rate up to which a fast body without an inertia is searched if nobody stated that rate, and up to 1 rad/s.
     The prior of the rate stays as it is, so that a faster motion must fit better. With an inertia such a search takes as long as
@@ -734,6 +743,15 @@ class PosteriorSettings:
 
     others_draws: float = 0.5
     """Part of the draws for each model but the likeliest one."""
+
+    most_of_two: int = 8
+    """Motions with whole revolutions about two axes that are tried, at most."""
+
+    momentum_off_rad: float = 0.35
+    """They are tried if the angular momentum of the new rates is nearer than this to its place in space."""
+
+    least_cosine: float = 0.2
+    """The inertia of a body changes with its spin only if the angular momentum has so large a part along the spin axis."""
 
     beyond: float = 2.0
     """Times the cost that a true motion does not exceed: beyond it nothing fits, and draws only say by how much."""
