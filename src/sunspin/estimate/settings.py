@@ -71,7 +71,7 @@ class SearchSettings:
     crowd: int = 3000
     """With more starts than this, they are tried on the pair alone first, and on four samples."""
 
-    tried: tuple[int, int, int] = (20_000, 1500, 120)
+    tried: tuple[int, int, int] = (6_000, 1500, 120)
     """Starts that are kept by the pair alone, by four samples, and by the first window."""
 
     growth: float = 1.33
@@ -196,13 +196,17 @@ class AlternativeSettings:
     """Motions, the likeliest, of which whole turns more and less are tried."""
 
     most_of_two: int = 8
-    """Motions with whole revolutions about two axes that are tried, at most."""
+    """Motions with whole revolutions about two axes that are tried, at most: the likeliest bodies first."""
+
+    most_whole: int = 6
+    """Whole revolutions more or fewer about each of these axes, at most."""
 
     momentum_off_rad: float = 0.35
-    """They are tried if the angular momentum of the new rates is nearer than this to its place in space."""
+    """They are tried if the angular momentum of the new rates is nearer than this to its place in space. It is 0.1 in a pass that
+    was decided as an alias without them."""
 
     least_cosine: float = 0.2
-    """The inertia of a body changes with its spin only if the angular momentum has so large a part along the spin axis."""
+    """The spin of a body changes its unknown inertia only if the cosine between angular momentum and spin axis is larger."""
 
     beyond: float = 2.0
     """Times the largest rate up to which a fast body without an inertia is searched if nobody stated that rate, and up to 1 rad/s.
@@ -523,9 +527,9 @@ TORQUE_TURNS_DEG = (1.0, 300.0, 6)
 """Least and largest turn of the body over the samples by an unknown constant torque, and how many sizes, equally likely, stand for
 all: it is not known to a power of ten."""
 
-SPOILT, SPOILT_DARK, SPOILT_LARGEST = 0.02, 0.5, 1.5
-"""Probability that a reading has nothing to do with the Sun, that such a reading is dark, and up to how many times the largest
-reading it may be anything."""
+OUTLIER, OUTLIER_DARK, OUTLIER_LARGEST = 0.02, 0.5, 1.5
+"""Probability that a reading of a lander's panels is an outlier, one that has nothing to do with the Sun; that an outlier is dark;
+and the upper limit of a lit outlier, over the largest reading, below which all values are equally likely."""
 
 
 @dataclass(frozen=True)
@@ -743,15 +747,6 @@ class PosteriorSettings:
 
     others_draws: float = 0.5
     """Part of the draws for each model but the likeliest one."""
-
-    most_of_two: int = 8
-    """Motions with whole revolutions about two axes that are tried, at most."""
-
-    momentum_off_rad: float = 0.35
-    """They are tried if the angular momentum of the new rates is nearer than this to its place in space."""
-
-    least_cosine: float = 0.2
-    """The inertia of a body changes with its spin only if the angular momentum has so large a part along the spin axis."""
 
     beyond: float = 2.0
     """Times the cost that a true motion does not exceed: beyond it nothing fits, and draws only say by how much."""
