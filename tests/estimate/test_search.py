@@ -14,6 +14,7 @@ from sunspin.estimate.search import grown, search
 from sunspin.estimate.settings import AlternativeSettings, SearchSettings
 from sunspin.estimate.starts import (
     aliases,
+    aliases_about_two_axes,
     constant_rates,
     other_bodies,
     pair_starts,
@@ -173,6 +174,53 @@ def test_a_nutating_body_without_an_inertia_has_aliases_with_the_same_attitudes_
         assert np.abs(again.attitude - truth.attitude).max() < 0.01
         assert np.abs(again.omega - alone.omega).max() < 1e-3
         assert np.abs(alone.u - u).max() > 0.2
+
+
+def precessing(model, long, cosine, turn):
+    """Return a body with two like moments, `long` times the third, and its motion with a revolution in 2 pi / `turn` s about L.
+
+    `cosine`: of the angle between L and the third axis, z.
+    """
+    moments = np.array([long, long, 1.0])
+    body = Body(np.diag(moments / moments.mean()), np.zeros((0, 3, 3)))
+    known = replace(model, body=body)
+    along = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
+    omega = turn * long * along / moments
+    return known, propagate(known, 0, np.eye(3)[None], omega[None])
+
+
+def test_a_precessing_body_has_an_alias_that_precesses_and_spins_a_revolution_more():
+    """The spin relative to the precession is (long - 1) cosine: one here, so that one revolution more of both is a motion too."""
+    model, _ = watched(4.0, max_deg_s=60.0)
+    known, truth = precessing(model, 4.0, 1 / 3, np.radians(5.0))
+    others = aliases_about_two_axes(truth, known, AlternativeSettings())
+    again = propagate(known, 0, others.attitude[:, 0], others.omega[:, 0])
+    same = np.abs(again.attitude - truth.attitude).max(axis=(1, 2, 3)) < 0.05
+    more = np.linalg.norm(others.omega - truth.omega, axis=2).min(axis=1) * 20.0 > 3
+    assert (same & more).any()
+    # a body whose spin does not fit has none of these, and uneven samples exclude all
+    known, truth = precessing(model, 2.3, 1 / 3, np.radians(5.0))
+    near = replace(AlternativeSettings(), momentum_off_rad=0.02)
+    assert not len(aliases_about_two_axes(truth, known, near))
+    uneven = replace(known.obs, t_s=known.obs.t_s * (1 + 0.01 * np.arange(20)))
+    assert not len(aliases_about_two_axes(truth, replace(known, obs=uneven), near))
+
+
+def test_revolutions_about_two_axes_give_another_body_if_no_inertia_is_known():
+    model, _ = watched(4.0, max_deg_s=40.0)
+    errors = np.array([(np.outer(i, j) + np.outer(j, i)) for i, j in ELEMENTS]) * 0.1
+    unknown = replace(model, body=Body(np.eye(3), errors, sphere=True))
+    known, truth = precessing(model, 1.3, 0.8, np.radians(8.0))
+    off = (known.body.inertia - np.eye(3)).ravel()
+    u = np.linalg.lstsq(errors.reshape(-1, 9).T, off, rcond=None)[0][None]
+    begin = Track(truth.attitude, truth.omega, u)
+    others = aliases_about_two_axes(begin, unknown, AlternativeSettings())
+    assert len(others) >= 3
+    for k in range(len(others)):
+        body = Body(unknown.body.inertia_at(others.u[[k]])[0], np.zeros((0, 3, 3)))
+        alone = others.take([k])
+        again = propagate(replace(model, body=body), 0, alone.attitude[:, 0], alone.omega[:, 0])
+        assert np.abs(again.attitude - truth.attitude).max() < 0.05
 
 
 def test_a_body_without_an_inertia_is_tried_in_six_shapes():
