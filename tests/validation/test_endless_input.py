@@ -72,8 +72,3 @@ def test_telemetry_can_be_piped_in(home, monkeypatch):
     for endless, words in ((20 * content, "is smaller than 0.01 MB"), (b"", "empty")):
         told = sunspin("check", "vehicle.toml", "-", piped=endless)
         assert judge(told).what == "refused" and words in told.err, told
-
-
-def test_the_command_posterior_refuses_a_prior_with_too_many_starts(home, soon):
-    told = sunspin("posterior", "philae", "--prior", "max_rate_rad_s=1e20")
-    assert judge(told).what == "refused" and "starts" in told.err and "hour" in told.err
