@@ -11,11 +11,11 @@ from sunspin.estimate.chain import (
     LEAST_TURN,
     Whitening,
     bent_step,
-    carried,
     defects,
     equations,
     fit,
-    shot,
+    fit_single_shooting,
+    propagate,
     variance_of,
 )
 from sunspin.estimate.evidence import ladder, over_shares
@@ -97,8 +97,8 @@ def test_evidence_does_not_hang_on_rounding():
 def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
     model, truth = problem(noise=1e-7, gyro=False, torque=False)
     model = model.for_search(Noise(1e-7))[0]
-    begin = carried(model, 2, truth.attitude[:, 2], truth.omega[:, 2] + 2e-3)
-    by_shooting = shot(model, 2, begin, 20)
+    begin = propagate(model, 2, truth.attitude[:, 2], truth.omega[:, 2] + 2e-3)
+    by_shooting = fit_single_shooting(model, 2, begin, 20)
     by_chain = fit(model, by_shooting, 20).motions
     assert np.abs(by_chain.omega - by_shooting.omega).max() < 1e-5
     # the prior of the rate stands at the first sample in a chain, and at the sample that is shot
@@ -127,7 +127,7 @@ def test_a_step_along_the_equations_leaves_them_by_what_linear_theory_says():
     omega, vehicle = np.array([-0.06, 0.05, 0.1]), replace(CUBE, inertia_kg_m2=None, facts={})
     data, _ = tumbling_pass(CUBE, 12, 33.0, seed=3, omega_B=omega, spread=0.02)
     model = stated_model(vehicle, data, WEAK, 0.14)
-    motion = carried(model, 6, facing(np.array([[0.6, 0.0, 0.8]])), omega[None])
+    motion = propagate(model, 6, facing(np.array([[0.6, 0.0, 0.8]])), omega[None])
     motion = replace(motion, u=np.zeros((1, len(model.unknowns))))
     rng = np.random.default_rng(5)
     nodes = 0.05 * rng.normal(size=(1, len(model.obs), 6))

@@ -12,7 +12,7 @@ from sunspin.estimate import wheels
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import fit
-from sunspin.estimate.evidence import PassFits, ladder, leading, over_shares, share_noise
+from sunspin.estimate.evidence import PassFits, best_motions, ladder, over_shares, share_noise
 from sunspin.estimate.observe import Pass
 from sunspin.estimate.one_pass import PassFitter, one_pass
 from sunspin.estimate.quick import MOTIONS, quick_evidence
@@ -137,7 +137,7 @@ def stated():
 
 def test_motions_that_are_known_have_the_evidence_of_a_search():
     model = stated()
-    known = leading(one_pass(model, RATES, Budget.of(1.0)).fits, MOTIONS, RATES.search)
+    known = best_motions(one_pass(model, RATES, Budget.of(1.0)).fits, MOTIONS, RATES.search)
     searched = quick_evidence(model, RATES, Budget.of(1.0))
     spared = Budget.of(1.0)
     assert abs(quick_evidence(model, RATES, spared, known) - searched) < 0.05
@@ -147,7 +147,7 @@ def test_motions_that_are_known_have_the_evidence_of_a_search():
 def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():
     model, every = stated(), np.arange(20)
     seen = assess(CUBE, xr.Dataset(coords={"time": model.obs.t_s}))
-    only = Pass(every, every)
+    only = Pass(every, every, 0)
     fitter = PassFitter(RATES, Budget.of(1.0), lambda _, models, *__: list(models))
     searches = wheels.search_reversed(seen, "none", model, only, fitter)
     assert not searches.momenta and not searches.evidence

@@ -7,7 +7,7 @@ import pytest
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.budget import USUAL, Budget
-from sunspin.estimate.chain import Chain, carried
+from sunspin.estimate.chain import Chain, propagate
 from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.search import search
@@ -42,7 +42,7 @@ def watched(deg_s, apart_s=20.0, count=20, sigma=0.03, max_deg_s=8.0, seed=0):
     attitude *= np.sign(np.linalg.det(attitude))
     still = Observations(t_s, np.zeros((count, 3)), ())
     model = Model(still, body, Noise(1e-4), np.radians(max_deg_s) / 2)
-    truth = carried(model, 0, attitude[None], omega[None])
+    truth = propagate(model, 0, attitude[None], omega[None])
     sun = units(truth.sun_B[0] + sigma * rng.normal(size=(count, 3)))
     term = SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (count, 1, 1)))
     return replace(model, obs=replace(still, terms=(term,))), truth
@@ -128,7 +128,7 @@ def test_a_nutating_body_without_an_inertia_has_aliases_with_the_same_attitudes_
 
     def free(u, attitude, omega):
         body = Body(unknown.body.inertia_at(u)[0], np.zeros((0, 3, 3)))
-        return carried(replace(model, body=body), 0, attitude, omega)
+        return propagate(replace(model, body=body), 0, attitude, omega)
 
     truth = free(u, np.eye(3)[None], np.radians([[6.0, -4.0, 7.0]]))
     others = aliases(Track(truth.attitude, truth.omega, u), unknown, AlternativeSettings())

@@ -6,7 +6,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.compute.identity import to_json
-from sunspin.estimate.scan import error_growth as gr
+from sunspin.philae import error_growth as gr
 from sunspin.philae import metrics
 from sunspin.philae.rebound import Options
 from sunspin.vehicle import Friction, Panel, Vehicle, Wheel

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.lander.window import observe_window
-from sunspin.estimate.observe import ALONE, observe, split
+from sunspin.estimate.observe import ALONE, observe, split_passes
 from sunspin.estimate.scan.directions import directions_within
 from sunspin.estimate.settings import RATES
 from sunspin.output.check.repeats import describe_repeats
@@ -110,7 +110,7 @@ def test_held_gyro_readings_are_not_used_as_samples():
 def test_a_frozen_time_range_splits_the_pass():
     t, value = tumbling(80)
     value[30:50] = value[29]
-    first, second = split(observe(looked_at(t, value)), None, RATES.passes)
+    first, second = split_passes(observe(looked_at(t, value)), None, RATES.passes)
     assert first.samples[-1] == 29 and second.samples[0] == 50
 
 

@@ -23,7 +23,7 @@ from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     CLEARLY,
-    Change,
+    ColumnChange,
     Observed,
     alike,
     column_changes,
@@ -81,7 +81,7 @@ MOST_NAMED = 6
 class Named(NamedTuple):
     """A change that fits, with the rate (3) in rad/s that it gives, if that is known."""
 
-    change: Change
+    change: ColumnChange
     omega: np.ndarray | None = None
 
 
@@ -109,7 +109,9 @@ class Better:
             signs = change.reversed_wheels and not change.columns
             check = "CHECK THE SIGNS" if signs else "CHECK THE COLUMNS"
             return f"{better} {change.what} {gain}: {check}{do}"
-        shown = [f"({chr(97 + k)}) {_line(one)}" for k, one in enumerate(self.named[:MOST_NAMED])]
+        shown = [
+            f"({chr(97 + k)}) {_line(named)}" for k, named in enumerate(self.named[:MOST_NAMED])
+        ]
         more = len(self.named) - len(shown)
         others = f"; and {more} other changes" if more else ""
         at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
@@ -119,13 +121,13 @@ class Better:
         )
 
 
-def _line(one: Named) -> str:
+def _line(named: Named) -> str:
     """Return a change of several in words, with its rate."""
-    do = f" ({one.change.do})" if one.change.axes or one.change.reversed_wheels else ""
-    if one.omega is None:
-        return f"{one.change.what}{do}"
-    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(one.omega))
-    return f"{one.change.what}{do}: omega ({rate}) deg/s"
+    do = f" ({named.change.do})" if named.change.axes or named.change.reversed_wheels else ""
+    if named.omega is None:
+        return f"{named.change.what}{do}"
+    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(named.omega))
+    return f"{named.change.what}{do}: omega ({rate}) deg/s"
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ class CostsOfSamples:
     """
 
     as_written: float
-    changes: list[Change]
+    changes: list[ColumnChange]
     of_changes: np.ndarray
 
     @classmethod
@@ -255,7 +257,7 @@ def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> 
 def _best_of(
     observed: Observed,
     telemetry: xr.Dataset,
-    candidates: Sequence[tuple[Change, float]],
+    candidates: Sequence[tuple[ColumnChange, float]],
     as_written: tuple[float, float],
     trials: Trials,
 ) -> Better | None:
@@ -305,16 +307,19 @@ def better_rivals(
         if not is_allowed:
             continue
         if len(moved) == 2 and not observed.lit[moved].any():
-            differ = max((np.diff(one[:, moved], axis=1) ** 2).sum() / 2 for one in (light, read))
+            differ = max(
+                (np.diff(of_samples[:, moved], axis=1) ** 2).sum() / 2
+                for of_samples in (light, read)
+            )
             if differ > CLEARLY:
                 dark.append(change)
-        elif not any(len(equivalence(observed, one, change)) for one in known):
+        elif not any(len(equivalence(observed, tested, change)) for tested in known):
             rivals.append(change)
     # a panel without a signal is left out: evidences are compared only if as many panels, of the same gains, are
     silent = gains_of_silent(vehicle, telemetry, AS_WRITTEN) if dark or rivals else []
     dark, rivals = (
-        [one for one in some if gains_of_silent(vehicle, telemetry, one) == silent]
-        for some in (dark, rivals)
+        [change for change in group if gains_of_silent(vehicle, telemetry, change) == silent]
+        for group in (dark, rivals)
     )
     if not (dark or rivals):
         return None
@@ -323,13 +328,17 @@ def better_rivals(
         return None
     # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
     found = [
-        _best_of_classes(observed, telemetry, some, others, trials, evidence_as_written)
-        for some, others in ((dark, []), (rivals, changes))
+        _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
+        for classes, others in ((dark, []), (rivals, changes))
     ]
-    return max((one for one in found if one is not None), key=lambda one: one.gain, default=None)
+    return max(
+        (better for better in found if better is not None),
+        key=lambda better: better.gain,
+        default=None,
+    )
 
 
-def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: Change) -> list[float]:
+def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange) -> list[float]:
     """Return the gains, in order, of the inputs that are left out under a change, as their panels never show a signal."""
     return sorted(
         vehicle.input_gains[silent_inputs(assess(*change.applied(vehicle, telemetry)))].tolist()
@@ -345,8 +354,8 @@ def silent_inputs(assessment: Assessment) -> np.ndarray:
 def _best_of_classes(
     observed: Observed,
     telemetry: xr.Dataset,
-    classes: Sequence[Change],
-    others: Sequence[Change],
+    classes: Sequence[ColumnChange],
+    others: Sequence[ColumnChange],
     trials: Trials,
     evidence_as_written: float,
 ) -> Better | None:
@@ -377,13 +386,16 @@ def _best_of_classes(
 
 
 def with_equivalents(
-    observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]
+    observed: Observed, change: ColumnChange, result: xr.Dataset, others: Sequence[ColumnChange]
 ) -> list[Named]:
     """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
     omega, _ = rate_in_the_middle(result)
     along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
-    same = alike(along, change, [one for one in others if one.what != change.what])
-    return [Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same)]
+    same = alike(along, change, [other for other in others if other.what != change.what])
+    return [
+        Named(change, omega),
+        *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
+    ]
 
 
 def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
@@ -393,7 +405,9 @@ def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
     return result["omega_B"].values[at], float(t[at])
 
 
-def sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Change]) -> np.ndarray:
+def sample_costs(
+    vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[ColumnChange]
+) -> np.ndarray:
     """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
 
     The square of a sample is the least |read - brightness light|^2 over directions, in which panels get `light`, and over a
@@ -455,7 +469,7 @@ def to_write(table: str, keys: Mapping[str, Any]) -> str:
     return f"set {lines} under [{table}] of the vehicle file"
 
 
-def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
+def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:
     """Return the 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
     table = TABLES[name]
     part = vehicle.sensors.with_columns[table]
@@ -468,7 +482,7 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
             for what, order, sign in signed_axes()
         ]
     return [
-        Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
+        ColumnChange(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
         for what, matrix, keys in ways
     ]
 
@@ -501,7 +515,9 @@ def _other_axes(
     vehicle = observed.vehicle
     changes = changes_of_sensor(vehicle, name)  # the first is what the file states
     read = telemetry[name].sel(time=estimate["time"].values).values
-    costs = np.array([_cost(estimate, read @ one.axes[name].T, name, vehicle) for one in changes])
+    costs = np.array(
+        [_cost(estimate, read @ change.axes[name].T, name, vehicle) for change in changes]
+    )
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:

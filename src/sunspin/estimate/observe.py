@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -24,11 +24,11 @@ from sunspin.estimate.terms.field import (
     KnownField,
     reads_directions,
 )
-from sunspin.estimate.terms.inertial import AttitudeChange, Gyro
+from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.terms.term import Term
-from sunspin.estimate.terms.torques import GravityGradient, MagneticTorque, StatedDipole
+from sunspin.estimate.terms.torques import GravityTorque, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
 from sunspin.vehicle import Vehicle
@@ -76,10 +76,14 @@ class FileReadings:
 
 @dataclass(frozen=True)
 class Pass:
-    """A stretch of samples without a long gap: indices of all its samples (n), and of those that the search keeps."""
+    """A stretch of samples without a long gap.
+
+    `samples` (n): their indices in the file; `kept`: of those that the search uses; `number` of the pass, counted from zero.
+    """
 
     samples: np.ndarray
     kept: np.ndarray
+    number: int
 
     @property
     def kept_in_pass(self) -> np.ndarray:
@@ -130,7 +134,7 @@ def observe(
     why[find_late_frames(telemetry)] = LATE
 
     compared = None if isinstance(sun, FieldDirection) else known or fields
-    rates = Gyro.read(vehicle, sensors), RateSize.read(vehicle, sensors)
+    rates = GyroRates.read(vehicle, sensors), RateMagnitudes.read(vehicle, sensors)
     read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
     others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
@@ -161,7 +165,7 @@ def _torques(
         inertia = vehicle.require_inertia()
         strength = np.full(len(t_s), torques.gradient_strength())
         inertia = inertia / (np.trace(inertia) / 3)
-        terms.append(GravityGradient(here.nadir_N, strength, inertia))
+        terms.append(GravityTorque(here.nadir_N, strength, inertia))
     return terms
 
 
@@ -191,26 +195,26 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
     return wanted
 
 
-def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
+def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
     """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
-    use = seen.usable
+    use = readings.usable
     if len(use) < 3:
         raise InputError(
             "fewer than three samples say where the Sun is",
-            got=f"{len(use)} of {len(seen.why)}",
-            do=_why_unused(seen),
+            got=f"{len(use)} of {len(readings.why)}",
+            do=_why_unused(readings),
         )
-    t_s = seen.obs.t_s
+    t_s = readings.obs.t_s
     usual = float(np.median(np.diff(t_s[use])))
     gap = s.gap_intervals * usual if gap_s is None else gap_s
     ends = np.flatnonzero(np.diff(t_s[use]) > gap)
-    compared = [term for term in seen.obs.terms if isinstance(term, FieldChange)]
+    compared = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
     fields = [term for term in compared if term.present().any()]
     if fields and gap_s is None:
         read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
         ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
     # a field of unknown direction turns unevenly over a long pass; in a known one the search must not be left with too few samples
-    known = any(isinstance(term, KnownField) for term in seen.obs.terms)
+    known = any(isinstance(term, KnownField) for term in readings.obs.terms)
     many = known and s.longest_s > s.many * usual
     longest = s.longest_field_s if fields or many else s.longest_s
     passes = []
@@ -220,8 +224,9 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
         edges = t_s[part[0]] + np.arange(1, pieces) * duration / pieces
         for piece in np.split(part, np.searchsorted(t_s[part], edges)):
             if len(piece) >= 3:
-                dense_from = _dense_from(seen.obs.sees_sun[piece], s)
-                passes.append(Pass(piece, piece[thinned(len(piece), s, dense_from)]))
+                dense_from = _dense_from(readings.obs.sees_sun[piece], s)
+                kept = piece[thinned(len(piece), s, dense_from)]
+                passes.append(Pass(piece, kept, len(passes)))
     if not passes:
         raise InputError(
             "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
@@ -229,25 +234,29 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
     return passes
 
 
-def asked(passes: Sequence[Pass], pass_id: int | None) -> list[int]:
-    """Return which passes are estimated."""
+def passes_asked_for(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
+    """Return the passes that are estimated: the one with this number, or all. Raises InputError if there is none."""
     if pass_id is None:
-        return list(range(len(passes)))
+        return list(passes)
     whole = isinstance(pass_id, int | np.integer) and not isinstance(pass_id, bool)
     if not whole or not 0 <= pass_id < len(passes):
         raise InputError(
             "there is no such pass", got=pass_id, do=f"the file has passes 0 to {len(passes) - 1}"
         )
-    return [int(pass_id)]
+    return [passes[pass_id]]
 
 
-def why_not_used(seen: FileReadings, passes: Sequence[Pass], chosen: Sequence[int]) -> np.ndarray:
-    """Return what became of each sample (n), in words, if only some passes are estimated."""
-    why = seen.why.copy()
-    why[np.setdiff1d(seen.usable, np.concatenate([one.samples for one in passes]))] = ALONE
-    for k in set(range(len(passes))) - set(chosen):
-        why[passes[k].samples] = NOT_ASKED
-    return why
+def with_unused_samples(
+    readings: FileReadings, passes: Sequence[Pass], estimated: Sequence[Pass]
+) -> FileReadings:
+    """Return the readings with the reason of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
+    why = readings.why.copy()
+    why[np.setdiff1d(readings.usable, np.concatenate([a_pass.samples for a_pass in passes]))] = (
+        ALONE
+    )
+    for left_out in set(range(len(passes))) - {a_pass.number for a_pass in estimated}:
+        why[passes[left_out].samples] = NOT_ASKED
+    return replace(readings, why=why)
 
 
 def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings):
@@ -304,13 +313,16 @@ def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
     return indices[np.unique(np.minimum(np.round(taken), len(indices) - 1).astype(int))]
 
 
-def _why_unused(seen: FileReadings) -> str:
+def _why_unused(readings: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
-    dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
-    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
-    down = panels[0].sun_up == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    dropped = [
+        text.removeprefix("dropped: ") for text in readings.why if text.startswith("dropped")
+    ]
+    panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
+    down = panels[0].sun_up == 0 if panels else np.zeros(len(readings.why), dtype=bool)
     shadow = sum(
-        dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
+        dark and not text.startswith("dropped")
+        for dark, text in zip(down, readings.why, strict=True)
     )
     if shadow > len(dropped):
         return (
@@ -323,7 +335,7 @@ def _why_unused(seen: FileReadings) -> str:
     return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
-def cut(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
+def take_samples(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
     """Return some samples of a file (indices), whose wheels still coast from the first sample of the whole file."""
     return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})
 
@@ -367,13 +379,17 @@ def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
             w.friction if name is None else w.alternative_frictions.get(name, w.friction)
             for w in vehicle.wheels
         ]
-        if not any(one.coulomb_N_m or one.viscous_N_m_s for one in frictions):
+        if not any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
             continue
         speed = [
             spin_down_speed(
-                one.coulomb_N_m, one.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, after_s
+                friction.coulomb_N_m,
+                friction.viscous_N_m_s,
+                w.inertia_kg_m2,
+                w.speed_rad_s,
+                after_s,
             )
-            for one, w in zip(frictions, vehicle.wheels, strict=True)
+            for friction, w in zip(frictions, vehicle.wheels, strict=True)
         ]
         speeds[COASTING + (f", friction {name!r}" if name else "")] = np.stack(speed, axis=1)
     return speeds

@@ -71,7 +71,7 @@ class SearchSettings:
     crowd: int = 3000
     """With more starts than this, they are tried on the pair alone first, and on four samples."""
 
-    tried: tuple[int, int, int] = (20_000, 1500, 120)
+    tried: tuple[int, int, int] = (6_000, 1500, 120)
     """Starts that are kept by the pair alone, by four samples, and by the first window."""
 
     growth: float = 1.33
@@ -514,9 +514,9 @@ TORQUE_TURNS_DEG = (1.0, 300.0, 6)
 """Least and largest turn of the body over the samples by an unknown constant torque, and how many sizes, equally likely, stand for
 all: it is not known to a power of ten."""
 
-SPOILT, SPOILT_DARK, SPOILT_LARGEST = 0.02, 0.5, 1.5
-"""Probability that a reading has nothing to do with the Sun, that such a reading is dark, and up to how many times the largest
-reading it may be anything."""
+OUTLIER, OUTLIER_DARK, OUTLIER_LARGEST = 0.02, 0.5, 1.5
+"""Probability that a reading of a lander's panels is an outlier, one that has nothing to do with the Sun; that an outlier is dark;
+and the upper limit of a lit outlier, over the largest reading, below which all values are equally likely."""
 
 
 @dataclass(frozen=True)

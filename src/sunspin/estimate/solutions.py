@@ -52,15 +52,15 @@ class Solutions:
     def joined(every: Sequence[Solutions]) -> Solutions:
         """Return the solutions of several, of one pass."""
         parts = {
-            name: np.concatenate([getattr(one, name) for one in every])
+            name: np.concatenate([getattr(of_some, name) for of_some in every])
             for name in ("probability", "mean", "mean_sigma", "noise")
         }
         residual = {
-            name: np.concatenate([one.residual[name] for one in every])
+            name: np.concatenate([of_some.residual[name] for of_some in every])
             for name in every[0].residual
         }
-        estimates = tuple(each for one in every for each in one.estimates)
-        track = Track.joined([one.track for one in every])
+        estimates = tuple(row for of_some in every for row in of_some.estimates)
+        track = Track.joined([of_some.track for of_some in every])
         return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
 
     def take(self, which: np.ndarray) -> Solutions:
@@ -108,7 +108,7 @@ def solutions(
     whole: Observations,
     kept: np.ndarray,
     s: SolutionSettings,
-    of_search: SearchSettings,
+    search_settings: SearchSettings,
 ) -> Solutions:
     """Return the solutions of a pass.
 
@@ -123,14 +123,14 @@ def solutions(
     kept : (n)
         Places of the kept samples among them.
     """
-    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, of_search)
+    groups = _grouped(_members(fits, s), fits.nominal.obs.t_s, s, search_settings)
     shares: dict[str, float] = {AS_STATED: 0.0}
     for member in (member for group in groups for member in group):
         what = member.fit.model.what
         shares[what] = shares.get(what, 0.0) + member.weight
     named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
     every = Solutions.joined([_solution(group, whole, kept) for group in groups])
-    return replace(every, model=(named, shares[named]), cost_limit=fits.stated.obs.cost_limit)
+    return replace(every, model=(named, shares[named]), cost_limit=fits.nominal.obs.cost_limit)
 
 
 def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
@@ -140,14 +140,17 @@ def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
     with every size of it. Whole turns more may fit alike, and which motion is likelier must not hang on what was taken for likely
     before the data.
     """
-    log = [one.log_evidence + fits.log_rung[fits.rung(one)] for one in fits.fits]
-    sized = [part + _any_size(one, s) for part, one in zip(log, fits.fits, strict=True)]
+    log = [fitted.log_evidence + fits.log_rung[fits.rung(fitted)] for fitted in fits.fits]
+    sized = [part + _any_size(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)]
     weights = np.max(
-        [np.exp(one - logsumexp(one)) for one in (np.concatenate(log), np.concatenate(sized))],
+        [
+            np.exp(log_weight - logsumexp(log_weight))
+            for log_weight in (np.concatenate(log), np.concatenate(sized))
+        ],
         axis=0,
     )
     weights = weights / weights.sum()
-    places = [(one, k) for one in fits.fits for k in range(len(one))]
+    places = [(fitted, k) for fitted in fits.fits for k in range(len(fitted))]
     order = np.argsort(-weights, kind="stable")
     order = order[weights[order] > s.counted * weights.max()]
     total = weights[order].sum()
@@ -179,7 +182,7 @@ def _any_size(fitted: Fit, s: SolutionSettings) -> np.ndarray:
 
 
 def _grouped(
-    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, of_search: SearchSettings
+    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, search_settings: SearchSettings
 ) -> list[list[_Member]]:
     """Return the members of each solution, the heaviest first; solutions by their weight."""
     groups: list[tuple[Outline, list[_Member]]] = []
@@ -188,8 +191,8 @@ def _grouped(
         for head, group in groups:
             # two motions that one fit has separated are two, unless their sigmas join them
             met = any(member.fit is other.fit for other in group)
-            apart = of_search.copies_rad if met else s.bent_rad
-            if outline.same(0, head, apart, s.bent_rad, of_search.copies_sigmas)[0]:
+            apart = search_settings.copies_rad if met else s.bent_rad
+            if outline.same(0, head, apart, s.bent_rad, search_settings.copies_sigmas)[0]:
                 group.append(member)
                 break
         else:
@@ -244,7 +247,7 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
     return Solutions(
         obs=whole,
         kept=kept,
-        track=replace(fill.track, u=motion.u[:, model.of_body]),
+        track=replace(fill.track, u=motion.u[:, model.inertia_slice]),
         probability=weight.sum(keepdims=True),
         mean=fill.track.omega.mean(axis=1),
         mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
@@ -268,20 +271,20 @@ def estimates(fitted: Fit, number: int) -> dict[str, tuple[str, float, float]]:
     every = np.eye(len(u))  # row i: the change of unknown i by each of them
     body = model.body
     for i, j in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] if len(body.errors) else ():
-        change = body.errors[:, i, j] @ every[model.of_body]
+        change = body.errors[:, i, j] @ every[model.inertia_slice]
         rows[f"inertia_{'xyz'[i]}{'xyz'[j]}"] = "1", body.inertia[i, j], change
     for k, unknown in enumerate(model.unknowns):
         if unknown.kind in ESTIMATED:
             rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
-    for term, where in zip(model.obs.terms, model.of_terms, strict=True):
+    for term, own in model.terms_with_slices:
         if isinstance(term, Panels) and len(term.gain_errors):
-            errors = every[where][term.of_gains]
+            errors = every[own][term.gain_slice]
             for k, name in enumerate(term.names):
                 rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
         if isinstance(term, Panels) and term.earth is not None:
-            earth, light = term.earth, every[where][term.of_earth]
+            earth, light = term.earth, every[own][term.earth_slice]
             centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
-            change = earth.light_N.mean(axis=0).T @ light[earth.of_light]
+            change = earth.light_N.mean(axis=0).T @ light[earth.light_slice]
             for k, axis in enumerate("xyz"):
                 rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]
     return {

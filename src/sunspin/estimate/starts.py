@@ -17,7 +17,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.carry import nutation
-from sunspin.estimate.chain import carried, costs, shot
+from sunspin.estimate.chain import costs, fit_single_shooting, propagate
 from sunspin.estimate.copies import distinct
 from sunspin.estimate.images import images_of
 from sunspin.estimate.model import SUN_N, Body, Model, Track
@@ -97,11 +97,11 @@ def pair_starts(
             begin = _thinned(around, sample, begin, s)
         if not len(begin.omega):
             continue
-        motions = _best(around, sample, begin, s.tried[2])
+        motions = _best_starts(around, sample, begin, s.tried[2])
         # three fits, each of which trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
-            loose = _loosened(around, sample, share * begin.apart_rad)
-            motions = shot(loose, sample, motions, 4)
+            loose = _loosen_terms(around, sample, share * begin.apart_rad)
+            motions = fit_single_shooting(loose, sample, motions, 4)
             motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[2]))
         yield window, motions
 
@@ -164,17 +164,17 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
             do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
         )
     known = [term.starts(first) for term in model.obs.terms]
-    read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
+    read = np.concatenate([np.zeros((0, 3)), *(sensor.rates for sensor in known)])
     read = read[np.linalg.norm(read, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
     # `rates_of_suns`: rates (m, 3) for each direction to the Sun; `apart`: from a turn to that of the nearest start, rad, at most
     if trust_gyro and len(read) and gyro_decides(model, first):
-        sigma = min(one.rate_sigma for one in known)
+        sigma = min(sensor.rate_sigma for sensor in known)
         rates_of_suns, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
     elif not _constant_rate_holds(model, first):
         # wheels or moments bend the motion: no closed form
         size = grid_step(len(suns), dt, rate_max, s)
-        grid = np.concatenate([_ball(size, rate_max), read])
+        grid = np.concatenate([_rate_grid(size, rate_max), read])
         rates_of_suns, apart = [grid] * len(suns), size * dt
     else:
         ends, rest = allowed_directions(model, first + 1), np.zeros((1, 3))
@@ -275,7 +275,7 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     most = int(2 * rate_max / turn)
     more = turn * np.array([k for k in range(-most, most + 1) if k])
     begin = motions.take(slice(s.relatives_of))
-    inertia = model.body.inertia_at(begin.u[:, model.of_body])
+    inertia = model.body.inertia_at(begin.u[:, model.inertia_slice])
     momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
     momentum += model.obs.momentum
     size = np.linalg.norm(momentum, axis=2, keepdims=True)
@@ -287,7 +287,7 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
         # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
         rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
         rates += more[turns, None, None] * np.eye(3)
-        u[:, model.of_body] = _errors_of_body(model.body, rates, u[:, model.of_body])
+        u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
     return Track(begin.attitude[which], faster[turns, which], u)
 
 
@@ -313,7 +313,7 @@ def other_bodies(motions: Track, model: Model) -> Track:
     best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
     sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
     u = best.u.copy()
-    u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+    u[:, model.inertia_slice] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
     return Track(best.attitude, best.omega, u)
 
 
@@ -322,7 +322,7 @@ def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float
     return max(s.basin_rad / dt, rate_max * (4 * np.pi / 3 * suns / s.most_starts) ** (1 / 3))
 
 
-def _ball(size: float, rate_max: float) -> np.ndarray:
+def _rate_grid(size: float, rate_max: float) -> np.ndarray:
     """Return a grid of rates (m, 3) with this step, up to the largest, rest among them."""
     axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -338,7 +338,7 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
 
 
-def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
+def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
     """Return the model with terms trusted as far as starts at a sample go.
 
     Starts are `apart_rad` apart at the next sample, and the farther a sample is the more unknown torques have changed, and errors
@@ -354,13 +354,13 @@ def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
     return replace(model, obs=replace(obs, terms=terms))
 
 
-def _best(model: Model, sample: int, begin: PairStarts, most: int) -> Track:
+def _best_starts(model: Model, sample: int, begin: PairStarts, most: int) -> Track:
     """Return the starts that fit all samples best, carried by the equations of motion, and the slowest one."""
-    loose = _loosened(model, sample, begin.apart_rad)
+    loose = _loosen_terms(model, sample, begin.apart_rad)
     tracks, every = [], []
     for part in np.array_split(np.arange(len(begin.omega)), 1 + len(begin.omega) // AT_ONCE):
         rates = begin.omega[part]
-        track = carried(model, sample, facing(begin.sun_B[part]), rates)
+        track = propagate(model, sample, facing(begin.sun_B[part]), rates)
         prior = (rates**2).sum(axis=1) / (2 * model.rate_sigma**2)
         cost = costs(loose.obs, track).sum(axis=1) + prior
         keep = np.argsort(cost, kind="stable")[:most]
@@ -378,11 +378,11 @@ def _thinned(model: Model, sample: int, begin: PairStarts, s: SearchSettings) ->
     """Return the better ones of a crowd of starts: by the pair alone, then fitted to four samples."""
     apart = begin.apart_rad
     pair = model.seeing(slice(sample, sample + 2))
-    motions = _best(pair, 0, begin, s.tried[0])
+    motions = _best_starts(pair, 0, begin, s.tried[0])
     window = slice(max(0, sample - 1), min(len(model.obs), sample + 3))
     around, sample = model.seeing(window), sample - window.start
     of_pair = PairStarts(motions.sun_B[:, 0], motions.omega[:, 0], apart)
-    motions = _best(around, sample, of_pair, s.tried[1])
-    motions = shot(_loosened(around, sample, apart), sample, motions, 3)
+    motions = _best_starts(around, sample, of_pair, s.tried[1])
+    motions = fit_single_shooting(_loosen_terms(around, sample, apart), sample, motions, 3)
     motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[1], drop=np.inf))
     return PairStarts(motions.sun_B[:, sample], motions.omega[:, sample], apart)

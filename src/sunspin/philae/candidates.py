@@ -31,7 +31,7 @@ from sunspin.philae.rebound import (
     propagate_back,
     published_candidates,
 )
-from sunspin.philae.threshold import CONFIDENCE, Calibration, get_calibration
+from sunspin.philae.threshold import CONFIDENCE, ThresholdCalibration, get_calibration
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle import Vehicle
 
@@ -177,7 +177,7 @@ class CandidateSets:
     chosen: Candidates
     scan_range: Candidates
     near_minimum: Candidates
-    calibration: Calibration | None
+    calibration: ThresholdCalibration | None
     share: float
     posterior: xr.DataTree | None = None
 

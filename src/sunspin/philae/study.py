@@ -47,7 +47,7 @@ from sunspin.philae.row import (
     settle,
     withhold_verdict,
 )
-from sunspin.philae.steps import REPORTED, Outcome, Steps, T, run_step
+from sunspin.philae.steps import REPORTED, StepOutcome, Steps, T, run_step
 from sunspin.philae.strategies import Strategies
 from sunspin.philae.sun_directions import Phases, ReadingNoise
 from sunspin.philae.timing import Timing
@@ -84,22 +84,22 @@ class Study:
     options: Options
     noise: ReadingNoise
     sun: xr.Dataset
-    phases: Outcome[Phases] = Outcome()
-    descent: Outcome[Descent] = Outcome()
-    check: Outcome[DataCheck] = Outcome()
-    scan: Outcome[TelemetryScan] = Outcome()
-    candidate_sets: Outcome[CandidateSets] = Outcome()
-    touchdown: Outcome[CandidateSets] = Outcome()
-    motions: Outcome[dict[str, xr.Dataset]] = Outcome()
-    collision: Outcome[AfterCollision] = Outcome()
-    speeds: Outcome[xr.Dataset] = Outcome()
-    strategies: Outcome[Strategies] = Outcome()
-    sensitivity: Outcome[Sensitivity] = Outcome()
-    mechanics: Outcome[Mechanics] = Outcome()
-    published_lines: Outcome[PublishedLines] = Outcome()
-    precession: Outcome[Precession] = Outcome()
-    inputs: Outcome[Case] = Outcome()
-    timing: Outcome[Timing] = Outcome()
+    phases: StepOutcome[Phases] = StepOutcome()
+    descent: StepOutcome[Descent] = StepOutcome()
+    check: StepOutcome[DataCheck] = StepOutcome()
+    scan: StepOutcome[TelemetryScan] = StepOutcome()
+    candidate_sets: StepOutcome[CandidateSets] = StepOutcome()
+    touchdown: StepOutcome[CandidateSets] = StepOutcome()
+    motions: StepOutcome[dict[str, xr.Dataset]] = StepOutcome()
+    collision: StepOutcome[AfterCollision] = StepOutcome()
+    speeds: StepOutcome[xr.Dataset] = StepOutcome()
+    strategies: StepOutcome[Strategies] = StepOutcome()
+    sensitivity: StepOutcome[Sensitivity] = StepOutcome()
+    mechanics: StepOutcome[Mechanics] = StepOutcome()
+    published_lines: StepOutcome[PublishedLines] = StepOutcome()
+    precession: StepOutcome[Precession] = StepOutcome()
+    inputs: StepOutcome[Case] = StepOutcome()
+    timing: StepOutcome[Timing] = StepOutcome()
 
     @property
     def synthetic(self) -> bool:
@@ -107,9 +107,9 @@ class Study:
         return bool(self.sun.attrs.get("synthetic"))
 
     @property
-    def outcomes(self) -> list[Outcome[Any]]:
+    def outcomes(self) -> list[StepOutcome[Any]]:
         """Outcomes of all steps in the paper's order."""
-        return [value for value in vars(self).values() if isinstance(value, Outcome)]
+        return [value for value in vars(self).values() if isinstance(value, StepOutcome)]
 
     @property
     def rows(self) -> list[Row]:
@@ -265,9 +265,9 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
         strategies.rows,
     )
 
-    def settled(step: Future[Outcome[T]]) -> Outcome[T]:
+    def settled(step: Future[StepOutcome[T]]) -> StepOutcome[T]:
         """Return the outcome of a step with its rows as they are counted; an empty one if it has not ended."""
-        return settle_rows(study, step.result()) if step.done() else Outcome()
+        return settle_rows(study, step.result()) if step.done() else StepOutcome()
 
     def so_far() -> Study:
         """Return the study with the outcomes of the steps that have ended."""
@@ -311,7 +311,7 @@ def add_timing(study: Study) -> Study:
     return replace(study, timing=settle_rows(study, outcome))
 
 
-def settle_rows(study: Study, outcome: Outcome[T]) -> Outcome[T]:
+def settle_rows(study: Study, outcome: StepOutcome[T]) -> StepOutcome[T]:
     """Return the outcome of a step with its rows as they are counted: with their source, kind and verdict."""
     case = study.case
     # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure or selected

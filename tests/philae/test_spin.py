@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.spin import errors_of_rates, fit_spin, phase, rotated_sun
+from sunspin.philae.spin import errors_of_rates, fit_spin, phase, rotated_sun
 
 CUBIC = np.array([0.01216, 5.161e-8, -3.189e-12, 3.013e-17])  # paper, section 3.1
 SUN = np.array([0.8, 0.0, 0.6])
