@@ -11,7 +11,7 @@ import pytest
 
 from validation.border import CommandResult, judge, sunspin
 
-DEVICES = "/proc/kmsg", "/dev/zero", "/dev/stdin", "/dev/full", "/proc/self/mem"
+DEVICES = "/proc/kmsg", "/dev/zero", "/dev/null", "/dev/stdin", "/dev/full", "/proc/self/mem"
 KERNEL = [path for path in DEVICES if Path(path).exists()]
 
 
@@ -51,6 +51,8 @@ def test_devices_pipes_and_files_of_the_kernel_are_refused(command, home, soon):
     for path in (*KERNEL, "pipe", "link", "pipes"):
         told = sunspin(*command.format(path).split())
         assert judge(told).what == "refused", (path, told)
+        said = "device or a pipe" in told.err or "there is no such" in told.err
+        assert said or path != "pipe", told
 
 
 def test_results_folders_made_of_pipes_are_refused(home, soon):
