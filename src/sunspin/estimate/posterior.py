@@ -351,7 +351,7 @@ def draw_models(
 ) -> Drawn:
     """Return draws of the nominal model, the first of the fits, and of others that promise to count, each from its own stream.
 
-    The likeliest model gets all draws and walkers, the others fewer. `before`: draws of the nominal model that there are already.
+    The likeliest model gets all draws, the others fewer. `before`: draws of the nominal model that there are already.
     """
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
     evidence = np.array([logsumexp(fit.log_evidence) for fit in fits])  # log, by Laplace's method
@@ -373,7 +373,6 @@ def draw_models(
             s,
             draws=int(part * s.draws),
             wanted=part * s.wanted,
-            walkers=int(np.ceil(part * s.walkers)),
         )
         # the part of its sigma with which the prior held each unknown in the fit: its weight is the inverse square of that
         fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
@@ -513,7 +512,6 @@ def _findings(
         accused=accused_panels(names, outliers[awake], panels.lit[awake]),
         tail=mix.draws.tail,
         effective=mix.draws.effective,
-        outside=mix.draws.outside,
         doubts=doubts,
         dark=dark_stretch(t_s[read], awake[read]),
         complete=True,

@@ -27,9 +27,6 @@ NOISE_LIMIT = 3.5
 TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
 """Pareto index k above which, and number of effective draws below which, draws are approximate."""
 
-OUTSIDE_LIMIT = 0.02
-"""Share of walkers that may leave what was proposed."""
-
 UNIQUE = 0.99
 """Probability of the only solution that counts."""
 
@@ -49,7 +46,7 @@ class PosteriorFindings:
 
     Of each solution (r), by falling probability: `probability`, `rate` (r, 3), the longest sigma `length` and the root mean square
     `speed`, rad/s. `interval_s`: between samples; `p`, `noise_sigmas`: of the predictive check; `accused`: sentences on panels;
-    `tail`, `effective`, `outside`: how good the draws are; `doubts`: what the search left out, in words; `dark`: when no panel was
+    `tail`, `effective`: how good the draws are; `doubts`: what the search left out, in words; `dark`: when no panel was
     lit, in words; `complete`: every motion that may fit was followed.
     """
 
@@ -63,7 +60,6 @@ class PosteriorFindings:
     accused: list[str]
     tail: float
     effective: float
-    outside: float
     doubts: list[str]
     dark: str
     complete: bool
@@ -75,14 +71,11 @@ class PosteriorFindings:
 
     @property
     def approximate(self) -> list[str]:
-        """Return why the draws are approximate, in words; nothing if they are good."""
-        why = []
-        if self.tail > TAIL_LIMIT or self.effective < EFFECTIVE_LIMIT:
-            size = f"effective sample size only {self.effective:.0f} (Pareto k {self.tail:.2f})"
-            why.append(f"{size}: errors and probabilities are approximate")
-        if self.outside > OUTSIDE_LIMIT:
-            why.append(f"{self.outside:.1%} of the posterior's volume was not sampled")
-        return why
+        """Return in a sentence that the draws are approximate; none if they are good."""
+        if self.tail <= TAIL_LIMIT and self.effective >= EFFECTIVE_LIMIT:
+            return []
+        size = f"effective sample size only {self.effective:.0f} (Pareto k {self.tail:.2f})"
+        return [f"{size}: errors and probabilities are approximate"]
 
     @property
     def is_line(self) -> bool:
