@@ -204,7 +204,7 @@ def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
     target = one()
     draws = drawn(target)
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
-    assert draws.effective > 0.625 * len(draws) and draws.tail < 0.3 and draws.outside == 0.0
+    assert draws.effective > 0.625 * len(draws) and draws.tail < 0.3
     mean, sigma = moments(draws)
     assert mean == pytest.approx(0.0, abs=0.06) and sigma == pytest.approx(1.0, abs=0.05)
     bright = weights(draws) @ draws.shots.u[:, 1]
@@ -310,14 +310,6 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     assert draws.evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
     assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
     assert weights(draws)[draws.shots.u[:, 0] < 0].sum() == 0.0
-
-
-def test_walkers_leave_proposals_that_are_too_narrow():
-    """The curvature claims that the unknown is known to a tenth; one round cannot learn that it is not."""
-    target = one()
-    narrow = drawn(target, target.fit([0], sharper=1000.0), rounds=1, defence=0.0)
-    assert narrow.outside > 0.02
-    assert drawn(target, rounds=1).outside <= 0.02
 
 
 def charted(target):

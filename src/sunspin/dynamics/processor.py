@@ -64,7 +64,9 @@ def cached(message: str) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         _announced[function] = message
         entry: Any = njit(**OPTIONS)(function)
-        with suppress(RuntimeError):  # neither the package's folder nor the user's cache can be written
+        with suppress(
+            RuntimeError
+        ):  # neither the package's folder nor the user's cache can be written
             entry._cache = _KeptCode(function)
         return entry
 

@@ -372,16 +372,6 @@ class SamplingSettings:
     sun_rad: float = 0.3
     """The same of the direction at the reference."""
 
-    walkers: int = 200
-    """Chains that start from draws, to see whether the proposals cover what is around these; of a model that gets a part of the
-    draws, this part."""
-
-    walk_steps: int = 20
-    """Steps of each."""
-
-    walk_size: float = 1.5
-    """Length of a step, in sigmas over the root of the number of coordinates."""
-
     checked: int = 100
     """Draws for which readings are simulated."""
 

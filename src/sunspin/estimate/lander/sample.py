@@ -16,12 +16,10 @@ from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
-from sunspin.estimate.lander.outer_law import OuterLaw, student_log_density
+from sunspin.estimate.lander.outer_law import OuterLaw
 from sunspin.estimate.lander.ridges import (
     Ridge,
-    complete_motions,
     fit_ridge_curve,
-    fit_stiff,
     propose,
     ridges_of,
     trace_ridge,
@@ -29,9 +27,6 @@ from sunspin.estimate.lander.ridges import (
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.settings import SAMPLING, SamplingSettings
 from sunspin.solve.weights import effective_draws, pareto_tail
-
-INSIDE_TAIL = 10.0
-"""Times the largest weight of a ridge's draws that a walker's weight may have before it counts as outside of the proposals."""
 
 
 def sample(
@@ -44,8 +39,7 @@ def sample(
 ) -> Draws:
     """Return weighted draws from the posterior about the fitted motions, their regions numbered by falling probability.
 
-    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent. Walkers that start from draws check that they
-    do not leave what was proposed (`Draws.outside`): Pareto's k does not see a part of the posterior that is never proposed.
+    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent.
     """
     ridges = ridges_of(target, fit, fitted_share, s)
     # Where each ridge runs: improbable ones from fewer points.
@@ -73,10 +67,7 @@ def sample(
         for ridge, own in zip(ridges, log_shares, strict=True):
             learn(ridge, own, rng, s)
     assert draws is not None
-    draws = replace(draws, rounds=np.array(rounds))
-    if not np.isfinite(draws.evidence):
-        return draws
-    return replace(draws, outside=share_outside(target, ridges, log_shares, rng, s))
+    return replace(draws, rounds=np.array(rounds))
 
 
 def _draws_of_ridges(
@@ -184,62 +175,6 @@ def learn(
     ridge.proposing = [(s.defence, wide), (1 - s.defence, law)]
 
 
-def share_outside(
-    target: LanderTarget,
-    ridges: list[Ridge],
-    log_shares: list[np.ndarray],
-    rng: np.random.Generator,
-    s: SamplingSettings,
-) -> float:
-    """Return the share of walkers that start from draws and end where hardly anything was proposed.
-
-    Walkers are Metropolis chains in the outer coordinates y and in z - z*(y), where z are the stiff ones (:class:`Chart`) and z*(y)
-    their best values for y; so they follow the ridge. Their density is estimated by one draw of the reading unknowns, which leaves
-    chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn, exceeds the largest weight of its
-    own ridge by :data:`INSIDE_TAIL`.
-    """
-    share = np.concatenate(log_shares)
-    picked = _systematic(share, s.walkers, rng)
-    ends = np.cumsum([0, *(len(own) for own in log_shares)])
-    outside = 0
-    for r, ridge in enumerate(ridges):
-        rows = picked[(picked >= ends[r]) & (picked < ends[r + 1])] - ends[r]
-        proposals, chart = ridge.proposals, ridge.chart
-        if not len(rows) or proposals is None:
-            continue
-        weight = np.exp(log_shares[r] - logsumexp(log_shares[r]))
-        off = proposals.y - weight @ proposals.y
-        d = proposals.y.shape[1]
-        outer = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(d))
-        inner = np.linalg.cholesky(ridge.scatter)
-        y, z, log_mass = proposals.y[rows], proposals.z[rows], proposals.log_mass[rows]
-        shots = proposals.shots.take(rows)
-        size = s.walk_size / np.sqrt(d + chart.stiff)
-        for _ in range(s.walk_steps):
-            to = y + size * rng.standard_normal(y.shape) @ outer.T
-            aside = z + ridge.best(to) - ridge.best(y)
-            aside = aside + size * rng.standard_normal(z.shape) @ inner.T
-            trial, of_trial = complete_motions(target, chart, to, aside, shots.u, rng, s)
-            taken = np.log(rng.random(len(y))) < of_trial - log_mass
-            y, z = np.where(taken[:, None], to, y), np.where(taken[:, None], aside, z)
-            log_mass = np.where(taken, of_trial, log_mass)
-            shots = Shots(*(
-                np.where(taken[:, None], getattr(trial, name), getattr(shots, name))
-                for name in ("omega", "sun", "u")
-            ))  # fmt: skip
-        assert ridge.points is not None
-        near = ridge.points.slopes_near(y, ridge.learnt)
-        stiff = fit_stiff(target, chart, y, ridge.best(y), near.u, near)
-        root = s.inner_width * stiff.root
-        white = np.linalg.solve(root, (z - stiff.best)[:, :, None])[:, :, 0]
-        log_inner = student_log_density(white, s.freedom)
-        log_inner = log_inner - np.log(np.einsum("kii->ki", root)).sum(axis=1)
-        log_weight = log_mass - log_inner - ridge.log_outer(y, s.freedom)
-        largest = ridge.log_weights(s.freedom).max()
-        outside += int(np.sum(log_weight > largest + np.log(INSIDE_TAIL)))
-    return outside / s.walkers
-
-
 class Checked(NamedTuple):
     """`p`: share of simulated readings that fit their motion worse than the real ones; `noise_sigmas`: how far the noise is from
     the stated one, in sigmas of its prior."""
@@ -292,7 +227,6 @@ def mixed(
         effective=effective_draws(share),
         tail=pareto_tail(log_weight),
         evidence=float(logsumexp(log_weight)),
-        outside=float(sum(weight[m] * drawn[m].outside for m in kept)),
         rounds=np.concatenate([one.rounds for one in drawn]),
     )
 
