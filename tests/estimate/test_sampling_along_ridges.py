@@ -307,13 +307,6 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     assert weights(draws)[draws.shots.u[:, 0] < 0].sum() == 0.0
 
 
-def test_a_seed_gives_the_same_draws():
-    target = one()
-    first, again, other = (drawn(target, seed=seed, rounds=2, draws=200) for seed in (1, 1, 2))
-    assert np.array_equal(first.shots.omega, again.shots.omega)
-    assert not np.array_equal(first.shots.omega, other.shots.omega)
-
-
 def charted(target):
     """Return the chart about the first motion, and that motion."""
     fit = target.fit([0])

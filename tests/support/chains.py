@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.chain import carried
+from sunspin.estimate.chain import propagate
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.inertial import GyroRates
@@ -24,7 +24,7 @@ def problem(noise=1e-4, sigma=0.02, gyro=True, torque=True, seed=1, rate_sigma=0
     rng = np.random.default_rng(seed)
     still = Observations(T_S, np.tile([0.0, 0.0, 0.01], (len(T_S), 1)), ())
     body = Body(INERTIA, ERRORS)
-    truth = carried(Model(still, body, Noise(noise), rate_sigma), 0, np.eye(3)[None], OMEGA[None])
+    truth = propagate(Model(still, body, Noise(noise), rate_sigma), 0, np.eye(3)[None], OMEGA[None])
     sun = units(truth.sun_B[0] + sigma * rng.normal(size=(len(T_S), 3)))
     terms = [SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (len(T_S), 1, 1)))]
     if gyro:

@@ -158,15 +158,6 @@ def test_no_key_of_a_vehicle_file_names_a_file(home, tmp_path_factory):
     assert "time_utc,px\n" not in err
 
 
-@pytest.mark.parametrize("command", ["check", "decode"])
-def test_devices_and_pipes_are_refused_as_files(command, home):
-    os.mkfifo("pipe")
-    for path in ("pipe", "/dev/zero", "/dev/null"):
-        refused(command, path, words=["device or a pipe"])
-    if command == "check":
-        refused("check", "vehicle.toml", "pipe", words=["device or a pipe"])
-
-
 SCAN = "scan vehicle.toml telemetry.csv --to=160"
 SPIN = f"simulate philae {' '.join(START)}"
 FAST = f"simulate philae --omega-deg-s=6e6,0,0 {START[1]}"

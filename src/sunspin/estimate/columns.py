@@ -44,7 +44,7 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.estimate.images import SAME_SIGMAS
 from sunspin.estimate.model import Body, Model, Noise
-from sunspin.estimate.observe import cut, observe, split, wheel_models
+from sunspin.estimate.observe import observe, split_passes, take_samples, wheel_models
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.settings import RatesSettings
 from sunspin.estimate.terms.panels import DARK
@@ -175,7 +175,7 @@ def _with_symmetric_motions(
         if has_unlisted_motion(replace(observed, lit=lit, sun_B=sun), omega, sigma, noise):
             decided[k] = unique[k] = False
             doubted += 1
-            why[k] = joined(why[k], "several motions: a symmetric one is not listed")
+            why[k] = join_reasons(why[k], "several motions: a symmetric one is not listed")
     return result.assign(
         decided=("pass_id", decided),
         unique=("pass_id", unique),
@@ -289,16 +289,16 @@ def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget:
         """Return the log evidence of the pass by a quick search."""
         try:
             assessment = assess(changed, data)
-            seen = observe(assessment, source)
-            (one, *_) = split(seen, np.inf, settings.passes)
+            readings = observe(assessment, source)
+            (one, *_) = split_passes(readings, np.inf, settings.passes)
         except InputError:
             return -np.inf
         noise = Noise(settings.search.noise)
-        stated = Model(seen.obs, Body.of(changed), noise, rate_max / 2)
+        nominal = Model(readings.obs, Body.of(changed), noise, rate_max / 2)
         momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
-        stated = stated.with_momentum(momentum)
+        nominal = nominal.with_momentum(momentum)
         silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
-        return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
+        return quick_evidence(nominal.seeing(one.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
         """Return the whole estimate of the pass, if there is one."""
@@ -382,7 +382,7 @@ def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
 
 def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
     """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
-    why = [joined(reason, what) for reason in result["why_not_decided"].values]
+    why = [join_reasons(reason, what) for reason in result["why_not_decided"].values]
     count = result.sizes["pass_id"]
     return result.assign(
         decided=("pass_id", np.zeros(count, dtype=bool)),
@@ -391,7 +391,7 @@ def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) ->
     )
 
 
-def joined(*reasons: str) -> str:
+def join_reasons(*reasons: str) -> str:
     """Return reasons as one text, without empty ones."""
     return "; ".join(str(reason) for reason in reasons if str(reason))
 
@@ -414,4 +414,4 @@ def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
     """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
     times, first = np.unique(telemetry["time"].values, return_index=True)
     used = result["time"].values[result["pass_of"].values == k]
-    return cut(telemetry, first[np.isin(times, used)])
+    return take_samples(telemetry, first[np.isin(times, used)])

@@ -195,26 +195,26 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
     return wanted
 
 
-def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
+def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
     """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
-    use = seen.usable
+    use = readings.usable
     if len(use) < 3:
         raise InputError(
             "fewer than three samples say where the Sun is",
-            got=f"{len(use)} of {len(seen.why)}",
-            do=_why_unused(seen),
+            got=f"{len(use)} of {len(readings.why)}",
+            do=_why_unused(readings),
         )
-    t_s = seen.obs.t_s
+    t_s = readings.obs.t_s
     usual = float(np.median(np.diff(t_s[use])))
     gap = s.gap_intervals * usual if gap_s is None else gap_s
     ends = np.flatnonzero(np.diff(t_s[use]) > gap)
-    compared = [term for term in seen.obs.terms if isinstance(term, FieldChange)]
+    compared = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
     fields = [term for term in compared if term.present().any()]
     if fields and gap_s is None:
         read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
         ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
     # a field of unknown direction turns unevenly over a long pass; in a known one the search must not be left with too few samples
-    known = any(isinstance(term, KnownField) for term in seen.obs.terms)
+    known = any(isinstance(term, KnownField) for term in readings.obs.terms)
     many = known and s.longest_s > s.many * usual
     longest = s.longest_field_s if fields or many else s.longest_s
     passes = []
@@ -224,7 +224,7 @@ def split(seen: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass
         edges = t_s[part[0]] + np.arange(1, pieces) * duration / pieces
         for piece in np.split(part, np.searchsorted(t_s[part], edges)):
             if len(piece) >= 3:
-                dense_from = _dense_from(seen.obs.sees_sun[piece], s)
+                dense_from = _dense_from(readings.obs.sees_sun[piece], s)
                 kept = piece[thinned(len(piece), s, dense_from)]
                 passes.append(Pass(piece, kept, len(passes)))
     if not passes:
@@ -247,14 +247,16 @@ def passes_asked_for(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
 
 
 def with_unused_samples(
-    seen: FileReadings, passes: Sequence[Pass], estimated: Sequence[Pass]
+    readings: FileReadings, passes: Sequence[Pass], estimated: Sequence[Pass]
 ) -> FileReadings:
     """Return the readings with the reason of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
-    why = seen.why.copy()
-    why[np.setdiff1d(seen.usable, np.concatenate([a_pass.samples for a_pass in passes]))] = ALONE
+    why = readings.why.copy()
+    why[np.setdiff1d(readings.usable, np.concatenate([a_pass.samples for a_pass in passes]))] = (
+        ALONE
+    )
     for left_out in set(range(len(passes))) - {a_pass.number for a_pass in estimated}:
         why[passes[left_out].samples] = NOT_ASKED
-    return replace(seen, why=why)
+    return replace(readings, why=why)
 
 
 def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings):
@@ -311,13 +313,16 @@ def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
     return indices[np.unique(np.minimum(np.round(taken), len(indices) - 1).astype(int))]
 
 
-def _why_unused(seen: FileReadings) -> str:
+def _why_unused(readings: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
-    dropped = [text.removeprefix("dropped: ") for text in seen.why if text.startswith("dropped")]
-    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
-    down = panels[0].sun_up == 0 if panels else np.zeros(len(seen.why), dtype=bool)
+    dropped = [
+        text.removeprefix("dropped: ") for text in readings.why if text.startswith("dropped")
+    ]
+    panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
+    down = panels[0].sun_up == 0 if panels else np.zeros(len(readings.why), dtype=bool)
     shadow = sum(
-        dark and not text.startswith("dropped") for dark, text in zip(down, seen.why, strict=True)
+        dark and not text.startswith("dropped")
+        for dark, text in zip(down, readings.why, strict=True)
     )
     if shadow > len(dropped):
         return (
@@ -330,7 +335,7 @@ def _why_unused(seen: FileReadings) -> str:
     return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
-def cut(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
+def take_samples(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
     """Return some samples of a file (indices), whose wheels still coast from the first sample of the whole file."""
     return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})
 

@@ -181,6 +181,7 @@ def posterior(
     budget = Budget(settings.motions)
     budget.spend(nominal.carrier.fitted)
     doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
+    mix = replace(mix, workers=nominal.carrier.workers)
     picked = resampled(mix.draws.log_weight, draws, of_result)
     checked, outliers = mix.checked(picked, of_checks, settings.sampling)
     reference, model = nominal.reference, nominal.fit.model
@@ -289,7 +290,8 @@ def draw_all_models(
     say(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
-    fits = [nominal.fit, *(refit(other, nominal) for other in torques)]
+    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
+        fits = [nominal.fit, *pool.map(lambda other: refit(other, nominal), torques)]
     drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
     if not (torques and nominal.carrier.complete) or nominal_explains(

@@ -71,7 +71,7 @@ class SearchSettings:
     crowd: int = 3000
     """With more starts than this, they are tried on the pair alone first, and on four samples."""
 
-    tried: tuple[int, int, int] = (6_000, 1000, 120)
+    tried: tuple[int, int, int] = (6_000, 1500, 120)
     """Starts that are kept by the pair alone, by four samples, and by the first window."""
 
     growth: float = 1.33
@@ -194,6 +194,19 @@ class AlternativeSettings:
 
     relatives_of: int = 3
     """Motions, the likeliest, of which whole turns more and less are tried."""
+
+    most_of_two: int = 8
+    """Motions with whole revolutions about two axes that are tried, at most: the likeliest bodies first."""
+
+    most_whole: int = 6
+    """Whole revolutions more or fewer about each of these axes, at most."""
+
+    momentum_off_rad: float = 0.35
+    """They are tried if the angular momentum of the new rates is nearer than this to its place in space. It is 0.1 in a pass that
+    was decided as an alias without them."""
+
+    least_cosine: float = 0.2
+    """The spin of a body changes its unknown inertia only if the cosine between angular momentum and spin axis is larger."""
 
     beyond: float = 2.0
     """Times the largest rate up to which a fast body without an inertia is searched if nobody stated that rate, and up to 1 rad/s.

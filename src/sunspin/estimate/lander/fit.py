@@ -36,9 +36,10 @@ RATE_STEP = 3e-4
 UNKNOWN_STEP, UNKNOWN_STEP_S, LARGEST_UNKNOWN_STEP = 1e-4, 2700.0, 3e-3
 """The same of the unknowns, in sigmas, over a window of that many seconds; shorter windows take larger steps, up to the last."""
 
-SEARCH_ERROR, FINAL_ERROR = 1e-4, 1e-6
-"""Error of directions (rad) in runs of a search and of draws, and of the fit to all samples. Runs that give derivatives by their
-differences err by a tenth of it. Where a step corrects derivatives, the run after it has the whole error."""
+SEARCH_ERROR, FINAL_ERROR = 1e-3, 1e-5
+"""Largest error of directions (rad) in runs of a search and of draws, and of the fit to all samples; real errors are fifty times
+smaller. Runs that give derivatives by their differences err by a tenth of it. Where a step corrects derivatives, the run after it
+has the whole error."""
 
 FLOOR = 1e-9
 """Part of the largest curvature that is added to all: directions that no reading determines stay as they are."""
