@@ -536,7 +536,7 @@ def trace_ridge(
 ) -> None:
     """Learn where a ridge runs, from `count` points at each of several widths about its motion.
 
-    A narrow part comes first: its curve takes the starts of the wider ones near the ridge.
+    A narrow part comes first: its curve takes the starts of the wider ones near the ridge, where derivatives are known.
     """
     for width in s.trace_widths:
         law = ridge.first
@@ -545,10 +545,9 @@ def trace_ridge(
         white = rng.standard_normal((count, law.mean.shape[1]))
         y = law.mean[which] + width * np.einsum("nij,nj->ni", root, white)
         before = [] if ridge.points is None else [ridge.points]
-        u = np.tile(ridge.chart.centre.u, (count, 1))
-        if before:
-            u = before[0].slopes_near(y, ridge.first).u
-        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, None)
+        near = before[0].slopes_near(y, law) if before else None
+        u = np.tile(ridge.chart.centre.u, (count, 1)) if near is None else near.u
+        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, near)
         ridge.points = RidgePoints.joined([*before, RidgePoints(y, stiff.best, stiff.slopes)])
         fit_ridge_curve(ridge, s)
 
