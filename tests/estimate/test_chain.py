@@ -26,7 +26,7 @@ from sunspin.estimate.terms.term import facing
 from sunspin.solve.linear import solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
-from tests.support.chains import ERRORS, INERTIA, OMEGA, T_S, problem
+from tests.support.chains import ERRORS, INERTIA, T_S, problem
 from tests.support.orbit_cases import sparse_pass
 from tests.support.passes import estimate, slope_of, stated_model, tumbling_pass
 from tests.support.simulate import CUBE
@@ -103,16 +103,6 @@ def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
     assert np.abs(by_chain.omega - by_shooting.omega).max() < 1e-5
     # the prior of the rate stands at the first sample in a chain, and at the sample that is shot
     assert np.isclose(by_chain.cost[0], by_shooting.cost[0], atol=0.02)
-
-
-@pytest.mark.parametrize("backward", [False, True])
-def test_step_keeps_the_angular_momentum_in_space(backward):
-    dt = np.array([7.0, 30.0]) * (-1 if backward else 1)
-    omega = np.tile(OMEGA, (1, 2, 1))
-    momentum = np.tile([0.0, 0.02, 0.01], (2, 1))
-    made = step(INERTIA, omega, dt, (momentum, momentum))
-    start, end = omega @ INERTIA + momentum, made.omega @ INERTIA + momentum
-    assert np.allclose(np.einsum("knij,knj->kni", made.turned, start), end, atol=1e-5)
 
 
 def test_motions_of_several_bodies_are_those_of_each_alone():

@@ -28,14 +28,6 @@ def test_the_spin_phase_is_the_integral_of_the_rate_and_the_sun_moves_by_the_equ
     np.testing.assert_allclose(ours, run["sun_B"].values, atol=1e-10)
 
 
-def test_a_spin_without_noise_is_recovered_to_rounding():
-    t, seen = samples(1, noise=0.0)
-    fit = fit_spin(t, seen)
-    assert fit.E < 1e-12
-    assert np.abs(phase(fit.coefficients - CUBIC, t)).max() < 1e-5
-    np.testing.assert_allclose(fit.directions(t), seen, atol=1e-5)
-
-
 def test_the_spin_fit_finds_the_minimum_of_a_dense_search():
     """No rate on a grid ten times as dense, over all aliases, does better with the fitted drift."""
     t, seen = samples(2)

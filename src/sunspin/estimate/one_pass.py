@@ -28,7 +28,13 @@ from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import RatesSettings, SearchSettings
-from sunspin.estimate.starts import aliases, other_bodies, pair_starts, pairs_to_try
+from sunspin.estimate.starts import (
+    aliases,
+    aliases_about_two_axes,
+    other_bodies,
+    pair_starts,
+    pairs_to_try,
+)
 from sunspin.estimate.swings import swings_by_all_ways
 
 
@@ -88,15 +94,15 @@ def one_pass(
     under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
-    # Second: the search took a body without an inertia for a sphere, so that torques stand for its nutation.
-    taken_for_sphere = bool(
-        nominal.body.sphere and len(nominal.body.errors) and nominal.obs.only_sun
-    )
+    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
-    if taken_for_sphere and strained:
+    if strained and len(nominal.body.errors) and nominal.obs.only_sun:
         fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
     # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well. `wider`: the nominal model with a
     # larger limit, only for search and aliases.
+    taken_for_sphere = bool(
+        nominal.body.sphere and len(nominal.body.errors) and nominal.obs.only_sun
+    )
     beyond = s.alternatives.beyond if taken_for_sphere else 1.0
     wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
@@ -110,9 +116,15 @@ def one_pass(
         )
 
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
-    # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
-    for related in (other_bodies, partial(aliases, s=s.alternatives)):
-        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), wider)
+    # all that is found. This order, as a body without an inertia has its aliases only when its shape is known. Revolutions about
+    # two axes are also tried beyond a largest rate that nobody stated, whatever the body: they are few.
+    widest = replace(nominal, rate_sigma=s.alternatives.beyond * nominal.rate_sigma)
+    for related, model in (
+        (other_bodies, wider),
+        (partial(aliases, s=s.alternatives), wider),
+        (partial(aliases_about_two_axes, s=s.alternatives), widest),
+    ):
+        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), model)
         budget.spend(len(others) * len(nominal.obs))
         fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
         fits = merge_fits(fits, s.ladder, s.search)

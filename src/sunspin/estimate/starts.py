@@ -278,15 +278,9 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     the body follows from the part of |L| I^-1 that differs between the axes. If the inertia I is known the faster body nutates
     faster, and hardly any alias fits. If it is not, a body fits for which that part is the same: exactly, without wheels.
     """
-    dt = np.diff(model.obs.t_s)
-    first = int(np.argmin(dt))
-    uneven = dt / dt[first] - np.round(dt / dt[first])
-    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+    turn, rate_max = _turn_of_aliases(model, s), model.rate_max
+    if turn is None:
         return motions.take(slice(0))
-    turn, rate_max = (
-        2 * np.pi / dt[first],
-        model.rate_max,
-    )  # rad/s: a revolution in the shortest interval, and the limit
     most = int(2 * rate_max / turn)
     changes = turn * np.array([k for k in range(-most, most + 1) if k])
     begin = motions.take(slice(s.relatives_of))
@@ -304,6 +298,64 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
         rates += changes[change, None, None] * np.eye(3)
         u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
     return Track(begin.attitude[which], faster[change, which], u)
+
+
+def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings) -> Track:
+    """Return the most probable motion (K) with whole revolutions more and fewer about L and about an axis of the body.
+
+    None under the conditions of :func:`aliases`. A body with two like moments precesses about its angular momentum L and spins
+    about its third axis, both at constant rates. Whole revolutions more of each between even samples show the same attitudes. The
+    new motion must keep L fixed in space: that hardly ever holds for a known inertia, and gives another inertia for an unknown one.
+    """
+    turn = _turn_of_aliases(model, s)
+    if turn is None or not len(motions) or not model.obs.only_sun:
+        return motions.take(slice(0))
+    best = motions.take(slice(1))
+    inertia = model.body.inertia_at(best.u[:, model.inertia_slice])
+    inertia = np.broadcast_to(inertia, (1, 3, 3))[0]
+    momentum = best.omega[0] @ inertia + model.obs.momentum
+    size = np.linalg.norm(momentum, axis=1, keepdims=True)
+    along = momentum / np.maximum(size, 1e-12)  # (n, 3)
+    # the axis about which the body spins: L makes a constant angle with it
+    principal = np.linalg.eigh(inertia)[1]
+    spin_axis = principal[:, np.argmin((along @ principal).std(axis=0))]
+    cosine = float((along @ spin_axis).mean())
+
+    most = min(int(2 * model.rate_max / turn), s.most_whole)
+    whole = np.arange(-most, most + 1)
+    about_L, about_axis = (grid.ravel() * turn for grid in np.meshgrid(whole, whole))
+    faster = best.omega[0] + about_L[:, None, None] * along + about_axis[:, None, None] * spin_axis
+    slow = np.linalg.norm(faster, axis=2).mean(axis=1) < model.rate_max
+    u = np.repeat(best.u, len(faster), axis=0)
+    if model.body.sphere and len(model.body.errors):
+        # as in `aliases`; the rate about the spin axis if all of L were along it
+        rates = size.mean() * np.linalg.inv(inertia) + about_L[:, None, None] * np.eye(3)
+        if abs(cosine) > s.least_cosine:
+            spin = np.outer(spin_axis, spin_axis)
+            rates = rates + (about_axis / cosine)[:, None, None] * spin
+        u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
+        bodies = model.body.inertia_at(u[:, model.inertia_slice])
+    else:
+        bodies = np.broadcast_to(inertia, (len(faster), 3, 3))
+    # how far L is from its place in space, whichever way it points, rad; single revolutions are tried by `aliases`
+    new = np.einsum("kij,knj->kni", bodies, faster) + model.obs.momentum
+    new /= np.maximum(np.linalg.norm(new, axis=2, keepdims=True), 1e-12)
+    off = np.arccos(np.clip(np.abs((new * along).sum(axis=2)), 0.0, 1.0)).mean(axis=1)
+    tried = np.flatnonzero(slow & (about_axis != 0) & (off < s.momentum_off_rad))
+    # the bodies nearest to what is known of it first; a known inertia is the same for all
+    sigmas = np.linalg.norm(u[tried][:, model.inertia_slice], axis=1).round(1)
+    which = tried[np.lexsort((off[tried], sigmas))[: s.most_of_two]]
+    return Track(np.repeat(best.attitude, len(which), axis=0), faster[which], u[which])
+
+
+def _turn_of_aliases(model: Model, s: AlternativeSettings) -> float | None:
+    """Return by how much, rad/s, a whole revolution between even samples changes the rate; None if no such alias is possible."""
+    dt = np.diff(model.obs.t_s)
+    first = int(np.argmin(dt))
+    uneven = dt / dt[first] - np.round(dt / dt[first])
+    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+        return None
+    return float(2 * np.pi / dt[first])
 
 
 def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:

@@ -95,7 +95,7 @@ def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options:
     """
     case = rebound.case
     if posterior is None:
-        posterior = sample_posterior(rebound, options)
+        posterior = sample_posterior(case.vehicle, case.telemetry, rebound.span_s, options)
     motions = states_dataset(*draws_of_posterior(posterior), source="posterior")
     t = np.append(np.arange(0.0, rebound.window_s, SPEED_STEP_S), rebound.window_s)
     # the touchdown first, then from the candidates' instant to the collision
@@ -113,6 +113,7 @@ def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options:
         runs,
         options.seed,
         scenario=as_in_the_paper,
+        until="collision",
         workers=options.workers,
     )
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
