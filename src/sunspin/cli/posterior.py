@@ -96,6 +96,7 @@ def posterior(
     from sunspin.landing.predictions import add_predictions
     from sunspin.telemetry.reader import read_telemetry
 
+    output.draw_in_background(workers)
     if output.quiet:
         logging.getLogger("sunspin").setLevel(logging.ERROR)
     inputs = load_inputs(vehicle, changes)
