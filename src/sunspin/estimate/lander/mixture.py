@@ -1,4 +1,4 @@
-"""Draws of a lander's posterior under all models together, and what they are at the first sample."""
+"""Draws of a lander's posterior under all models together, and their states at the first sample."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def at_first_sample(model: LanderModel, shots: Shots) -> First:
         attitude=True,
         leave_long=True,
     )
-    # the torque that is constant in space, as the body sees it then
+    # components, in the body axes of then, of the torque that is constant in space
     steady[:, 1] = np.einsum("nij,nj->ni", back.attitude[:, 0], steady[:, 1])
     return First(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)
 
@@ -96,12 +96,12 @@ class Mixture:
         return np.flatnonzero(self.draws.region == region)
 
     def effective(self, region: int) -> float:
-        """Return how many draws of equal weight those of a region are worth."""
+        """Return the effective sample size of a region."""
         own = self.draws.log_weight[self.inside(region)]
         return effective_draws(np.exp(own - logsumexp(own)))
 
     def by_model(self, index: np.ndarray) -> Iterator[tuple[LanderModel, np.ndarray, Shots]]:
-        """Yield the models of draws, each with the places of its draws in `index` and their motions."""
+        """Yield each model of the draws `index` (n), with the positions of its draws in `index`, and their motions."""
         for h in np.unique(self.draws.of_model[index]):
             model = self.fits[h].model
             places = np.flatnonzero(self.draws.of_model[index] == h)
