@@ -316,18 +316,6 @@ class SamplingSettings:
     defence: float = 0.15
     """Part of the outer law that stays with Laplace's method, with twice its covariance."""
 
-    poor: float = 0.4
-    """Share of effective draws below which further components stand on draws."""
-
-    local: int = 40
-    """How many of these."""
-
-    local_share: float = 0.6
-    """Their part of the learnt law."""
-
-    local_size: float = 0.6
-    """Their sigmas, as a part of those of the law that proposed the draw."""
-
     least: float = 5e-5
     """Probability, relative to the likeliest, below which a ridge is left out. Solutions are listed down to twice this."""
 
