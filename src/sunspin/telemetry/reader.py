@@ -370,8 +370,8 @@ def _require_clock(form: TelemetryForm, table: TextTable) -> None:
 
 
 def _leave_out_others(
-    form: TelemetryForm, table: Table, times: Times, reading_columns: set[str]
-) -> tuple[Table, Times, int]:
+    form: TelemetryForm, table: TextTable, times: Times, reading_columns: set[str]
+) -> tuple[TextTable, Times, int]:
     """Return table and times without rows in which only columns that are not used have a value, and the number of these rows.
 
     Such rows are no samples: temperatures at times of their own, or packets of another instrument. A row without any value is a
