@@ -48,6 +48,11 @@ def test_sum_over_sizes_is_that_of_fits_under_each_size():
     assert (np.abs(summed.motions.omega[0, 2] - omega[2]) < 0.1 * sigma).all()
 
 
+def test_a_fit_without_unknown_sizes_is_unchanged():
+    one = fit(*problem(torque=False), 10)
+    assert over_shares(one, 3.0) is one
+
+
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
     model, motions = problem()
     assert ladder(model, motions.take(slice(0)), LADDER, SEARCH, 1e-4) == []  # no candidates
@@ -82,6 +87,15 @@ def test_passes_tell_each_other_how_strong_torques_are_and_one_alone_has_an_even
     told = share_noise(passes_of([sharp, flat, sharp]), LADDER)[1]
     assert np.isclose(np.exp(told.log_rung).sum(), 1.0)
     assert np.exp(told.log_rung[2]) > 0.7 and np.exp(told.log_rung[0]) > 0.02
+
+
+def test_a_motion_of_several_rungs_is_one_solution():
+    model, motions = problem()
+    fits = tuple(ladder(model, motions, LADDER, SEARCH, 1e-4))
+    one = PassFits(model, fits, LADDER.rungs, np.full(7, -np.log(7)))
+    solved = solutions(one, model.obs, np.arange(5), SolutionSettings(), SEARCH)
+    assert len(solved.probability) == 1 and np.isclose(solved.probability[0], 1.0)
+    assert np.allclose(solved.mean[0], solved.track.omega[0].mean(axis=0))
 
 
 @pytest.mark.parametrize(
