@@ -22,7 +22,7 @@ from scipy.stats import binomtest
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.volume import Table
+from sunspin.estimate.scan.volume import Histograms
 from sunspin.output.figures import COLOURS
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
@@ -64,7 +64,7 @@ class Grid(NamedTuple):
     """Scan that all rebounds share, and the speed (n) in rad/s of each of its motions at the touchdown."""
 
     case: Case
-    table: Table
+    table: Histograms
     speed: np.ndarray
 
 

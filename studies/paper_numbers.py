@@ -13,7 +13,6 @@ from sunspin.cases import Case
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.directions import reconstructible_mask
-from sunspin.estimate.spin import error_of_rate, rotated_sun
 from sunspin.landing.strategies import wheel_stop_at_rest
 from sunspin.philae.rebound import (
     LINE_RANGE,
@@ -29,6 +28,7 @@ from sunspin.philae.rebound import (
     start_states,
     wheel_speed_at_first_sample,
 )
+from sunspin.philae.spin import error_of_rate, rotated_sun
 
 LINE_POINTS = 13
 """Number of motions on each published line."""

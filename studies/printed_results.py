@@ -29,7 +29,7 @@ from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import Outcome, Rows, run
 from sunspin.estimate.scan.histogram import distances_to_target, target_segments
 from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.volume import Table
+from sunspin.estimate.scan.volume import Histograms
 from sunspin.landing.tally import Estimate, effective_runs, estimate, probability
 from sunspin.output.figures import COLOURS
 from sunspin.philae.data_check import LEAST_DIRECTIONS
@@ -182,7 +182,7 @@ class Scan(NamedTuple):
     """
 
     case: Case
-    table: Table
+    table: Histograms
     proposal: Proposal
     common_z: np.ndarray
     tubes: list[np.ndarray]

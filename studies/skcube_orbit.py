@@ -20,10 +20,14 @@ from studies.skcube_data import FREE_S, LAST_DAY, add_data_option, read_beacons,
 from sunspin.base.errors import InputError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimate.orbit.calibration import MOST_SAMPLES, along_orbit, by_sun_sensors
+from sunspin.estimate.orbit.calibration import (
+    MOST_SAMPLES,
+    calibrate_magnetometer,
+    calibrate_with_sun_sensors,
+)
 from sunspin.estimate.orbit.check import OrbitCheck
 from sunspin.estimate.orbit.judged import judged_orbit
-from sunspin.estimate.orbit.readings import read
+from sunspin.estimate.orbit.readings import orbit_readings
 from sunspin.telemetry.assess import assess
 from validation.campaign import command, study_parser
 
@@ -57,9 +61,9 @@ def print_offsets_by_part(
             samples = telemetry.isel(time=part)
             unknown = vzlusat_orbit(samples)
             # the residual of the whole file is no limit for a part
-            start = check.start(unknown)._replace(left_T=np.inf)
-            readings = read(assess(craft, samples), MOST_SAMPLES)
-            alone = by_sun_sensors(unknown, craft, readings, start)
+            start = check.start(unknown)._replace(residual_T=np.inf)
+            readings = orbit_readings(assess(craft, samples), MOST_SAMPLES)
+            alone = calibrate_with_sun_sensors(unknown, craft, readings, start)
             # offset of the whole file in this part
             expected = float(orbit.ahead_s(orbit.instants(t[part])).mean())
             expected_sigma = float(orbit.ahead_sigma_s(orbit.instants([t[part].mean()]))[0])
@@ -109,7 +113,7 @@ def main(arguments: list[str] | None = None) -> None:
     if orbit is None:
         raise InputError("the beacons refuse the orbit of VZLUSAT-1", do="download them again")
     print_offsets_by_part(orbit, check, craft, without_gyro)
-    calibration = along_orbit(orbit, assess(craft, without_gyro), check.made)
+    calibration = calibrate_magnetometer(orbit, assess(craft, without_gyro), check.fitted_sensors)
     zero_sigma = 1e6 * np.sqrt((calibration.errors[:, 9:12] ** 2).sum(axis=0))
     noise = f"noise {1e6 * calibration.noise_T:.2f} uT"
     print(f"magnetometer: {noise}, sigma of the zero {zero_sigma.round(2)} uT")

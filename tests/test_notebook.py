@@ -51,8 +51,3 @@ def test_names_from_a_file_are_escaped_in_a_notebook():
     craft = ss.Vehicle(evil, np.eye(3), gain_unit=evil, **parts)
     shown = Checked(craft._repr_html_())
     assert "script" not in shown.tags and shown.text.count(evil) >= 4
-
-
-def test_results_are_shown_by_xarray_in_a_notebook():
-    run = ss.propagate(ss.load_vehicle("philae"), [0.1, 0, 0], [0, 0, 1], 865, [0, 10.0])
-    assert "omega_B" in run._repr_html_() and "rad s-1" in run._repr_html_()

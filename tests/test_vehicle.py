@@ -45,14 +45,6 @@ def test_a_good_vehicle_file_is_read(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(vehicle.wheels[0].axis_B), 1.0, rtol=1e-15)
 
 
-def test_a_vehicle_cannot_be_changed(tmp_path):
-    vehicle = load(tmp_path, GOOD)
-    with pytest.raises(AttributeError):
-        vehicle.mass_kg = 3.0
-    with pytest.raises(ValueError, match="read-only"):
-        vehicle.inertia_kg_m2[0, 0] = 5.0
-
-
 SPIN_DOWN = "spin_down = { c1_rad_s = 1, c2_per_s = -1, c3_rad_s = -1 }\n"
 GYRO = '[gyro]\ncolumns = ["x", "y", "z"]\nscale_rad_s = 1\nnoise_rad_s = 1\nzero_sigma = 1\n'
 CLOCK = "[clock]\nsensors_late_s = { value = 1, sigma = -1 }\n"
@@ -106,6 +98,7 @@ def test_bad_vehicle_files_are_refused_in_one_sentence(tmp_path, old, new, parts
 
 PANEL, WHEEL = ss.Panel("a", [1, 0, 0], 2.0), ss.Wheel("w", [0, 0, 1], 0.01)
 CRAFT = ss.Vehicle("v", np.diag([1.0, 2.0, 2.5]), 10.0, panels=[PANEL], wheels=[WHEEL])
+FORM = CRAFT.telemetry
 
 
 @pytest.mark.parametrize(
@@ -114,24 +107,15 @@ CRAFT = ss.Vehicle("v", np.diag([1.0, 2.0, 2.5]), 10.0, panels=[PANEL], wheels=[
         (lambda: replace(CRAFT, mass_kg=-1), "mass_kg must be positive (found -1.0)"),
         (lambda: replace(CRAFT, inertia_kg_m2=np.diag([1, 2, 9])), "not that of any body"),
         (lambda: replace(CRAFT, panels=[PANEL, PANEL]), "two panels share the name 'a'"),
-        (
-            lambda: replace(CRAFT, panels=[3]),
-            "Vehicle, panels[0]: should be an instance of Panel (found 3)",
-        ),
+        (lambda: replace(CRAFT, panels=[3]), "panels[0]: should be an instance of Panel (found 3)"),
         (lambda: replace(CRAFT, mass="3"), "Vehicle, mass: unknown key 'mass'; known keys: name, "),
         (lambda: replace(PANEL, gain=0.0), "the gain of panel 'a' must be positive"),
         (lambda: replace(PANEL, gain="2"), "Panel, gain: a number is expected, not '2'"),
+        (lambda: replace(WHEEL, inertia_kg_m2=np.nan), "must be positive (found nan)"),
+        (lambda: replace(FORM, noise=-0.1), "TelemetryForm.noise must be positive (found -0.1)"),
         (
-            lambda: replace(WHEEL, inertia_kg_m2=np.nan),
-            "Wheel.inertia_kg_m2 must be positive (found nan)",
-        ),
-        (
-            lambda: replace(CRAFT.telemetry, noise=-0.1),
-            "TelemetryForm.noise must be positive (found -0.1)",
-        ),
-        (
-            lambda: replace(CRAFT.telemetry, quantity="power"),
-            "TelemetryForm, quantity: should be 'power_W', 'current_A', 'elevation_deg', 'incidence_deg' or 'cosine'",
+            lambda: replace(FORM, quantity="power"),
+            "TelemetryForm, quantity: should be 'power_W', '",
         ),
         (lambda: ss.Panel("a", [1, 0, 0]), "Panel, gain: this key is missing"),
         (lambda: SunRule([], "r"), "SunRule, all_dark: List should have at least 1 item"),
@@ -146,7 +130,12 @@ def test_vehicles_made_or_changed_in_python_pass_the_checks_of_a_file(make, said
 def test_vehicle_parts_are_compared_and_hashed_by_content():
     for name in ("philae", "skcube"):
         one, two = ss.load_vehicle(name), ss.load_vehicle(name)
-        assert one == two == pickle.loads(pickle.dumps(one)) and len({one, two}) == 1
+        other = pickle.loads(pickle.dumps(one))
+        assert one == two == other and len({one, two}) == 1
+        with pytest.raises(ValueError, match="read-only"):
+            other.panels[0].normal_B[0] = 1.0
+        with pytest.raises(TypeError):
+            other.facts["x"] = 1
         assert replace(one, name="other") != one
     assert replace(PANEL, normal_B=[0, 1, 0]) != PANEL == ss.Panel("a", np.array([1.0, 0, 0]), 2)
     assert PANEL != 3

@@ -47,7 +47,7 @@ class PassSetup:
     seed: int = 0
 
 
-class Row(NamedTuple):
+class PlannedPass(NamedTuple):
     """What became of a simulated pass: its interval (s), the true speed (rad/s), and what `rates` said.
 
     `sigma`: largest one-sigma error of a component of the rate (rad/s), NaN without a result; `aliases`: number of other solutions;
@@ -117,7 +117,7 @@ def plan(
     intervals = _checked(setup, every_s, passes)
     vehicle.require_panels()
     tasks = [(round_, k) for round_ in range(passes) for k in range(len(intervals))]
-    rows: list[Row] = []
+    rows: list[PlannedPass] = []
     judge = partial(_judge, setup, intervals)
     try:
         with process_pool(min(workers, len(tasks))) as pool:
@@ -153,7 +153,7 @@ def _checked(setup: PassSetup, every_s: Sequence[float], passes: int) -> list[fl
     return intervals
 
 
-def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) -> Row:
+def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) -> PlannedPass:
     """Simulate one pass, estimate its rates, and return what became of it. `task`: its round, and the place of its interval."""
     round_, k = task
     rng = generator(setup.seed, k, round_)
@@ -176,11 +176,13 @@ def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) 
             environment=simulated.environment,
         )
     except SunspinError as error:
-        return Row(intervals[k], speed, False, False, np.nan, 0, str(error).splitlines()[0])
+        return PlannedPass(intervals[k], speed, False, False, np.nan, 0, str(error).splitlines()[0])
     return _row_of(result, simulated, intervals[k], speed)
 
 
-def _row_of(result: xr.Dataset, simulated: SimulatedPass, every_s: float, speed: float) -> Row:
+def _row_of(
+    result: xr.Dataset, simulated: SimulatedPass, every_s: float, speed: float
+) -> PlannedPass:
     """Return what became of a pass of true rates, at the sample nearest to its middle.
 
     `rates` may part it, at an eclipse or as it is too long: then the part with the most samples counts.
@@ -200,11 +202,14 @@ def _row_of(result: xr.Dataset, simulated: SimulatedPass, every_s: float, speed:
     wrong = decided and bool(((miss > WRONG_SIGMAS * sigma) & (miss > least)).any())
     aliases = int((np.nan_to_num(first["probability"].values) > LISTED).sum()) - 1
     why = "" if decided else str(first["why_not_decided"].values)
-    return Row(every_s, speed, decided, wrong, float(sigma.max()), aliases, why)
+    return PlannedPass(every_s, speed, decided, wrong, float(sigma.max()), aliases, why)
 
 
 def _collect(
-    setup: PassSetup, intervals: Sequence[float], rows: Sequence[Row], interrupted: bool = False
+    setup: PassSetup,
+    intervals: Sequence[float],
+    rows: Sequence[PlannedPass],
+    interrupted: bool = False,
 ) -> xr.Dataset:
     """Return the Dataset of `plan` from the rows of its passes."""
     shape = (len(intervals), SPEED_CLASSES)
@@ -233,7 +238,7 @@ def _collect(
             reason[k, part] = open_still.most_common(1)[0][0] if open_still else ""
     of_pass: dict[str, Any] = {
         f"pass_{name}": ("pass", np.array([getattr(row, name) for row in rows]))
-        for name in Row._fields
+        for name in PlannedPass._fields
     }
     cell = ("every", "speed_class")
     return with_units(

@@ -102,12 +102,6 @@ def program(**environment: str) -> str:
     return subprocess.run(command, env=os.environ | environment, **options).stdout
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_is_offered_for_each_shell(shell):
-    text = program(_SUNSPIN_COMPLETE=f"{shell}_source")
-    assert "_SUNSPIN_COMPLETE" in text
-
-
 @pytest.mark.parametrize(
     ("words", "expected"), [("sunspin sim", "simulate"), ("sunspin export --format a", "aem-xml")]
 )

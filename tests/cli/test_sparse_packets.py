@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.cli.check import check
-from sunspin.estimate.observe import observe, split
+from sunspin.estimate.observe import observe, split_passes
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.verdict import upper_text
 from sunspin.output.check.samples import noise_lines
@@ -92,7 +92,7 @@ def test_too_few_directions_because_of_shadow_are_explained_by_the_orbit(place):
     panels = replace(panels, sun_up=np.zeros(len(seen.obs)))
     dark = replace(seen, obs=replace(seen.obs, terms=(panels,)))
     with pytest.raises(InputError, match="by the orbit 40 are in the Earth's shadow") as error:
-        split(dark, None, RATES.passes)
+        split_passes(dark, None, RATES.passes)
     assert "dropped" not in str(error.value)
 
 

@@ -1,6 +1,5 @@
 """Rows on threads: the result depends on no chunk size, worker or other row; errors and interruptions."""
 
-import pickle
 import signal
 import subprocess
 import sys
@@ -13,7 +12,6 @@ import pytest
 import sunspin as ss
 from sunspin import cli
 from sunspin.base.errors import Interrupted
-from sunspin.compute.identity import to_json
 from sunspin.compute.rows import ensemble
 from tests.support.rows import ELSEWHERE, Waves, heed_interrupts, same
 
@@ -121,14 +119,3 @@ def test_the_command_line_prints_the_sentence_on_an_interruption(monkeypatch, ca
         cli.main()
     assert stop.value.code == 130
     assert capsys.readouterr().err.strip() == "sunspin: interrupted, 5 of 9 rows are done"
-
-
-@pytest.mark.parametrize("name", ["philae", "skcube"])
-def test_a_vehicle_can_be_pickled_to_another_process(name):
-    vehicle = ss.load_vehicle(name)
-    other = pickle.loads(pickle.dumps(vehicle))
-    assert to_json(other) == to_json(vehicle)
-    with pytest.raises(ValueError, match="read-only"):
-        other.panels[0].normal_B[0] = 1.0
-    with pytest.raises(TypeError):
-        other.facts["x"] = 1

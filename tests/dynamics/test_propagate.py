@@ -103,27 +103,6 @@ def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
     np.testing.assert_allclose(attitude.apply(H[0]), H, atol=1e-11 * size)
 
 
-def test_a_held_wheel_keeps_its_speed():
-    start = [0.3, -0.2, 0.1], FIRST_SUN, 865.0
-    run = ss.propagate(philae_body(), *start, np.linspace(0, 600, 61), "hold")
-    assert np.all(run["wheel_speed_rad_s"].values == 865.0)
-    omega = run["omega_B"].values
-    theta = philae_body().inertia_kg_m2
-    momentum = omega @ theta + 0.0058 * 865.0 * np.array([0, 0, 1.0])
-    assert np.ptp(np.linalg.norm(momentum, axis=1)) < 1e-12
-
-
-def test_a_wheel_schedule_equals_runs_chained_by_hand():
-    vehicle, start = philae_body(), ([0.1, 0.05, 0], FIRST_SUN, 865.0)
-    legs = [(0, "hold"), (300.0, "coast")]
-    whole = ss.propagate(vehicle, *start, [0, 300.0, 900.0], wheel_mode=legs)
-    held = ss.propagate(vehicle, *start, [0, 300.0], wheel_mode="hold")
-    then = ss.propagate(vehicle, held["omega_B"][-1], held["sun_B"][-1], 865.0, [300.0, 900.0])
-    np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-11)
-    speeds = (run["wheel_speed_rad_s"][-1] for run in (whole, then))
-    np.testing.assert_allclose(*speeds, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -76,11 +76,3 @@ def test_a_motion_that_no_step_is_fine_enough_for_is_fast_and_finite(bodies):
     assert np.array_equal(turned[0, 1, 2], np.eye(3))
     assert np.isfinite(rate).all() and np.linalg.norm(rate[0, 1, 2]) > LOST / 2
     assert np.linalg.norm(rate[0, 1, 1]) < 1
-
-
-def test_no_intervals_give_no_states(bodies):
-    inertia, omega, dt_s, counts, (start, end) = bodies
-    none = slice(0, 0)
-    momenta = (start[none], end[none])
-    turned, rate = carry_bodies(inertia, omega[:, :, none], dt_s[none], counts[:, none], momenta)
-    assert turned.shape == (RUNS, MOTIONS, 0, 3, 3) and rate.shape == (RUNS, MOTIONS, 0, 3)

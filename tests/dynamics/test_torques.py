@@ -76,29 +76,6 @@ def rows_of(n: int = 1) -> batch.Rows:
     return batch.Rows(omega, sun, np.full((n, 1), SPEED), B_from_N=attitude)
 
 
-@pytest.mark.parametrize("mode", ["coast", "hold"])
-@pytest.mark.parametrize("wanted", [1e-4, 1e-8])
-def test_the_kernel_under_torques_agrees_with_the_reference_through_the_wheel_stop(wanted, mode):
-    times = np.array([100.0, 900.0])
-    run = run_once([START_S, *(START_S + times)], wheel_mode=mode)
-    assert list(run["event_what"].values) == (["stops"] if mode == "coast" else [])
-    options = {"error": wanted, "command": mode, "acting": acting(PULL, ORBIT, START_S)}
-    result = batch.run(BODY, rows_of(), times, **options)
-    assert result.outcome[0] == batch.Outcome.FINE
-    for name in ("sun_B", "omega_B", "wheel_speed_rad_s", "momentum_B"):
-        np.testing.assert_allclose(getattr(result, name)[0], run[name].values[1:], atol=wanted)
-
-
-def test_the_kernel_under_torques_returns_to_its_start_backward():
-    there = batch.run(BODY, rows_of(), 60.0, error=1e-9, acting=acting(PULL, ORBIT, START_S))
-    attitude = run_once([START_S, START_S + 60.0])["B_from_N"].values[-1:]
-    end = there.omega_B[:, 0], there.sun_B[:, 0], there.wheel_speed_rad_s[:, 0]
-    rows = batch.Rows(*end, B_from_N=attitude)
-    home = batch.run(BODY, rows, -60.0, error=1e-9, acting=acting(PULL, ORBIT, START_S + 60.0))
-    np.testing.assert_allclose(home.omega_B[0, 0], OMEGA, atol=1e-9)
-    np.testing.assert_allclose(home.sun_B[0, 0], SUN, atol=1e-8)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.estimate.alternatives import alternatives
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import Whitening, equations
-from sunspin.estimate.evidence import ladder, leading, united
+from sunspin.estimate.evidence import best_motions, ladder, merge_fits
 from sunspin.estimate.model import AS_STATED, Body, Model, Noise, Observations
 from sunspin.estimate.one_pass import one_pass
 from sunspin.estimate.settings import RATES
@@ -107,14 +107,14 @@ def test_a_fit_over_sizes_of_a_torque_keeps_where_its_cost_is_least(fits):
     np.testing.assert_allclose(at_lowest, calm.motions.cost, rtol=1e-3)
     # the mean of the unknowns leaves the equations of motion under weak torques
     assert (at_mean > at_lowest + 10).any()
-    begin = leading(fits, 1, RATES.search)
+    begin = best_motions(fits, 1, RATES.search)
     best = max(fits, key=lambda one: one.log_evidence.max())
     np.testing.assert_array_equal(begin.omega[0], best.to_begin_from.omega[0])
 
 
 def test_fits_that_are_taken_and_joined_keep_it(fits):
     one = fits[0]
-    both = united([one, one], RATES.ladder, RATES.search)
+    both = merge_fits([one, one], RATES.ladder, RATES.search)
     assert len(both) == 1
     np.testing.assert_allclose(both[0].to_begin_from.omega, one.to_begin_from.omega)
     assert len(one.take(slice(0, 0)).to_begin_from) == 0

@@ -10,7 +10,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.estimate.model import Body, Model, Noise
-from sunspin.estimate.starts import _loosened
+from sunspin.estimate.starts import _loosen_terms
 from sunspin.estimate.verdict import DECIDED
 from sunspin.vehicle.parts import Fact
 from tests.support.orbit_cases import pass_against_truth, sparse_pass
@@ -170,7 +170,7 @@ def test_starts_are_trusted_less_the_farther_a_sample_is_if_the_inertia_has_erro
     spreads = []
     for sigma in (1e-6, ERROR):
         model = Model(obs, body(sigma).for_search(), Noise(0.0), RATE_MAX / 2)
-        (panels,) = _loosened(model, 3, 0.0).obs.terms
+        (panels,) = _loosen_terms(model, 3, 0.0).obs.terms
         spreads.append(panels.sigma.max(axis=1))
     away = np.abs(obs.t_s - obs.t_s[3])
     assert np.isclose(spreads[0][3], spreads[1][3])

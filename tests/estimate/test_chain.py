@@ -11,11 +11,11 @@ from sunspin.estimate.chain import (
     LEAST_TURN,
     Whitening,
     bent_step,
-    carried,
     defects,
     equations,
     fit,
-    shot,
+    fit_single_shooting,
+    propagate,
     variance_of,
 )
 from sunspin.estimate.evidence import ladder, over_shares
@@ -26,7 +26,7 @@ from sunspin.estimate.terms.term import facing
 from sunspin.solve.linear import solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
-from tests.support.chains import ERRORS, INERTIA, OMEGA, T_S, problem
+from tests.support.chains import ERRORS, INERTIA, T_S, problem
 from tests.support.orbit_cases import sparse_pass
 from tests.support.passes import estimate, slope_of, stated_model, tumbling_pass
 from tests.support.simulate import CUBE
@@ -97,22 +97,12 @@ def test_evidence_does_not_hang_on_rounding():
 def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
     model, truth = problem(noise=1e-7, gyro=False, torque=False)
     model = model.for_search(Noise(1e-7))[0]
-    begin = carried(model, 2, truth.attitude[:, 2], truth.omega[:, 2] + 2e-3)
-    by_shooting = shot(model, 2, begin, 20)
+    begin = propagate(model, 2, truth.attitude[:, 2], truth.omega[:, 2] + 2e-3)
+    by_shooting = fit_single_shooting(model, 2, begin, 20)
     by_chain = fit(model, by_shooting, 20).motions
     assert np.abs(by_chain.omega - by_shooting.omega).max() < 1e-5
     # the prior of the rate stands at the first sample in a chain, and at the sample that is shot
     assert np.isclose(by_chain.cost[0], by_shooting.cost[0], atol=0.02)
-
-
-@pytest.mark.parametrize("backward", [False, True])
-def test_step_keeps_the_angular_momentum_in_space(backward):
-    dt = np.array([7.0, 30.0]) * (-1 if backward else 1)
-    omega = np.tile(OMEGA, (1, 2, 1))
-    momentum = np.tile([0.0, 0.02, 0.01], (2, 1))
-    made = step(INERTIA, omega, dt, (momentum, momentum))
-    start, end = omega @ INERTIA + momentum, made.omega @ INERTIA + momentum
-    assert np.allclose(np.einsum("knij,knj->kni", made.turned, start), end, atol=1e-5)
 
 
 def test_motions_of_several_bodies_are_those_of_each_alone():
@@ -148,7 +138,7 @@ def test_a_step_along_the_equations_leaves_them_by_what_linear_theory_says():
     omega, vehicle = np.array([-0.06, 0.05, 0.1]), replace(CUBE, inertia_kg_m2=None, facts={})
     data, _ = tumbling_pass(CUBE, 12, 33.0, seed=3, omega_B=omega, spread=0.02)
     model = stated_model(vehicle, data, WEAK, 0.14)
-    motion = carried(model, 6, facing(np.array([[0.6, 0.0, 0.8]])), omega[None])
+    motion = propagate(model, 6, facing(np.array([[0.6, 0.0, 0.8]])), omega[None])
     motion = replace(motion, u=np.zeros((1, len(model.unknowns))))
     rng = np.random.default_rng(5)
     nodes = 0.05 * rng.normal(size=(1, len(model.obs), 6))

@@ -118,41 +118,37 @@ def test_axes_have_48_assignments_and_a_quaternion_four_the_stated_one_first():
     np.testing.assert_array_equal(read, [np.array(one).T for one in expected])
 
 
+AS_THEY_ARE, BACK, SCALAR_FIRST = slice(None), np.array([-1, -1, -1, 1]), [3, 0, 1, 2]
+TABLE = {GYRO: "gyro", QUATERNION: "attitude"}
+
+
 @pytest.mark.parametrize(
-    ("name", "wrong", "words", "do"),
+    ("name", "order", "sign", "words", "keys"),
     [
+        (GYRO, [1, 0, 2], 1, "gyro read as (+y, +x, +z)", 'columns = ["y", "x", "z"]'),
+        (GYRO, AS_THEY_ARE, -1, "gyro read as (-x, -y, -z)", 'columns = ["-x", "-y", "-z"]'),
         (
-            GYRO,
-            lambda read: read[:, [1, 0, 2]],
-            "the gyro read as (+y, +x, +z)",
-            'set columns = ["y", "x", "z"] under [gyro]',
-        ),
-        (
-            GYRO,
-            lambda read: -read,
-            "the gyro read as (-x, -y, -z)",
-            'set columns = ["-x", "-y", "-z"] under [gyro]',
+            QUATERNION,
+            AS_THEY_ARE,
+            BACK,
+            "quaternion read the other way round",
+            'rotates = "B_to_N"',
         ),
         (
             QUATERNION,
-            lambda read: read * [-1, -1, -1, 1],
-            "the quaternion read the other way round",
-            'set rotates = "B_to_N" under [attitude]',
-        ),
-        (
-            QUATERNION,
-            lambda read: read[:, [3, 0, 1, 2]],  # its columns are w, x, y, z
-            "the quaternion with its scalar at the other end",
-            'set scalar = "first" under [attitude]',
+            SCALAR_FIRST,
+            1,
+            "quaternion with its scalar at the other",
+            'scalar = "first"',
         ),
     ],
 )
-def test_wrong_axes_of_a_sensor_are_named(name, wrong, words, do):
-    found = sought(seen(name, wrong))
+def test_wrong_axes_of_a_sensor_are_named(name, order, sign, words, keys):
+    found = sought(seen(name, lambda read: read[:, order] * sign))
     assert isinstance(found, Better) and found.gain > 10
     text = found.words()
-    assert text.startswith(f"the data fit with {words}") or f"(a) {words}" in text
-    assert found.named[0].change.do.startswith(do)
+    assert text.startswith(f"the data fit with the {words}") or f"(a) the {words}" in text
+    assert found.named[0].change.do.startswith(f"set {keys} under [{TABLE[name]}]")
 
 
 @pytest.mark.parametrize("name", [GYRO, FIELD, QUATERNION])

@@ -9,7 +9,7 @@ import xarray as xr
 from sunspin.estimate.columns import has_unlisted_motion
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
-    Change,
+    ColumnChange,
     Observed,
     alike,
     column_changes,
@@ -54,7 +54,7 @@ def of_columns(craft: Vehicle):
     return column_changes(craft, xr.Dataset({"power_W": (("time", "panel"), empty)}))
 
 
-def is_alike(craft: Vehicle, *changes: Change) -> bool:
+def is_alike(craft: Vehicle, *changes: ColumnChange) -> bool:
     """Return whether no reading distinguishes two changes, or a change and the file as it is written."""
     return len(equivalence(lit(craft), *(AS_WRITTEN, *changes)[-2:])) == 1
 
@@ -76,7 +76,7 @@ def test_two_opposite_columns_exchanged_are_a_mirror_of_the_file_as_it_is_writte
 def test_exchanges_mapped_by_a_rotation_about_a_cube_corner_are_equivalent():
     """+x to +y to +z to +x: of a body whose moments are alike it leaves nothing to see; moments that differ tell."""
     cube, order = body(), [1, 2, 0, 4, 5, 3]
-    corner = Change("the panels turned about a corner", columns=tuple(np.argsort(order)))
+    corner = ColumnChange("the panels turned about a corner", columns=tuple(np.argsort(order)))
     ball = replace(cube, inertia_kg_m2=0.05 * np.eye(3))
     (found,) = equivalence(lit(ball), AS_WRITTEN, corner)
     assert np.linalg.det(found) == pytest.approx(1.0) and np.trace(found) == pytest.approx(0.0)
@@ -122,7 +122,7 @@ def test_gains_distinguish_exchanges_beyond_their_sigmas_and_only_by_ratios_if_t
     # the opposite of each lit panel is brighter
     three = body(gains=[1, 1, 1, 1.2, 1.2, 1.2], facts=facts(0.01))
     observed = Observed(three, np.array([True, True, True, False, False, False]))
-    opposite = Change("all columns exchanged", columns=(3, 4, 5, 0, 1, 2))
+    opposite = ColumnChange("all columns exchanged", columns=(3, 4, 5, 0, 1, 2))
     assert not len(equivalence(observed, AS_WRITTEN, opposite))
     relative = replace(observed, vehicle=replace(three, gain_unit=None))
     (found,) = equivalence(relative, AS_WRITTEN, opposite)
@@ -148,7 +148,7 @@ def test_columns_that_stay_dark_do_not_distinguish_exchanges():
     seen = np.array([True, True, True, True, True, False])
     toward_z = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [-0.6, 0.0, 0.8]])
     observed = Observed(craft, seen, sun_B=toward_z)
-    upside_down = Change("panel +z looking the other way", reversed_panels=(2,))
+    upside_down = ColumnChange("panel +z looking the other way", reversed_panels=(2,))
     assert not len(equivalence(observed, AS_WRITTEN, upside_down))  # as -z, which would be lit then
     five = replace(craft, panels=craft.panels[:5])
     observed = Observed(five, seen[:5], sun_B=toward_z)
@@ -187,7 +187,7 @@ def test_a_used_sensor_excludes_a_mirror_unless_its_axes_are_mirrored_too(sensor
     craft = body(sensors=SENSORS)
     observed, columns = lit(craft, sensors=frozenset({sensor})), exchange(craft, 0, 3)
     assert not len(equivalence(observed, AS_WRITTEN, columns))
-    axes = Change("other axes", axes={sensor: as_read})
+    axes = ColumnChange("other axes", axes={sensor: as_read})
     (found,) = equivalence(observed, axes, columns)
     np.testing.assert_allclose(found, X, atol=1e-12)
     both = replace(observed, sensors=frozenset({sensor, "attitude_B_from_N"}))
@@ -196,7 +196,7 @@ def test_a_used_sensor_excludes_a_mirror_unless_its_axes_are_mirrored_too(sensor
 
 def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():
     craft = body(sensors=SENSORS)
-    field = Change("other axes", axes={"field_B": X})
+    field = ColumnChange("other axes", axes={"field_B": X})
     observed = lit(craft, sensors=frozenset({"field_B"}))
     assert len(equivalence(observed, field, exchange(craft, 0, 3))) == 1
     assert not len(equivalence(replace(observed, in_orbit=True), field, exchange(craft, 0, 3)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.chain import carried, costs, fit, log_left_out
+from sunspin.estimate.chain import costs, fit, log_left_out, propagate
 from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.swings import log_mean_likelihood, swings_by_all_ways
@@ -52,7 +52,7 @@ def seen_turning(omega, sigma):
 def best_motion(model, omega):
     """Return the fit of a motion that begins at this rate (3) and the first reading's direction."""
     begin = facing(model.obs.terms[0].direction_B[:1])
-    return fit(model, carried(model, 0, begin, omega[None]), 40, 1e-6)
+    return fit(model, propagate(model, 0, begin, omega[None]), 40, 1e-6)
 
 
 def mean_likelihood(model, sigma, wander=0.0):
@@ -126,8 +126,8 @@ def panels_of(suns, noise, gain_sigma):
     sigma, names = np.full((n, 6), noise), tuple("abcdef")
     gain, scale = (np.ones(6), gain_sigma * np.ones((1, 6))), (np.ones(n), np.full(n, 1e-3))
     instants, shown = ReadingTimes(np.zeros(6)), np.ones(6, dtype=bool)
-    readings, of_light = (light, sigma, PanelResponse(faces, np.ones(6))), (sigma, sigma, sigma)
-    term = Panels(*readings, *gain, *scale, names, instants, shown, *of_light, np.ones(n))
+    readings, light_slice = (light, sigma, PanelResponse(faces, np.ones(6))), (sigma, sigma, sigma)
+    term = Panels(*readings, *gain, *scale, names, instants, shown, *light_slice, np.ones(n))
     obs = Observations(APART_S * np.arange(n), np.zeros((n, 3)), (term,))
     return Model(obs, SPHERE, Noise(NOISE), 0.03)
 
@@ -137,7 +137,7 @@ def test_an_oscillation_pays_for_gains_that_are_not_known_as_a_rotation_does():
     omega = np.array([0.01, -0.015, 0.01])
     suns = seen_turning(omega, 0.0)
     model = panels_of(suns, 0.1, gain_sigma=0.3)
-    nominal = fit(model, carried(model, 0, facing(suns)[:1], omega[None]), 40, 1e-6)
+    nominal = fit(model, propagate(model, 0, facing(suns)[:1], omega[None]), 40, 1e-6)
     swing = swings_by_all_ways(model, [nominal], EVERY, RATES.ladder)[-1]
     wander = np.array([swing.model.noise.rate])
     errors = np.linspace(-2.0, 2.0, 81)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sunspin.estimate.chain import carried, defects, equations
+from sunspin.estimate.chain import defects, equations, propagate
 from sunspin.estimate.images import either_side, imaged, images_of, with_images
 from sunspin.estimate.model import Noise, Track
 from sunspin.estimate.rates import rates
@@ -52,7 +52,7 @@ def imaged_motion(attitude):
     """Return the model of four sides, that of their search, a motion that begins with an attitude (3, 3), and its image."""
     model = stated_model(FOUR_SIDES, tumbling_pass(FOUR_SIDES, 20, 12.0, seed=2)[0], rate_sigma=0.1)
     loose = model.for_search(Noise(1e-4))[0]
-    motion = carried(loose, 0, attitude[None], OMEGA[None])
+    motion = propagate(loose, 0, attitude[None], OMEGA[None])
     return model, loose, motion, imaged(motion, images_of(model)[1])
 
 

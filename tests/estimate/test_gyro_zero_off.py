@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sunspin.estimate.alternatives import another_zero
-from sunspin.estimate.evidence import restated
+from sunspin.estimate.evidence import rescale_unknowns
 from sunspin.estimate.model import Model, Track
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import GYRO_ZEROS, RATES
@@ -51,9 +51,11 @@ def test_unknowns_keep_their_size_in_the_sigmas_of_another_model(simulated):
     u = np.random.default_rng(0).normal(size=(2, len(model.unknowns)))
     motions = Track(np.zeros((2, 1, 3, 3)), np.zeros((2, 1, 3)), u)
     sizes = u * [unknown.sigma for unknown in model.unknowns]
-    again = restated(motions, model, other).u * [unknown.sigma for unknown in other.unknowns]
+    again = rescale_unknowns(motions, model, other).u * [
+        unknown.sigma for unknown in other.unknowns
+    ]
     np.testing.assert_allclose(again, sizes)
-    assert not np.allclose(restated(motions, model, other).u, u)
+    assert not np.allclose(rescale_unknowns(motions, model, other).u, u)
 
 
 def test_an_axis_whose_zero_is_exact_has_an_unknown_as_the_others_have(simulated):

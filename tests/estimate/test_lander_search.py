@@ -98,8 +98,8 @@ def test_attitudes_between_runs_are_those_of_runs(small_search):
     assert np.quantile(off, 0.9) < GRID.between_rad
 
 
-def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
-    """Rates of the ball at the first sample, also along the wheel that runs down; a fifth and more of a wider ball is left out."""
+def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
+    """Rates of the ball at the first sample, also along the wheel that runs down; half of a wider ball is left out."""
     model = lander_model().after(800.0, 0.9)
     first = replace(model, after_s=0.0)
     rng = np.random.default_rng(8)
@@ -111,10 +111,9 @@ def test_no_motion_of_the_prior_has_more_energy_than_is_searched():
     there = first.run(rows, np.array([800.0]), 1e-5).omega_B[:, 0]
     reached = Reached.of(model, 2.0, 0.6)
     assert reached.within(there, 0.0).all()
-    size = np.sqrt(np.einsum("ni,ij,nj->n", there, reached.inertia, there))
-    assert size.max() > 0.9 * reached.most
+    assert np.sqrt(reached.energy(there).max()) > 0.97 * reached.most
     ball = 0.9 * rng.random((300, 1)) ** (1 / 3) * direction
-    assert 0.5 < reached.within(ball, 0.0).mean() < 0.8
+    assert 0.3 < reached.within(ball, 0.0).mean() < 0.5
 
 
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():

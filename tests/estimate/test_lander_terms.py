@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from sunspin.cases import load_case
 from sunspin.estimate.model import Unknown
-from sunspin.estimate.settings import SPOILT
+from sunspin.estimate.settings import OUTLIER
 from sunspin.estimate.terms.given import GivenAngle, GivenDirection, GivenRate, GivenSpeed
 from sunspin.estimate.terms.powers import PanelPowers, SunStates, panel_turns, tilt_unknowns
 from sunspin.solve.rotations import components_after_rotation
@@ -88,8 +88,8 @@ def test_a_reading_far_off_costs_no_more_than_its_being_an_outlier():
     assert cost(0.0) == pytest.approx(0.0, abs=1e-12)
     assert cost(1.0) == pytest.approx(0.5, rel=0.02)
     # density at the peak over that of anything up to 1.5 times the largest, half of which is lit
-    peak = (1 - SPOILT) / (SIGMA * np.sqrt(2 * np.pi))
-    anything = SPOILT * 0.5 / (1.5 * term.largest)
+    peak = (1 - OUTLIER) / (SIGMA * np.sqrt(2 * np.pi))
+    anything = OUTLIER * 0.5 / (1.5 * term.largest)
     assert cost(100.0) == pytest.approx(np.log((peak + anything) / anything), rel=1e-9)
 
 
@@ -149,10 +149,10 @@ def test_the_density_of_a_lit_reading_is_one_over_all_readings():
 
     # of the Gaussian the part above the threshold; of the outliers the lit half
     lit = quad(density, 0.05 + 1e-9, 1.5 * largest, limit=400, points=[0.1, 0.2])[0]
-    expected = (1 - SPOILT) * norm.sf(0.05 / SIGMA) + SPOILT * 0.5 * (1 - 0.05 / (1.5 * largest))
+    expected = (1 - OUTLIER) * norm.sf(0.05 / SIGMA) + OUTLIER * 0.5 * (1 - 0.05 / (1.5 * largest))
     assert lit == pytest.approx(expected, rel=1e-3)
     # dark: relative to no power, so that a panel turned away says nothing
-    assert density(0.0) == pytest.approx(1 - SPOILT + SPOILT * 0.5)
+    assert density(0.0) == pytest.approx(1 - OUTLIER + OUTLIER * 0.5)
 
 
 GIVEN = [

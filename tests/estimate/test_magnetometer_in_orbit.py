@@ -8,20 +8,20 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.orbit.attitudes import SENSORS, AttitudeLaw, OrbitState
+from sunspin.estimate.orbit.attitudes import SENSORS, OrbitModel, OrbitState
 from sunspin.estimate.orbit.calibration import (
     SUN_TURNED_RAD,
     Calibration,
     CalibrationStart,
     FieldCalibration,
-    along_orbit,
-    fit_along,
+    calibrate_magnetometer,
+    fit_sensors,
     priors,
 )
 from sunspin.estimate.orbit.invariants import (
     MATRIX,
     ZERO,
-    MagnetometerLaw,
+    MagnetometerModel,
     MagnetometerState,
     Predicted,
     Scales,
@@ -29,7 +29,7 @@ from sunspin.estimate.orbit.invariants import (
     fit_magnetometer,
     fit_sphere,
 )
-from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.estimate.orbit.readings import Readings, orbit_readings
 from sunspin.telemetry.assess import assess
 from tests.support.calibration_cases import calibration_case, orbit_of_case
 from tests.support.orbit_cases import check_case, orbit_of
@@ -63,15 +63,15 @@ def aligned(rng, n=200, noise=12.0):
 @pytest.mark.parametrize("of_readings", [False, True])
 def test_the_jacobian_of_strength_and_angle_is_that_of_their_residuals(of_readings):
     readings, predicted = aligned(np.random.default_rng(1), 20)
-    law = MagnetometerLaw(readings, Scales(200.0, 3e-5), of_readings=of_readings)
+    model = MagnetometerModel(readings, Scales(200.0, 3e-5), of_readings=of_readings)
     unknown = 0.2 * np.random.default_rng(2).normal(size=(1, 12))
     scatter, scale = np.array([[0.1, 0.7]]), np.ones(1)
     parts = (predicted.strength / 3e-5, predicted.toward / 3e-5, scatter, scale)
     state = MagnetometerState(unknown, *parts)
-    for which, (_, jacobian) in enumerate(law.residuals(state)):
+    for which, (_, jacobian) in enumerate(model.residuals(state)):
 
         def residual(step, which=which):
-            return law.residuals(state._replace(unknown=unknown + step))[which][0]
+            return model.residuals(state._replace(unknown=unknown + step))[which][0]
 
         for k, step in enumerate(1e-6 * np.eye(12)):
             expected, atol = slope_of(residual, step, 1e-6), 1e-5 * np.abs(jacobian).max()
@@ -117,7 +117,7 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         prior = priors(bare, readings, orbit)
         prior[12] = prior[13] = 1e-3  # the place is known
         start = CalibrationStart(4e-5 * np.eye(3), np.zeros(3))
-        fitted = fit_along(orbit, bare, readings, start, prior)
+        fitted = fit_sensors(orbit, bare, readings, start, prior)
         np.testing.assert_allclose(fitted.matrix_T, 4e-5 * matrix, atol=4e-8)
         np.testing.assert_allclose(fitted.zero, zero, atol=1e-3)
         assert fitted.strength[1] < 1e-8 and fitted.angle[1] < 1e-3
@@ -130,21 +130,21 @@ def test_the_gradient_with_attitudes_projected_out_is_that_of_the_cost():
     orbit = orbit_of_case(case, data)
     sensors = replace(case.vehicle.sensors, sun_sensors=case.vehicle.sensors.sun_sensors[:2])
     vehicle = replace(case.vehicle, sensors=sensors)
-    readings = read(assess(case.vehicle, data), 100)
+    readings = orbit_readings(assess(case.vehicle, data), 100)
     field, turned = readings.field / 4e4, readings.t_s[:, None] % 50 < [0, 25]
     readings = readings._replace(field=field, angle=readings.angle[:, :2], y_turned=turned)
     sky = Sky.along(orbit, readings.t_s, np.arange(-60.0, 61.0, 20.0))
     rng = np.random.default_rng(0)
     unknown = 0.05 * rng.normal(size=24)
-    law = AttitudeLaw(vehicle, readings, sky, 4e-5, np.eye(24))
-    attitude = law.triads(unknown)
+    model = OrbitModel(vehicle, readings, sky, 4e-5, np.eye(24))
+    attitude = model.triad_attitudes(unknown)
     for _ in range(20):  # to the attitudes that fit best
-        attitude = law.settle(unknown, attitude).attitude
+        attitude = model.project_out_attitudes(unknown, attitude).attitude
     state = OrbitState(unknown[None], attitude[None])
-    gradient = law.linearise(state).slope[0]
+    gradient = model.linearise(state).slope[0]
 
     def cost(step):
-        return law.linearise(state._replace(unknown=state.unknown + step)).cost[0]
+        return model.linearise(state._replace(unknown=state.unknown + step)).cost[0]
 
     for k, step in enumerate(1e-5 * np.eye(24)):
         off = abs(slope_of(cost, step, 1e-5) - gradient[k])
@@ -164,7 +164,7 @@ def test_noise_of_the_magnetometer_shrinks_its_matrix_less_by_the_distance_of_re
         usual.append(scale(state) * units.field_T / units.reading / SCALE_T)
         readings, predicted = aligned(np.random.default_rng(seed), noise=60.0)
         _, state, units = fit_magnetometer(readings, predicted)
-        by_strength = MagnetometerLaw(readings, units, of_readings=False).settled(state, True)
+        by_strength = MagnetometerModel(readings, units, of_readings=False).fit(state, True)
         assert scale(by_strength) < 0.97 * scale(state)
     assert 0.9 < np.median(usual) < 1.1
 
@@ -208,7 +208,7 @@ def test_errors_of_matrix_zero_and_place_follow_from_the_covariance_of_the_fit()
         return numbers(replace(fit, values=fit.values + step))
 
     slope = np.stack([slope_of(changed, step, 1e-6) for step in 1e-6 * np.eye(19)], axis=1)
-    calibration = fit.of_field(fit.shift_s, fit.shift_sigma_s)
+    calibration = fit.magnetometer(fit.shift_s, fit.shift_sigma_s)
     expected = slope @ fit.covariance @ slope.T
     expected[12] /= fit.shift_sigma_s
     expected[:, 12] /= fit.shift_sigma_s
@@ -223,7 +223,7 @@ def test_errors_of_matrix_zero_and_place_follow_from_the_covariance_of_the_fit()
 def test_at_another_offset_the_calibration_follows_its_regression_on_the_place():
     fit = fit_of_one_sensor()
     sigma = fit.shift_sigma_s
-    calibration = fit.of_field(fit.shift_s + 2 * sigma, 5 * sigma)
+    calibration = fit.magnetometer(fit.shift_s + 2 * sigma, 5 * sigma)
     follows = fit.values[:13] + 2 * fit.covariance[:13, 12] / sigma
     expected = replace(fit, values=np.concatenate([follows, fit.values[13:]]))
     np.testing.assert_allclose(calibration.matrix, expected.matrix_T, rtol=1e-9)
@@ -236,9 +236,9 @@ def test_directions_of_panels_turn_all_fields_by_one_angle():
     by_sensors = fit_of_one_sensor()
     field, variances = 3e-5 * np.array([0.6, 0.0, 0.8]), []
     for fit in (by_sensors, replace(by_sensors, sensors=0)):
-        calibration = fit.of_field(fit.shift_s, fit.shift_sigma_s)
+        calibration = fit.magnetometer(fit.shift_s, fit.shift_sigma_s)
         reading = np.linalg.solve(calibration.matrix, field + calibration.zero)
-        columns = calibration.columns(reading[None])[0]
+        columns = calibration.reading_errors(reading[None])[0]
         variances.append(columns.T @ columns)
     across = field @ field * np.eye(3) - np.outer(field, field)
     expected = SUN_TURNED_RAD**2 * across
@@ -270,7 +270,7 @@ def test_the_calibration_along_an_orbit_is_within_its_errors_of_the_true_sensor(
         orbit = orbit_of_case(case, data)
         sensors = replace(case.vehicle.sensors, sun_sensors=())
         assessment = assess(replace(case.vehicle, sensors=sensors), data)
-        calibration = along_orbit(SunAlongZ(orbit), assessment)
+        calibration = calibrate_magnetometer(SunAlongZ(orbit), assessment)
         scale = case.truth["magnetometer.scale_T"]
         true_matrix = (case.truth["magnetometer.matrix"] * scale).reshape(3, 3)
         true_zero = true_matrix @ case.truth["magnetometer.zero"]
@@ -280,17 +280,17 @@ def test_the_calibration_along_an_orbit_is_within_its_errors_of_the_true_sensor(
         squares.append(off @ np.linalg.solve(covariance, off) / 12)
         assert 1.5e-7 < calibration.noise_T < 6e-7  # 300 nT
     assert max(squares) < 4 and np.mean(squares) < 2
-    assert along_orbit(None, assessment) is None
-    assert along_orbit(orbit, assess(case.vehicle, data.drop_vars("field_B"))) is None
+    assert calibrate_magnetometer(None, assessment) is None
+    assert calibrate_magnetometer(orbit, assess(case.vehicle, data.drop_vars("field_B"))) is None
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_few_readings_leave_the_calibration_wide_and_finite(count):
     vehicle, data, given, about = check_case(0, 1)
     data = data.isel(time=slice(0, count))
-    calibration = along_orbit(orbit_of(given, data, about), assess(vehicle, data))
+    calibration = calibrate_magnetometer(orbit_of(given, data, about), assess(vehicle, data))
     reading = data["field_B"].values
-    field, columns = calibration.field(reading), calibration.columns(reading)
+    field, columns = calibration.field(reading), calibration.reading_errors(reading)
     size = np.linalg.norm(field, axis=1)
     assert np.isfinite(calibration.errors).all()
     # the strength is known as well as it was read, the direction is not

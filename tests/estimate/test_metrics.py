@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -18,16 +17,6 @@ def test_emd_by_hand():
     assert ss.emd([0, 1], [0], [3, 1], [1]) == pytest.approx(0.125)
 
 
-@pytest.mark.evidence("emd", "verified", "symmetry, triangle inequality, range")
-@settings(deadline=None)
-@given(samples, samples, samples)
-def test_emd_is_a_metric(a, b, c):
-    assert ss.emd(a, a) == 0
-    assert ss.emd(a, b) == pytest.approx(ss.emd(b, a), abs=1e-12)
-    assert ss.emd(a, c) <= ss.emd(a, b) + ss.emd(b, c) + 1e-12
-    assert 0 <= ss.emd(a, b) <= 1
-
-
 @pytest.mark.evidence("emd", "validated", "the definition as a linear program, SciPy's HiGHS")
 @pytest.mark.parametrize("seed", range(4))
 def test_emd_is_the_cheapest_transport(seed, reached):
@@ -39,16 +28,6 @@ def test_emd_is_the_cheapest_transport(seed, reached):
     plan = linprog(cost, A_eq=np.vstack([leaves, arrives]), b_eq=np.concatenate(mass))
     reached("difference", abs(ss.emd(a, b, wa, wb) - plan.fun), "", 1e-9)
     assert ss.emd(a, b, wa, wb) == pytest.approx(plan.fun, abs=1e-9)
-
-
-@pytest.mark.evidence("emd", "verified", "the paper's eq. 13 on a fine grid")
-def test_emd_is_half_the_area_between_the_distributions():
-    rng = np.random.default_rng(9)
-    a, b = rng.uniform(-1, 0.5, 15), rng.uniform(-0.3, 1, 200)
-    edges = np.linspace(-1, 1, 200_001)
-    z = (edges[1:] + edges[:-1]) / 2
-    cdf = [np.searchsorted(np.sort(sample), z, side="right") / sample.size for sample in (a, b)]
-    assert ss.emd(a, b) == pytest.approx(np.abs(cdf[0] - cdf[1]).sum() * 1e-5 / 2, abs=1e-5)
 
 
 @pytest.mark.evidence(

@@ -8,7 +8,7 @@ import pytest
 import sunspin as ss
 from sunspin.estimate.model import States
 from sunspin.estimate.rates import rates
-from sunspin.estimate.terms.rate_size import RateSize as SizeTerm
+from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.vehicle.sensors import RateSize, Sensors
 from validation.passes import FACES, observe, spin
 
@@ -75,7 +75,7 @@ def test_an_uncertain_scale_is_estimated():
 
 
 def test_a_body_at_rest_has_a_residual_and_no_slope():
-    term = SizeTerm(np.array([0.01, 0.0]), 0.005)
+    term = RateMagnitudes(np.array([0.01, 0.0]), 0.005)
     still = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.zeros((1, 2, 3)))
     residual = next(term.residuals(still, np.zeros((1, 0))))
     assert residual.value[0, :, 0].tolist() == [-2.0, 0.0] and not residual.by_rate.any()

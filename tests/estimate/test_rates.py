@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.estimate.carry import step
-from sunspin.estimate.model import SUN_N, Body
+from sunspin.estimate.model import SUN_N
 from sunspin.output.kinds.rates import rates_tables
 from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle import Fact, TelemetryForm
@@ -118,19 +117,6 @@ def test_the_estimated_attitude_rotates_the_sun_of_N_into_the_body():
     for name, least in (("B_from_N", 0.0), ("curve_B_from_N", 0.99)):
         q = result[name].values
         assert np.einsum("ni,ni->n", q[1:], q[:-1]).min() > least
-
-
-@pytest.mark.evidence("rates", "verified", "the reference propagator over one interval")
-def test_a_motion_step_agrees_with_the_reference_propagator(reached):
-    t = np.array([0.0, 25.0])
-    run = ss.propagate(CUBE, [0.03, -0.02, 0.05], [0.0, 0.0, 1.0], None, t)
-    wheels, body = np.zeros((1, 3)), Body.of(CUBE)
-    start = np.array([[[0.03, -0.02, 0.05]]])
-    end = step(body.inertia, start, np.array([25.0]), (wheels, wheels))
-    assert np.abs(end.omega[0, 0] - run["omega_B"].values[1]).max() < 1e-6
-    off = np.abs(end.turned[0, 0] @ SUN_N - run["sun_B"].values[1])
-    reached("difference of the direction", off, "", 1e-4)
-    assert off.max() < 1e-4
 
 
 def test_with_a_largest_rate_below_every_solution_nothing_fits_and_is_decided():

@@ -12,11 +12,11 @@ from sunspin.base.errors import InputError
 from sunspin.environment import circular
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.field_led import field_of
+from sunspin.estimate.field_led import leading_field
 from sunspin.estimate.model import Body, Model, Noise, Track
-from sunspin.estimate.observe import FIELD_ALONE, observe, split, thinned
-from sunspin.estimate.one_pass import no_faster
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.observe import FIELD_ALONE, observe, split_passes, thinned
+from sunspin.estimate.one_pass import drop_faster
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.rates import along_the_sun, rates
 from sunspin.estimate.settings import FIELD_TURN, RATES
 from sunspin.estimate.terms.field import FieldChange, KnownField
@@ -39,7 +39,7 @@ def case():
     """Return vehicle, telemetry, orbit, calibration, truth and begin of a pass of a CubeSat with a dipole under clouds."""
     vehicle, data, elements, truth, about = rates_case(1, 3, patches=1000)
     orbit = replace(orbit_of(elements, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
-    calibration = along_orbit(orbit, assess(vehicle, data))
+    calibration = calibrate_magnetometer(orbit, assess(vehicle, data))
     return vehicle, data, orbit, calibration, truth, about["begin_s"][0]
 
 
@@ -63,7 +63,7 @@ def test_a_sample_in_the_shadow_uses_its_field_and_requires_dark_panels(case):
     assert len(known.usable) == len(data["time"]) > len(plain.usable)
     assert np.isfinite(panels.sigma[dark]).all() and not known.obs.sees_sun[dark].any()
     stated = Model(known.obs, Body.of(vehicle), Noise(1e-4), 0.1)
-    assert field_of(stated.seeing(dark[:6])) is not None and field_of(stated) is None
+    assert leading_field(stated.seeing(dark[:6])) is not None and leading_field(stated) is None
 
 
 def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
@@ -75,7 +75,7 @@ def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
     turned = Rotation.from_rotvec(0.02 * t_s[:, None] * [[0.0, 0.0, 1.0]])
     field = alone.assign(field_B=(("time", "axis"), 3e4 * turned.apply([0.6, 0.0, 0.8])))
     for data, count in ((alone, 2), (field, 1)):
-        assert len(split(observe(assess(vehicle, data)), None, RATES.passes)) == count
+        assert len(split_passes(observe(assess(vehicle, data)), None, RATES.passes)) == count
 
 
 @pytest.mark.parametrize(("count", "sunlit"), [(41, 0), (200, 0), (3000, 0), (400, 200)])
@@ -96,8 +96,8 @@ def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(c
     omega = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]])[:, None] * np.ones((4, 1))
     motions = Track.free(np.tile(np.eye(3), (2, 4, 1, 1)), omega)
     fitting = replace(motions, cost=np.array([1.0, 0.5]))
-    assert len(no_faster(model, fitting, RATES.search)) == 1
-    assert len(no_faster(model, replace(motions, cost=np.array([1e3, 0.5])), RATES.search)) == 2
+    assert len(drop_faster(model, fitting, RATES.search)) == 1
+    assert len(drop_faster(model, replace(motions, cost=np.array([1e3, 0.5])), RATES.search)) == 2
 
 
 def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(case):

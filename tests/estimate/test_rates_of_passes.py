@@ -7,11 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
-from sunspin.cli.rates import rates as command
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.output.template import write_templates
@@ -144,10 +142,3 @@ def test_result_of_rates_has_the_stored_schema(tmp_path):
     craft = ss.load_vehicle(vehicle)
     result = ss.rates(craft, ss.read_telemetry(telemetry, craft))
     assert schema(result) == stored_schema("rates")
-
-
-@pytest.mark.parametrize("given", ["0", "nan", "-3"])
-def test_the_option_effort_refuses_what_is_not_positive(given):
-    done = CliRunner().invoke(command, ["vehicle", "telemetry", "--effort", given])
-    assert isinstance(done.exception, ss.InputError)
-    assert "--effort must be a positive number or inf" in str(done.exception)

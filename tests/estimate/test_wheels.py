@@ -13,7 +13,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.carry import nutation
 from sunspin.estimate.columns import samples_of
 from sunspin.estimate.model import Body
-from sunspin.estimate.observe import COASTING, HELD, cut, wheel_models
+from sunspin.estimate.observe import COASTING, HELD, take_samples, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
 from sunspin.vehicle import Friction
@@ -100,7 +100,7 @@ def test_the_wheel_of_a_later_pass_coasts_from_the_first_sample_of_the_file():
     result = xr.Dataset({"pass_of": ("time", np.repeat([0, 1], 8))}, {"time": data["time"]})
     later = samples_of(result, data, 1)
     whole, part = wheel_models(craft, data), wheel_models(craft, later)
-    again = wheel_models(craft, cut(later, np.arange(4, 8)))
+    again = wheel_models(craft, take_samples(later, np.arange(4, 8)))
     assert set(part) == set(whole) == {HELD, COASTING}
     np.testing.assert_allclose(part[COASTING], whole[COASTING][8:])
     np.testing.assert_allclose(again[COASTING], whole[COASTING][12:])

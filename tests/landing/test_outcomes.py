@@ -49,6 +49,23 @@ def test_outcomes_do_not_depend_on_workers_chunks_and_other_rows(case):
     assert other["contact_speed"][0] != whole["contact_speed"][3]
 
 
+def test_a_simulation_that_ends_earlier_has_the_values_of_its_stages_and_no_others(case):
+    rows, index = rows_of(case), np.arange(24)
+    whole, of_flight = rows(index), ["rz_share"]
+    of_landing = ["antenna_share", "antenna_at_contact", "antenna_at_rest", "rest_facet", "up_z"]
+    of_landing += ["contact_point", "contact_speed", "leg_tip_speed", "leg_tip_bound"]
+    for until, later in (("collision", of_flight + of_landing), ("flight", of_landing)):
+        part = replace(rows, until=until)(index)
+        for name, values in whole.items():
+            missing = np.full_like(values, np.nan if values.dtype.kind == "f" else -1)
+            np.testing.assert_array_equal(part[name], missing if name in later else values)
+    options = {"scenario": rows.scenario, "n": 2}
+    runs = ss.outcomes(case.vehicle, [[0.1, 0.2, 0.1]], **options, until="flight")
+    assert "ends with the flight" in runs.attrs["not_told"]
+    with pytest.raises(ss.InputError, match="collision, flight, landing"):
+        ss.outcomes(case.vehicle, [[0.1, 0.2, 0.1]], **options, until="touchdown")
+
+
 def test_an_outcomes_store_is_resumed_and_refused_for_another_seed(case, tmp_path):
     options = {"scenario": sc.case_scenario(case), "chunk": 8, "store": tmp_path / "s"}
     first = ss.outcomes(case.vehicle, [[0.1, 0.2, 0.1]], "off", 16, 0, **options)

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from importlib import import_module
 
 import numpy as np
@@ -177,17 +175,6 @@ def test_a_dataset_that_is_no_result_is_refused_in_one_sentence(attrs, tmp_path)
             use()
         assert "\n" not in str(told.value)
     assert not (tmp_path / "never").exists()
-
-
-def test_the_accessor_registers_with_xarray_without_importing_matplotlib():
-    code = (
-        "import sys, sunspin as ss; bare = sorted(m for m in sys.modules if m.startswith('sunspin.'));"
-        "import xarray as xr; kinds = (xr.Dataset, xr.DataArray, xr.DataTree);"
-        "drawing = [m for m in ('matplotlib', 'plotly', 'heyoka') if m in sys.modules];"
-        "print(bare, all(hasattr(k, 'sunspin') for k in kinds), drawing)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[] True []"
 
 
 def test_each_kind_of_result_is_registered_by_the_module_that_is_imported_for_it():

@@ -100,16 +100,3 @@ def test_the_axis_swing_at_the_published_points_contradicts_the_paper(rows):
 def test_the_sign_of_friction_in_the_paper_is_the_opposite_of_ours(rows):
     wrong, right = rows["friction_sign"].published, rows["friction_sign"].ours
     assert right == pytest.approx(-0.582, abs=1e-3) and wrong == pytest.approx(-right, rel=1e-6)
-
-
-def test_two_errors_of_the_appendix_cancel():
-    """Each of the two steps fails for a wheel that is not the same about every axis; their sum holds."""
-    inertia = np.diag([3.2e-3, 3.2e-3, 5.8e-3])
-    axis = np.array([0.0, 0.0, 1.0])
-    omega = np.array([0.3, -0.2, 0.4])
-    speed = 865.0
-    whole = omega + speed * axis
-    first = np.cross(whole, inertia @ whole), np.cross(omega, inertia @ omega)
-    second = inertia @ np.cross(omega, speed * axis), np.cross(omega, inertia @ (speed * axis))
-    assert min(np.abs(first[0] - first[1]).max(), np.abs(second[0] - second[1]).max()) > 0.1
-    assert first[0] + second[0] == pytest.approx(first[1] + second[1], abs=1e-12)

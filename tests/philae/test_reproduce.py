@@ -2,7 +2,6 @@
 
 import threading
 from concurrent.futures import as_completed
-from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from matplotlib.text import Text
 from sunspin.base.errors import MotionError, TelemetryError
 from sunspin.cases import load_case
 from sunspin.output.kind import Drawing
-from sunspin.philae import data_check, inputs, pictures, published_lines, sun_directions
+from sunspin.philae import data_check, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
@@ -241,13 +240,6 @@ def test_no_step_begins_after_an_interrupt():
     go_on.set()
     assert first.result(20).result and second.result(20).result is None
     assert third.cancelled() and not begun
-
-
-def test_a_study_cannot_be_changed_by_those_who_read_it():
-    noise = sun_directions.ReadingNoise(0.1, 0.1, "as stated")
-    study = rp.Study(CASE, rb.Options(), noise, CASE.telemetry)
-    with pytest.raises(FrozenInstanceError):
-        study.phases = None
 
 
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):

@@ -11,7 +11,7 @@ from studies import components
 from sunspin.base.errors import InputError
 from sunspin.estimate.scan.histogram import distances_to_target, target_segments
 from sunspin.estimate.scan.rows import ScanRows, Start
-from sunspin.estimate.scan.volume import Table, make_table
+from sunspin.estimate.scan.volume import Histograms, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
 from sunspin.philae.simulation import CELL_W
@@ -30,7 +30,7 @@ def table():
 
 def made(n, seed):
     rng = np.random.default_rng(seed)
-    return th.Calibration(
+    return th.ThresholdCalibration(
         "key", 0, rng.gamma(2.0, size=n), np.exp(rng.normal(-4, 0.3, n)), np.full(n, 16.0), "here"
     )
 
@@ -115,9 +115,9 @@ def test_the_packaged_calibration_is_used_if_its_key_matches(table, monkeypatch)
     axes, speeds = list(rb.scan_grid(CASE).values()), rb.nominal_wheel_speeds(CASE.vehicle)
     grid = Start.on_grid(CASE.vehicle, axes, REBOUND.sun_B, speeds)
     rows = ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist")
-    assert th.calibration_key(REBOUND, Table(rows, np.zeros((0, 1)), np.zeros(0))) == shipped.key, (
-        "the built-in telemetry needs another calibration: threshold.write_calibration"
-    )
+    assert (
+        th.calibration_key(REBOUND, Histograms(rows, np.zeros((0, 1)), np.zeros(0))) == shipped.key
+    ), "the built-in telemetry needs another calibration: threshold.write_calibration"
     none = rb.Options(simulations=0)
     with pytest.raises(ss.TelemetryError, match="not calibrated"):  # another grid: another key
         th.get_calibration(REBOUND, table, none)

@@ -31,17 +31,6 @@ def test_a_body_that_rotates_about_z_sees_the_sun_move_backward():
     assert np.array_equal(cross_matrix(a) @ b, np.cross(a, b))
 
 
-def test_rotation_vectors_of_any_shape_are_recovered_from_their_rotation():
-    angle = np.random.default_rng(1).uniform(-1.5, 1.5, (2, 5, 3))
-    start = rotate_attitude(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
-    end = rotate_attitude(start, angle)
-    assert end.shape == (2, 5, 3, 3)
-    found = rotation_between(np.broadcast_to(start, end.shape), end)
-    assert found == pytest.approx(angle, abs=1e-12)
-    sun = units(1)[0]
-    assert components_after_rotation(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
-
-
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-3, 1.0, 3.0, np.pi - 1e-9, np.pi, 5.0])
 def test_rotations_agree_with_scipy(size):
     """As matrices where half a turn one way is one the other way, too."""

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sunspin.estimate.chain import carried
+from sunspin.estimate.chain import propagate
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.terms.directions import SunDirections
-from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.torques import ConstantTorque
 from tests.support.vehicles import units
 
@@ -24,12 +24,12 @@ def problem(noise=1e-4, sigma=0.02, gyro=True, torque=True, seed=1, rate_sigma=0
     rng = np.random.default_rng(seed)
     still = Observations(T_S, np.tile([0.0, 0.0, 0.01], (len(T_S), 1)), ())
     body = Body(INERTIA, ERRORS)
-    truth = carried(Model(still, body, Noise(noise), rate_sigma), 0, np.eye(3)[None], OMEGA[None])
+    truth = propagate(Model(still, body, Noise(noise), rate_sigma), 0, np.eye(3)[None], OMEGA[None])
     sun = units(truth.sun_B[0] + sigma * rng.normal(size=(len(T_S), 3)))
     terms = [SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (len(T_S), 1, 1)))]
     if gyro:
         read = truth.omega[0] + 1e-3 * rng.normal(size=(len(T_S), 3))
-        terms.append(Gyro(read, 1e-3, np.full(3, 2e-3), 0.0))
+        terms.append(GyroRates(read, 1e-3, np.full(3, 2e-3), 0.0))
     if torque:
         terms.append(
             ConstantTorque.turning("B", [0.3], float(np.ptp(T_S)), INERTIA, still.momentum)

@@ -21,7 +21,7 @@ from tests.support.philae import with_panels_as_drawn
 from tests.support.simulate import telemetry_of
 from tests.support.vehicles import LOWER_CASE_FACES
 
-FEW = replace(POSTERIOR, sampling=replace(SAMPLING, draws=800, wanted=700.0, walkers=50))
+FEW = replace(POSTERIOR, sampling=replace(SAMPLING, draws=800, wanted=700.0))
 """Settings with fewer draws than usual."""
 
 

@@ -17,7 +17,7 @@ from sunspin import rates
 from sunspin.base.errors import SunspinError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.judged import judged_orbit
 from sunspin.estimate.settings import ORBIT
@@ -273,7 +273,7 @@ def judge_rates(seed: int, i: int) -> dict[str, Any]:
         calibration = (
             None
             if orbit is None or check is None
-            else along_orbit(orbit, assess(vehicle, data), check.made)
+            else calibrate_magnetometer(orbit, assess(vehicle, data), check.fitted_sensors)
         )
         dropped = ["power_W", "panel"] if name == "field alone" else []
         about[name] = {"passes": []}

@@ -251,18 +251,6 @@ def test_suggested_keys_read_a_sensor_as_suggested():
             np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])
 
 
-@pytest.mark.parametrize(
-    ("columns", "words"),
-    [(["gx", "-gx", "gz"], "a column twice"), (["-", "gy", "gz"], "no column after it")],
-)
-def test_invalid_columns_with_a_minus_are_refused_in_one_sentence(columns, words):
-    text = VEHICLE.format(telemetry='time_column = "t"') + SENSORS.replace(
-        '["gx", "gy", "gz"]', json.dumps(columns)
-    )
-    with pytest.raises(ss.VehicleError, match=f"gyro.columns .*{words}"):
-        parse_vehicle(text, "v.toml")
-
-
 @pytest.fixture
 def stored(tmp_path):
     """A vehicle, its telemetry with a gyro and a Sun vector, and the file of it as results folders have it."""

@@ -40,13 +40,6 @@ def test_allowed_patterns_of_philae_are_the_sixteen_of_its_geometry():
     assert set(health["allowed"]) == without | {(*p, "6") for p in without}
 
 
-def test_four_panels_on_a_tetrahedron_allow_every_pattern_except_none_and_all():
-    """One to three faces of a tetrahedron see the Sun: 14 patterns."""
-    craft = tetrahedron()
-    allowed = ss.panel_health(craft, panel_power(craft, directions(5)), noise=1.0)["allowed"]
-    assert len(allowed) == 14 and {len(p) for p in allowed} == {1, 2, 3}
-
-
 @pytest.mark.evidence(
     "panel_health", "validated", "the patterns that the paper reports after the second touchdown"
 )

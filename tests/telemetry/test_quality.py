@@ -47,15 +47,6 @@ def test_a_dead_panel_is_named_and_left_out():
     assert not Panels.read(assess(CUBE, telemetry(clean(60)[0])))[0].left_out
 
 
-def test_a_panel_that_was_never_in_the_sun_is_not_called_dead():
-    sun = clean(60)[1]
-    power = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
-    power += 0.002 * np.random.default_rng(1).uniform(size=power.shape)
-    quality = panel_quality(CUBE, telemetry(power))
-    assert quality["dead"].values.tolist() == THIRD
-    assert not quality["missed"].any()
-
-
 def test_in_few_samples_a_panel_is_called_dead_only_for_missing_light_on_a_path():
     angle = np.linspace(-1.2, 1.2, 10)
     sun = np.stack([np.cos(angle), 0.3 * np.ones(10), np.sin(angle)], axis=1) / np.sqrt(1.09)

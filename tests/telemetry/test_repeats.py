@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.lander.window import observe_window
-from sunspin.estimate.observe import ALONE, observe, split
+from sunspin.estimate.observe import ALONE, observe, split_passes
 from sunspin.estimate.scan.directions import directions_within
 from sunspin.estimate.settings import RATES
 from sunspin.output.check.repeats import describe_repeats
@@ -99,15 +99,6 @@ def test_copies_of_frames_without_noise_are_left_out(late_s):
     assert np.array_equal(looked_at(t, value).repeats.frozen[:-1], copies[:-1])
 
 
-@pytest.mark.parametrize("fill", [999.0, 65535.0, -999.0])
-def test_rows_of_fill_values_between_samples_are_no_directions(fill):
-    t, value = tumbling(60)
-    rows = np.full((120, 6), fill)
-    rows[::2] = value
-    between = np.sort(np.concatenate([t, t + 5.0]))
-    assert describe_samples(looked_at(between, rows))[0]["directions"] == 60
-
-
 def test_held_gyro_readings_are_not_used_as_samples():
     t, value = tumbling(120)
     gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
@@ -119,7 +110,7 @@ def test_held_gyro_readings_are_not_used_as_samples():
 def test_a_frozen_time_range_splits_the_pass():
     t, value = tumbling(80)
     value[30:50] = value[29]
-    first, second = split(observe(looked_at(t, value)), None, RATES.passes)
+    first, second = split_passes(observe(looked_at(t, value)), None, RATES.passes)
     assert first.samples[-1] == 29 and second.samples[0] == 50
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import struct
 import zipfile
 
 import numpy as np
@@ -12,7 +11,6 @@ from click.testing import CliRunner
 import sunspin as ss
 from studies.skcube_gyro import fit, neighbouring_beacons
 from sunspin.cli.decode import decode
-from sunspin.telemetry.decoders.frames import unescape
 from sunspin.telemetry.decoders.skcube import KINDS, beacons_csv, decode_beacons
 
 FREE_S, LAST_S = 219_600, 476_000
@@ -95,11 +93,6 @@ def test_a_damaged_satnogs_export_is_refused_in_one_sentence(text, tmp_path):
     with pytest.raises(ss.TelemetryError, match="export") as told:
         decode_beacons(raw)
     assert "\n" not in str(told.value)
-
-
-def test_escapes_of_a_frame_are_removed_and_beacon_forms_have_their_sizes():
-    assert unescape(b"\x01\xdb\xdc\x02\xdb\xdd\xdb") == b"\x01\xc0\x02\xdb\xdb"
-    assert KINDS["ADCS"][0].size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off"])

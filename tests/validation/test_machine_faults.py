@@ -41,14 +41,6 @@ def test_a_full_disk_is_reported_and_leaves_no_partial_results(tmp_path):
 
 
 @pytest.mark.long
-def test_a_full_disk_is_reported_for_a_store(tmp_path):
-    given = "outcomes philae --runs=64 --workers=1 --strategy=off --store".split()
-    outcome = limited(resource.RLIMIT_FSIZE, 500, *given, tmp_path / "rows")
-    said(outcome, "free space", str(tmp_path), "nothing")
-    assert not list(tmp_path.rglob("*.part*"))
-
-
-@pytest.mark.long
 def test_too_little_memory_is_reported():
     given = ["simulate", "philae", *START, "--duration=200000", "--step=0.101"]
     said(limited(resource.RLIMIT_AS, 900_000_000, *given), "memory")

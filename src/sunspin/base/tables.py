@@ -55,7 +55,7 @@ FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
 """Names for the columns of such a line, as in the JSON of the same database; older exports have only the first two."""
 
 
-class Table(NamedTuple):
+class TextTable(NamedTuple):
     """A table as text cells, indexed by the number of each row in the file and by the name of each column.
 
     `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file. `counted` says
@@ -109,7 +109,7 @@ class Table(NamedTuple):
         return f"{self.counted} {self.cells.index[row]}"
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> TextTable:
     """Read a table; its first bytes, not its name, decide the file type. Raises `TelemetryError`."""
     where = str(path)
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
@@ -134,7 +134,7 @@ def read_table(path: Path) -> Table:
             (cells, comments), counted = _read_csv(text, where), "line"
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
-    return Table(cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted)
+    return TextTable(cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted)
 
 
 def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import wraps
+from functools import partial, wraps
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -133,18 +133,19 @@ class Output:
 
             results_folder(self.folder, self.command)
 
-    def draw_in_background(self, workers: int | None = None) -> None:
-        """Start the process that draws the figures: it imports the library for that while this one reads and computes.
+    def draw_in_background(self, kinds: str, workers: int | None = None) -> None:
+        """Start the process that draws the figures of results of these `kinds`, a module of :mod:`sunspin.output.kinds`.
 
-        For a command with a results folder and more than one worker, after its imports, which the process then has too.
+        For a command with a results folder and more than one worker. It is a copy of this process, so a command calls it before
+        its other imports: while this process imports what computes, that one imports what draws.
         """
         from sunspin.compute.helper import helper_process
         from sunspin.compute.pool import worker_count
-        from sunspin.output.figures import load
+        from sunspin.output.result import prepare_to_draw
 
         if self.folder is not None and not missing_packages("pictures"):
             context = click.get_current_context()
-            helper = helper_process(worker_count(workers), load)
+            helper = helper_process(worker_count(workers), partial(prepare_to_draw, kinds))
             context.meta[HELPER] = context.with_resource(helper)
 
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:

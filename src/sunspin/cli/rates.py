@@ -117,6 +117,7 @@ def rates(
     """
     if output.progress:  # on a terminal, before the imports, which take longer than a short pass
         output.announce(f"reading {telemetry.name}")
+    output.draw_in_background("rates", workers)
     from sunspin.compute.pool import worker_count
     from sunspin.estimate.orbit.judged import elements_of
     from sunspin.estimate.rates import rates as estimate_rates
@@ -126,7 +127,6 @@ def rates(
     from sunspin.telemetry.column_periods import describe_periods, read_column_periods
     from sunspin.telemetry.withheld import parse_withheld, read_withheld
 
-    output.draw_in_background(workers)
     craft, samples = read_inputs(vehicle, telemetry)
     withheld = [parse_withheld(text, craft, without) for text in compared]
     if len({sensor.variable for sensor in withheld}) < len(withheld):

@@ -30,7 +30,7 @@ from sunspin.cli.common import PATH, shared
 @click.option(
     "--without",
     type=click.Choice(["posterior"]),
-    help="Leave out the posterior of the samples, which is computed last and takes about as long as all else.",
+    help="Leave out the posterior of the samples, which takes a third of the computing time.",
 )
 @set_options("study", "collision", short=tuple(SHORT_OPTIONS))
 @shared("--seed", "--workers", out="results")
@@ -49,10 +49,10 @@ def reproduce(telemetry, output, without, **options) -> None:
     from sunspin.philae.reproduction import reproduce as reproduce_study
 
     def report_page(written) -> None:
-        """Say that the page is there while the posterior is computed."""
+        """Say that the page is there while the posterior is still computed."""
         if not output.quiet:
             seconds = written.summary["seconds"]
-            text = f"{written.report} is there after {seconds:.0f} s; the posterior of the samples takes about as long"
+            text = f"{written.report} is there after {seconds:.0f} s; the posterior of the samples follows"
             click.echo(f"sunspin: {text}", err=True)
 
     written = reproduce_study(

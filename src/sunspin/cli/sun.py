@@ -29,10 +29,10 @@ def sun(vehicle, telemetry, noise, threshold, output) -> None:
       sunspin sun vehicle.toml telemetry.csv --out sun-results
       sunspin sun philae philae
     """
+    output.draw_in_background("telemetry")
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.sun import sun_directions
 
-    output.draw_in_background()
     craft, samples = read_inputs(vehicle, telemetry)
     output.claim()
     assessment = assess(craft, samples)

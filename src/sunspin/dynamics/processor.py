@@ -26,6 +26,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ import llvmlite.binding as llvm
 from numba import njit as njit
 from numba.core import config as numba_config
 from numba.core import event, registry
+from numba.core.caching import FunctionCache
 
 config: Any = numba_config  # its settings are made at run time, where no type checker sees them
 
@@ -61,12 +63,26 @@ def cached(message: str) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         _announced[function] = message
-        try:
-            return njit(cache=True, **OPTIONS)(function)
-        except RuntimeError:  # neither the package's folder nor the user's cache can be written
-            return njit(**OPTIONS)(function)
+        entry: Any = njit(**OPTIONS)(function)
+        with suppress(
+            RuntimeError
+        ):  # neither the package's folder nor the user's cache can be written
+            entry._cache = _KeptCode(function)
+        return entry
 
     return decorate
+
+
+class _KeptCode(FunctionCache):
+    """The machine code of an entry point on disk. An index that names a class which was renamed since counts as empty."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the machine code for a signature, or None if none is kept."""
+        try:
+            return super().load_overload(sig, target_context)
+        except (AttributeError, ImportError):  # numba reads the index before it asks how old it is
+            self.flush()
+            return None
 
 
 class _Announcement(event.Listener):

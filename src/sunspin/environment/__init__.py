@@ -15,11 +15,11 @@ from sunspin.base.errors import InputError
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.environment.surroundings import Environment, Surroundings
 
-__all__ = ["Circular", "Environment", "Surroundings", "Unknown", "circular", "unknown"]
+__all__ = ["Circular", "Environment", "Surroundings", "FixedSun", "circular", "unknown"]
 
 
 @dataclass(frozen=True)
-class Unknown:
+class FixedSun:
     """An environment of which nothing is known but a fixed Sun, along the z axis of N."""
 
     frame_N: str = SUN_Z_LOCAL
@@ -31,7 +31,7 @@ class Unknown:
 
 def unknown() -> Environment:
     """Return the environment of a pass without orbit."""
-    return Unknown()
+    return FixedSun()
 
 
 @dataclass(frozen=True)

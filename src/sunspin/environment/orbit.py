@@ -109,6 +109,11 @@ class Orbit:
     middle_jd: float = 0.0
     frame_N: str = J2000
 
+    @property
+    def offset_sigma_s(self) -> float:
+        """Standard deviation of the along-track offset at mid-file, s: of the elements and of the clock together."""
+        return float(np.hypot(self.shift_sigma_s, self.clock_sigma_s))
+
     def days(self, when: Instants) -> np.ndarray:
         """Return the days (n) from the middle of the telemetry."""
         return (when.jd - self.middle_jd) + when.fraction
@@ -119,8 +124,7 @@ class Orbit:
 
     def ahead_sigma_s(self, when: Instants) -> np.ndarray:
         """Return the standard deviation (n) of the position along the track in s of flight, from shift, drift and clock."""
-        constant = np.hypot(self.shift_sigma_s, self.clock_sigma_s)
-        return np.hypot(constant, self.drift_sigma_s_day * self.days(when))
+        return np.hypot(self.offset_sigma_s, self.drift_sigma_s_day * self.days(when))
 
     def instants(self, t_s: npt.ArrayLike) -> Instants:
         """Return the true instants of telemetry times (n), corrected for the clock."""

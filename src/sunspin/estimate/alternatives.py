@@ -14,65 +14,67 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.estimate.chain import RATE, Fit, defects, fit
-from sunspin.estimate.evidence import likeliest
+from sunspin.estimate.evidence import best_fit
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
-from sunspin.estimate.terms.inertial import Gyro
+from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
 LEAST_STEP = 1e-3
 """Least size of a step, in sigmas of the rate before the data."""
 
 
-def alternatives(stated: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield, one at a time, the models that are tried in addition to the nominal one, `stated`.
+def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
+    """Yield, one at a time, the models that are tried in addition to the nominal one, `nominal`.
 
     A constant torque in the body, and one in space; a gyro whose zero is off; steps of the rate. `fits`: all so far. The caller
     adds the fits of each model to them before it asks for the next one, since a step of the rate is tried only if the one before
     it raised the evidence.
     """
-    duration_s = float(np.ptp(stated.obs.t_s))
+    duration_s = float(np.ptp(nominal.obs.t_s))
     for frame, words in WORDS.items():
         torque = ConstantTorque.turning(
-            frame, s.torque_turns_rad, duration_s, stated.body.inertia, stated.obs.momentum
+            frame, s.torque_turns_rad, duration_s, nominal.body.inertia, nominal.obs.momentum
         )
-        yield stated.plus(torque, f"a steady torque in {words}")
-    yield from another_zero(stated, s)
-    yield from steps_of_the_rate(stated, fits, s)
+        yield nominal.plus(torque, f"a steady torque in {words}")
+    yield from another_zero(nominal, s)
+    yield from steps_of_the_rate(nominal, fits, s)
 
 
-def another_zero(stated: Model, s: AlternativeSettings) -> Iterator[Model]:
+def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     """Yield the model of a gyro whose zero is off by more than the vehicle file states, by any of the sizes of an unknown one.
 
     A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
     """
-    for term in stated.obs.terms:
-        if isinstance(term, Gyro) and term.zero_stated and term.present().any():
-            others = (one.with_any_zero() if one is term else one for one in stated.obs.terms)
+    for number, term in enumerate(nominal.obs.terms):
+        if isinstance(term, GyroRates) and term.zero_stated and term.present().any():
+            terms = list(nominal.obs.terms)
+            terms[number] = term.with_any_zero()
             yield replace(
-                stated,
-                obs=replace(stated.obs, terms=tuple(others)),
+                nominal,
+                obs=replace(nominal.obs, terms=tuple(terms)),
                 what="another zero offset of the gyro",
-                log_prior=stated.log_prior + s.zero_odds,
+                log_prior=nominal.log_prior + s.zero_odds,
             )
 
 
 def steps_of_the_rate(
-    stated: Model, fits: Sequence[Fit], s: AlternativeSettings
+    nominal: Model, fits: Sequence[Fit], s: AlternativeSettings
 ) -> Iterator[Model]:
     """Yield models in which the rate changes at once in one interval, then in a second one too, as long as the evidence grows.
 
     A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
     step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
-    with a thrust was decided and wrong by 6 sigma. A step may be anywhere, which costs evidence, and near a sample the data hardly
-    tell before from after: the last steps are also tried one interval earlier and later. `fits` as in :func:`alternatives`.
+    with a thrust was decided and wrong by 6 sigma. The interval of a step is not known, which costs the log of the number of
+    intervals in evidence. Near a sample the data hardly show whether a step came before or after it, so the last step is also tried
+    one interval earlier and later. `fits` as in :func:`alternatives`.
     """
-    # the fits of the model with the steps so far, which begin without any, and their evidence
-    best = likeliest([one for one in fits if one.model.what == AS_STATED])
+    # the best fit with the steps so far, at first with none, and its evidence
+    best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
     top = float(best.log_evidence.max())
     steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
-    intervals = len(stated.obs) - 1
+    intervals = len(nominal.obs) - 1
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
         motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
@@ -81,46 +83,48 @@ def steps_of_the_rate(
         worst = int(np.argmax(square))
         # Under the weakest torques a step gains at most half the squared defect of its interval. Under stronger ones
         # other intervals gain too, as weaker torques then suffice there, which only the fit can show.
-        calm = best.model.noise.acceleration == min(one.model.noise.acceleration for one in fits)
+        calm = best.model.noise.acceleration == min(
+            fitted.model.noise.acceleration for fitted in fits
+        )
         if calm and square[worst] / 2 < price:
             return
         sigma = _size_of_step(best.model, motion, worst)
         steps = (*steps, (worst, sigma))
-        model = _with_steps(stated, steps, price)
+        model = _with_steps(nominal, steps, price)
         yield model
-        with_step = [one for one in fits if one.model.what == model.what]
-        if not with_step or likeliest(with_step).log_evidence.max() <= top:
+        with_step = [fitted for fitted in fits if fitted.model.what == model.what]
+        if not with_step or best_fit(with_step).log_evidence.max() <= top:
             return
-        best = likeliest(with_step)
+        best = best_fit(with_step)
         top = float(best.log_evidence.max())
         for interval in (worst - 1, worst + 1):
-            if 0 <= interval < intervals and all(interval != other for other, _ in steps):
-                yield _with_steps(stated, (*steps[:-1], (interval, sigma)), price)
+            if 0 <= interval < intervals and all(interval != taken for taken, _ in steps):
+                yield _with_steps(nominal, (*steps[:-1], (interval, sigma)), price)
 
 
 def _size_of_step(model: Model, motion: Track, interval: int) -> float:
-    """Return the size (rad/s) of one component of a step in an interval as it comes out if it may be of any size.
+    """Return the size (rad/s) that the data give a step of the rate in an interval: the root mean square of its components.
 
-    The motion is fitted with a step that is as free as the rate itself. What it then leaves of the equations of motion in the
-    interval, undone from its whitening, is the change of the rate: the size is the root mean square of its components.
+    The motion (K = 1) is fitted with a step whose prior is as wide as that of the rate itself. By how much the rate then leaves the
+    equations of motion in the interval is the step.
     """
     widest = model.rate_sigma
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
-    wide = replace(model, noise=noise)
-    free = fit(wide, motion, 6).motions
-    defect = defects(wide, free)
+    with_free_step = replace(model, noise=noise)
+    fitted = fit(with_free_step, motion, steps=6).motions
+    defect = defects(with_free_step, fitted)
     change = defect.unwhitened(defect.value)[0, interval, RATE]
     return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
 
 
-def _with_steps(stated: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:
-    """Return the model with steps, each of which costs evidence."""
-    t_s = stated.obs.t_s
+def _with_steps(nominal: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:
+    """Return the model with steps of the rate, (interval, size in rad/s) each; a step costs `price` in log evidence."""
+    t_s = nominal.obs.t_s
     times = sorted((t_s[interval] + t_s[interval + 1]) / 2 for interval, _ in steps)
     at = ", ".join(f"{time:.0f}" for time in times)
     return replace(
-        stated,
-        noise=replace(stated.noise, steps=steps),
+        nominal,
+        noise=replace(nominal.noise, steps=steps),
         what=f"{'steps' if len(steps) > 1 else 'a step'} of the rate at {at} s",
-        log_prior=stated.log_prior - len(steps) * price,
+        log_prior=nominal.log_prior - len(steps) * price,
     )

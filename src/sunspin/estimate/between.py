@@ -30,29 +30,31 @@ def link_passes(
 
     `middle_s`: the middle of each pass; `rate_sigma` (rad/s): of a rate before the data.
     """
-    independent = [np.log(np.maximum(one.probability, 1e-300)) for one in passes]
+    own = [np.log(np.maximum(of_pass.probability, 1e-300)) for of_pass in passes]
     # log evidence relative to that of independent passes, which is 0
     best, best_evidence = None, 0.0
     for walk in WALKS:
         transitions = [
-            _log_transition(one, after, walk**2 * abs(middle_s[k + 1] - middle_s[k]), rate_sigma)
-            for k, (one, after) in enumerate(zip(passes[:-1], passes[1:], strict=True))
+            _log_transition(before, after, walk**2 * abs(middle_s[k + 1] - middle_s[k]), rate_sigma)
+            for k, (before, after) in enumerate(zip(passes[:-1], passes[1:], strict=True))
         ]
-        forward = [independent[0]]
-        for transition, own in zip(transitions, independent[1:], strict=True):
-            forward.append(own + logsumexp(forward[-1][:, None] + transition, axis=0))
+        # log probability of each solution given its pass and all earlier ones
+        forward = [own[0]]
+        for transition, own_of_next in zip(transitions, own[1:], strict=True):
+            forward.append(own_of_next + logsumexp(forward[-1][:, None] + transition, axis=0))
         evidence = float(logsumexp(forward[-1]))
         if evidence > best_evidence:
             best, best_evidence = (forward, transitions, float(walk)), evidence
     if best is None:
         return list(passes), np.nan
     forward, transitions, chosen = best
-    backward = [np.zeros(len(independent[-1]))]
-    for transition, own in zip(reversed(transitions), reversed(independent[1:]), strict=True):
-        backward.insert(0, np.asarray(logsumexp(transition + own + backward[0], axis=1)))
+    # log probability of all later passes given each solution
+    backward = [np.zeros(len(own[-1]))]
+    for transition, own_of_next in zip(reversed(transitions), reversed(own[1:]), strict=True):
+        backward.insert(0, np.asarray(logsumexp(transition + own_of_next + backward[0], axis=1)))
     linked = []
-    for solved, up_to, after in zip(passes, forward, backward, strict=True):
-        log = up_to + after
+    for solved, earlier, later in zip(passes, forward, backward, strict=True):
+        log = earlier + later
         linked.append(replace(solved, probability=np.exp(log - logsumexp(log))))
     return linked, chosen
 

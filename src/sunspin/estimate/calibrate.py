@@ -19,12 +19,12 @@ from sunspin.estimate.orbit.calibration import (
     MOST_SAMPLES,
     SUN_KEYS,
     Calibration,
-    fit_along,
+    fit_sensors,
     priors,
 )
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimate.orbit.invariants import STUDENT
-from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.estimate.orbit.readings import Readings, orbit_readings
 from sunspin.estimate.rates import rates
 from sunspin.estimate.verdict import COLUMNS_DOUBTED, NARROWER
 from sunspin.telemetry.assess import Assessment, assess
@@ -35,20 +35,21 @@ from sunspin.vehicle.sensors import Gyro
 from sunspin.vehicle.timeline import utc_after
 
 BLOCKS = 8
-"""Parts of the file that are left out in turn."""
+"""Parts of the file that a jackknife of the panels' gains leaves out in turn."""
 
 SMALL = 1e-5
-"""Step of the differences by which covariances are carried to the keys of the file, in prior sigmas."""
+"""Step, in prior sigmas, of the differences by which errors are propagated to the keys of the file."""
 
 GYRO_SCALE = 0.2
 """One sigma of a gyro's scale over the stated one, if the vehicle file states none."""
 
 GYRO_ROUNDS, NOISE_STEP = 8, (0.5, 3.0)
-"""Alternations of a gyro's zero and scale with the size of the errors, and the factors by which that changes at a time."""
+"""Alternations of a gyro's zero and scale with the size of the errors, and the least and largest factor by which that changes at a
+time."""
 
 FEWEST_PASSES = 3
-"""With fewer passes nothing shows the errors of their rates: a torque fitted to one pass of five samples, where there was none,
-made its gyro's scale 2.6 times as large as it was, with a sigma of 0.6."""
+"""A gyro is calibrated with no fewer passes, as nothing would show the errors of their rates. On one pass of five samples a torque
+was fitted that there was not, and the gyro's scale became 2.6 times too large, with a sigma of 0.6."""
 
 NUMBERS = ("stated", "value", "sigma", "prior_sigma")
 """Variables of the result that are numbers of the vehicle file."""
@@ -57,8 +58,8 @@ NUMBERS = ("stated", "value", "sigma", "prior_sigma")
 class Key(NamedTuple):
     """A key of the vehicle file with m components: `where` it is (table, name of the part), and its numbers, in arrays (m).
 
-    `stated`: in the file; `value`, `sigma`: estimated; `prior`: sigma before the data. `samples`: how many show it. `together`:
-    whether it and all keys that only make sense with it are determined; None if it needs no others.
+    `stated`: in the file; `value`, `sigma`: estimated; `prior`: sigma before the data. `samples`: how many show it. A key that
+    makes sense only with others is `written` to the file if all of them are determined; None: if this one is.
     """
 
     where: tuple[str, ...]
@@ -69,7 +70,7 @@ class Key(NamedTuple):
     prior: np.ndarray
     unit: str
     samples: int
-    together: bool | None = None
+    written: bool | None = None
 
     @property
     def determined(self) -> np.ndarray:
@@ -112,17 +113,17 @@ def calibrate_sensors(
     attrs: dict[str, Any] = {}
     calibrated = vehicle
     if "panel" in telemetry.coords:
-        keys, calibrated = _panels(assess(vehicle, telemetry), notes)
+        keys, calibrated = _panel_keys(assess(vehicle, telemetry), notes)
     if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
         assessment = assess(calibrated, telemetry)
-        readings = read(assessment, MOST_SAMPLES)
-        fitted = _in_orbit(assessment, orbit, readings, notes)
+        readings = orbit_readings(assessment, MOST_SAMPLES)
+        fitted = _fit_in_orbit(assessment, orbit, readings, notes)
         if fitted is not None and orbit is not None:
-            keys += _magnetometer(vehicle, fitted)
-            keys += _sun_sensors(vehicle, readings, fitted)
-            attrs = _described(fitted, orbit)
+            keys += _magnetometer_keys(vehicle, fitted)
+            keys += _sun_sensor_keys(vehicle, readings, fitted)
+            attrs = _fit_attributes(fitted, orbit)
     if "gyro_B" in telemetry and vehicle.sensors.gyro is not None:
-        keys += _gyro(vehicle.sensors.gyro, vehicle, telemetry, notes, progress)
+        keys += _gyro_by_rates(vehicle.sensors.gyro, vehicle, telemetry, notes, progress)
     if not keys and not notes:
         raise InputError(
             "the telemetry has nothing that can be calibrated",
@@ -132,7 +133,7 @@ def calibrate_sensors(
 
 
 def new_values(result: xr.Dataset) -> list[NewValue]:
-    """Return the keys of which a calibration has determined all components, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
+    """Return the new values of keys that a calibration determines, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
     values = []
     for name in dict.fromkeys(result["key"].values.tolist()):
         part = result.isel(quantity=np.flatnonzero(result["key"].values == name))
@@ -155,8 +156,8 @@ def _in_toml(numbers: np.ndarray) -> Any:
     return rounded if len(rounded) != 9 else [rounded[:3], rounded[3:6], rounded[6:]]
 
 
-def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicle]:
-    """Return the keys of the gains, by the brightness of samples, and the vehicle with them."""
+def _panel_keys(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicle]:
+    """Return the keys of the panels' gains, and the vehicle with these gains. Notes say why there are none."""
     vehicle, telemetry, quality = assessment.vehicle, assessment.telemetry, assessment.quality
     if vehicle.channels:
         notes.append("gains of panels: an input that panels share does not tell the gain of each")
@@ -165,7 +166,7 @@ def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicl
         notes.append(f"gains of panels: {quality.attrs['gains_from']}")
         return [], vehicle
     stated, gain = vehicle.panel_gains, quality["gain"].values
-    # Jackknife: leave out each part of the file in turn, as what brightens or dims a panel lasts for a pass.
+    # Jackknife: leave out each part of the file in turn, as errors of the brightness last for a pass.
     samples, gains_without = np.arange(telemetry.sizes["time"]), []
     for block in np.array_split(samples, BLOCKS):
         rest = telemetry.isel(time=np.setdiff1d(samples, block))
@@ -175,22 +176,22 @@ def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicl
     sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), jackknife)
     prior = prior_sigmas(vehicle) * stated
     name = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
-    count = int((quality["use"].values == 0).sum())
-    keys = []
-    for k, panel in enumerate(vehicle.panels):
-        old, new, error, before = (part[k : k + 1] for part in (stated, gain, sigma, prior))
-        where, unit = ("panel", panel.name), vehicle.gain_unit or "1"
-        keys.append(Key(where, name, old, new, error, before, unit, count))
+    unit, count = vehicle.gain_unit or "1", int((quality["use"].values == 0).sum())
+    numbers = np.stack([stated, gain, sigma, prior], axis=1)[..., None]  # (n_panel, 4, 1)
+    keys = [
+        Key(("panel", panel.name), name, old, new, error, before, unit, count)
+        for panel, (old, new, error, before) in zip(vehicle.panels, numbers, strict=True)
+    ]
     return keys, scale_gains(vehicle, gain / stated)
 
 
 # ---------------------------------------------------------------------------------------------------------------------- in an orbit
 
 
-def _in_orbit(
+def _fit_in_orbit(
     assessment: Assessment, orbit: Orbit | None, readings: Readings, notes: list[str]
 ) -> Calibration | None:
-    """Return the sensors fitted along the orbit; None, with a note, if the data do not determine them."""
+    """Return magnetometer and Sun sensors fitted along the orbit; None, with a note, if the data do not determine them."""
     vehicle = assessment.vehicle
     what = "magnetometer and Sun sensors" if vehicle.sensors.sun_sensors else "magnetometer"
     if orbit is None:
@@ -203,7 +204,7 @@ def _in_orbit(
     notes.append(f"orbit: {check.verdict.value}")
     start = check.start(orbit)
     if start is not None and readings.has_field.any():
-        fitted = check.made or fit_along(
+        fitted = check.fitted_sensors or fit_sensors(
             orbit, vehicle, readings, start, priors(vehicle, readings, orbit)
         )
         if fitted.samples["field"] + fitted.samples["field and Sun"] >= FEWEST:
@@ -213,7 +214,7 @@ def _in_orbit(
 
 
 def _require_consistent(check: OrbitCheck) -> None:
-    """Raise InputError if no calibration may follow: wrong elements, or a magnetometer with another sign or other axes."""
+    """Raise InputError if the check forbids a calibration: wrong elements, or a magnetometer with another sign or other axes."""
     if check.verdict is Verdict.REFUSED:
         ranked = f"{check.better} of {check.copies} orbits at random predict better"
         raise InputError(
@@ -231,8 +232,8 @@ def _require_consistent(check: OrbitCheck) -> None:
         raise InputError(f"{what}, and is not calibrated so", do=do)
 
 
-def _described(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
-    """Return the attributes of the result that say how the fit went."""
+def _fit_attributes(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
+    """Return the attributes of the result for a fit along the orbit: offset, drift, residuals, noise."""
     return {
         "shift_s": orbit.shift_s + fitted.shift_s,
         "shift_sigma_s": fitted.shift_sigma_s,
@@ -247,13 +248,13 @@ def _described(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
     }
 
 
-def with_sigmas(
+def propagated(
     fitted: Calibration, quantity: Callable[[Calibration], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a function (m) of the calibration, its sigma, and its sigma before the data.
 
-    By linear propagation, S C S^T with the slope S (m, D) by differences. Of two sigmas, by the curvature and by leaving out
-    passes, the larger one counts.
+    Errors are propagated linearly: a covariance C of the unknowns becomes S C S^T, with the derivatives S (m, D) by differences.
+    The sigma is the larger one of those by the curvature and by the jackknife over passes.
     """
     value, columns = quantity(fitted), []
     for k, step in enumerate(SMALL * np.sqrt(np.diag(fitted.prior))):
@@ -261,102 +262,100 @@ def with_sigmas(
         moved[k] += step
         columns.append((quantity(replace(fitted, values=moved)) - value) / step)
     slope = np.stack(columns, axis=1)
-    by_curvature, by_passes, prior = (
+    by_curvature, by_jackknife, prior = (
         np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope))
         for covariance in (fitted.model, fitted.robust, fitted.prior)
     )
-    return value, np.maximum(by_curvature, by_passes), prior
+    return value, np.maximum(by_curvature, by_jackknife), prior
 
 
-def _magnetometer(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
+def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
     """Return the keys of the magnetometer: field = scale_T matrix (column - zero).
 
     `fitted.matrix_T` (3, 3) is scale and matrix together, relative to the matrix of the vehicle file. Their product is split into a
     rotation and a stretch (polar decomposition), and the stretch into its scale, the cube root of the determinant, and the rest.
     """
-    part, n = vehicle.sensors.magnetometer, fitted.samples["field"]
-    if part is None or not n:
+    stated, n = vehicle.sensors.magnetometer, fitted.samples["field"]
+    if stated is None or not n:
         return []
 
     def zero(calibration: Calibration) -> np.ndarray:
-        """Return the zero (3) in the readings of the columns: the telemetry holds matrix times (column - zero)."""
-        return part.zero + part.sign * np.linalg.solve(part.matrix, calibration.zero)
+        """Return the zero (3) in the unit of the columns: the telemetry holds matrix times (column - zero)."""
+        return stated.zero + stated.sign * np.linalg.solve(stated.matrix, calibration.zero)
 
     def rotation_and_stretch(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
         """Return the rotation vector (3) of the axes, and the symmetric matrix (3, 3) before it, in T for a unit of a reading."""
-        rotation, stretch = polar(calibration.matrix_T @ part.matrix, side="right")
+        rotation, stretch = polar(calibration.matrix_T @ stated.matrix, side="right")
         return Rotation.from_matrix(rotation).as_rotvec(), stretch
 
     def scale(calibration: Calibration) -> np.ndarray:
         """Return the scale (1) in T for a unit of a reading."""
         return np.array([np.cbrt(np.linalg.det(rotation_and_stretch(calibration)[1]))])
 
-    # Without the Sun the strength leaves the rotation of the axes open: then the matrix is the symmetric one.
-    _, sigma, prior = with_sigmas(fitted, lambda one: rotation_and_stretch(one)[0])
+    # Without the Sun, strengths do not determine the rotation of the axes: then the matrix is the symmetric one.
+    _, sigma, prior = propagated(fitted, lambda calibration: rotation_and_stretch(calibration)[0])
     axes_known = bool((sigma < NARROWER * prior).all())
 
     def matrix(calibration: Calibration) -> np.ndarray:
         """Return the matrix (9), by rows, without its scale."""
         stretch = rotation_and_stretch(calibration)[1]
-        whole = calibration.matrix_T @ part.matrix if axes_known else stretch
+        whole = calibration.matrix_T @ stated.matrix if axes_known else stretch
         return (whole / scale(calibration)).ravel()
 
     where = ("magnetometer",)
-    stated_scale = np.array([np.nan if part.scale_T is None else part.scale_T])
+    stated_scale = np.array([np.nan if stated.scale_T is None else stated.scale_T])
     keys = [
-        Key(where, "zero", part.zero, *with_sigmas(fitted, zero), "reading", n),
-        Key(where, "matrix", part.matrix.ravel(), *with_sigmas(fitted, matrix), "1", n),
-        Key(where, "scale_T", stated_scale, *with_sigmas(fitted, scale), "T", n),
+        Key(where, "zero", stated.zero, *propagated(fitted, zero), "reading", n),
+        Key(where, "matrix", stated.matrix.ravel(), *propagated(fitted, matrix), "1", n),
+        Key(where, "scale_T", stated_scale, *propagated(fitted, scale), "T", n),
     ]
-    together = all(key.determined.all() for key in keys)
-    if part.noise is None:
+    all_determined = all(key.determined.all() for key in keys)
+    if stated.noise is None:
         noise = np.array([fitted.noise_T]) / scale(fitted)
         numbers = (np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise)
         keys.append(Key(where, "noise", *numbers, "reading", n))
-    return [key._replace(together=together) for key in keys]
+    return [key._replace(written=all_determined) for key in keys]
 
 
-def _sun_sensors(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> Iterator[Key]:
+def _sun_sensor_keys(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> Iterator[Key]:
     """Yield the keys of Sun sensors that have readings: true angle = scale reading - bias.
 
     The fit is relative to the file, whose angle is (scale reading - bias) of the keys stated there: true angle = (angle - fitted
     bias) / fitted scale. So the new scale is the stated one over that of the fit, and the new bias (stated + fitted) over it.
     """
-    of_bias, of_scale = slice(0, 2), slice(2, 5)  # of SUN_KEYS
+    biases, scales = slice(0, 2), slice(2, 5)  # of SUN_KEYS
     for k, sensor in enumerate(vehicle.sensors.sun_sensors):
         x_read, y_read = np.isfinite(readings.angle[:, k]).T
         turned = readings.y_turned[:, k]
-        counts = [np.sum(x_read), np.sum(y_read), np.sum(x_read)]
-        counts += [np.sum(y_read & ~turned), np.sum(y_read & turned)]
-        keys = [getattr(sensor, key) for key in SUN_KEYS]
-        stated = np.array([0.0 if one is None else one for one in keys])
+        shown_by = (x_read, y_read, x_read, y_read & ~turned, y_read & turned)  # of SUN_KEYS
+        stated = np.array([getattr(sensor, key) for key in SUN_KEYS], dtype=float)  # None: NaN
 
-        def new_keys(
+        def corrected_keys(
             calibration: Calibration, k: int = k, stated: np.ndarray = stated
         ) -> np.ndarray:
-            """Return the keys (5) of sensor k by a calibration."""
-            bias = (stated[of_bias] + calibration.bias[k]) / calibration.scale[k, :2]
-            return np.concatenate([bias, stated[of_scale] / calibration.scale[k]])
+            """Return the values (5) of the keys of sensor k by a calibration."""
+            bias = (stated[biases] + calibration.bias[k]) / calibration.scale[k, :2]
+            return np.concatenate([bias, stated[scales] / calibration.scale[k]])
 
-        numbers = np.stack([stated, *with_sigmas(fitted, new_keys)], axis=1)  # (5, 4)
-        for i, key in enumerate(SUN_KEYS):
-            was_read = counts[i] and not (sensor.y_column is None and key.startswith("y"))
-            if keys[i] is None or not was_read:
+        numbers = np.stack([stated, *propagated(fitted, corrected_keys)], axis=1)  # (5, 4)
+        for key, samples, of_key in zip(SUN_KEYS, shown_by, numbers, strict=True):
+            has_column = sensor.y_column is not None or not key.startswith("y")
+            if not (has_column and samples.any() and np.isfinite(of_key[0])):
                 continue
             unit = "rad" if key.endswith("bias_rad") else "rad/reading"
-            where = ("sun_sensor", sensor.name)
-            old, new, error, before = numbers[i][:, None]
-            yield Key(where, key, old, new, error, before, unit, int(counts[i]))
+            where, count = ("sun_sensor", sensor.name), int(samples.sum())
+            old, new, error, before = of_key[:, None]
+            yield Key(where, key, old, new, error, before, unit, count)
 
 
 # ----------------------------------------------------------------------------------------------------------------------------- gyro
 
 
 class GyroFit(NamedTuple):
-    """A gyro's reading (rad/s, by the vehicle file) = `values[3]` rate + `values[:3]`.
+    """Zero of each axis and scale of a gyro, `values` (4): reading (rad/s, by the vehicle file) = scale rate + zero.
 
-    Covariances (4, 4) by the curvature, `model`, and by the scatter between passes, `robust`; `prior` sigmas (4); how many samples
-    and passes there are.
+    Covariances (4, 4) by the curvature, `model`, and by the scatter between passes, `robust`; `prior` sigmas (4); numbers of
+    samples and passes.
     """
 
     values: np.ndarray
@@ -370,17 +369,17 @@ class GyroFit(NamedTuple):
 def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit | None:
     """Return zero and scale of a gyro by the passes whose rates are known without it; None if they are too few.
 
-    `result`: of `rates` without the gyro. Weighted least squares of reading = scale rate + zero, whose errors are in groups: the
-    samples of a pass along one axis. In a group the error of the rate is common to all samples, as smoothing leaves it, and the
-    noise of each reading is added. Groups have Student tails, and one factor on all errors is estimated in turn.
+    `result`: of `rates` without the gyro. Weighted least squares of reading = scale rate + zero. Errors of the samples of a pass
+    along one axis are correlated: that of the rate is taken as common to all of them, and each reading adds its noise. Each such
+    group has Student tails, and one factor on all errors is estimated alternately with the unknowns.
     """
+    # the gyro's reading at each sample of the result
     times, first = np.unique(telemetry["time"].values, return_index=True)
     index = np.clip(np.searchsorted(times, result["time"].values), 0, len(times) - 1)
-    read_then = telemetry["gyro_B"].values[first[index]]
-    # a body that hardly rotates, whose speed has only an upper limit, shows the zero of a gyro as well as any
+    reading = telemetry["gyro_B"].values[first[index]]
     use = rate_known(result)[result["pass_of"].values]
-    use &= np.isfinite(read_then).all(axis=1) & (times[index] == result["time"].values)
-    reading, pass_of = read_then[use], result["pass_of"].values[use]
+    use &= np.isfinite(reading).all(axis=1) & (times[index] == result["time"].values)
+    reading, pass_of = reading[use], result["pass_of"].values[use]
     rate, covariance_B = result["omega_B"].values[use], result["omega_cov_B"].values[use]
     passes = np.unique(pass_of)
     if len(passes) < FEWEST_PASSES:
@@ -395,28 +394,28 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     values, covariance, factor = mean, np.diag(prior**2), 1.0
     for _ in range(GYRO_ROUNDS):
         normal, right = np.diag(prior**-2.0), prior**-2.0 * mean
-        scores, squares, count = np.zeros((len(passes), 4)), 0.0, 0
+        gradients, squares, count = np.zeros((len(passes), 4)), 0.0, 0
         for k, number in enumerate(passes):
             rows = pass_of == number
             for axis in range(3):
                 sigma = np.sqrt(covariance_B[rows, axis, axis])
                 noise = gyro.noise_rad_s**2 * np.eye(len(sigma)) + np.outer(sigma, sigma)
-                white = np.linalg.inv(np.linalg.cholesky(factor**2 * noise))
+                whitening = np.linalg.inv(np.linalg.cholesky(factor**2 * noise))
                 design = np.zeros((len(sigma), 4))
                 design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
-                design, target = white @ design, white @ reading[rows, axis]
+                design, target = whitening @ design, whitening @ reading[rows, axis]
                 residual = design @ values - target
                 weight = (STUDENT + len(residual)) / (STUDENT + residual @ residual)
                 normal += weight * design.T @ design
                 right = right + weight * design.T @ target
-                scores[k] += weight * design.T @ residual
+                gradients[k] += weight * design.T @ residual
                 squares, count = squares + weight * residual @ residual, count + len(residual)
         covariance = np.linalg.inv(normal)
         values = covariance @ right
         factor *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), *NOISE_STEP))
-    # the sandwich estimate of the covariance: how much the gradients of the passes differ
-    between = scores.T @ scores * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
-    robust = covariance @ between @ covariance
+    # the sandwich estimate of the covariance, with the scatter of the passes' gradients in the middle
+    scatter = gradients.T @ gradients * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
+    robust = covariance @ scatter @ covariance
     return GyroFit(
         values=values,
         model=covariance,
@@ -430,8 +429,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
 def rate_known(result: xr.Dataset) -> np.ndarray:
     """Return whether the rate vector of each pass (n_pass) is known well enough to calibrate a gyro with it.
 
-    It is if the pass is decided, or if only the check of the speed fails: a body that hardly rotates has known components near
-    zero, but a speed smaller than its error. Such a pass must not have doubtful columns.
+    It is if the pass is decided, or if only the check of the speed fails. A body that hardly rotates has well-known components near
+    zero, and a speed smaller than its error: it shows the zero of a gyro as well as any. Its columns must not be doubtful.
     """
     decided = np.asarray(result["decided"].values)
     if "constrained_speed" not in result:
@@ -441,10 +440,10 @@ def rate_known(result: xr.Dataset) -> np.ndarray:
     return decided | (all_but_speed & (result["columns_checked"].values != COLUMNS_DOUBTED))
 
 
-def _gyro(
+def _gyro_by_rates(
     gyro: Gyro, vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: bool
 ) -> list[Key]:
-    """Return the keys of the gyro; none, with a note, if the rates without it do not determine them."""
+    """Return the keys of the gyro by the rates without it; none, with a note, if these do not determine them."""
     try:
         result = rates(vehicle, telemetry.drop_vars("gyro_B"), progress=progress)
     except (InputError, MotionError) as error:
@@ -493,8 +492,9 @@ def _dataset(
         parts[name] = []
     for key in keys:
         count, determined = len(key.value), key.determined
-        written = bool(determined.all()) if key.together is None else key.together
-        for name, numbers in zip(NUMBERS, key[2:6], strict=True):
+        written = bool(determined.all()) if key.written is None else key.written
+        all_numbers = (key.stated, key.value, key.sigma, key.prior)
+        for name, numbers in zip(NUMBERS, all_numbers, strict=True):
             parts[name] += [float(x) for x in numbers]
         parts["key"] += [".".join((*key.where, key.key))] * count
         parts["component"] += range(count)

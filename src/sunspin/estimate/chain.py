@@ -82,10 +82,11 @@ class Fit:
 
 
 class Whitening(NamedTuple):
-    """Inverse Cholesky factors of the covariance that white angular acceleration makes in intervals (n), alike for each axis.
+    """Matrices W (n, 6, 6) that give defects of turn and rate in intervals (n) unit variance: W^T W is the inverse covariance.
 
-    The covariance of turn and rate is q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt), and a swing adds r^2 dt to that of the turn. `matrix`
-    (n, 6, 6); `log_determinant`: half the log of the determinants of all covariances.
+    White angular acceleration q makes the covariance q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt) of turn and rate about each axis. A
+    swing r (`Noise.rate`) adds r^2 dt to the variance of the turn. W is the inverse of its Cholesky factor. `log_determinant`: half
+    the sum of the logs of the determinants of all covariances.
     """
 
     matrix: np.ndarray
@@ -93,10 +94,11 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
-        """Return those of unknown torques."""
+        """Return the whitening of what the equations of motion leave out in intervals dt (n), s."""
         square = noise.in_intervals(dt) ** 2
-        hidden = noise.rate**2 * dt + LEAST_TURN**2
-        # the Cholesky factor (turn, 0; mixed, rate) of the covariance of one axis
+        hidden = noise.rate**2 * dt + LEAST_TURN**2  # variance of the turn alone
+        # the Cholesky factor (turn, 0; mixed, rate) of the covariance about one axis; its inverse is (1 / turn, 0; -mixed / (turn
+        # rate), 1 / rate)
         turn = np.sqrt(square * dt**3 / 3 + hidden)
         mixed = square * dt**2 / 2 / turn
         rate = np.sqrt(square * dt * (square * dt**3 / 12 + hidden)) / turn
@@ -113,8 +115,8 @@ class NormalEquations:
 
     A residual r with the derivative A and the weight w adds w A^T A to the matrix, and w A^T r to the gradient. The matrix has
     blocks of turn and rate at each sample, `diagonal` (K, n, 6, 6), and between neighbours, `upper` (K, n - 1, 6, 6). The unknowns
-    add a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient: `slope` (K, n, 6) and `border_slope` (K, m). At the
-    beginning there is the prior of the unknowns alone, which are in sigmas.
+    add a `border` (K, n, 6, m) and a `corner` (K, m, m). The gradient is `slope` (K, n, 6) and `border_slope` (K, m). They begin
+    with the prior of the unknowns u, which are in sigmas: |u|^2 / 2.
     """
 
     def __init__(self, motions: Track) -> None:
@@ -126,11 +128,11 @@ class NormalEquations:
         self.border, self.border_slope = np.zeros((k, n, 6, m)), motions.u.copy()
         self.corner = np.repeat(np.eye(m)[None], k, axis=0)
 
-    def add_readings(self, residual: Residual, place: np.ndarray) -> None:
-        """Add differences (K, n, r) of readings; `place` (m): indices of the unknowns to which their `by_u` belongs."""
-        part, weight = residual.law(residual.value)
-        self.cost += part.sum(axis=1)
-        # by turn and by rate at the sample: the rows of the state, A, and w A^T
+    def add_readings(self, residual: Residual, unknowns: np.ndarray) -> None:
+        """Add differences (K, n, r) of readings; `unknowns` (m): indices of the unknowns to which their `by_u` belongs."""
+        cost, weight = residual.law(residual.value)
+        self.cost += cost.sum(axis=1)
+        # for turn and rate at the sample: the rows of the state, the derivative A, and w A^T
         of_state = [
             (rows, derivative, _transposed(weight[..., None, None] * derivative))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))
@@ -138,25 +140,25 @@ class NormalEquations:
         ]
         for rows, _, weighted in of_state:
             self.slope[..., rows] += (weighted @ residual.value[..., None])[..., 0]
-            for others, other, _ in of_state:
-                self.diagonal[..., rows, others] += weighted @ other
+            for columns, derivative, _ in of_state:
+                self.diagonal[..., rows, columns] += weighted @ derivative
             if residual.by_u is not None:
-                self.border[..., rows, place] += weighted @ residual.by_u
+                self.border[..., rows, unknowns] += weighted @ residual.by_u
         if residual.by_previous is not None:
             # a reading that is compared with the one before couples the turns at both samples; the first sample has none before
             previous = residual.by_previous[:, 1:]
             weighted = _transposed(weight[:, 1:, None, None] * previous)
             self.slope[:, :-1, TURN] += (weighted @ residual.value[:, 1:, :, None])[..., 0]
             self.diagonal[:, :-1, TURN, TURN] += weighted @ previous
-            for others, other, _ in of_state:
-                self.upper[..., TURN, others] += weighted @ other[:, 1:]
+            for columns, derivative, _ in of_state:
+                self.upper[..., TURN, columns] += weighted @ derivative[:, 1:]
             if residual.by_u is not None:
-                self.border[:, :-1, TURN, place] += weighted @ residual.by_u[:, 1:]
+                self.border[:, :-1, TURN, unknowns] += weighted @ residual.by_u[:, 1:]
         if residual.by_u is not None:
             weighted = _transposed(weight[..., None, None] * residual.by_u)
-            self.corner[:, place[:, None], place] += (weighted @ residual.by_u).sum(axis=1)
+            self.corner[:, unknowns[:, None], unknowns] += (weighted @ residual.by_u).sum(axis=1)
             of_u = (weighted @ residual.value[..., None]).sum(axis=1)[..., 0]
-            self.border_slope[:, place] += of_u
+            self.border_slope[:, unknowns] += of_u
 
     def add_defects(self, defect: Defects) -> None:
         """Add by how much motions leave the equations of motion in each interval; all weights are one."""
@@ -183,8 +185,8 @@ def _transposed(matrices: np.ndarray) -> np.ndarray:
 def equations(model: Model, motions: Track) -> BorderedSystem:
     """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
     system = NormalEquations(motions)
-    for residual, place in readings(model, motions):
-        system.add_readings(residual, place)
+    for residual, unknowns in readings(model, motions):
+        system.add_readings(residual, unknowns)
     # damping in the measure of what was read: in that of the equations of motion, which are stiff where samples are close together,
     # it would hold a whole motion in its place
     damping = damping_scale(system.diagonal, model.obs.t_s)
@@ -206,42 +208,46 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
 def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarray]]:
     """Yield the differences of all readings, and the indices (m) of the unknowns to which their `by_u` belongs.
 
-    Sensors other than the Sun's may be late: what they read is what the motion was so much earlier.
+    Sensors other than the Sun's may be late: their readings are compared with the motion as it was that much earlier. The latency
+    may be an unknown itself, which is then appended to those of the sensor.
     """
-    every, late = np.arange(len(model.unknowns)), latency(model, motions.u)
+    indices, late = np.arange(len(model.unknowns)), latency(model, motions.u)
     earlier = None if late is None else earlier_states(model, motions, late.late_s)
-    for term, place in model.placed_terms:
-        if earlier is None or term.of_sun:
-            for residual in term.residuals(motions, motions.u[:, place]):
-                yield residual, every[place]
+    for term, own in model.terms_with_slices:
+        u = motions.u[:, own]
+        if late is None or earlier is None or term.of_sun:
+            for residual in term.residuals(motions, u):
+                yield residual, indices[own]
             continue
-        assert late is not None
-        for residual in term.residuals(earlier.states, motions.u[:, place]):
-            changed, by_late = earlier.derivatives_at_sample(residual, late.late_s)
-            if late.place is None:
-                yield changed, every[place]
+        for residual in term.residuals(earlier.states, u):
+            at_sample, by_late = earlier.derivatives_at_sample(residual, late.late_s)
+            if late.index is None:
+                yield at_sample, indices[own]
                 continue
-            by_late = late.sigma_s * by_late[..., None]
-            by_u = by_late if changed.by_u is None else np.concatenate([changed.by_u, by_late], -1)
-            yield changed._replace(by_u=by_u), np.append(every[place], late.place)
+            by_u = late.sigma_s * by_late[..., None]
+            if at_sample.by_u is not None:
+                by_u = np.concatenate([at_sample.by_u, by_u], axis=-1)
+            yield at_sample._replace(by_u=by_u), np.append(indices[own], late.index)
 
 
 class Late(NamedTuple):
-    """How late (K) in s the sensors are of motions, the sigma of that (s), and its place among the unknowns, None if it is
-    known."""
+    """Latency (K) in s of the sensors other than the Sun's under K motions, with its sigma (s).
+
+    `index`: that of the latency among the unknowns of the model, None if it is known exactly.
+    """
 
     late_s: np.ndarray
     sigma_s: float
-    place: int | None
+    index: int | None
 
 
 def latency(model: Model, u: np.ndarray) -> Late | None:
-    """Return how late the sensors other than the Sun's are for unknowns u (K, m); None if they are read with it."""
-    for term, place in model.placed_terms:
+    """Return the latency of the sensors other than the Sun's for unknowns u (K, m); None if they are read together with it."""
+    for term, own in model.terms_with_slices:
         if isinstance(term, Latency) and (term.late_s or term.sigma_s):
-            where = place.start if term.sigma_s else None
-            off = 0.0 if where is None else term.sigma_s * u[:, where]
-            return Late(term.late_s + off + np.zeros(len(u)), term.sigma_s, where)
+            index = own.start if term.sigma_s else None
+            off = 0.0 if index is None else term.sigma_s * u[:, index]
+            return Late(term.late_s + off + np.zeros(len(u)), term.sigma_s, index)
     return None
 
 
@@ -255,16 +261,22 @@ class Earlier(NamedTuple):
     def derivatives_at_sample(
         self, residual: Residual, late_s: np.ndarray
     ) -> tuple[Residual, np.ndarray]:
-        """Return differences of the earlier state with derivatives by that of the sample, and by the time (K, n, r) between, s."""
+        """Return differences from the earlier state with derivatives by the state at the sample, and by the latency (K, n, r).
+
+        Moving back by T turns the body by -omega T and changes its rate by -(acceleration) T. So by the latency the derivative is
+        -(by_turn omega + by_rate acceleration). A change of the rate at the sample also moves the earlier attitude, by -T times it.
+        """
         by_late = np.zeros(residual.value.shape)
         by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
         if by_rate is not None:
             by_late -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
         if by_turn is not None:
             by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
-            if previous is None:  # of two neighbours both are turned by a rate, nearly alike
-                moved = -late_s[:, None, None, None] * by_turn
-                by_rate = moved if by_rate is None else by_rate + moved
+            if (
+                previous is None
+            ):  # a change of the rate moves both of two neighbours nearly alike, and their difference hardly
+                by_moved = -late_s[:, None, None, None] * by_turn
+                by_rate = by_moved if by_rate is None else by_rate + by_moved
             by_turn = by_turn @ self.turned
         if previous is not None:
             by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.states.omega[:, :-1])
@@ -276,9 +288,10 @@ class Earlier(NamedTuple):
 def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
     """Return motions as they were `late_s` (K) before their samples, by the equations of motion with the wheels held."""
     momentum = model.obs.momentum
-    inertia = model.body.inertia_at(motions.u[:, model.of_body])
+    inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
     stepped = step(inertia, motions.omega, back, (momentum, momentum))
+    # Euler's equations: I dw/dt = (I w + h) x w
     turning = np.cross(stepped.omega @ inertia + momentum, stepped.omega)
     acceleration = turning @ np.linalg.inv(inertia)
     return Earlier(
@@ -309,7 +322,7 @@ def defects(model: Model, motions: Track) -> Defects:
     """Return by how much motions leave the equations of motion between neighbouring samples, with derivatives."""
     body, dt = model.body, np.diff(model.obs.t_s)
     momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
-    inertia = body.inertia_at(motions.u[:, model.of_body])
+    inertia = body.inertia_at(motions.u[:, model.inertia_slice])
     stepped = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
     relative = motions.attitude[:, 1:] @ np.swapaxes(motions.attitude[:, :-1], -1, -2)
     value = np.concatenate(
@@ -317,12 +330,12 @@ def defects(model: Model, motions: Track) -> Defects:
     )
     assert stepped.by_start is not None and stepped.by_inertia is not None
     by_start, by_u = stepped.by_start, np.zeros((*value.shape, motions.u.shape[1]))
-    by_u[..., model.of_body] = stepped.by_inertia
-    for term, place in zip(model.obs.terms, model.of_terms, strict=True):
+    by_u[..., model.inertia_slice] = stepped.by_inertia
+    for term, own in model.terms_with_slices:
         push = term.added_by_unknowns(motions, dt)
         if push is not None:
-            by_u[..., place] = push
-            value = value - np.einsum("knim,km->kni", push, motions.u[:, place])
+            by_u[..., own] = push
+            value = value - np.einsum("knim,km->kni", push, motions.u[:, own])
         known = term.added_by_torque(motions, dt)
         if known is not None:
             value = value - known
@@ -374,11 +387,11 @@ def fit(
     limits = np.array([unknown.limit for unknown in model.unknowns])
     longest = RATE_LIMIT * model.rate_sigma
 
-    def moved(state: tuple[np.ndarray, ...], change: tuple[np.ndarray, np.ndarray | None]):
+    def move(state: tuple[np.ndarray, ...], change: tuple[np.ndarray, np.ndarray | None]):
         attitude, omega, u = state
         nodes, shared = change
         u = u if shared is None else np.clip(u + shared, -limits, limits)
-        u[:, model.of_body] = model.body.possible(u[:, model.of_body])
+        u[:, model.inertia_slice] = model.body.possible(u[:, model.inertia_slice])
         if along_equations:
             bent = bent_step(model, Track(*state), nodes, u)
             return bent.attitude, limit_length(bent.omega, longest), u
@@ -392,7 +405,7 @@ def fit(
     u[:, : motions.u.shape[1]] = motions.u[:, : u.shape[1]]
     solution = least_squares(
         lambda state: equations(model, Track(*state)),
-        moved,
+        move,
         solve_bordered,
         (motions.attitude, motions.omega, u),
         steps=steps,
@@ -424,14 +437,14 @@ def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) ->
     predicted += np.einsum("knij,kj->kni", defect.by_u, u - motions.u)
     # what is added to a free motion at the end of each interval: the predicted defect, and torques
     added = defect.unwhitened(predicted)
-    for term, place in model.placed_terms:
+    for term, own in model.terms_with_slices:
         push, known = term.added_by_unknowns(motions, dt), term.added_by_torque(motions, dt)
         if push is not None:
-            added += np.einsum("knim,km->kni", push, u[:, place])
+            added += np.einsum("knim,km->kni", push, u[:, own])
         if known is not None:
             added += known
 
-    inertia = model.body.inertia_at(u[:, model.of_body])
+    inertia = model.body.inertia_at(u[:, model.inertia_slice])
     attitude = rotate_attitude(motions.attitude, nodes[..., TURN])
     omega = motions.omega + nodes[..., RATE]
     middle, last = len(obs) // 2, len(obs) - 1
@@ -466,8 +479,8 @@ def log_left_out(model: Model) -> float:
 def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
     """Return the variances (K, r) of sums over the samples of turns and rates, with weights (K, n, r, 6).
 
-    That of the states with the unknowns held, and what the unknowns' own covariance adds. With the matrix H of
-    the normal equations of the states the former is w^T H^-1 w: one solution of them for each row w of weights.
+    It is the variance of the states with the unknowns held, plus what the covariance of the unknowns adds. With the matrix H of the
+    normal equations of the states the former is w^T H^-1 w: they are solved once for each row w of the weights.
     """
     system = equations(fitted.model, fitted.motions)._replace(
         border=None, corner=None, border_slope=None
@@ -478,31 +491,32 @@ def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
         w = weights[..., row, :]
         (nodes, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(fitted)))
         variances.append(np.einsum("kni,kni->k", w, nodes))
+    # the sums change by B u with the unknowns u, whose covariance C adds B C B^T
     by_u = np.einsum("knri,knim->krm", weights, fitted.states_by_u)
     of_u = np.einsum("krm,kmj,krj->kr", by_u, fitted.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
 
-def carried(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
+def propagate(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
     """Return the motions, without unknowns, that have attitudes (K, 3, 3) and rates (K, 3) at a sample."""
     n = len(model.obs)
     attitudes, rates = np.empty((len(omega), n, 3, 3)), np.empty((len(omega), n, 3))
     attitudes[:, sample], rates[:, sample] = attitude, omega
-    _carry_on(model, attitudes, rates, sample, sample)
+    _propagate_outward(model, attitudes, rates, sample, sample)
     return Track.free(attitudes, rates)
 
 
-def _carry_on(
+def _propagate_outward(
     model: Model, attitudes: np.ndarray, rates: np.ndarray, first: int, last: int
 ) -> None:
-    """Write attitudes (K, n, 3, 3) and rates (K, n, 3) of all samples, which are known from the sample `first` to `last`."""
-    for start, end in _ways(first, last, attitudes.shape[1]):
+    """Fill in attitudes (K, n, 3, 3) and rates (K, n, 3), which are given from sample `first` to `last`, at all other samples."""
+    for start, end in _outward_steps(first, last, attitudes.shape[1]):
         stepped = _step_between(model.obs, model.body.inertia, rates[:, start], start, end)
         attitudes[:, end] = stepped.turned @ attitudes[:, start]
         rates[:, end] = stepped.omega
 
 
-def _ways(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
+def _outward_steps(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
     """Yield steps from samples to their neighbours, away from `first` and `last` to both ends of n samples.
 
     Both ways at once while both go on: a step takes nearly as long for one interval as for two.
@@ -521,12 +535,12 @@ def _step_between(
     end: list[int],
     derivatives: bool = False,
 ) -> Step:
-    """Carry the rates `omega` (K, i, 3) at i samples `start` to the samples `end`; `inertia` (3, 3), or (K, 3, 3)."""
+    """Propagate the rates `omega` (K, i, 3) from i samples `start` to the samples `end`; `inertia` (3, 3), or (K, 3, 3)."""
     momenta = obs.momentum[start], obs.momentum[end]
     return step(inertia, omega, obs.t_s[end] - obs.t_s[start], momenta, derivatives)
 
 
-def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
+def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -> Track:
     """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
 
     Where samples are close together a chain is too stiff to move: its steps are straight in the turns of all samples, and the
@@ -547,7 +561,7 @@ def shot(model: Model, sample: int, motions: Track, steps: int) -> Track:
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
-        for start, end in _ways(sample, sample, n):
+        for start, end in _outward_steps(sample, sample, n):
             stepped = _step_between(
                 model.obs, model.body.inertia, track.omega[:, start], start, end, derivatives=True
             )
@@ -630,10 +644,10 @@ class Chain:
         n, k = wider.stop - wider.start, len(motions)
         attitude, omega = np.empty((k, n, 3, 3)), np.empty((k, n, 3))
         attitude[:, first:last], omega[:, first:last] = motions.attitude, motions.omega
-        _carry_on(model, attitude, omega, first, last - 1)
+        _propagate_outward(model, attitude, omega, first, last - 1)
         middle = (window.stop - window.start) // 2
         others = along_the_valley(self.model.seeing(window), motions, middle, self.s)
-        carried_on = carried(model, first + middle, *others)
+        carried_on = propagate(model, first + middle, *others)
         return Track.joined([Track.free(attitude, omega), carried_on])
 
 
@@ -642,11 +656,11 @@ def along_the_valley(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return further attitudes (K, 3, 3) and rates (K, 3) at the sample `middle`, on either side of motions.
 
-    They are along the least certain direction of each motion's rate. A few samples of the Sun hardly tell the spin about the Sun's
-    direction, so that the cost has a long flat valley in which a fit rests anywhere. As the window grows, the valley bends and
-    breaks into several minima: a slow body was lost so, as a motion that begins at one place ends in the nearest of them. Here the
-    valley is sampled as densely as a fit moves. Motions that do not fit have none, as their covariance says nothing, nor have those
-    far from the best.
+    They differ in the rate along its least certain direction. A few samples of the Sun hardly show the rate about the Sun
+    direction, so that the cost has a long flat valley, in which a fit ends anywhere. As the window grows, the valley bends and
+    breaks into several minima, and a motion ends in the nearest of them: a slow body was lost so. Here the valley is sampled as
+    densely as a fit moves. Motions that do not fit have no further ones, since their covariance is wrong, nor have those far from
+    the best.
     """
     limit = s.valley_fits * model.obs.cost_limit
     limit = min(limit, motions.cost.min(initial=np.inf) + s.valley_leading)

@@ -44,7 +44,7 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.estimate.images import SAME_SIGMAS
 from sunspin.estimate.model import Body, Model, Noise
-from sunspin.estimate.observe import cut, observe, split, wheel_models
+from sunspin.estimate.observe import observe, split_passes, take_samples, wheel_models
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.settings import RatesSettings
 from sunspin.estimate.terms.panels import DARK
@@ -94,9 +94,9 @@ def check_columns(
     observed = what_was_observed(vehicle, telemetry, result.attrs)
     result = _with_unseen_changes(result, observed, telemetry)
     result = _with_symmetric_motions(result, observed, telemetry)
-    tests = replace(budget, most=COLUMN_SHARE * budget.most)
+    of_tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
-    # of panels alone: with a second sensor a file of wrong columns does not fit
+    # only of panels without another sensor: with one a file of wrong columns does not fit
     costs = None
     if fits and observed.panels and not observed.sensors:
         costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
@@ -104,7 +104,7 @@ def check_columns(
     # a file with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged
     suspected = denied or (costs is not None and doubt is not None)
     others_tried = again is not None and (not fits or suspected)
-    trials = None if again is None else trials_of(result, again, settings, tests)
+    trials = None if again is None else trials_of(result, again, settings, of_tests)
     if trials is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, trials)
     if trials is not None and costs is not None and "columns_doubt" not in result.attrs:
@@ -114,8 +114,8 @@ def check_columns(
         how = "" if again is not None else f": {TRY_COLUMNS}"
         result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
     # both kinds of tests share a budget
-    if others_tried or tests.cut:
-        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    if others_tried or of_tests.cut:
+        result = result.assign_attrs(column_tests_cut=int(of_tests.cut))
     return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
 
 
@@ -157,7 +157,7 @@ def _with_symmetric_motions(
 ) -> xr.Dataset:
     """Return the result with no pass unique whose panels read the same in a motion that is not listed.
 
-    The file is then equivalent to itself by a rotation or mirror of the body, as if the lit panels lie in a plane.
+    A rotation or mirror of the body then maps the file onto itself; a mirror does if all lit panels lie in a plane.
     """
     if not observed.panels or "noise" not in result.attrs:
         return result
@@ -175,7 +175,7 @@ def _with_symmetric_motions(
         if has_unlisted_motion(replace(observed, lit=lit, sun_B=sun), omega, sigma, noise):
             decided[k] = unique[k] = False
             doubted += 1
-            why[k] = joined(why[k], "several motions: a symmetric one is not listed")
+            why[k] = join_reasons(why[k], "several motions: a symmetric one is not listed")
     return result.assign(
         decided=("pass_id", decided),
         unique=("pass_id", unique),
@@ -192,10 +192,10 @@ def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:
 def has_unlisted_motion(
     observed: Observed, omega: np.ndarray, sigma: np.ndarray, noise: np.ndarray | float
 ) -> bool:
-    """Return whether the first of some motions has a symmetric one with the same readings that is none of them.
+    """Return whether a motion has a symmetric one with the same readings that is not among the solutions.
 
-    `omega`, `sigma` (K, 3) in rad/s: their rates at one time, NaN if there are fewer; `observed.sun_B`: the Sun along the first;
-    `noise`: of the readings, in W or A, or in gains.
+    `omega`, `sigma` (K, 3) in rad/s: the rates of all solutions at one time, the motion first, NaN if there are fewer;
+    `observed.sun_B`: the Sun along it; `noise`: of the readings, in W or A, or in gains.
     """
     power = observed.vehicle.response_in().power
     read = power(observed.sun_B)
@@ -219,8 +219,8 @@ def _with_other_columns(
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
-    here = what_was_observed(observed.vehicle, part, result.attrs)
-    better = what_fits_better(here, part, trials)
+    of_part = what_was_observed(observed.vehicle, part, result.attrs)
+    better = what_fits_better(of_part, part, trials)
     if better is None:
         return result
     if isinstance(better, Better):
@@ -244,28 +244,28 @@ def _with_rivals(
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
         return result
-    place = _longest(result, decided)
-    part = samples_of(result, telemetry, place)
-    here = what_was_observed(observed.vehicle, part, result.attrs)
-    here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
-    if place != _longest(result):
+    k = _longest(result, decided)
+    part = samples_of(result, telemetry, k)
+    of_part = what_was_observed(observed.vehicle, part, result.attrs)
+    of_part = replace(of_part, sun_B=result["sun_B"].values[result["pass_of"].values == k])
+    if k != _longest(result):
         costs = CostsOfSamples.of(observed.vehicle, part)
     trials = replace(trials, least=AS_GOOD)
-    better = better_rivals(here, part, costs, noise_of(result, observed.vehicle), trials)
+    better = better_rivals(of_part, part, costs, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
-    # Too little to accuse the file, but the pass is not decided with it. Evidence alone is too little too: of a slow body that was
-    # searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
-    falls = float(result["cost"].values[place, 0]) - better.cost
-    if better.gain <= CLEARLY or falls < CLEARLY:
+    # A small gain does not accuse the file, but the pass is not decided with it. Nor does evidence alone accuse it: of a slow body
+    # that was searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
+    decrease = float(result["cost"].values[k, 0]) - better.cost
+    if better.gain <= CLEARLY or decrease < CLEARLY:
         omega, sigma = (
-            np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
+            np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
             for name in ("omega", "sigma")
         )
-        rates_of_changes = [one.omega for one in better.named if one.omega is not None]
+        rates_of_changes = [named.omega for named in better.named if named.omega is not None]
         if all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates_of_changes):
             return result  # the rate is right with either
-        what = " or with ".join(one.change.what for one in better.named[:MOST_NAMED])
+        what = " or with ".join(named.change.what for named in better.named[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
         return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
@@ -289,25 +289,25 @@ def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget:
         """Return the log evidence of the pass by a quick search."""
         try:
             assessment = assess(changed, data)
-            seen = observe(assessment, source)
-            (one, *_) = split(seen, np.inf, settings.passes)
+            readings = observe(assessment, source)
+            (whole, *_) = split_passes(readings, np.inf, settings.passes)
         except InputError:
             return -np.inf
         noise = Noise(settings.search.noise)
-        stated = Model(seen.obs, Body.of(changed), noise, rate_max / 2)
+        nominal = Model(readings.obs, Body.of(changed), noise, rate_max / 2)
         momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
-        stated = stated.with_momentum(momentum)
-        silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
-        return quick_evidence(stated.seeing(one.kept), settings, budget) - silent
+        nominal = nominal.with_momentum(momentum)
+        silent = cost_of_silent_panels(assessment, whole.kept) if source == "panels" else 0.0
+        return quick_evidence(nominal.seeing(whole.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
         """Return the whole estimate of the pass, if there is one."""
         try:
-            made = again(changed, data)
+            estimate = again(changed, data)
         except InputError:
             return None
-        budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
-        return made
+        budget.spend(estimate.attrs["effort"] * USUAL * estimate.sizes["pass_id"])
+        return estimate
 
     return Trials(evidence, run, budget)
 
@@ -352,11 +352,14 @@ def _with_doubted_wheels(
             "single change of columns or signs explains them"
         )
     others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
-    others = [one for one in others if one.what != change.what]
+    others = [other for other in others if other.what != change.what]
     at = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
     omega = doubt.omega[at]
     same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
-    named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
+    named = (
+        Named(change, omega),
+        *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
+    )
     return _with_named_changes(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
 
 
@@ -364,20 +367,22 @@ def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
     """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
     rows = [
         {
-            "what": one.change.what,
-            "do": one.change.do,
+            "what": named.change.what,
+            "do": named.change.do,
             "at_s": better.at_s,
-            "omega_deg_s": None if one.omega is None else np.degrees(one.omega).round(6).tolist(),
+            "omega_deg_s": None
+            if named.omega is None
+            else np.degrees(named.omega).round(6).tolist(),
         }
-        for one in better.named
+        for named in better.named
     ]
     clock = partial(clock_time, result.attrs.get("epoch_utc"))
     return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
 
 
 def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
-    """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
-    why = [joined(reason, what) for reason in result["why_not_decided"].values]
+    """Return the result with no pass decided, since `what` is in doubt for the whole file."""
+    why = [join_reasons(reason, what) for reason in result["why_not_decided"].values]
     count = result.sizes["pass_id"]
     return result.assign(
         decided=("pass_id", np.zeros(count, dtype=bool)),
@@ -386,7 +391,7 @@ def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) ->
     )
 
 
-def joined(*reasons: str) -> str:
+def join_reasons(*reasons: str) -> str:
     """Return reasons as one text, without empty ones."""
     return "; ".join(str(reason) for reason in reasons if str(reason))
 
@@ -400,7 +405,7 @@ def clock_time(epoch_utc: str | None, t_s: float) -> str:
 
 
 def _longest(result: xr.Dataset, which: np.ndarray | None = None) -> int:
-    """Return the number of the pass with the most samples, of all or of those in `which`."""
+    """Return the index of the pass with the most samples, of all or of those in `which`."""
     which = np.arange(result.sizes["pass_id"]) if which is None else which
     return int(which[np.argmax(result["samples"].values[which])])
 
@@ -409,4 +414,4 @@ def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
     """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
     times, first = np.unique(telemetry["time"].values, return_index=True)
     used = result["time"].values[result["pass_of"].values == k]
-    return cut(telemetry, first[np.isin(times, used)])
+    return take_samples(telemetry, first[np.isin(times, used)])

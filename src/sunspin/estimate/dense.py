@@ -76,7 +76,7 @@ def filled(
     mean_map = np.zeros((k, n, 3, 6))
     mean_map[..., RATE] = np.eye(3)
 
-    inertia = model.body.inertia_at(motions.u[:, model.of_body])
+    inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     carried: list[Step] = []
     spread = _bridge(share, span, noise[before])
     # forward from the sample before, backward from the one after; covariances are blended as if both were the same motion
@@ -172,12 +172,12 @@ def residuals_by_sensor(
     late, earlier = latency(model, u), None
     if late is not None:
         earlier = earlier_states(replace(model, obs=obs), track, late.late_s).states
-    for term, of_term in zip(obs.terms, model.of_terms, strict=False):
+    for term, own in zip(obs.terms, model.term_slices, strict=False):
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():
             continue
         states = track if term.of_sun or earlier is None else earlier
-        square = _squares(term, states, u[:, of_term], spread, np.diff(obs.t_s))
+        square = _squares(term, states, u[:, own], spread, np.diff(obs.t_s))
         sigmas = np.where(freedom > 0, in_sigma(square, freedom), np.nan)
         # two terms of one sensor share a label: the second counts where it read
         known = residuals.get(term.label, np.nan)

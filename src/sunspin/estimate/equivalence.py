@@ -58,7 +58,7 @@ READINGS = ("power_W", "current_A")
 
 
 @dataclass(frozen=True)
-class Change:
+class ColumnChange:
     """One way in which columns, signs or axes of a vehicle file may be wrong.
 
     `what`: in words. `columns`: input k reads the column `columns[k]`; if empty, the one that the file states. `reversed_panels`,
@@ -74,7 +74,7 @@ class Change:
     do: str = ""
     errors: int = 1
 
-    def with_wheels(self, wheels: tuple[int, ...], names: Sequence[str]) -> Change:
+    def with_wheels(self, wheels: tuple[int, ...], names: Sequence[str]) -> ColumnChange:
         """Return this change together with reversed wheels."""
         what = f"{self.what} and {_wheel_words(wheels, names)}"
         keys = f"look at the signs of {WHEEL_SIGNS}"
@@ -102,17 +102,17 @@ class Change:
         return vehicle, telemetry
 
 
-AS_WRITTEN = Change("the file as it is written", errors=0)
+AS_WRITTEN = ColumnChange("the file as it is written", errors=0)
 """No change."""
 
 
-def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
+def exchange(vehicle: Vehicle, a: int, b: int) -> ColumnChange:
     """Return the change that exchanges the columns of two inputs."""
     order = list(range(len(vehicle.inputs)))
     order[a], order[b] = b, a
     names = vehicle.input_names
     do = f"exchange the columns of {names[a]} and {names[b]} under [telemetry.columns] of the vehicle file"
-    return Change(
+    return ColumnChange(
         f"the columns of panels {names[a]} and {names[b]} exchanged", columns=tuple(order), do=do
     )
 
@@ -122,15 +122,17 @@ def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
     return f"wheel{'s' if len(wheels) > 1 else ''} {' and '.join(names[k] for k in wheels)} turning the other way"
 
 
-def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
+def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[ColumnChange]:
     """Return each exchange of two inputs and each reversed panel with an input of its own; none without readings of panels."""
     if not any(name in telemetry for name in READINGS):
         return []
     pairs = [exchange(vehicle, a, b) for a, b in combinations(range(len(vehicle.inputs)), 2)]
-    alone = sorted(one.panels[0] for one in vehicle.inputs if len(one.panels) == 1)
+    alone = sorted(
+        panel_input.panels[0] for panel_input in vehicle.inputs if len(panel_input.panels) == 1
+    )
     names = vehicle.panel_names
     return pairs + [
-        Change(
+        ColumnChange(
             f"panel {names[k]} looking the other way",
             reversed_panels=(k,),
             do=f"reverse normal_B of panel {names[k]}",
@@ -139,18 +141,18 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
     ]
 
 
-def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> Change:
+def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> ColumnChange:
     """Return the change that gives wheels the opposite sign."""
     names = [wheel.name for wheel in vehicle.wheels]
     do = f"look at the signs of its {WHEEL_SIGNS}"
-    return Change(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
+    return ColumnChange(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
 
 
-def wheel_changes(vehicle: Vehicle) -> list[Change]:
+def wheel_changes(vehicle: Vehicle) -> list[ColumnChange]:
     """Return the changes that reverse each wheel, and all of them."""
     count = len(vehicle.wheels)
     which = dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))])
-    return [wheel_change(vehicle, one) for one in which if one]
+    return [wheel_change(vehicle, numbers) for numbers in which if numbers]
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ class Observed:
     @classmethod
     def of(cls, vehicle: Vehicle, telemetry: xr.Dataset, **more) -> Observed:
         """Return what a Dataset of `read_telemetry` has read; `more`: fields that it does not say, as `momenta`."""
-        name = next((one for one in READINGS if one in telemetry), None)
+        name = next((variable for variable in READINGS if variable in telemetry), None)
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
             power = np.nan_to_num(telemetry[name].transpose("time", "panel").values)
@@ -187,7 +189,9 @@ class Observed:
             lit = (share > LIT_SHARE * full_sun).sum(axis=0) >= LIT_SAMPLES
         names = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
         were_read = frozenset(
-            one for one in names if one in telemetry and bool(telemetry[one].notnull().any())
+            variable
+            for variable in names
+            if variable in telemetry and bool(telemetry[variable].notnull().any())
         )
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
         return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **more)
@@ -198,7 +202,7 @@ class Observed:
         return self.vehicle.throttled or self.vehicle.gain_unit is None
 
 
-def equivalence(observed: Observed, first: Change, second: Change) -> np.ndarray:
+def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -> np.ndarray:
     """Return rotations and mirrors of the body (m, 3, 3) by which two changes look the same in the telemetry, the best first.
 
     There are none (0, 3, 3) if the data distinguish the changes.
@@ -211,7 +215,7 @@ def equivalence(observed: Observed, first: Change, second: Change) -> np.ndarray
         return np.zeros((0, 3, 3))
     distinct: list[tuple[float, np.ndarray]] = []
     for m, panels_cost in _panel_maps(observed, first, second):
-        # the quick refusals first
+        # the refusals that are computed fastest come first
         if not (_sensors_agree(observed, first, second, m) and _stays_dark(observed, second, m)):
             continue
         cost = panels_cost + _inertia_cost(observed.vehicle, m)
@@ -219,7 +223,7 @@ def equivalence(observed: Observed, first: Change, second: Change) -> np.ndarray
         is_new = all(np.abs(m - other).max() > AXES_ALIKE for _, other in distinct)
         if cost <= CLEARLY and is_new:
             distinct.append((cost, m))
-    distinct.sort(key=lambda one: one[0])
+    distinct.sort(key=lambda pair: pair[0])
     return np.array([m for _, m in distinct]).reshape(-1, 3, 3)
 
 
@@ -229,17 +233,19 @@ def rate_under(matrix: np.ndarray, omega: np.ndarray) -> np.ndarray:
 
 
 def alike(
-    observed: Observed, first: Change, others: Sequence[Change]
-) -> list[tuple[Change, np.ndarray]]:
-    """Return those of the changes that look the same as the first, with the best M (3, 3) of each."""
-    maps = [(one, equivalence(observed, first, one)) for one in others]
-    return [(one, each[0]) for one, each in maps if len(each)]
+    observed: Observed, first: ColumnChange, others: Sequence[ColumnChange]
+) -> list[tuple[ColumnChange, np.ndarray]]:
+    """Return those of the changes that look the same as the first, with the best M (3, 3) of each (:func:`equivalence`)."""
+    maps = [(other, equivalence(observed, first, other)) for other in others]
+    return [(other, matrices[0]) for other, matrices in maps if len(matrices)]
 
 
-def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Change, np.ndarray]]:
-    """Return changes of columns and panels that look the same as the file as it is written but show another motion.
+def unseen_changes(
+    observed: Observed, telemetry: xr.Dataset
+) -> list[tuple[ColumnChange, np.ndarray]]:
+    """Return changes of columns and panels, with their M (3, 3), that look the same as the file but show another motion.
 
-    With the M (3, 3) of each; those of one mistake, else those with the fewest exchanges.
+    They are those of one mistake; if there are none, those with the fewest exchanges.
     """
     of_one_mistake = column_changes(observed.vehicle, telemetry)
     if not of_one_mistake:
@@ -248,7 +254,7 @@ def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Chan
         same = [
             (change, m)
             for change, m in alike(observed, AS_WRITTEN, changes)
-            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE  # rates change
+            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE  # det(M) M maps rates
         ]
         if same:
             fewest = min(change.errors for change, _ in same)
@@ -277,13 +283,13 @@ def nominal_momenta(vehicle: Vehicle) -> np.ndarray:
     return np.array(momenta).reshape(-1, 1, 3)
 
 
-def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
+def symmetric_exchanges(vehicle: Vehicle) -> list[ColumnChange]:
     """Return changes that exchange several pairs of columns, as a symmetry of all panels together exchanges the panels.
 
     Symmetries are mirrors that map the normals of all panels onto each other, and the half turns by two such mirrors at right
     angles. There are no such changes for panels that share inputs.
     """
-    if any(len(one.panels) > 1 for one in vehicle.inputs):
+    if any(len(panel_input.panels) > 1 for panel_input in vehicle.inputs):
         return []
     normals, count = np.array(vehicle.panel_normals_B), len(vehicle.panels)
 
@@ -308,16 +314,16 @@ def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
     half_turns = [
         a @ b for a, b in combinations(mirrors, 2) if np.abs(a @ b - b @ a).max() < AXES_ALIKE
     ]
-    changes: dict[tuple[int, ...], Change] = {}
+    changes: dict[tuple[int, ...], ColumnChange] = {}
     for symmetry in [*mirrors, *half_turns]:
         order = order_of(symmetry)
         if order:
             pairs = [exchange(vehicle, a, b).what for a, b in enumerate(order) if a < b]
-            changes[order] = Change(", and ".join(pairs), columns=order, errors=len(pairs))
+            changes[order] = ColumnChange(", and ".join(pairs), columns=order, errors=len(pairs))
     return list(changes.values())
 
 
-def _panels_of(observed: Observed, change: Change) -> list[tuple[int, ...]]:
+def _panels_of(observed: Observed, change: ColumnChange) -> list[tuple[int, ...]]:
     """Return the panels whose light each column shows under a change: readings of column `columns[k]` belong to input k."""
     inputs = observed.vehicle.inputs
     columns = change.columns or tuple(range(len(inputs)))
@@ -327,7 +333,7 @@ def _panels_of(observed: Observed, change: Change) -> list[tuple[int, ...]]:
     return shown
 
 
-def _normals(observed: Observed, change: Change) -> np.ndarray:
+def _normals(observed: Observed, change: ColumnChange) -> np.ndarray:
     """Return the normals (n_panel, 3) under a change."""
     normals = np.array(observed.vehicle.panel_normals_B)
     normals[list(change.reversed_panels)] *= -1
@@ -335,12 +341,13 @@ def _normals(observed: Observed, change: Change) -> np.ndarray:
 
 
 def _panel_maps(
-    observed: Observed, first: Change, second: Change
+    observed: Observed, first: ColumnChange, second: ColumnChange
 ) -> Iterator[tuple[np.ndarray, float]]:
     """Yield orthogonal matrices that may map the panels of lit columns under the first change onto those under the second.
 
-    Each with the log evidence that gains and normals cost, at most :data:`CLEARLY`. A column shows one panel, or the sum or the
-    largest of several on a shared input: then every assignment of these panels to those of the other change is tried.
+    With each comes the log evidence that it costs the stated errors of gains and normals, at most :data:`CLEARLY`. A column shows
+    one panel, or the sum or the largest of several on a shared input. Then every assignment of these panels to those of the other
+    change is tried.
     """
     vehicle = observed.vehicle
     if not observed.panels:
@@ -351,7 +358,7 @@ def _panel_maps(
     first_panels, second_panels = _panels_of(observed, first), _panels_of(observed, second)
     if any(len(first_panels[k]) != len(second_panels[k]) for k in lit) or not len(lit):
         return
-    shows_largest = {one.panels: one.largest for one in vehicle.inputs}
+    shows_largest = {panel_input.panels: panel_input.largest for panel_input in vehicle.inputs}
     for k in lit:
         shared = len(first_panels[k]) > 1
         if shared and shows_largest[first_panels[k]] != shows_largest[second_panels[k]]:
@@ -368,6 +375,7 @@ def _panel_maps(
     assignments = product(*(permutations(second_panels[column]) for column in lit))
     for assigned in islice(assignments, MOST_ASSIGNMENTS):
         b = [k for panels in assigned for k in panels]  # panel a[i] is mapped onto panel b[i]
+        # logs of gains, each with its sigma; a common factor costs nothing if only ratios of gains are known
         gain_off = log_gain[a] - log_gain[b]
         weight = 1 / (gain_sigma[a] ** 2 + gain_sigma[b] ** 2)
         if observed.free_scale:
@@ -385,9 +393,9 @@ def _panel_maps(
 def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     """Yield orthogonal matrices that map unit vectors `start` (n, 3) best onto `end` (n, 3) in least squares (Procrustes).
 
-    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. It is one if the vectors span space;
-    in a plane its side is open, which makes two; on a line the turn about the line is open: those that map axes of the body onto
-    each other are tried, made to map the line.
+    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. There is one if the vectors span
+    space. In a plane a mirror across it is open, which makes two. On a line the turn about the line is open. Then the matrices that
+    map axes of the body onto each other are tried, after they are made to map the line.
     """
     u, size, v_T = np.linalg.svd(end.T @ start)
     if size[2] > FLAT * size[0]:
@@ -415,8 +423,8 @@ def _maps_of_axes(observed: Observed) -> Iterator[np.ndarray]:
             yield frame @ (np.eye(3)[list(order)] * np.array(sign)[:, None]) @ frame.T
 
 
-def _stays_dark(observed: Observed, second: Change, m: np.ndarray) -> bool:
-    """Return whether panels whose columns were never lit face away from the Sun under the second change too."""
+def _stays_dark(observed: Observed, second: ColumnChange, m: np.ndarray) -> bool:
+    """Return whether panels whose columns were never lit face away from the Sun under the second change too, mapped by m."""
     dark = np.flatnonzero(~observed.lit)
     if not observed.panels or not len(dark) or not len(observed.sun_B):
         return True
@@ -438,8 +446,10 @@ def _inertia_cost(vehicle: Vehicle, m: np.ndarray) -> float:
     return float(square[np.triu_indices(3)].sum()) / 2
 
 
-def _wheel_cost(observed: Observed, first: Change, second: Change, m: np.ndarray) -> float:
-    """Return the log evidence that wheels cost: their momentum, det(M) M times, must be that under the second change."""
+def _wheel_cost(
+    observed: Observed, first: ColumnChange, second: ColumnChange, m: np.ndarray
+) -> float:
+    """Return the log evidence that wheels cost: the momentum must be det(M) M times that under the first change."""
     if not len(observed.momenta) or observed.vehicle.inertia_kg_m2 is None:
         return 0.0
     totals = []
@@ -448,24 +458,26 @@ def _wheel_cost(observed: Observed, first: Change, second: Change, m: np.ndarray
         sign[list(change.reversed_wheels)] = -1
         totals.append(np.einsum("w,wni->ni", sign, observed.momenta))
     off = float(np.linalg.norm(rate_under(m, totals[0]) - totals[1], axis=1).max(initial=0.0))
-    # momenta are over the mean moment: a momentum turns the rate by about as much per s
+    # momenta are over the mean moment of inertia, so that a momentum of 1 rad/s turns the rate of the body by about 1 rad/s
     if off / 2 * observed.span_s < WEAK_RAD:
         return 0.0
     size = float(np.linalg.norm(observed.momenta, axis=2).max(initial=0.0))
     return float((off / (max(WHEEL_SIGMA, INERTIA) * size)) ** 2) / 2
 
 
-def _sensors_agree(observed: Observed, first: Change, second: Change, m: np.ndarray) -> bool:
+def _sensors_agree(
+    observed: Observed, first: ColumnChange, second: ColumnChange, m: np.ndarray
+) -> bool:
     """Return whether the other sensors that were read fit both changes.
 
     A sensor does if its axes (3, 3) under the second change are those under the first, mapped by m as its readings are: directions
-    by m, rates by det(m) m. `mapped`: the axes that would do.
+    by m, rates by det(m) m.
     """
-    side = float(np.linalg.det(m))
+    side = float(np.linalg.det(m))  # -1 for a mirror
     dipole = observed.vehicle.sensors.disturbance.dipole
     for name in observed.sensors:
         axes, second_axes = (change.axes.get(name, np.eye(3)) for change in (first, second))
-        mapped: list[np.ndarray] = []
+        mapped: list[np.ndarray] = []  # axes that fit
         if name == "attitude_B_from_N":  # shows how the body itself turns: no other body will do
             mapped = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
         elif name == "gyro_B":
@@ -479,6 +491,6 @@ def _sensors_agree(observed: Observed, first: Change, second: Change, m: np.ndar
         if name == "field_B" and dipole is not None:  # the torque must be the same
             off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
             mapped = mapped if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
-        if all(np.abs(one - second_axes).max() > AXES_ALIKE for one in mapped):
+        if all(np.abs(candidate - second_axes).max() > AXES_ALIKE for candidate in mapped):
             return False
     return True

@@ -26,13 +26,14 @@ TORQUES = ("steady_torque", "magnetic_torque")
 
 @dataclass(frozen=True)
 class PassFits:
-    """All fits of one pass.
+    """All fits of one pass, whose nominal model is `nominal`.
 
-    `fits`: one for each model and rung of the ladder; `rungs` (r) in rad/s^1.5 with the logs of their prior probabilities
-    `log_rung` (r). `used`, `cut`: how much was computed, and whether something was left out.
+    `fits`: one for each model and strength of torques; `rungs` (r): these strengths in rad/s^1.5, with the logs of their prior
+    probabilities `log_rung` (r). `used`: motions times samples that were fitted; `cut`: something was left out as the computing
+    budget was used up.
     """
 
-    stated: Model
+    nominal: Model
     fits: tuple[Fit, ...]
     rungs: tuple[float, ...]
     log_rung: np.ndarray
@@ -40,7 +41,7 @@ class PassFits:
     cut: bool = False
 
     def rung(self, fitted: Fit) -> int:
-        """Return on which rung a fit stands."""
+        """Return the number of the rung, the strength of torques, under which a fit was made."""
         return self.rungs.index(fitted.model.noise.acceleration)
 
     def log_evidence_of_rungs(self) -> np.ndarray:
@@ -56,23 +57,26 @@ def ladder(
     model: Model,
     motions: Track,
     s: LadderSettings,
-    of_search: SearchSettings,
+    search_settings: SearchSettings,
     first_rung: float,
     rival: float = -np.inf,
 ) -> list[Fit]:
     """Return fits of a model under every strength of unknown torques, one for each rung that is reached.
 
-    From `first_rung` up, then from the fit there down, each from where the one before ended: under weak torques a motion hardly
-    moves. A path ends with a rung that is hopeless compared with the best one, or with another model of the log evidence `rival`.
-    `of_search`: what a copy of a motion is, and how many motions are kept.
+    A rung is one strength, in rad/s^1.5. First come the rungs from `first_rung` up, then those below it, downward. Each fit begins
+    where the one before ended, since a motion hardly moves under weak torques. A path ends with a rung that is hopeless compared
+    with the best one, or with another model whose log evidence is `rival`. `search_settings`: what a copy of a motion is, and how
+    many motions are kept.
 
-    If a rung above leaves the first one hopeless, the fit there may have ended on its way to a minimum. The path down begins where
-    that up ended then, and fits all rungs again. A body with products of inertia that its file stated as zero cost 196 on the
-    first rung, 24 on the next, and 229 below the first; its alias, which came down from strong torques, was decided.
+    If a rung above makes the first one hopeless, the fit on the first may have ended on its way to a minimum. The path down then
+    begins at the highest rung, and fits all rungs again. A body with products of inertia that its file stated as zero cost 196 on
+    the first rung, 24 on the next, and 229 below the first; its alias, which came down from strong torques, was decided.
     """
     if not len(motions):
         return []
-    start, of_first = _fitted(model.under(first_rung), motions, s.first_steps, s, of_search)
+    start, of_first = _fit_and_select(
+        model.under(first_rung), motions, s.first_steps, s, search_settings
+    )
     fits = {first_rung: of_first} if first_rung in s.rungs and len(start) else {}
 
     def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
@@ -82,37 +86,41 @@ def ladder(
             steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
             for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
                 under = model.under(level)
-                begin = restated(last.motions, last.model, under)
-                if level in fits:  # what was found there on the way up stays
+                begin = rescale_unknowns(last.motions, last.model, under)
+                if (
+                    level in fits
+                ):  # fitted on the way up already: the motions from there are kept too
                     begin = Track.joined([begin, fits[level].to_begin_from])
-                last, shared = _fitted(under, begin, s.steps, s, of_search)
+                last, shared = _fit_and_select(under, begin, s.steps, s, search_settings)
             last_rung = rung
             if not len(last):
                 break
             fits[rung] = shared
-            best = max(rival, *(float(one.log_evidence.max()) for one in fits.values()))
+            best = max(rival, *(float(fitted.log_evidence.max()) for fitted in fits.values()))
             if shared.log_evidence.max() < best - s.hopeless:
                 break
         return last, last_rung
 
     rungs = sorted(s.rungs)
     top, rung = follow([rung for rung in rungs if rung > first_rung], start, first_rung)
-    best = max((float(one.log_evidence.max()) for one in fits.values()), default=-np.inf)
+    best = max((float(fitted.log_evidence.max()) for fitted in fits.values()), default=-np.inf)
     if not len(top) or of_first.log_evidence.max(initial=-np.inf) >= best - s.hopeless:
         top, rung = start, first_rung
     follow([below for below in reversed(rungs) if below < rung], top, rung)
     return list(fits.values())
 
 
-def _fitted(
-    model: Model, motions: Track, steps: int, s: LadderSettings, of_search: SearchSettings
+def _fit_and_select(
+    model: Model, motions: Track, steps: int, s: LadderSettings, search_settings: SearchSettings
 ) -> tuple[Fit, Fit]:
-    """Return the fit of motions without copies and hopeless ones, and the same with the shares of its unknowns' sigmas summed.
+    """Return the fit of motions without copies and hopeless ones, and it summed over the sizes of its unknowns (`over_shares`).
 
-    What is hopeless is asked of the sum: a motion that needs a small torque only is far better with it than under the widest sigma.
+    The sum decides what is hopeless: a motion that needs only a small torque is far more probable under a small sigma of it than
+    under the widest, under which it is fitted.
     """
     fitted = fit(model, motions, steps, s.tolerance)
-    # under weak torques a chain creeps: a motion whose cost rises may stand on a slope, and then goes down along the equations
+    # Under weak torques a fit makes hardly any way. A motion whose cost has risen may stand on a slope: it is fitted further by
+    # steps that obey the equations of motion.
     span_s = float(np.ptp(model.obs.t_s))
     stiff = model.noise.acceleration * np.sqrt((span_s / 2) ** 3 / 3) <= s.stiff_rad
     if stiff and len(motions.cost) == len(fitted):
@@ -120,16 +128,16 @@ def _fitted(
         if rises.any():
             begin = fitted.motions.take(np.flatnonzero(rises))
             lower = fit(model, begin, steps, s.tolerance, along_equations=True)
-            fitted = _joined([fitted.take(np.flatnonzero(~rises)), lower])
+            fitted = _join_fits([fitted.take(np.flatnonzero(~rises)), lower])
     shared = over_shares(fitted, s.beyond_fit)
-    which = _distinct(shared, s, of_search)
+    which = _distinct_motions(shared, s, search_settings)
     return fitted.take(which), shared.take(which)
 
 
-def restated(motions: Track, before: Model, after: Model) -> Track:
-    """Return motions with their unknowns, in sigmas of the model `before`, in the sigmas of another one with the same unknowns.
+def rescale_unknowns(motions: Track, before: Model, after: Model) -> Track:
+    """Return motions with their unknowns, given in sigmas of the model `before`, in sigmas of the model `after`.
 
-    The other one may have more unknowns at the end, which are left out.
+    The unknowns are the same; if one model has more of them at the end, those stay as they are.
     """
     pairs = zip(before.unknowns, after.unknowns, strict=False)
     ratio = np.ones(motions.u.shape[1])
@@ -138,12 +146,14 @@ def restated(motions: Track, before: Model, after: Model) -> Track:
     return replace(motions, u=motions.u * ratio)
 
 
-def _distinct(fitted: Fit, s: LadderSettings, of_search: SearchSettings) -> np.ndarray:
+def _distinct_motions(
+    fitted: Fit, s: LadderSettings, search_settings: SearchSettings
+) -> np.ndarray:
     """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
     return distinct(
         fitted.motions,
         fitted.model.obs.t_s,
-        of_search,
+        search_settings,
         drop=s.hopeless,
         order_by=-fitted.log_evidence,
     )
@@ -159,6 +169,7 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     Constant torques turn the body far, and the readings are linear only near the fit: shares that allow `beyond_fit` times more
     than the fitted size get nothing.
     """
+    # indices of the unknowns whose sigma has several sizes, by their kind: all of a kind have the same
     groups: dict[str, list[int]] = {}
     for i, unknown in enumerate(fitted.model.unknowns):
         if len(unknown.shares) > 1:
@@ -175,7 +186,7 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     of_shared = np.where(sound[:, None, None], of_shared, np.eye(len(shared)))
     precision = np.linalg.pinv(of_shared, hermitian=True)
     slope = (precision @ u[..., None])[..., 0]
-    before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)
+    before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)  # log det P - m P m
 
     gains, means, covariances = [], [], []  # of each combination of shares (c)
     for shares in product(*(fitted.model.unknowns[group[0]].shares for group in groups.values())):
@@ -190,7 +201,7 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
         matrix = precision + np.diag(added)
         covariance = np.linalg.inv(matrix)
         mean = (covariance @ slope[..., None])[..., 0]
-        after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)  # of P', m'
         gain = np.where(allowed, (before - after) / 2 - log_size, -np.inf)
         gains.append(np.where(sound, gain, 0.0 if set(shares) == {1.0} else -np.inf))
         means.append(mean)
@@ -233,55 +244,70 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
 def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
     """Return the passes with a prior of each rung that comes in part from the other passes of the file.
 
-    The same torques act in all passes of a file, mostly. The share `common` of the prior of a rung comes from the others, the rest
-    is even. What the others say of a rung is the product of their evidences of it, each of them mixed in the same way with its mean
-    evidence: one odd pass must not decide.
+    The same torques act in all passes of a file, mostly. The share `s.common` of the prior of a rung comes from the other passes,
+    the rest is even. What the others say of a rung is the product of their evidences of it. Each of these is mixed in the same way
+    with the mean evidence of its pass, so that one odd pass cannot decide.
     """
-    log = np.array([one.log_evidence_of_rungs() for one in passes])  # (passes, rungs)
+    log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in passes])  # (pass, rung)
     even = np.full(log.shape[1], -np.log(log.shape[1]))
-    # a pass has the file's rung with the probability `common`, else any; logs of different passes add
-    alone = logsumexp(log + even, axis=1, keepdims=True)
-    combined = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + alone)
-    others = combined.sum(axis=0) - combined
+    # a pass has the rung of the file with the probability `common`, else any
+    log_mean = logsumexp(log + even, axis=1, keepdims=True)
+    mixed = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + log_mean)
+    others = mixed.sum(axis=0) - mixed  # the product over all other passes
     prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
-    return [replace(one, log_rung=row) for one, row in zip(passes, prior, strict=True)]
+    return [replace(pass_fits, log_rung=row) for pass_fits, row in zip(passes, prior, strict=True)]
 
 
-def leading(fits: Sequence[Fit], count: int, of_search: SearchSettings) -> Track:
-    """Return the most probable motions of the nominal model, of any rung, without copies."""
-    stated = [one for one in fits if one.model.what == AS_STATED and len(one)]
-    if not stated:
+def best_motions(fits: Sequence[Fit], count: int, search_settings: SearchSettings) -> Track:
+    """Return the `count` most probable motions of the nominal model under any strength of torques, without copies.
+
+    They are those from which another fit begins; there are none if the nominal model has no fit.
+    """
+    nominal_fits = [fitted for fitted in fits if fitted.model.what == AS_STATED and len(fitted)]
+    if not nominal_fits:
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
-    motions = Track.joined([one.to_begin_from for one in stated])
-    log = np.concatenate([one.log_evidence for one in stated])
-    t_s = stated[0].model.obs.t_s
-    return motions.take(distinct(motions, t_s, of_search, count, np.inf, order_by=-log))
+    motions = Track.joined([fitted.to_begin_from for fitted in nominal_fits])
+    log = np.concatenate([fitted.log_evidence for fitted in nominal_fits])
+    t_s = nominal_fits[0].model.obs.t_s
+    return motions.take(distinct(motions, t_s, search_settings, count, np.inf, order_by=-log))
 
 
-def likeliest(fits: Sequence[Fit]) -> Fit:
-    """Return the fit with the most probable motion, before the prior of the rungs."""
-    return max((one for one in fits if len(one)), key=lambda one: float(one.log_evidence.max()))
+def best_fit(fits: Sequence[Fit]) -> Fit:
+    """Return the fit with the most probable motion, all strengths of torques being equally likely."""
+    return max(
+        (fitted for fitted in fits if len(fitted)),
+        key=lambda fitted: float(fitted.log_evidence.max()),
+    )
 
 
-def likeliest_cost(fits: Sequence[Fit]) -> float:
-    """Return the cost of the most probable motion: under the strongest torques nearly everything costs little."""
-    pairs = [(one.log_evidence[k], one.motions.cost[k]) for one in fits for k in range(len(one))]
+def best_cost(fits: Sequence[Fit]) -> float:
+    """Return the cost of the most probable motion; infinity without any.
+
+    Another motion may cost less: under the strongest torques nearly everything costs little, and is improbable.
+    """
+    pairs = [
+        (fitted.log_evidence[k], fitted.motions.cost[k])
+        for fitted in fits
+        for k in range(len(fitted))
+    ]
     return float(max(pairs)[1]) if pairs else np.inf
 
 
-def united(fits: Sequence[Fit], s: LadderSettings, of_search: SearchSettings) -> list[Fit]:
-    """Return one fit for each model and rung: a motion that was met twice there counts once."""
+def merge_fits(
+    fits: Sequence[Fit], s: LadderSettings, search_settings: SearchSettings
+) -> list[Fit]:
+    """Return one fit for each model and strength of torques, in which a motion that several fits have counts once."""
     groups: dict[tuple[str, float], list[Fit]] = {}
     for fitted in fits:
         groups.setdefault((fitted.model.what, fitted.model.noise.acceleration), []).append(fitted)
-    joined = [_joined(group) for group in groups.values()]
-    return [one.take(_distinct(one, s, of_search)) for one in joined]
+    joined = [_join_fits(group) for group in groups.values()]
+    return [fitted.take(_distinct_motions(fitted, s, search_settings)) for fitted in joined]
 
 
-def _joined(fits: list[Fit]) -> Fit:
-    """Return the motions of several fits of one model."""
-    parts = ((one.log_evidence, one.u_covariance, one.states_by_u) for one in fits)
-    motions = Track.joined([one.motions for one in fits])
-    lowest = Track.joined([one.to_begin_from for one in fits])
+def _join_fits(fits: list[Fit]) -> Fit:
+    """Return the motions of several fits of one model as one fit."""
+    parts = ((fitted.log_evidence, fitted.u_covariance, fitted.states_by_u) for fitted in fits)
+    motions = Track.joined([fitted.motions for fitted in fits])
+    lowest = Track.joined([fitted.to_begin_from for fitted in fits])
     joined = (np.concatenate(part) for part in zip(*parts, strict=True))
     return Fit(fits[0].model, motions, *joined, lowest)

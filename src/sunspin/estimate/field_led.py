@@ -11,7 +11,7 @@ from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import SUN_N, Model, Noise, States, Track
 from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.field import KnownField
-from sunspin.estimate.terms.torques import GravityGradient
+from sunspin.estimate.terms.torques import GravityTorque
 from sunspin.solve.rotations import rotate_attitude
 
 FEWEST_SUNS = 4
@@ -24,40 +24,40 @@ FIT_STEPS = 12
 """Steps of the fits from these turns, of which few are left."""
 
 
-def models_to_search(stated: Model, noise: Noise) -> list[Model]:
+def models_to_search(nominal: Model, noise: Noise) -> list[Model]:
     """Return the models that are searched: by the field's directions in place of the Sun's if hardly any sample shows the Sun."""
-    known = field_of(stated)
+    known = leading_field(nominal)
     if known is None:
-        return stated.for_search(noise)
-    (loose,) = stated.for_search(noise)[:1]
-    pairs = zip(stated.obs.terms, loose.obs.terms, strict=True)
+        return nominal.for_search(noise)
+    (loose,) = nominal.for_search(noise)[:1]
+    pairs = zip(nominal.obs.terms, loose.obs.terms, strict=True)
     others = (found for term, found in pairs if not term.of_sun and term is not known)
     return [replace(loose, obs=replace(loose.obs, terms=(known.directions(), *others)))]
 
 
-def field_of(stated: Model) -> KnownField | None:
+def leading_field(nominal: Model) -> KnownField | None:
     """Return the field that leads the search; None if the Sun does."""
-    known = [term for term in stated.obs.terms if isinstance(term, KnownField)]
-    return known[0] if known and stated.obs.sees_sun.sum() < FEWEST_SUNS else None
+    known = [term for term in nominal.obs.terms if isinstance(term, KnownField)]
+    return known[0] if known and nominal.obs.sees_sun.sum() < FEWEST_SUNS else None
 
 
-def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -> Track:
+def to_nominal_axes(nominal: Model, loose: Model, motions: Track, s: SearchSettings) -> Track:
     """Return motions of a search in the axes N of the model.
 
     A search by the field finds them in axes that follow the field, as one by the Sun finds them in axes that follow the Sun: they
     are fitted with the field as it is known, from several turns about it, of which the field's turning in space leaves few. A
     search by the Sun leaves the turn about the Sun open: if nothing but a torque shows it, several are tried.
     """
-    known = field_of(stated)
+    known = leading_field(nominal)
     if known is not None:
         turns, frames = FIELD_TURNS, known.frames()
-        (plain,) = stated.for_search(loose.noise)[:1]
+        (plain,) = nominal.for_search(loose.noise)[:1]
         terms = tuple(
             known.without_errors() if term is known else found
-            for term, found in zip(stated.obs.terms, plain.obs.terms, strict=True)
+            for term, found in zip(nominal.obs.terms, plain.obs.terms, strict=True)
         )
         model = replace(plain, obs=replace(plain.obs, terms=terms))
-    elif any(isinstance(term, GravityGradient) for term in stated.obs.terms):
+    elif any(isinstance(term, GravityTorque) for term in nominal.obs.terms):
         turns, frames, model = SUN_TURNS, np.eye(3), loose
     else:
         return motions
@@ -74,13 +74,13 @@ def in_axes_of(stated: Model, loose: Model, motions: Track, s: SearchSettings) -
     return fitted.take(distinct(fitted, model.obs.t_s, s))
 
 
-def begun(model: Model, motions: Track) -> Track:
+def prepare_fit(model: Model, motions: Track) -> Track:
     """Return motions of a search with the attitudes and unknowns from which a fit of the model begins."""
     attitude, u = motions.attitude, np.zeros((len(motions), len(model.unknowns)))
     about_sun = False
     if len(motions):
         # what shows the turn about the Sun first
-        for term, place in sorted(model.placed_terms, key=lambda pair: not pair[0].about_sun):
-            attitude, u[:, place] = term.begin(States(attitude, motions.omega), about_sun)
+        for term, own in sorted(model.terms_with_slices, key=lambda pair: not pair[0].about_sun):
+            attitude, u[:, own] = term.begin(States(attitude, motions.omega), about_sun)
             about_sun |= term.about_sun
     return Track(attitude, motions.omega, u)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.carry import MOST_NUTATION_RAD, nutation, step
 from sunspin.estimate.column_tests import axes_matrix, signed_axes, to_write
-from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
+from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
 from sunspin.estimate.model import Body
 from sunspin.estimate.observe import wheel_models
 from sunspin.estimate.wheels import momentum_of_each
@@ -46,7 +46,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     directions = assessment.still_directions
     ways = list(signed_axes())  # the stated one first
     read = [rate[:, order] * sign for _, order, sign in ways]
-    even = [rotations_between_samples(time, one) for one in read]
+    even = [rotations_between_samples(time, rates) for rates in read]
     nutating: list[np.ndarray] | None = None  # computed if needed
     for lag in LAGS:
         at_rest = np.zeros_like(even[0])
@@ -79,7 +79,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
 
 def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray) -> str:
     """Return which columns of panels, exchanged, look the same as a gyro read by a matrix (3, 3), in words; empty if none do."""
-    gyro = Change("the gyro", axes={"gyro_B": matrix})
+    gyro = ColumnChange("the gyro", axes={"gyro_B": matrix})
     wheels = next(iter(wheel_models(vehicle, telemetry)))
     observed = Observed.of(vehicle, telemetry, momenta=momentum_of_each(vehicle, telemetry, wheels))
     same = alike(observed, gyro, column_changes(vehicle, telemetry))

@@ -242,8 +242,7 @@ class Model:
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
         """Return all numbers that are estimated with a motion: those of the body, then those of each term."""
-        of_terms = (one for term in self.obs.terms for one in term.unknowns())
-        return (*self.body.unknowns, *of_terms)
+        return (*self.body.unknowns, *(u for term in self.obs.terms for u in term.unknowns()))
 
     @property
     def rate_max(self) -> float:
@@ -251,21 +250,21 @@ class Model:
         return 2 * self.rate_sigma
 
     @property
-    def of_body(self) -> slice:
+    def inertia_slice(self) -> slice:
         """Return where the errors of the inertia stand among the unknowns."""
         return slice(0, len(self.body.errors))
 
     @cached_property
-    def of_terms(self) -> tuple[slice, ...]:
-        """Return where the unknowns of each term stand."""
+    def term_slices(self) -> tuple[slice, ...]:
+        """Return where the unknowns of each term stand among those of the model."""
         counts = [len(self.body.errors), *(len(term.unknowns()) for term in self.obs.terms)]
         ends = np.cumsum(counts)
         return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
 
     @cached_property
-    def placed_terms(self) -> tuple[tuple[Term, slice], ...]:
-        """Return the terms, each with the place of its unknowns."""
-        return tuple(zip(self.obs.terms, self.of_terms, strict=True))
+    def terms_with_slices(self) -> tuple[tuple[Term, slice], ...]:
+        """Return the terms, each with the slice of its own unknowns among those of the model."""
+        return tuple(zip(self.obs.terms, self.term_slices, strict=True))
 
     def seeing(self, samples: Any) -> Model:
         """Return the model of some of the samples."""

@@ -15,20 +15,26 @@ from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import Chain, Fit
 from sunspin.estimate.evidence import (
     PassFits,
+    best_cost,
+    best_fit,
+    best_motions,
     ladder,
-    leading,
-    likeliest,
-    likeliest_cost,
-    restated,
-    united,
+    merge_fits,
+    rescale_unknowns,
 )
-from sunspin.estimate.field_led import begun, field_of, in_axes_of, models_to_search
+from sunspin.estimate.field_led import leading_field, models_to_search, prepare_fit, to_nominal_axes
 from sunspin.estimate.images import with_images
 from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import RatesSettings, SearchSettings
-from sunspin.estimate.starts import aliases, other_bodies, pair_starts, pairs_to_try
+from sunspin.estimate.starts import (
+    aliases,
+    aliases_about_two_axes,
+    other_bodies,
+    pair_starts,
+    pairs_to_try,
+)
 from sunspin.estimate.swings import swings_by_all_ways
 
 
@@ -62,72 +68,81 @@ class PassFitter:
 
 
 def one_pass(
-    stated: Model, settings: RatesSettings, budget: Budget, begin: Track | None = None
+    nominal: Model, settings: RatesSettings, budget: Budget, begin: Track | None = None
 ) -> PassFits:
     """Return every motion of one pass under every model that may explain it, with evidence.
 
-    `stated`: the nominal model of the samples kept for the search. `begin`: motions from which the fit begins, for which no search
-    is made then: those of the same pass under a model that hardly differs.
+    `nominal`: the nominal model of the samples kept for the search. `begin`: motions of the same pass under a model that hardly
+    differs; the fit then begins from them, without a search.
     """
-    s = settings
-    budget = replace(budget)  # passes are estimated side by side, each with its own
-    limit = stated.obs.cost_limit
+    s, limit = settings, nominal.obs.cost_limit
+    budget = replace(budget)  # each pass has its own, as passes are estimated side by side
 
-    # Search: all motions that the readings allow while the inertia is held; then the fit, with all unknowns free.
-    tracks = [begin] if begin is not None else searched(stated, s.search.noise, s.search, budget)
-    fits = fitted(stated, tracks, s.search.noise, s)
+    def search_and_fit(model: Model, noise: float, slowest: float = 0.0) -> list[Fit]:
+        """Return the fits of the motions that a search of `model` under unknown torques of this strength leaves."""
+        tracks = search_motions(model, noise, s.search, budget, slowest)
+        return fit_tracks(nominal, tracks, noise, s)
 
-    @cache
-    def under_strong() -> list[Fit]:
-        """Return the fits of a search as if strong torques acted, which two doubts may ask for."""
-        tracks = searched(stated, s.ladder.strong, s.search, budget)
-        return fitted(stated, tracks, s.ladder.strong, s)
+    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
+    if begin is None:
+        fits = search_and_fit(nominal, s.search.noise)
+    else:
+        fits = fit_tracks(nominal, [begin], s.search.noise, s)
 
-    # An inertia that is wrong looks like torques: if no motion fits, search as if strong ones acted. Asked of the most probable
-    # motion, as under the strongest torques nearly everything fits.
-    if len(stated.body.errors) and likeliest_cost(fits) > limit:
-        fits = min(fits, under_strong(), key=likeliest_cost)
-    # The search took a body without an inertia for a sphere, so that torques stand for its nutation.
-    taken_for_sphere = bool(stated.body.sphere and len(stated.body.errors) and stated.obs.only_sun)
-    strained = any(map(len, fits)) and likeliest(fits).model.noise.acceleration >= s.ladder.strained
-    if taken_for_sphere and strained:
-        fits = united(fits + under_strong(), s.ladder, s.search)
-    # Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
+    # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
+    # motion is asked, since under the strongest torques nearly everything fits.
+    under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
+    if len(nominal.body.errors) and best_cost(fits) > limit:
+        fits = min(fits, under_strong_torques(), key=best_cost)
+    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
+    strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
+    if strained and len(nominal.body.errors) and nominal.obs.only_sun:
+        fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
+    # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well. `wider`: the nominal model with a
+    # larger limit, only for search and aliases.
+    taken_for_sphere = bool(
+        nominal.body.sphere and len(nominal.body.errors) and nominal.obs.only_sun
+    )
     beyond = s.alternatives.beyond if taken_for_sphere else 1.0
-    # the nominal model with a larger limit, only for search and aliases
-    reach = replace(stated, rate_sigma=beyond * stated.rate_sigma)
+    wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
-        tracks = searched(reach, s.search.noise, s.search, budget, stated.rate_max)
-        fits = united(fits + fitted(stated, tracks, s.search.noise, s), s.ladder, s.search)
-    if not any(len(one) for one in fits):
+        faster = search_and_fit(wider, s.search.noise, nominal.rate_max)
+        fits = merge_fits(fits + faster, s.ladder, s.search)
+    if not any(map(len, fits)):
         raise InputError(
             "no motion has a well-defined probability",
-            got=f"{len(stated.obs)} samples in the pass from {stated.obs.t_s[0]:.0f} s",
+            got=f"{len(nominal.obs)} samples in the pass from {nominal.obs.t_s[0]:.0f} s",
             do="add samples, or check their errors",
         )
 
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
-    # all that is found. This order, as a body without an inertia has its aliases only when its shape is known.
-    for related in (other_bodies, partial(aliases, s=s.alternatives)):
-        others = related(leading(fits, s.alternatives.relatives_of, s.search), reach)
-        budget.spend(len(others) * len(stated.obs))
-        fits += ladder(stated, others, s.ladder, s.search, s.ladder.strong)
-        fits = united(fits, s.ladder, s.search)
+    # all that is found. This order, as a body without an inertia has its aliases only when its shape is known. Revolutions about
+    # two axes are also tried beyond a largest rate that nobody stated, whatever the body: they are few.
+    widest = replace(nominal, rate_sigma=s.alternatives.beyond * nominal.rate_sigma)
+    for related, model in (
+        (other_bodies, wider),
+        (partial(aliases, s=s.alternatives), wider),
+        (partial(aliases_about_two_axes, s=s.alternatives), widest),
+    ):
+        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), model)
+        budget.spend(len(others) * len(nominal.obs))
+        fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
+        fits = merge_fits(fits, s.ladder, s.search)
 
     # Alternatives: what else may have moved the body. The generator sees `fits` grow: a second step of the rate is added to the
     # first.
-    for model in alternatives(stated, fits, s.alternatives):
+    for model in alternatives(nominal, fits, s.alternatives):
         if budget.exhausted():
             break
         fits += fits_of_alternative(model, fits, s, budget)
     # a stated strength of torques, a ladder of one rung, says that the body does not swing
-    if stated.obs.only_sun and likeliest_cost(fits) <= limit and len(s.ladder.rungs) > 1:
-        fits += swings_by_all_ways(stated, fits, s.alternatives, s.ladder)
+    if nominal.obs.only_sun and best_cost(fits) <= limit and len(s.ladder.rungs) > 1:
+        fits += swings_by_all_ways(nominal, fits, s.alternatives, s.ladder)
 
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(
-        stated=stated,
+        nominal=nominal,
         fits=tuple(fits),
         rungs=s.ladder.rungs,
         log_rung=even,
@@ -136,33 +151,31 @@ def one_pass(
     )
 
 
-def searched(
-    stated: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
+def search_motions(
+    nominal: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of this strength leaves: a track for each meaning of the readings.
+    """Return the motions that a search under unknown torques of strength `noise` leaves, a track for each meaning of the readings.
 
-    No start is slower than `slowest`, rad/s. A model that allows no motion has none, if slower ones were searched before.
+    No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no motion raises InputError. With one,
+    slower motions were searched before, and the list may be empty.
     """
-    # axes that follow the field turn: a motion that misses the limit there is no reason to begin elsewhere too
-    if field_of(stated) is not None:
-        of_search = replace(s, more_places=0)
-    else:
-        of_search = s
+    # In axes that follow the field a right motion may cost more than the limit, since they turn in space: no further places then.
+    search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
-    for loose in models_to_search(stated, Noise(noise)):
+    for loose in models_to_search(nominal, Noise(noise)):
         chain, starts = Chain(loose, s), pair_starts(loose, s, slowest)
         try:
             places = 1 if slowest else pairs_to_try(loose, s)
-            motions = search(chain, starts, of_search, budget, places)
+            motions = search(chain, starts, search_settings, budget, places)
         except InputError:
             if not slowest:
                 raise
             continue
-        tracks.append(in_axes_of(stated, loose, no_faster(loose, motions, s), s))
+        tracks.append(to_nominal_axes(nominal, loose, drop_faster(loose, motions, s), s))
     return tracks
 
 
-def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
+def drop_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     """Return motions without those that turn faster than the largest rate in the mean, if one that does not fits.
 
     A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
@@ -175,44 +188,48 @@ def no_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
 
 def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
     """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
-    if not any(len(one) for one in fits):
+    if not any(map(len, fits)):
         return False
-    best = likeliest(fits)
+    best = best_fit(fits)
     speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
     return bool(speed * np.diff(best.model.obs.t_s).min() > fast_rad)
 
 
-def fitted(stated: Model, tracks: Sequence[Track], noise: float, s: RatesSettings) -> list[Fit]:
-    """Return fits on all rungs of motions and of their images; the first rung is the strength of torques of their search."""
+def fit_tracks(
+    nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
+) -> list[Fit]:
+    """Return fits of motions and their images under every strength of torques; `noise`, that of their search, comes first."""
     fits = []
     for motions in tracks:
-        begin = begun(stated.under(noise), with_images(motions, stated, s.search))
-        fits += ladder(stated, begin, s.ladder, s.search, noise)
-    return united(fits, s.ladder, s.search)
+        begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
+        fits += ladder(nominal, begin, s.ladder, s.search, noise)
+    return merge_fits(fits, s.ladder, s.search)
 
 
 def fits_of_alternative(
     model: Model, fits: Sequence[Fit], s: RatesSettings, budget: Budget
 ) -> list[Fit]:
-    """Return fits of an alternative model, on the rungs that are not hopeless next to the best of the `fits` so far."""
-    nominal = likeliest([one for one in fits if one.model.what == AS_STATED])
-    # under the torques that the nominal model wants an alternative can grow; a stated strength may be too stiff for that
-    rung = nominal.model.noise.acceleration
-    rung = rung if len(s.ladder.rungs) > 1 else max(rung, s.search.noise)
-    top = float(likeliest(fits).log_evidence.max())
-    begin = leading(fits, s.alternatives.begin_with, s.search)
-    begin = restated(begin, nominal.model, model.under(rung))
-    of_ladder = replace(s.ladder, hopeless=s.alternatives.hopeless)
-    new = ladder(model, begin, of_ladder, s.search, rung, top)
-    budget.spend(sum(len(one) for one in new) * len(model.obs))
-    return [one for one in new if one.log_evidence.max() > top - of_ladder.hopeless]
+    """Return fits of an alternative model, under the strengths of torques that are not hopeless next to the best of `fits`."""
+    most_probable = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
+    # The fit begins under the torques that the nominal model wants, so that the alternative can take their place. A stated strength
+    # may hold the motion too stiffly for that.
+    rung = most_probable.model.noise.acceleration
+    if len(s.ladder.rungs) == 1:
+        rung = max(rung, s.search.noise)
+    top = float(best_fit(fits).log_evidence.max())
+    begin = best_motions(fits, s.alternatives.begin_with, s.search)
+    begin = rescale_unknowns(begin, most_probable.model, model.under(rung))
+    ladder_settings = replace(s.ladder, hopeless=s.alternatives.hopeless)
+    new = ladder(model, begin, ladder_settings, s.search, rung, top)
+    budget.spend(sum(len(fitted) for fitted in new) * len(model.obs))
+    return [fitted for fitted in new if fitted.log_evidence.max() > top - ladder_settings.hopeless]
 
 
 def _one_pass_if_any(
-    stated: Model, settings: RatesSettings, budget: Budget, begin: Track | None
+    nominal: Model, settings: RatesSettings, budget: Budget, begin: Track | None
 ) -> PassFits | None:
     """Return the fits of a pass as :func:`one_pass` does; None if the model allows no motion at all."""
     try:
-        return one_pass(stated, settings, budget, begin)
+        return one_pass(nominal, settings, budget, begin)
     except InputError:
         return None

@@ -109,13 +109,20 @@ def weigh_by_periods(
     of the solution that is the likeliest now, and of the one that was then.
     """
     # a column may have a period where there is no pass
-    seen = [one for one in seen if not isinstance(one, FoundPeriod) or _in_a_pass(passes, one)]
+    seen = [
+        period
+        for period in seen
+        if not isinstance(period, FoundPeriod) or _in_a_pass(passes, period)
+    ]
     if not seen:
         return list(passes), {}
-    of_pass = [pass_of_period(passes, one) for one in seen]
-    weighed, rows = [replace(one, without_periods=one.probability) for one in passes], []
+    of_pass = [pass_of_period(passes, period) for period in seen]
+    weighed, rows = (
+        [replace(of_pass, without_periods=of_pass.probability) for of_pass in passes],
+        [],
+    )
     for k in sorted(set(of_pass)):
-        own = [one for one, at in zip(seen, of_pass, strict=True) if at == k]
+        own = [period for period, at in zip(seen, of_pass, strict=True) if at == k]
         weighed[k], decided = _weigh(weighed[k], body, own)
         rows += [{"pass": int(pass_ids[k])} | row for row in decided]
     return weighed, {"periods": json.dumps(rows)}
@@ -123,7 +130,7 @@ def weigh_by_periods(
 
 def without_periods(passes: Sequence[Solutions]) -> dict[str, Any]:
     """Return the variable `probability_without_periods (pass_id, solution)`, if periods were counted in."""
-    before = [one.without_periods for one in passes]
+    before = [of_pass.without_periods for of_pass in passes]
     if any(part is None for part in before):
         return {}
     about = {"units": "1", "long_name": "probability of each solution without the periods seen"}
@@ -143,8 +150,11 @@ def _weigh(
     # density of a draw that has each period exactly, as one of the three READINGS, and as the least probable one it may be.
     density = weighed.density.reshape(len(before), draws_each)
     peak = [
-        min(part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI) for part in every_of(one))
-        for one in seen
+        min(
+            part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI)
+            for part in every_of(period)
+        )
+        for period in seen
     ]
     has_periods = density.max(axis=1) > np.exp(-0.5 * FAR_SIGMAS**2) * np.prod(peak)
     share_with_periods = float(before[has_periods].sum())
@@ -210,14 +220,14 @@ def weigh_draws(
 
 def _in_a_pass(passes: Sequence[Solutions], seen: PeriodSeen) -> bool:
     """Return whether a period was seen in a pass, or no further from its ends than samples are from each other."""
-    times = [one.obs.t_s for one in passes]
+    times = [of_pass.obs.t_s for of_pass in passes]
     near = [(t[0] - np.diff(t).max(), t[-1] + np.diff(t).max()) for t in times]
     return any(first <= seen.t_s <= last for first, last in near)
 
 
 def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
     """Return the pass in which a period was seen, or from whose ends it is no further away than samples are from each other."""
-    times = [one.obs.t_s for one in passes]
+    times = [of_pass.obs.t_s for of_pass in passes]
     away = [max(t[0] - seen.t_s, seen.t_s - t[-1], 0.0) for t in times]
     k = int(np.argmin(away))
     if away[k] > np.diff(times[k]).max():

@@ -1,6 +1,6 @@
-"""Every motion of a lander that panel readings allow, with its probability, or the word that none fits (docs/posterior.md).
+"""Every motion of a lander that panel readings allow, with its probability, or the statement that none fits (docs/posterior.md).
 
-From top to bottom: search under the nominal model, fits of its motions under constant torques, draws of all models, verdict.
+The steps are a search under the nominal model, fits of its motions under constant torques, draws of all models, and the verdict.
 """
 
 from __future__ import annotations
@@ -54,13 +54,14 @@ from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 EDGE, AT_EDGE = 0.97, 0.01
-"""Draws beyond this part of the largest rate searched, more than this share of all, say that the truth may be outside."""
+"""If more than the share `AT_EDGE` of the draws is faster than `EDGE` times the limit of the search, the truth may be beyond it."""
 
 SURELY_LIT = 5.0
 """Sigmas of noise above which a reading is sunlight."""
 
 FEW_BODIES, MOST_BODIES = 0.2, 0.5
-"""Part of the prior of the inertia that describes bodies: below the first it leaves no draws, above the second it is no cause."""
+"""Part of the prior of the inertia that describes bodies which can exist. Below the first there may be no draws because of that,
+and the advised sigma of the inertia has more than the second."""
 
 ADVISED_SIGMAS = (0.1, 0.03, 0.01, 3e-3, 1e-3)
 """Relative sigmas of the inertia that may be advised, the largest first."""
@@ -69,10 +70,10 @@ NO_TORQUES = "solutions with a constant torque were not searched, as this would 
 
 
 class NominalSearch(NamedTuple):
-    """A search under the nominal model.
+    """The result of the search under the nominal model.
 
-    `window`: what was seen; `reference`: the sample at which motions are states, and the search began; `motions`: with which the
-    search ended, and `fit`: these fitted to all samples with all unknowns; `prior_words`: the priors and their sources in words.
+    `window`: the observations; `reference`: the sample whose states give the motions, where the search began; `motions`: the last
+    trial motions, and `fit`: these fitted to all samples with all unknowns; `prior_words`: the priors and their sources in words.
     """
 
     assessment: Assessment
@@ -161,7 +162,7 @@ def posterior(
     """
     _require_whole(seed, draws)
     # a stream of random numbers for each of three models, and again after a second search; for the draws of the result; for checks
-    streams = [np.random.default_rng(one) for one in np.random.SeedSequence(seed).spawn(8)]
+    streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
     of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
     say = progress if callable(progress) else _written if progress else _unsaid
     say("searching every motion that the readings allow")
@@ -180,6 +181,7 @@ def posterior(
     budget = Budget(settings.motions)
     budget.spend(nominal.carrier.fitted)
     doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
+    mix = replace(mix, workers=nominal.carrier.workers)
     picked = resampled(mix.draws.log_weight, draws, of_result)
     checked, outliers = mix.checked(picked, of_checks, settings.sampling)
     reference, model = nominal.reference, nominal.fit.model
@@ -254,13 +256,13 @@ def search_nominal(
 
 
 def search_under(carrier: Shooting) -> TrialMotions:
-    """Return every motion that the readings allow under the model of a carrier, from the grid of rates on."""
+    """Return every motion that the readings allow under the model of a carrier, by a search that begins on the grid of rates."""
     settings = carrier.settings
     carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
 
     def watch(window: slice, kept: TrialMotions) -> None:
-        """Note what is left of a window, and show it to whoever watches."""
+        """Record the motions that a window leaves, and pass them on to the caller's own function."""
         carrier.note_window(window, kept)
         if settings.search.watch is not None:
             settings.search.watch(window, kept)
@@ -282,13 +284,14 @@ def draw_all_models(
     """
     settings, reach_s = nominal.carrier.settings, LanderTarget(nominal.fit.model).reach_s
 
-    # Other models begin with the motions of the nominal one. A torque of a few degrees over the samples is taken up by inertia and
-    # friction, so readings that fit do not exclude it: what it leaves in doubt is in the draws.
+    # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
+    # of a few degrees over the samples, since inertia and friction compensate it. So these models are always in the draws.
     torques = torque_carriers(nominal, priors)
     say(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
-    fits = [nominal.fit, *(refit(other, nominal) for other in torques)]
+    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
+        fits = [nominal.fit, *pool.map(lambda other: refit(other, nominal), torques)]
     drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
     if not (torques and nominal.carrier.complete) or nominal_explains(
@@ -296,8 +299,8 @@ def draw_all_models(
     ):
         return drawn.doubts, mix
 
-    # Where no motion of the nominal model fits, a torque may hide the true one: search under each from the first samples on. If
-    # motions were left out before, one of these may fit without a torque.
+    # If no motion of the nominal model fits, a torque may be the cause: search under each torque from the first samples on. That is
+    # not done if the first search had to leave motions out, as one of these may fit without a torque.
     if nominal.carrier.fitted > settings.long_search or budget.exhausted():
         return [*drawn.doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
@@ -309,26 +312,26 @@ def draw_all_models(
 
 
 def torque_carriers(nominal: NominalSearch, priors: Mapping[str, Any] | None) -> list[Shooting]:
-    """Return what fits and searches under models with a constant torque, in body axes and in space, the same readings."""
+    """Return carriers of the same readings under models with a constant torque, in body axes and in space."""
     carrier = nominal.carrier
     return [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
 
 
 def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
-    """Return the motions of the nominal model fitted under that of a carrier, whose further unknowns begin at their centres.
+    """Return the motions of the nominal search fitted under the model of a carrier, whose further unknowns begin at their centres.
 
-    All motions with which the search ended are fitted, also those far worse than the best: under another model they may fit.
+    Motions far worse than the best are fitted too: under another model they may fit.
     """
     fit = carrier.fit_all_samples(
         TrialMotions(_renamed(carrier.model, nominal), nominal.motions.starts)
     )
-    # what the search left out, this model misses too
+    # motions that the search left out are missing under this model too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
 
 
 def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
-    """Return the motions of the nominal model, and those of a search under a torque from the first samples on, fitted under it."""
+    """Return the motions of the nominal search and those of a search under the model of a carrier, all fitted under it."""
     motions = search_under(carrier)
     shots = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
     starts = np.concatenate([nominal.motions.starts, motions.starts])
@@ -336,9 +339,9 @@ def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
 
 
 def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:
-    """Return the motions of the nominal model as those of a model that has its unknowns and more, these at their centres."""
+    """Return the motions of the nominal search as those of a model with further unknowns, which are at their centres."""
     names = [unknown.name for unknown in model.unknowns]
-    places = np.array([names.index(one.name) for one in nominal.carrier.model.unknowns])
+    places = np.array([names.index(unknown.name) for unknown in nominal.carrier.model.unknowns])
     return nominal.motions.shots.with_unknowns(places, len(names))
 
 
@@ -349,9 +352,9 @@ def draw_models(
     budget: Budget,
     before: Draws | None = None,
 ) -> Drawn:
-    """Return draws of the nominal model, the first of the fits, and of others that promise to count, each from its own stream.
+    """Return draws of the nominal model, the first of the fits, and of other models with enough evidence, each from its own stream.
 
-    The likeliest model gets all draws and walkers, the others fewer. `before`: draws of the nominal model that there are already.
+    The likeliest model gets all draws, the others fewer. `before`: draws of the nominal model, if they have been made already.
     """
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
     evidence = np.array([logsumexp(fit.log_evidence) for fit in fits])  # log, by Laplace's method
@@ -362,7 +365,7 @@ def draw_models(
     limit = nominal.carrier.cost_limit(slice(0, count))
 
     def draws_of(h: int) -> tuple[Draws, Budget]:
-        """Return the draws of a model and what they took, in motions over the whole stretch."""
+        """Return the draws of a model and the budget that they used, in motions over the whole stretch."""
         fit, s, own = fits[h], settings.sampling, Budget(most)
         if h == 0 and before is not None:
             return before, own
@@ -373,17 +376,17 @@ def draw_models(
             s,
             draws=int(part * s.draws),
             wanted=part * s.wanted,
-            walkers=int(np.ceil(part * s.walkers)),
         )
-        # the part of its sigma with which the prior held each unknown in the fit: its weight is the inverse square of that
+        # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one,
+        # over `Unknown.sigma`.
         fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
         return sample(LanderTarget(fit.model), fit, streams[h], s, own, fitted_share), own
 
     drawn = Drawn([], [], [])
-    # all models at once, also on fewer cores: of three on two cores, the last would have one core alone
+    # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two
     with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
-        every = list(pool.map(draws_of, chosen))
-    for h, (draws, own) in zip(chosen, every, strict=True):
+        results = list(pool.map(draws_of, chosen))
+    for h, (draws, own) in zip(chosen, results, strict=True):
         fit = fits[h]
         budget.spend(own.used * count)
         budget.cut |= own.cut
@@ -415,14 +418,14 @@ def nominal_explains(
 
 
 def _nothing_drawn(model: LanderModel) -> InputError:
-    """Return the refusal if no draw about the motions of the nominal model is possible.
+    """Return the error for a nominal model without a possible draw.
 
-    The cause is the sigma of the inertia, if few bodies within it can exist, else the largest rate.
+    It names the sigma of the inertia if few bodies within it can exist, else the largest rate.
     """
     share = np.exp(model.log_possible)
     if share < FEW_BODIES:
 
-        def known_to(sigma: float) -> LanderModel:
+        def with_inertia_sigma(sigma: float) -> LanderModel:
             """Return the model with moments of this relative sigma."""
             unknowns = (
                 replace(x, sigma=sigma * abs(x.centre)) if x.kind == "inertia" else x
@@ -430,8 +433,11 @@ def _nothing_drawn(model: LanderModel) -> InputError:
             )
             return replace(model, of_motion=tuple(unknowns))
 
-        enough = np.log(MOST_BODIES)
-        advised = (one for one in ADVISED_SIGMAS if known_to(one).log_possible > enough)
+        advised = (
+            sigma
+            for sigma in ADVISED_SIGMAS
+            if with_inertia_sigma(sigma).log_possible > np.log(MOST_BODIES)
+        )
         return InputError(
             "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
             got=f"{share:.2g} of the prior",
@@ -454,7 +460,7 @@ def _unsaid(_: str) -> None:
 
 
 def _require_whole(seed: Any, draws: Any) -> None:
-    """Refuse a seed or a number of draws that is no whole number, or too small."""
+    """Raise InputError for a seed or a number of draws that is no whole number, or too small."""
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} must be a whole number of at least {least}", got=value)
@@ -463,7 +469,7 @@ def _require_whole(seed: Any, draws: Any) -> None:
 def _about(
     nominal: NominalSearch, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
 ) -> dict[str, Any]:
-    """Return the attributes that say of what, and under which priors, a posterior is."""
+    """Return the attributes of the result that describe its telemetry, its priors and the search."""
     window, reference, model = nominal.window, nominal.reference, nominal.fit.model
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
     mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
@@ -489,7 +495,7 @@ def _about(
 def _findings(
     tree: xr.DataTree, mix: Mixture, nominal: NominalSearch, checked: Checked, outliers: np.ndarray
 ) -> PosteriorFindings:
-    """Return what the verdict is made of; `outliers` (n, p): probabilities of readings."""
+    """Return the quantities that decide the verdict; `outliers` (n, p): probabilities of readings."""
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
     probability = solutions["probability"].values
     doubts = []
@@ -497,8 +503,8 @@ def _findings(
         doubts.append("a solution was reached from one start only, so others may be missing")
     read = panels.present()
     bright = panels.used & (panels.power > np.maximum(panels.threshold, SURELY_LIT * panels.sigma))
-    # where nothing is lit the vehicle may have been in shadow, which is no panel's fault
-    awake = bright.any(axis=1)
+    # samples without a lit panel may be in the shadow of a planet, for which no panel is to blame
+    sunlit = bright.any(axis=1)
     names = nominal.fit.model.vehicle.input_names
     t_s = nominal.window.start_s + nominal.window.obs.t_s
     rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
@@ -510,12 +516,11 @@ def _findings(
         interval_s=float(np.median(np.diff(t_s[read]))),
         p=checked.p,
         noise_sigmas=checked.noise_sigmas,
-        accused=accused_panels(names, outliers[awake], panels.lit[awake]),
+        accused=accused_panels(names, outliers[sunlit], panels.lit[sunlit]),
         tail=mix.draws.tail,
         effective=mix.draws.effective,
-        outside=mix.draws.outside,
         doubts=doubts,
-        dark=dark_stretch(t_s[read], awake[read]),
+        dark=dark_stretch(t_s[read], sunlit[read]),
         complete=True,
     )
 

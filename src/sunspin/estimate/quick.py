@@ -25,7 +25,7 @@ MOTIONS = 8
 
 
 def quick_evidence(
-    stated: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
+    nominal: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
 ) -> float:
     """Return the log of the probability of a pass, up to a constant that only the number of readings decides.
 
@@ -35,7 +35,7 @@ def quick_evidence(
     s = replace(settings.search, more_places=0)
     few = replace(settings.ladder, rungs=RUNGS)
     log = np.full(len(RUNGS), -np.inf)
-    for loose in stated.for_search(Noise(s.noise)):
+    for loose in nominal.for_search(Noise(s.noise)):
         try:
             motions = (
                 search(Chain(loose, s), pair_starts(loose, s), s, budget, 1)
@@ -48,7 +48,7 @@ def quick_evidence(
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log[rung] = np.logaddexp(log[rung], logsumexp(fitted.log_evidence))
     return float(log.max()) - sum(
-        log_size(term) for term in stated.obs.terms if isinstance(term, Panels)
+        log_size(term) for term in nominal.obs.terms if isinstance(term, Panels)
     )
 
 

@@ -35,21 +35,21 @@ from sunspin.estimate.model import (
 )
 from sunspin.estimate.observe import (
     Pass,
-    asked,
     observe,
-    split,
+    passes_asked_for,
+    split_passes,
     wheel_models,
-    why_not_used,
+    with_unused_samples,
 )
 from sunspin.estimate.one_pass import PassFitter
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.rates_dataset import (
-    believed,
-    dataset,
-    in_space,
     latency_attributes,
-    repeats_doubted,
+    motion_dataset,
+    verdict_variables,
+    with_doubted_repeats,
+    with_space_axes,
 )
 from sunspin.estimate.settings import (
     LARGEST_RATE,
@@ -70,12 +70,12 @@ from sunspin.estimate.wheels import (
     Reversed,
     decide_wheels,
     doubted_signs,
-    expected,
-    kept_samples,
-    longest,
+    longest_passes,
+    model_of_kept,
+    probable_wheel_model,
     search_reversed,
 )
-from sunspin.telemetry.assess import LOW_SHARE, Assessment, assess
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 NOISE_RANGE = (1e-9, 1.0)
@@ -181,20 +181,17 @@ def rates(
     # What the file shows: all samples, why each is used or not, and the passes that they form.
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
-    calibration = along_orbit(local, assessment) if calibration is None else calibration
-    seen = observe(assessment, source, local, calibration, acting(torques, local))
-    every = split(seen, gap_s, settings.passes)
-    chosen = asked(every, pass_id)
-    passes = [every[k] for k in chosen]
-    why = why_not_used(seen, every, chosen)
+    calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
+    readings = observe(assessment, source, local, calibration, acting(torques, local))
+    every_pass = split_passes(readings, gap_s, settings.passes)
+    passes = passes_asked_for(every_pass, pass_id)
+    readings = with_unused_samples(readings, every_pass, passes)
+    kept = sum(len(a_pass.kept) for a_pass in passes)
 
-    # What is believed before the data: the nominal model of the whole file.
-    noise = stated_noise(vehicle, acceleration_noise, seen.dipole_modelled)
-    rate_max, stated_max = largest_rate(vehicle, max_rate_rad_s, seen.obs.t_s, passes)
     # the same estimate of another vehicle or another file, as one pass: to try other columns
     again = partial(
         rates,
-        source=None if seen.source == "directions" else seen.source,
+        source=None if readings.source == "directions" else readings.source,
         max_rate_rad_s=max_rate_rad_s,
         gap_s=np.inf,
         environment=environment,
@@ -203,52 +200,50 @@ def rates(
         effort=effort,
         settings=settings,
     )
+
+    # What is known before the data: the nominal model of the whole file.
+    noise = stated_noise(vehicle, acceleration_noise, readings.dipole_modelled)
+    rate_max, beyond = largest_rate(vehicle, max_rate_rad_s, readings.obs.t_s, passes, settings)
     if noise is not None:  # a stated strength is a ladder of one rung
         settings = replace(settings, ladder=replace(settings.ladder, rungs=(noise,)))
-    # who states the largest rate knows that none is faster
-    beyond = 1.0 if stated_max else min(settings.alternatives.beyond, LARGEST_RATE / rate_max)
     settings = replace(settings, alternatives=replace(settings.alternatives, beyond=beyond))
     body = Body.of(vehicle, torques_stated=noise is not None)
-    stated = Model(seen.obs, body, Noise(settings.search.noise), rate_max / 2)
+    nominal = Model(readings.obs, body, Noise(settings.search.noise), rate_max / 2)
     budget = Budget.of(effort)
     if callable(progress):
-        used, kept = (sum(len(getattr(p, name)) for p in passes) for name in ("samples", "kept"))
+        used = sum(len(a_pass.samples) for a_pass in passes)
         thin = f", thinned to {kept} for the search" if kept < used else ""
         progress(f"{used} samples used in {count_of_passes(len(passes))}{thin}")
 
     # The fits of each pass, side by side. First those of the longest passes, which show what the wheels do.
-    require_directions(stated, passes)
+    require_directions(nominal, passes)
     tasks = len(wheel_changes(vehicle))  # a search of each
     tasks += max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     if (processes := min(worker_count(workers), tasks)) > 1:
         load_step()
     with process_pool(processes) as pool:
         fitter = PassFitter(settings, budget, map if pool is None else pool.map)
-        fitted = fit_passes(assessment, stated, passes, fitter, progress is True)
-    stated, models = fitted.stated, fitted.models
+        fitted = fit_passes(assessment, nominal, passes, fitter, progress is True)
 
     # The solutions of each pass, which the other passes and observed periods help to tell apart.
-    fits, solved, of_neighbours = solve_passes(fitted, passes, chosen, periods, settings)
+    fits, solved, pass_attrs = solve_passes(fitted, passes, periods, settings)
 
     # The result, and what may be believed of it.
-    stated = stated.under(common_noise(fits))
-    result = dataset(assessment, seen, why, passes, solved, stated, noise is not None)
-    in_doubt = assessment.doubtful_gains if seen.source == "panels" else {}
-    unknown = ", ".join(name for name, share in in_doubt.items() if share < LOW_SHARE)
-    result = result.assign_coords(pass_id=chosen).assign_attrs(gains_unknown=unknown)
-    doubts, coarse = doubts_of(result, models, fits, solved, noise is None, effort, settings)
+    nominal = fitted.nominal.under(common_noise(fits))
+    result = motion_dataset(assessment, readings, passes, solved, nominal, noise is not None)
+    left_open, counts = left_open_by_search(result, fitted.models, fits, solved, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
-    result = result.assign(believed(passes, solved, doubts, stated.rate_sigma, epoch))
+    result = result.assign(verdict_variables(passes, solved, left_open, nominal.rate_sigma, epoch))
     result = result.assign(without_periods(solved))
-    result = in_space(repeats_doubted(result, assessment), local, solved, seen)
+    result = with_space_axes(with_doubted_repeats(result, assessment), local, solved, readings)
     result = result.assign_attrs(
         latency_attributes(vehicle, solved)
-        | coarse
-        | of_neighbours
+        | counts
+        | pass_attrs
         | {
             "wheels": fitted.wheels,
-            "effort": float(sum(one.used for one in fits)) / (USUAL * len(fits)),
-            "samples_searched": sum(len(p.kept) for p in passes),
+            "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
+            "samples_searched": kept,
             "symmetric_unlisted": 0,
         }
     )
@@ -260,11 +255,11 @@ def rates(
 class FittedPasses(NamedTuple):
     """The passes of a file as they were fitted.
 
-    `stated`: the nominal model of the whole file with the momentum that the wheels have, and `wheels`: what they do, in words.
-    `models`, `fits`: nominal model and fits of each pass. `doubt`: wheels that may turn the other way.
+    `nominal`: the nominal model of the whole file with the momentum that the wheels have, and `wheels`: what they do, in words.
+    `models`, `fits`: the nominal model and the fits of each pass. `doubt`: wheels that may turn the other way, None if none may.
     """
 
-    stated: Model
+    nominal: Model
     wheels: str
     models: list[Model]
     fits: list[PassFits]
@@ -273,61 +268,61 @@ class FittedPasses(NamedTuple):
 
 def fit_passes(
     assessment: Assessment,
-    stated: Model,
+    nominal: Model,
     passes: Sequence[Pass],
     fitter: PassFitter,
     show_bar: bool,
 ) -> FittedPasses:
     """Return the fits of each pass, made side by side: first those of the longest passes, which show what the wheels do.
 
-    `stated`: nominal model of the whole file, with any momentum of the wheels; `show_bar`: a bar of passes in the terminal.
+    `nominal`: nominal model of the whole file, with any momentum of the wheels; `show_bar`: a bar of passes in the terminal.
     """
-    first = passes[longest(passes)[0]]
-    # while the wheels are decided, a search of what they probably do may run
-    searches = search_reversed(assessment, expected(assessment), stated, first, fitter)
-    wheels = decide_wheels(assessment, stated, passes, fitter)
+    first = passes[longest_passes(passes)[0]]
+    # while the wheels are decided, other processes may search what they probably do
+    searches = search_reversed(assessment, probable_wheel_model(assessment), nominal, first, fitter)
+    wheels = decide_wheels(assessment, nominal, passes, fitter)
     if searches.name != wheels.name:
-        searches = search_reversed(assessment, wheels.name, stated, first, fitter)
-    stated = stated.with_momentum(wheels.momentum)
-    models = [kept_samples(stated, one) for one in passes]
-    open_still = [k for k in range(len(passes)) if k not in wheels.fits]
-    of_open = fitter.fits([models[k] for k in open_still])
+        searches = search_reversed(assessment, wheels.name, nominal, first, fitter)
+    nominal = nominal.with_momentum(wheels.momentum)
+    models = [model_of_kept(nominal, a_pass) for a_pass in passes]
+    # the longest passes were perhaps fitted to decide the wheels
+    unfitted = [k for k in range(len(passes)) if k not in wheels.fits]
+    new_fits = fitter.fits([models[k] for k in unfitted])
     if show_bar:
-        of_open = PassBar(of_open, "rates", len(open_still), leave=False, unit="pass")
-    done = wheels.fits | dict(zip(open_still, of_open, strict=True))
-    fits = [done[k] for k in range(len(passes))]
-    compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest(passes)]
-    doubt = doubted_signs(stated.obs, compared, searches, fitter)
-    return FittedPasses(stated, wheels.words, models, fits, doubt)
+        new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
+    fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
+    fits = [fits_by_pass[k] for k in range(len(passes))]
+    compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest_passes(passes)]
+    doubt = doubted_signs(nominal.obs, compared, searches, fitter)
+    return FittedPasses(nominal, wheels.words, models, fits, doubt)
 
 
 def solve_passes(
     fitted: FittedPasses,
     passes: Sequence[Pass],
-    chosen: Sequence[int],
     periods: Sequence[PeriodSeen],
     settings: RatesSettings,
 ) -> tuple[list[PassFits], list[Solutions], dict[str, Any]]:
     """Return fits and solutions of each pass with what other passes and `periods` say of them, and attributes on that.
 
-    Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much. `chosen`:
-    numbers of the passes in the file.
+    Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
     """
-    stated = fitted.stated
+    obs, body = fitted.nominal.obs, fitted.nominal.body
     fits = share_noise(fitted.fits, settings.ladder)
-    whole = [stated.obs.of_pass(one.samples) for one in passes]
+    solved = []
+    for pass_fits, a_pass in zip(fits, passes, strict=True):
+        all_samples = obs.of_pass(a_pass.samples)
+        kept = a_pass.kept_in_pass
+        solved.append(solutions(pass_fits, all_samples, kept, settings.solutions, settings.search))
+    numbers = [a_pass.number for a_pass in passes]
+    solved, period_attrs = weigh_by_periods(solved, body, periods, numbers)
+    middle_s = [float(obs.t_s[a_pass.samples].mean()) for a_pass in passes]
+    solved, walk = link_passes(solved, middle_s, fitted.nominal.rate_sigma)
     solved = [
-        solutions(one, obs, p.kept_in_pass, settings.solutions, settings.search)
-        for one, obs, p in zip(fits, whole, passes, strict=True)
+        of_pass.listed(settings.solutions, len(images_of(model)))
+        for of_pass, model in zip(solved, fitted.models, strict=True)
     ]
-    solved, of_periods = weigh_by_periods(solved, stated.body, periods, chosen)
-    middles = [float(stated.obs.t_s[p.samples].mean()) for p in passes]
-    solved, walk = link_passes(solved, middles, stated.rate_sigma)
-    solved = [
-        one.listed(settings.solutions, len(images_of(model)))
-        for one, model in zip(solved, fitted.models, strict=True)
-    ]
-    return fits, solved, of_periods | {"walk_between_passes": walk}
+    return fits, solved, period_attrs | {"walk_between_passes": walk}
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:
@@ -367,42 +362,55 @@ def stated_noise(
 
 
 def largest_rate(
-    vehicle: Vehicle, given: float | None, t_s: np.ndarray, passes: Sequence[Pass]
-) -> tuple[float, bool]:
-    """Return the largest rate (rad/s) of the search and whether it is stated: as given, else the vehicle's, else by intervals."""
+    vehicle: Vehicle,
+    given: float | None,
+    t_s: np.ndarray,
+    passes: Sequence[Pass],
+    settings: RatesSettings,
+) -> tuple[float, float]:
+    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it if no inertia is known.
+
+    The rate is the given one, else the vehicle's, else so many revolutions in the shorter intervals between samples (`t_s` of the
+    file, s). Whoever states it knows that no body is faster: the factor is then one.
+    """
     given = vehicle.sensors.disturbance.max_rate_rad_s if given is None else given
     if given is not None:
         if not (np.isfinite(given) and given > 0):
             raise InputError("max_rate_rad_s must be positive", got=given)
-        return float(given), True
+        return float(given), 1.0
+    # the mean of the shortest eighth of the intervals of each pass
     shorter = [
-        np.sort(np.diff(t_s[one.kept]))[: max(2, len(one.kept) // 8)].mean() for one in passes
+        np.sort(np.diff(t_s[a_pass.kept]))[: max(2, len(a_pass.kept) // 8)].mean()
+        for a_pass in passes
     ]
-    return min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE), False
+    rate_max = min(LARGEST_TURNS * 2 * np.pi / float(np.median(shorter)), LARGEST_RATE)
+    return rate_max, min(settings.alternatives.beyond, LARGEST_RATE / rate_max)
 
 
-def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
+def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
     """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
 
-    `stated`: the nominal model of the whole file. Other sensors may do without directions.
+    Packets of panels that come one after the other make such rows. If another sensor was read, directions may be missing.
+    `nominal`: the nominal model of the whole file.
     """
-    panels = [term for term in stated.obs.terms if isinstance(term, Panels)]
-    if not panels or not stated.obs.only_sun:
+    panels = [term for term in nominal.obs.terms if isinstance(term, Panels)]
+    if not panels or not nominal.obs.only_sun:
         return
     read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
     count = panels[0].sigma.shape[1] - len(panels[0].left_out)
     if read >= count:
         return
-    for one in passes:
-        of_pass = replace(stated, obs=stated.obs.of_pass(one.kept))
-        model = of_pass.for_search(stated.noise)[0]
-        # whether the direction of the Sun is known at a sample, and was at the one before
-        known = False
-        for sample in range(len(one.kept)):
+    for a_pass in passes:
+        of_pass = replace(nominal, obs=nominal.obs.of_pass(a_pass.kept))
+        model = of_pass.for_search(nominal.noise)[0]
+        was_known = False  # the direction of the Sun at the sample before
+        for sample in range(len(a_pass.kept)):
             allowed = allowed_directions(model, sample)
-            before, known = known, bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
-            if before and known:
+            # the smallest cosine between any two directions that the sample allows
+            is_known = bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
+            if was_known and is_known:
                 return
+            was_known = is_known
     raise InputError(
         "too few Sun directions to estimate a rate",
         got=f"rows with readings of {read} of {count} panels at most",
@@ -412,18 +420,20 @@ def require_directions(stated: Model, passes: Sequence[Pass]) -> None:
 
 def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
-    total = np.sum([one.log_evidence_of_rungs() for one in fits], axis=0)
-    if not np.isfinite(total).any():  # no rung was hopeful in all passes
-        total = np.sum([np.maximum(one.log_evidence_of_rungs(), -1e6) for one in fits], axis=0)
+    log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])  # (pass, rung)
+    total = log.sum(axis=0)
+    if not np.isfinite(
+        total
+    ).any():  # each rung is without a fit in some pass: the one with the fewest such passes
+        total = np.maximum(log, -1e6).sum(axis=0)
     return fits[0].rungs[int(np.argmax(total))]
 
 
-def doubts_of(
+def left_open_by_search(
     result: xr.Dataset,
     models: Sequence[Model],
     fits: Sequence[PassFits],
     solved: Sequence[Solutions],
-    noise_free: bool,
     effort: float,
     settings: RatesSettings,
 ) -> tuple[list[str], dict[str, float]]:
@@ -432,33 +442,42 @@ def doubts_of(
     The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; the gains are,
     and no other sensor gives the rate. Or it took a body without an inertia for a sphere, but the data want torques that hardly any
     satellite has. Torques that turn the body far between two samples are doubted too, as a nutation does that.
+
+    `result`: its attributes name wheels of unknown speed and panels of unknown gain.
     """
-    fine = [fine_up_to(model, settings.search) for model in models]
-    no_sphere = []
-    for model, one in zip(models, solved, strict=True):
-        shortest = float(np.diff(model.obs.t_s).min())
-        # what torques turn a body over the shortest interval T: noise T^1.5 / sqrt(3)
-        far = one.noise[0] * np.sqrt(shortest**3 / 3) > UNSEEN_RAD
-        strong = one.noise[0] >= settings.ladder.strong
-        no_sphere.append(bool(noise_free and model.body.sphere and (far or strong)))
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
-    left_open = [
-        {
-            f"budget reached: {more_effort(effort)}": one.cut,
-            f"coarse: {slower(limit)}" if np.isfinite(limit) else "": np.isfinite(limit),
-            "torques too strong for a satellite, or the body is no sphere: give its inertia": odd,
-            f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column": wheels,
-            f"the gain of panel {gains} is not known: give cells, gain_W, gain_A, or a sigma": gains
-            and model.obs.only_sun,
-        }
-        for model, one, limit, odd in zip(models, fits, fine, no_sphere, strict=True)
-    ]
-    words = ["; ".join(what for what, so in one.items() if so) for one in left_open]
+    strength_free = len(settings.ladder.rungs) > 1  # a stated strength of torques is the only rung
+    fine = [fine_up_to(model, settings.search) for model in models]
+    words, no_sphere = [], 0
+    for model, pass_fits, of_pass, limit in zip(models, fits, solved, fine, strict=True):
+        # torques of the strength q turn a body by q T^1.5 / sqrt(3) over the shortest interval T
+        shortest_s = float(np.diff(model.obs.t_s).min())
+        far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > UNSEEN_RAD
+        strong = of_pass.noise[0] >= settings.ladder.strong
+        parts = []
+        if pass_fits.cut:
+            parts.append(f"budget reached: {more_effort(effort)}")
+        if np.isfinite(limit):
+            parts.append(f"coarse: {slower(limit)}")
+        if strength_free and model.body.sphere and (far or strong):
+            no_sphere += 1
+            parts.append(
+                "torques too strong for a satellite, or the body is no sphere: give its inertia"
+            )
+        if wheels:
+            parts.append(
+                f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column"
+            )
+        if gains and model.obs.only_sun:
+            parts.append(
+                f"the gain of panel {gains} is not known: give cells, gain_W, gain_A, or a sigma"
+            )
+        words.append("; ".join(parts))
     coarse = [limit for limit in fine if np.isfinite(limit)]
     return words, {
         "effort_given": effort,
         "fine_up_to_rad_s": min(coarse, default=np.nan),
         "coarse_passes": len(coarse),
-        "cut_passes": sum(one.cut for one in fits),
-        "no_sphere": sum(no_sphere),
+        "cut_passes": sum(pass_fits.cut for pass_fits in fits),
+        "no_sphere": no_sphere,
     }

@@ -20,9 +20,10 @@ from sunspin.estimate.images import either_side
 from sunspin.estimate.model import Model
 from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimate.solutions import Solutions
+from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.field import FieldDirection, KnownField
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateSize
+from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
@@ -40,7 +41,7 @@ from sunspin.solve.rotations import (
     quaternion_from_matrix,
     without_sign_jumps,
 )
-from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.assess import LOW_SHARE, Assessment
 from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle import Vehicle
 
@@ -57,32 +58,32 @@ LATENCY = "late_s"
 """Name of the estimate of how late sensors other than the Sun's are."""
 
 
-def dataset(
+def motion_dataset(
     assessment: Assessment,
-    seen: FileReadings,
-    why: np.ndarray,
+    readings: FileReadings,
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
-    stated: Model,
+    nominal: Model,
     noise_stated: bool,
 ) -> xr.Dataset:
     """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
 
-    `why` (n): what became of each sample of the file; `stated`: the nominal model, under the strength of torques that the file
-    as a whole has; `noise_stated`: the vehicle file or the user gives that strength.
+    `nominal`: the nominal model, under the strength of torques that the file as a whole has; `noise_stated`: the vehicle file or
+    the user gives that strength.
     """
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
-    index = np.concatenate([one.samples for one in passes])
-    best = [one.track.take(slice(0, 1)) for one in solved]
+    used = np.concatenate([a_pass.samples for a_pass in passes])  # samples of the file
+    best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
     # one pass after the other along time
     attitude, omega, covariance, sun = (
         np.concatenate([getattr(track, name)[0] for track in best])
         for name in ("attitude", "omega", "covariance", "sun_B")
     )
-    pass_of = np.repeat(np.arange(len(passes)), [len(one.samples) for one in passes])
+    pass_of = np.repeat(np.arange(len(passes)), [len(a_pass.samples) for a_pass in passes])
     quaternion = without_sign_jumps(quaternion_from_matrix(attitude), pass_of)
-    each = ("pass_id", "solution")
-    spread = [spread_of(one.mean, one.mean_sigma**2, one.probability) for one in solved]
+    by_solution = ("pass_id", "solution")
+    spread = [
+        spread_of(of_pass.mean, of_pass.mean_sigma**2, of_pass.probability) for of_pass in solved
+    ]
     result = xr.Dataset(
         {
             "omega_B": (("time", "axis"), omega),
@@ -91,42 +92,45 @@ def dataset(
             "sun_sigma_rad": ("time", _sun_sigma(sun, covariance[:, TURN, TURN])),
             "B_from_N": (("time", "quaternion"), quaternion),
             "pass_of": ("time", pass_of),
-            "omega_mean_B": ((*each, "axis"), padded([one.mean for one in solved])),
-            "omega_sigma_B": ((*each, "axis"), padded([one.mean_sigma for one in solved])),
+            "omega_mean_B": ((*by_solution, "axis"), padded([of_pass.mean for of_pass in solved])),
+            "omega_sigma_B": (
+                (*by_solution, "axis"),
+                padded([of_pass.mean_sigma for of_pass in solved]),
+            ),
             "omega_sigma_all_B": (("pass_id", "axis"), np.array(spread)),
-            "cost": (each, padded([one.track.cost for one in solved])),
-            "cost_limit": ("pass_id", [one.cost_limit for one in solved]),
-            "why": ("sample", why.astype(np.str_)),
+            "cost": (by_solution, padded([of_pass.track.cost for of_pass in solved])),
+            "cost_limit": ("pass_id", [of_pass.cost_limit for of_pass in solved]),
+            "why": ("sample", readings.why.astype(np.str_)),
         },
         coords={
-            "time": seen.obs.t_s[index],
-            "sample": seen.obs.t_s,
+            "time": readings.obs.t_s[used],
+            "sample": readings.obs.t_s,
             "axis": ["x", "y", "z"],
-            "pass_id": np.arange(len(passes)),
+            "pass_id": [a_pass.number for a_pass in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(vehicle, telemetry, seen, index, stated, noise_stated),
+        attrs=_attributes(assessment, readings, used, nominal, noise_stated),
     )
-    return result.assign(_curves(solved, stated))
+    return result.assign(_curves(solved, nominal))
 
 
 def _attributes(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
-    seen: FileReadings,
+    assessment: Assessment,
+    readings: FileReadings,
     used: np.ndarray,
-    stated: Model,
+    nominal: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
-    panels = [term for term in seen.obs.terms if isinstance(term, Panels)]
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
-        "source": seen.source,
-        "acceleration_noise": stated.noise.acceleration,
-        "max_rate_rad_s": stated.rate_max,
+        "source": readings.source,
+        "acceleration_noise": nominal.noise.acceleration,
+        "max_rate_rad_s": nominal.rate_max,
         "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
         "body": "nearly a sphere (no inertia)"
-        if stated.body.sphere
+        if nominal.body.sphere
         else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max(
             (term.earth_share for term in panels if term.earth_share > FAINT), default=0.0
@@ -139,20 +143,26 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
-    sensors = [term for term in seen.obs.terms if term.name in (*OTHER_SENSORS, RateSize.name)]
+    sensors = [
+        term for term in readings.obs.terms if term.name in (*OTHER_SENSORS, RateMagnitudes.name)
+    ]
     read = {term.name for term in sensors if term.present()[used].any()}
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
-    if any(term.name == RateSize.name for term in seen.obs.terms):
-        attrs["rate_size_used"] = int(RateSize.name in read)
-    untold = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
-    return attrs | {"wheels_untold": ", ".join(untold)}
+    if any(term.name == RateMagnitudes.name for term in readings.obs.terms):
+        attrs["rate_size_used"] = int(RateMagnitudes.name in read)
+    wheels = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
+    gains = assessment.doubtful_gains if readings.source == "panels" else {}
+    return attrs | {
+        "wheels_untold": ", ".join(wheels),
+        "gains_unknown": ", ".join(name for name, share in gains.items() if share < LOW_SHARE),
+    }
 
 
-def _curves(solved: Sequence[Solutions], stated: Model) -> dict[str, Any]:
+def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
     """Return the variables on `curve_time`: the best motion of each pass on even instants between its samples."""
     times, tracks = [], []
     for solution in solved:
-        model = replace(stated, obs=solution.obs)
+        model = replace(nominal, obs=solution.obs)
         instants, track = curve(model, solution.track.take(slice(0, 1)), float(solution.noise[0]))
         times.append(instants)
         tracks.append(track)
@@ -178,36 +188,39 @@ def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[st
     The estimate of each pass joins the prior of the vehicle file with its own readings: precisions add, and so do values times
     precisions. The prior must count once, so that what each pass adds to it is summed.
     """
+
+    def attributes(late_s: float, sigma_s: float, words: str) -> dict[str, Any]:
+        """Return the latency, its sigma, and where both come from."""
+        names = "sensors_late_s", "sensors_late_sigma_s", "sensors_late_from"
+        return dict(zip(names, (float(late_s), float(sigma_s), words), strict=True))
+
     clock = vehicle.sensors.clock
     if clock is None:
-        late, sigma, words = np.nan, np.nan, "taken as read together"
-    else:
-        late, sigma, words = clock.late_s, clock.sigma_s, "vehicle file"
-    rows = [one.estimates[0][LATENCY] for one in solved if LATENCY in one.estimates[0]]
-    if rows and clock is not None:
-        values, sigmas = (np.array([row[k] for row in rows]) for k in (1, 2))
-        prior_precision = sigma**-2
-        added = np.maximum(sigmas**-2 - prior_precision, 0.0)
-        of_prior = clock.late_s * prior_precision
-        weighted = of_prior + (values / sigmas**2 - of_prior).sum()
-        sigma = (prior_precision + added.sum()) ** -0.5
-        late, words = weighted * sigma**2, "vehicle file and data"
-    return {
-        "sensors_late_s": float(late),
-        "sensors_late_sigma_s": float(sigma),
-        "sensors_late_from": words,
-    }
+        return attributes(np.nan, np.nan, "taken as read together")
+    rows = [of_pass.estimates[0][LATENCY] for of_pass in solved if LATENCY in of_pass.estimates[0]]
+    if not rows:
+        return attributes(clock.late_s, clock.sigma_s, "vehicle file")
+    _, values, sigmas = (np.array(part) for part in zip(*rows, strict=True))  # the first: units
+    prior_precision = clock.sigma_s**-2
+    prior_weighted = clock.late_s * prior_precision
+    added = np.maximum(sigmas**-2 - prior_precision, 0.0)
+    weighted = prior_weighted + (values / sigmas**2 - prior_weighted).sum()
+    sigma_s = (prior_precision + added.sum()) ** -0.5
+    return attributes(weighted * sigma_s**2, sigma_s, "vehicle file and data")
 
 
-def in_space(
-    result: xr.Dataset, local: Environment | None, solved: Sequence[Solutions], seen: FileReadings
+def with_space_axes(
+    result: xr.Dataset,
+    local: Environment | None,
+    solved: Sequence[Solutions],
+    readings: FileReadings,
 ) -> xr.Dataset:
-    """Return the result with what an orbit, or a field that stands for the Sun, says of the axes.
+    """Return the result with what an orbit, or a field that stands for the Sun, says of the axes N.
 
-    In an orbit it has the turn about the Sun with its sigma, and if a magnetometer was used attitudes from J2000. A magnetometer
-    alone gives directions of the field in place of the Sun's.
+    In an orbit it has the sigma of the rotation about the Sun direction, and if a magnetometer was used attitudes from J2000. A
+    magnetometer alone gives directions of the field in place of the Sun's.
     """
-    if any(isinstance(term, FieldDirection) for term in seen.obs.terms):
+    if any(isinstance(term, FieldDirection) for term in readings.obs.terms):
         about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
         return result.assign(
             field_direction_B=result["sun_B"].assign_attrs(about),
@@ -216,7 +229,7 @@ def in_space(
         ).assign_attrs(frame_N=FIELD_Z_LOCAL)
     if not isinstance(local, SunAlongZ):
         return result
-    best = [one.track.take(slice(0, 1)) for one in solved]
+    best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
     sun = np.concatenate([track.sun_B[0] for track in best])
     covariance = np.concatenate([track.covariance[0, :, TURN, TURN] for track in best])
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance, sun), 0.0))
@@ -227,9 +240,9 @@ def in_space(
         orbit_name=printable(orbit.elements[0].name),
         orbit_shift_s=orbit.shift_s,
         orbit_drift_s_day=orbit.drift_s_day,
-        orbit_shift_sigma_s=float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
+        orbit_shift_sigma_s=orbit.offset_sigma_s,
     )
-    if not any(isinstance(term, KnownField) for term in seen.obs.terms):
+    if not any(isinstance(term, KnownField) for term in readings.obs.terms):
         return result
     # the field shows the turn about the Sun, so that attitudes are known in space
     from_J2000 = {}
@@ -250,14 +263,15 @@ def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
     If readings determine so little that a covariance is rounding, with negative variances, the direction may be any.
     """
-    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]  # only turns across the Sun move it
+    # Only turns across the Sun s move it: the variance is the trace of P C P^T with P = 1 - s s^T.
+    across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     variance = np.einsum("nij,njk,nik->n", across, covariance, across)
     values = np.linalg.eigvalsh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
     is_rounding = (values[:, 0] < -ROUNDING * np.abs(values[:, -1])) | (variance <= 0)
     return np.where(is_rounding, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def believed(
+def verdict_variables(
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     left_open_of: Sequence[str],
@@ -269,63 +283,63 @@ def believed(
     That is at the sample nearest to the middle of the pass. `left_open_of`: what the search of each pass may have left out and what
     would help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
     """
-    sensors = sorted({name for one in solved for name in one.residual})
+    sensors = sorted({name for of_pass in solved for name in of_pass.residual})
     misfits = np.full((len(solved), len(sensors), 3), np.nan)
-    residual = np.full((len(sensors), sum(len(one.samples) for one in passes)), np.nan)
-    rows, begin = [], 0
-    for k, (one, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
-        t_s = one.obs.t_s
+    residual = np.full((len(sensors), sum(len(a_pass.samples) for a_pass in passes)), np.nan)
+    rows, begin = [], 0  # index of the first sample of the pass on `time`
+    for k, (solutions, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
+        t_s = solutions.obs.t_s
         mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
         of_pass = slice(begin, begin + len(t_s))
         begin += len(t_s)
-        by_sensor = {name: misfit(part[0]) for name, part in one.residual.items()}
-        for name, part in one.residual.items():
+        by_sensor = {}
+        for name, of_solutions in solutions.residual.items():
+            by_sensor[name] = misfit(of_solutions[0])  # of the most probable solution
             misfits[k, sensors.index(name)] = by_sensor[name]
-            residual[sensors.index(name), of_pass] = part[0]
-        omega, covariance = one.track.omega[:, mid], one.track.covariance[:, mid, RATE, RATE]
-        motions = AtOnce(one.probability, omega, covariance, either_side(one.track))
-        explained = bool(one.track.cost[0] <= one.cost_limit)
+            residual[sensors.index(name), of_pass] = of_solutions[0]
+        omega, covariance = (
+            solutions.track.omega[:, mid],
+            solutions.track.covariance[:, mid, RATE, RATE],
+        )
+        motions = AtOnce(solutions.probability, omega, covariance, either_side(solutions.track))
+        explained = bool(solutions.track.cost[0] <= solutions.cost_limit)
         four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, left_open)
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
-        # exchanged columns give a motion of the same size, so that a size confirms none
-        # and directions of one kind alone, the Sun's or the field's, fit a reversed axis with the mirrored motion
-        alone = [term.label for term in one.obs.terms if isinstance(term, FieldDirection)] or [
-            "Sun"
-        ]
-        blind = set(by_sensor) <= {*alone, RateSize.label}
+        # What confirms no columns: directions of one kind alone, of the Sun or of the field, fit a reversed axis with the mirrored
+        # motion, whose speed is the same.
+        fields = {term.label for term in solutions.obs.terms if isinstance(term, FieldDirection)}
+        blind = set(by_sensor) <= {*(fields or {SunDirections.label}), RateMagnitudes.label}
         checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
-        solution = one.probability, omega, sigma, speed, four_answers, checked
-        rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *solution))
+        of_solutions = solutions.probability, omega, sigma, speed, four_answers, checked
+        rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *of_solutions))
     return (
         passes_table(rows, epoch_utc)
-        | _estimates([one.estimates[0] for one in solved])
+        | _estimates([of_pass.estimates[0] for of_pass in solved])
         | {
             "misfit": (("pass_id", "sensor", "figure"), misfits),
             "residual": (("sensor", "time"), residual),
             "sensor": sensors,
             "figure": ["readings", "beyond", "chance"],
-            "model": ("pass_id", [one.model[0] for one in solved]),
-            "model_probability": ("pass_id", [one.model[1] for one in solved]),
+            "model": ("pass_id", [of_pass.model[0] for of_pass in solved]),
+            "model_probability": ("pass_id", [of_pass.model[1] for of_pass in solved]),
         }
     )
 
 
-def repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
+def with_doubted_repeats(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
     """Return the result with no pass decided whose samples may be held values (`Repeats.unsure`), and with why."""
     repeats = assessment.repeats
-    times = assessment.telemetry["time"].values[repeats.unsure]
-    with_repeats = result["pass_of"].values[np.isin(result["time"].values, times)]
-    unsure = np.isin(np.arange(result.sizes["pass_id"]), with_repeats)
-    why = [
-        "; ".join(filter(None, (str(reason), repeats.doubt if doubted else "")))
-        for reason, doubted in zip(result["why_not_decided"].values, unsure, strict=True)
-    ]
-    decided = result["decided"].values & ~unsure
+    held_s = assessment.telemetry["time"].values[repeats.unsure]
+    passes_with_held = result["pass_of"].values[np.isin(result["time"].values, held_s)]
+    decided, why = result["decided"].values.copy(), result["why_not_decided"].values.tolist()
+    for k in np.unique(passes_with_held):
+        decided[k] = False
+        why[k] = "; ".join(filter(None, (why[k], repeats.doubt)))
     return result.assign(decided=("pass_id", decided), why_not_decided=("pass_id", why))
 
 
 def _estimates(best: Sequence[dict[str, tuple[str, float, float]]]) -> dict[str, Any]:
-    """Return the variables with what was estimated in addition to the best motion of each pass, NaN if a pass has no such number.
+    """Return the variables with the numbers that were estimated with the best motion of each pass; NaN if a pass lacks a number.
 
     `best`: for each pass the name of a number -> its unit, value and sigma.
     """

@@ -49,10 +49,10 @@ def search(
 ) -> Any:
     """Return all motions that the readings allow, best first.
 
-    `starts`: windows with candidates, the most promising place first. Candidates grow from each of the first `places` (default:
-    those of the settings) to the whole stretch; from more if the best one does not fit.
+    `starts`: windows with candidate motions, the most promising place first. Windows grow from each of the first `places` (default:
+    that of the settings) to the whole stretch; from up to `s.more_places` more if no motion fits.
     """
-    ends: list[Any] = []
+    ends: list[Any] = []  # of each place the motions that reached the whole stretch
     everything = slice(0, len(carrier.t_s))
     places = s.places if places is None else places
     for number, (first, candidates) in enumerate(starts):
@@ -84,9 +84,9 @@ def search(
 
 
 def grown(t_s: np.ndarray, window: slice, growth: float) -> slice:
-    """Return the window with more samples by this factor, half of them at either end, and one there at least.
+    """Return the window enlarged by the factor `growth`: half of the new samples at either end, and one there at least.
 
     At an end of the stretch it grows on the other side alone.
     """
-    more = max(1, int((growth - 1) / 2 * (window.stop - window.start)))
-    return slice(max(0, window.start - more), min(len(t_s), window.stop + more))
+    added = max(1, int((growth - 1) / 2 * (window.stop - window.start)))
+    return slice(max(0, window.start - added), min(len(t_s), window.stop + added))

@@ -71,7 +71,7 @@ class SearchSettings:
     crowd: int = 3000
     """With more starts than this, they are tried on the pair alone first, and on four samples."""
 
-    tried: tuple[int, int, int] = (20_000, 1500, 120)
+    tried: tuple[int, int, int] = (6_000, 1500, 120)
     """Starts that are kept by the pair alone, by four samples, and by the first window."""
 
     growth: float = 1.33
@@ -195,6 +195,19 @@ class AlternativeSettings:
     relatives_of: int = 3
     """Motions, the likeliest, of which whole turns more and less are tried."""
 
+    most_of_two: int = 8
+    """Motions with whole revolutions about two axes that are tried, at most: the likeliest bodies first."""
+
+    most_whole: int = 6
+    """Whole revolutions more or fewer about each of these axes, at most."""
+
+    momentum_off_rad: float = 0.35
+    """They are tried if the angular momentum of the new rates is nearer than this to its place in space. It is 0.1 in a pass that
+    was decided as an alias without them."""
+
+    least_cosine: float = 0.2
+    """The spin of a body changes its unknown inertia only if the cosine between angular momentum and spin axis is larger."""
+
     beyond: float = 2.0
     """Times the largest rate up to which a fast body without an inertia is searched if nobody stated that rate, and up to 1 rad/s.
     The prior of the rate stays as it is, so that a faster motion must fit better. With an inertia such a search takes as long as
@@ -303,18 +316,6 @@ class SamplingSettings:
     defence: float = 0.15
     """Part of the outer law that stays with Laplace's method, with twice its covariance."""
 
-    poor: float = 0.4
-    """Share of effective draws below which further components stand on draws."""
-
-    local: int = 40
-    """How many of these."""
-
-    local_share: float = 0.6
-    """Their part of the learnt law."""
-
-    local_size: float = 0.6
-    """Their sigmas, as a part of those of the law that proposed the draw."""
-
     least: float = 5e-5
     """Probability, relative to the likeliest, below which a ridge is left out. Solutions are listed down to twice this."""
 
@@ -358,16 +359,6 @@ class SamplingSettings:
 
     sun_rad: float = 0.3
     """The same of the direction at the reference."""
-
-    walkers: int = 200
-    """Chains that start from draws, to see whether the proposals cover what is around these; of a model that gets a part of the
-    draws, this part."""
-
-    walk_steps: int = 20
-    """Steps of each."""
-
-    walk_size: float = 1.5
-    """Length of a step, in sigmas over the root of the number of coordinates."""
 
     checked: int = 100
     """Draws for which readings are simulated."""
@@ -514,9 +505,9 @@ TORQUE_TURNS_DEG = (1.0, 300.0, 6)
 """Least and largest turn of the body over the samples by an unknown constant torque, and how many sizes, equally likely, stand for
 all: it is not known to a power of ten."""
 
-SPOILT, SPOILT_DARK, SPOILT_LARGEST = 0.02, 0.5, 1.5
-"""Probability that a reading has nothing to do with the Sun, that such a reading is dark, and up to how many times the largest
-reading it may be anything."""
+OUTLIER, OUTLIER_DARK, OUTLIER_LARGEST = 0.02, 0.5, 1.5
+"""Probability that a reading of a lander's panels is an outlier, one that has nothing to do with the Sun; that an outlier is dark;
+and the upper limit of a lit outlier, over the largest reading, below which all values are equally likely."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.columns import joined
+from sunspin.estimate.columns import join_reasons
 from sunspin.estimate.model import Body
-from sunspin.estimate.observe import cut, wheel_models
+from sunspin.estimate.observe import take_samples, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES, RatesSettings
 from sunspin.vehicle import Vehicle
@@ -129,7 +129,7 @@ def _windows_of(
     try:
         result = rates(
             vehicle,
-            cut(telemetry, np.flatnonzero(inside)),
+            take_samples(telemetry, np.flatnonzero(inside)),
             gap_s=float(t_s[-1] - t_s[0]) + 1.0,
             column_tests=False,
             settings=replace(settings, passes=of_windows),
@@ -161,7 +161,7 @@ def _windows_of(
 
 def _undecided(windows: xr.Dataset) -> xr.Dataset:
     """Return windows of a file whose columns are doubted, none of them decided: each may fit with wrong columns."""
-    why = [joined(reason, DOUBTED) for reason in windows["window_why"].values]
+    why = [join_reasons(reason, DOUBTED) for reason in windows["window_why"].values]
     return windows.assign(
         window_decided=("window", np.zeros(len(why), dtype=bool)), window_why=("window", why)
     )

@@ -50,17 +50,17 @@ class Solutions:
 
     @staticmethod
     def joined(every: Sequence[Solutions]) -> Solutions:
-        """Return the solutions of several, of one pass."""
+        """Return all solutions of several objects of one pass; what they share is that of the first."""
         parts = {
-            name: np.concatenate([getattr(one, name) for one in every])
+            name: np.concatenate([getattr(of_some, name) for of_some in every])
             for name in ("probability", "mean", "mean_sigma", "noise")
         }
         residual = {
-            name: np.concatenate([one.residual[name] for one in every])
+            name: np.concatenate([of_some.residual[name] for of_some in every])
             for name in every[0].residual
         }
-        estimates = tuple(each for one in every for each in one.estimates)
-        track = Track.joined([one.track for one in every])
+        estimates = tuple(row for of_some in every for row in of_some.estimates)
+        track = Track.joined([of_some.track for of_some in every])
         return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
 
     def take(self, which: np.ndarray) -> Solutions:
@@ -78,15 +78,18 @@ class Solutions:
         )
 
     def listed(self, s: SolutionSettings, images: int = 1) -> Solutions:
-        """Return the solutions that are reported, the most probable first; two motions with all their images at least."""
+        """Return the solutions that are reported, the most probable first: `s.most` at most, unless two motions have more images.
+
+        Those below the probability `s.least` are left out. `images`: how many motions the panels cannot distinguish from one.
+        """
         order = np.argsort(-self.probability, kind="stable")[: max(s.most, 2 * images)]
-        keep = order[: max(1, int(np.count_nonzero(self.probability[order] > s.least)))]
-        return self.take(keep)
+        count = int(np.count_nonzero(self.probability[order] > s.least))
+        return self.take(order[: max(1, count)])
 
 
 @dataclass(frozen=True)
 class _Member:
-    """A motion of a fit with its part of the probability of the pass."""
+    """Motion `number` of a fit with its part of the probability of the pass, `weight`."""
 
     fit: Fit
     number: int
@@ -108,11 +111,11 @@ def solutions(
     whole: Observations,
     kept: np.ndarray,
     s: SolutionSettings,
-    of_search: SearchSettings,
+    search_settings: SearchSettings,
 ) -> Solutions:
-    """Return the solutions of a pass.
+    """Return the solutions of a pass: groups of motions that are alike under several models and strengths of torques.
 
-    A solution is a motion as its most probable model has it; that other models and rungs bend it counts in its covariance.
+    A solution is the most probable motion of its group. By how much the others differ from it counts in its covariance.
 
     Parameters
     ----------
@@ -123,45 +126,48 @@ def solutions(
     kept : (n)
         Places of the kept samples among them.
     """
-    groups = _grouped(_members(fits, s), fits.stated.obs.t_s, s, of_search)
+    members = _members(fits, s)
+    groups = _grouped(members, fits.nominal.obs.t_s, s, search_settings)
+    # the probability of each model, all motions counted; an alternative is named only if the nominal one has hardly any
     shares: dict[str, float] = {AS_STATED: 0.0}
-    for member in (member for group in groups for member in group):
+    for member in members:
         what = member.fit.model.what
         shares[what] = shares.get(what, 0.0) + member.weight
     named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
-    every = Solutions.joined([_solution(group, whole, kept) for group in groups])
-    return replace(every, model=(named, shares[named]), cost_limit=fits.stated.obs.cost_limit)
+    solved = Solutions.joined([_solution(group, whole, kept) for group in groups])
+    return replace(solved, model=(named, shares[named]), cost_limit=fits.nominal.obs.cost_limit)
 
 
 def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
     """Return the motions of all fits with weights that add to one, the heaviest first, without those that hardly count.
 
-    The weight of each is the larger of two: with every rate up to the largest as likely, most of which are near the largest, and
-    with every size of it. Whole turns more may fit alike, and which motion is likelier must not hang on what was taken for likely
-    before the data.
+    The weight of each is the larger one under two priors of the rate. Under the first every rate up to the largest is equally
+    likely, so most are near the largest; under the second every power of ten of the speed is. Aliases fit alike, and which of them
+    is more probable must not depend on the prior.
     """
-    log = [one.log_evidence + fits.log_rung[fits.rung(one)] for one in fits.fits]
-    sized = [part + _any_size(one, s) for part, one in zip(log, fits.fits, strict=True)]
-    weights = np.max(
-        [np.exp(one - logsumexp(one)) for one in (np.concatenate(log), np.concatenate(sized))],
-        axis=0,
-    )
+    log = [fitted.log_evidence + fits.log_rung[fits.rung(fitted)] for fitted in fits.fits]
+    log_any_speed = [
+        part + _gain_of_any_speed(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)
+    ]
+    under_priors = np.concatenate(log), np.concatenate(log_any_speed)
+    weights = np.max([np.exp(part - logsumexp(part)) for part in under_priors], axis=0)
     weights = weights / weights.sum()
-    places = [(one, k) for one in fits.fits for k in range(len(one))]
+    motions = [(fitted, k) for fitted in fits.fits for k in range(len(fitted))]
     order = np.argsort(-weights, kind="stable")
     order = order[weights[order] > s.counted * weights.max()]
     total = weights[order].sum()
-    return [_Member(*places[i], float(weights[i] / total)) for i in order]
+    return [_Member(*motions[i], float(weights[i] / total)) for i in order]
 
 
-def _any_size(fitted: Fit, s: SolutionSettings) -> np.ndarray:
+def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
     """Return what motions (K) gain in log evidence if it is not known to a power of ten how fast the body turns.
 
-    Evidence under priors of the rate at the first sample that are narrower by the factors `slower`, in their mean. A fit that ended
-    on a slope has a covariance that is none, and gains nothing.
+    It is the mean of the evidence under priors of the rate at the first sample that are narrower by the factors `s.slower`. A fit
+    that ended on a slope has no covariance, and gains nothing.
     """
     sigma = fitted.model.rate_sigma
-    # in sigmas of the prior a narrower one adds 1 / share^2 - 1 to the precision, as in `evidence.over_shares`
+    # In sigmas of the prior a narrower one adds 1 / share^2 - 1 to the precision P, which makes P' of it, and P m to P' m' of the
+    # mean m; the log evidence changes as in `evidence.over_shares`.
     covariance = np.nan_to_num(fitted.motions.covariance[:, 0, RATE, RATE]) / sigma**2
     sound = np.linalg.eigvalsh(covariance)[:, 0] > 0
     covariance = np.where(sound[:, None, None], covariance, np.eye(3))
@@ -179,17 +185,18 @@ def _any_size(fitted: Fit, s: SolutionSettings) -> np.ndarray:
 
 
 def _grouped(
-    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, of_search: SearchSettings
+    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, search_settings: SearchSettings
 ) -> list[list[_Member]]:
     """Return the members of each solution, the heaviest first; solutions by their weight."""
     groups: list[tuple[Outline, list[_Member]]] = []
     for member in members:
         outline = Outline.of(member.motion, t_s)
         for head, group in groups:
-            # two motions that one fit has separated are two, unless their sigmas join them
-            met = any(member.fit is other.fit for other in group)
-            apart = of_search.copies_rad if met else s.bent_rad
-            if outline.same(0, head, apart, s.bent_rad, of_search.copies_sigmas)[0]:
+            # Motions of one fit are no copies of each other, so they stay two solutions unless they are nearer to each other than
+            # motions of different models need be.
+            same_fit = any(member.fit is other.fit for other in group)
+            apart = search_settings.copies_rad if same_fit else s.bent_rad
+            if outline.same(0, head, apart, s.bent_rad, search_settings.copies_sigmas)[0]:
                 group.append(member)
                 break
         else:
@@ -199,39 +206,35 @@ def _grouped(
 
 
 def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> Solutions:
-    """Return one solution (K = 1) at all samples of a pass; its model is that of its most probable member."""
+    """Return the solution (K = 1) of a group of motions, the most probable one first, at all samples `whole` of a pass.
+
+    `kept`: which of the samples were fitted.
+    """
     head, model = group[0], group[0].fit.model
     weight = np.array([member.weight for member in group])
     shares = weight / weight.sum()
 
-    # the covariance about the motion of the head, at the kept samples: what the others are off, turn and rate (1, n, 6), counts
-    offs = []
-    for member in group:
-        turn = rotation_between(head.motion.attitude, member.motion.attitude)
-        rate = member.motion.omega - head.motion.omega
-        offs.append(np.concatenate([turn, rate], axis=-1))
-    covariance = sum(
-        share * (member.motion.covariance + off[..., :, None] * off[..., None, :])
-        for member, share, off in zip(group, shares, offs, strict=True)
-    )
+    # At the kept samples: the covariance of the mixture of all members about the motion of the first, which their differences
+    # `offs` (1, n, 6) from it in turn and rate widen; and the means of the strengths of torques, and of the variance of a swing.
     dt = np.diff(model.obs.t_s)
-    square = sum(
-        share * member.fit.model.noise.in_intervals(dt) ** 2
-        for member, share in zip(group, shares, strict=True)
-    )
-    motion = replace(head.motion, covariance=covariance)
+    offs, covariance, square, hidden = [], 0.0, 0.0, 0.0
+    for member, share in zip(group, shares, strict=True):
+        turn = rotation_between(head.motion.attitude, member.motion.attitude)
+        off = np.concatenate([turn, member.motion.omega - head.motion.omega], axis=-1)
+        offs.append(off)
+        own = member.motion.covariance + off[..., :, None] * off[..., None, :]
+        covariance = covariance + share * own
+        noise = member.fit.model.noise
+        square = square + share * noise.in_intervals(dt) ** 2
+        hidden += share * noise.hidden_variance(dt)
+    motion = replace(head.motion, covariance=np.asarray(covariance))
     fill = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
-    # a swing is not seen in the mean rate between samples, but in the rate at an instant
-    hidden = sum(
-        share * member.fit.model.noise.hidden_variance(dt)
-        for member, share in zip(group, shares, strict=True)
-    )
-    # nor are axes of N that follow a field, of which it is not known how they turn
-    hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     residual = residuals_by_sensor(whole, model, fill.track, kept)
+    # A swing, and axes of N that follow a field and turn no one knows how, add to the rate at an instant, and hardly to its mean.
+    hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     fill.track.covariance[..., RATE, RATE] += hidden * np.eye(3)
 
-    # the mean rate over the pass, in the same way
+    # the variance of the mean rate over the pass, in the same way
     counted = [k for k in range(len(group)) if k == 0 or shares[k] >= MEAN_COUNTS]
     variance = sum(
         shares[k]
@@ -244,7 +247,7 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
     return Solutions(
         obs=whole,
         kept=kept,
-        track=replace(fill.track, u=motion.u[:, model.of_body]),
+        track=replace(fill.track, u=motion.u[:, model.inertia_slice]),
         probability=weight.sum(keepdims=True),
         mean=fill.track.omega.mean(axis=1),
         mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
@@ -257,31 +260,32 @@ def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> So
 
 
 def estimates(fitted: Fit, number: int) -> dict[str, tuple[str, float, float]]:
-    """Return what was estimated with a motion of a fit, the one with this number: name -> unit, value, one sigma.
+    """Return what was estimated with motion `number` of a fit: name -> unit, value, one sigma.
 
     Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
     the pass in axes of N.
     """
     model: Model = fitted.model
     u, covariance = fitted.motions.u[number], fitted.u_covariance[number]
-    rows: dict[str, tuple[str, float, np.ndarray]] = {}  # unit, centre, change by each unknown
-    every = np.eye(len(u))  # row i: the change of unknown i by each of them
+    # of each number: unit, value a before the data, and its derivative g (m) by the unknowns, so that it is a + g . u
+    rows: dict[str, tuple[str, float, np.ndarray]] = {}
+    every = np.eye(len(u))  # row i: the derivative of unknown i itself
     body = model.body
     for i, j in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] if len(body.errors) else ():
-        change = body.errors[:, i, j] @ every[model.of_body]
+        change = body.errors[:, i, j] @ every[model.inertia_slice]
         rows[f"inertia_{'xyz'[i]}{'xyz'[j]}"] = "1", body.inertia[i, j], change
     for k, unknown in enumerate(model.unknowns):
         if unknown.kind in ESTIMATED:
             rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
-    for term, where in zip(model.obs.terms, model.of_terms, strict=True):
+    for term, own in model.terms_with_slices:
         if isinstance(term, Panels) and len(term.gain_errors):
-            errors = every[where][term.of_gains]
+            errors = every[own][term.gain_slice]
             for k, name in enumerate(term.names):
                 rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
         if isinstance(term, Panels) and term.earth is not None:
-            earth, light = term.earth, every[where][term.of_earth]
+            earth, light = term.earth, every[own][term.earth_slice]
             centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
-            change = earth.light_N.mean(axis=0).T @ light[earth.of_light]
+            change = earth.light_N.mean(axis=0).T @ light[earth.light_slice]
             for k, axis in enumerate("xyz"):
                 rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]
     return {

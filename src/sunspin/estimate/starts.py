@@ -17,7 +17,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.carry import nutation
-from sunspin.estimate.chain import carried, costs, shot
+from sunspin.estimate.chain import costs, fit_single_shooting, propagate
 from sunspin.estimate.copies import distinct
 from sunspin.estimate.images import images_of
 from sunspin.estimate.model import SUN_N, Body, Model, Track
@@ -97,11 +97,11 @@ def pair_starts(
             begin = _thinned(around, sample, begin, s)
         if not len(begin.omega):
             continue
-        motions = _best(around, sample, begin, s.tried[2])
+        motions = _best_starts(around, sample, begin, s.tried[2])
         # three fits, each of which trusts the readings more: at first a start may be as far off as the starts are apart
         for share in (1.0, 0.3, 0.0):
-            loose = _loosened(around, sample, share * begin.apart_rad)
-            motions = shot(loose, sample, motions, 4)
+            loose = _loosen_terms(around, sample, share * begin.apart_rad)
+            motions = fit_single_shooting(loose, sample, motions, 4)
             motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[2]))
         yield window, motions
 
@@ -136,13 +136,13 @@ def _pairs(model: Model) -> np.ndarray:
 
 
 def gyro_decides(model: Model, first: int) -> bool:
-    """Return whether a gyro determines the turn from a sample to the next, so that no other rate need be tried."""
+    """Return whether a gyro determines the turn from sample `first` to the next, so that no other rate need be tried."""
     sigma = min((term.starts(first).rate_sigma for term in model.obs.terms), default=np.inf)
     return bool(sigma * (model.obs.t_s[first + 1] - model.obs.t_s[first]) < GYRO_RAD)
 
 
 def _constant_rate_holds(model: Model, first: int) -> bool:
-    """Return whether rates up to the largest hardly turn in the body from a sample to the next, by its moments and wheels."""
+    """Return whether unequal moments and wheels hardly turn any rate in the body from sample `first` to the next."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
     wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
     turning = wheels + model.rate_max * (high - low) / middle
@@ -150,7 +150,7 @@ def _constant_rate_holds(model: Model, first: int) -> bool:
 
 
 def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> PairStarts:
-    """Return the starts of a pair of samples, the `first` of which is given. Rest is among them unless a gyro is trusted.
+    """Return the starts of a pair of neighbouring samples, the earlier of which is `first`; rest is one unless a gyro is trusted.
 
     Each direction to the Sun that the first sample allows has rates of its own: those that a trusted gyro reads; or a grid, if
     moments or wheels turn the rate between the samples; or else all constant rates that end at a direction of the second sample.
@@ -163,35 +163,40 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
             got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
             do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
         )
-    known = [term.starts(first) for term in model.obs.terms]
-    read = np.concatenate([np.zeros((0, 3)), *(one.rates for one in known)])
-    read = read[np.linalg.norm(read, axis=1) <= rate_max]
+    by_sensor = [term.starts(first) for term in model.obs.terms]
+    gyro_rates = np.concatenate([np.zeros((0, 3)), *(sensor.rates for sensor in by_sensor)])
+    gyro_rates = gyro_rates[np.linalg.norm(gyro_rates, axis=1) <= rate_max]
     suns = allowed_directions(model, first)
     # `rates_of_suns`: rates (m, 3) for each direction to the Sun; `apart`: from a turn to that of the nearest start, rad, at most
-    if trust_gyro and len(read) and gyro_decides(model, first):
-        sigma = min(one.rate_sigma for one in known)
-        rates_of_suns, apart = [read] * len(suns), max(s.step_rad, 2 * sigma * dt)
+    if trust_gyro and len(gyro_rates) and gyro_decides(model, first):
+        sigma = min(sensor.rate_sigma for sensor in by_sensor)
+        rates_of_suns, apart = [gyro_rates] * len(suns), max(s.step_rad, 2 * sigma * dt)
     elif not _constant_rate_holds(model, first):
-        # wheels or moments bend the motion: no closed form
+        # wheels or moments turn the rate in the body, so that the rates that end at a direction have no closed form
         size = grid_step(len(suns), dt, rate_max, s)
-        grid = np.concatenate([_ball(size, rate_max), read])
+        grid = np.concatenate([_rate_grid(size, rate_max), gyro_rates])
         rates_of_suns, apart = [grid] * len(suns), size * dt
     else:
         ends, rest = allowed_directions(model, first + 1), np.zeros((1, 3))
         rates_of_suns = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            # whole turns about any axis end there too; two basins apart, as each reaches one basin to every side
+            # If the directions are alike, whole turns about any axis end there too. They are two basins apart, as a fit finds the
+            # truth one basin away to every side.
             if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
-            rates_of_suns.append(np.concatenate([rest, *rates, read]))
+            rates_of_suns.append(np.concatenate([rest, *rates, gyro_rates]))
         apart = s.step_rad
     sun_B = np.repeat(suns, [len(rates) for rates in rates_of_suns], axis=0)
     return PairStarts(sun_B, np.concatenate(rates_of_suns), apart)
 
 
 def allowed_directions(model: Model, sample: int) -> np.ndarray:
-    """Return directions to the Sun (c, 3) that a sample allows, best first; without a sensor of the Sun that of N."""
+    """Return directions to the Sun (c, 3) that a sample allows, best first.
+
+    They are those of a Sun sensor; or of powers, which bound the Sun to a region of the sky, some that span the region. If nothing
+    shows the Sun, any attitude will do, and the direction is z.
+    """
     if not any(term.of_sun for term in model.obs.terms):
         return SUN_N[None]
     for term in model.obs.terms:
@@ -203,7 +208,7 @@ def allowed_directions(model: Model, sample: int) -> np.ndarray:
     allowed = grid[cost < cost.min() + ALLOWED]
     spanning = grid[[np.argmin(cost)]]
     while len(spanning) < min(CANDIDATES, len(allowed)):
-        # the one farthest from those taken already: they span the region
+        # next the direction whose nearest one of those taken is farthest away
         farthest = np.argmin((allowed @ spanning.T).max(axis=1))
         spanning = np.concatenate([spanning, allowed[[farthest]]])
     return spanning
@@ -214,8 +219,10 @@ def constant_rates(
 ) -> np.ndarray:
     """Return constant rates (m, 3) that carry a direction (3) of the body to another (3) in dt s, `rate_max` at most.
 
-    The axes of such turns lie on the great circle that halves the angle between the two. A turn by the angle a has the axis at the
-    angle b from the directions with sin b = sin(apart / 2) / sin(a / 2); `step_rad` is the spacing of the turns that are tried.
+    The axes of such turns lie on the great circle that halves the angle between the two, through their middle m and a unit vector s
+    across both. A turn by the angle a whose axis is at the angle b from both directions takes one to the other if sin b = sin(apart
+    / 2) / sin(a / 2). The axis is then cos(b) / cos(apart / 2) m plus the rest along s. `step_rad`: spacing of the turns that are
+    tried.
     """
     apart = float(np.arccos(np.clip(first @ second, -1, 1)))
     middle, side = first + second, np.cross(first, second)
@@ -226,8 +233,10 @@ def constant_rates(
     middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
     # most angles near the smallest, where the axis turns fastest; beyond pi they are turns the other way about the opposite axis
     angle = apart + (np.pi - apart) * np.linspace(0.0, 1.0, FINE) ** 2
-    tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
-    along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
+    sin_b = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
+    along = np.sqrt(1 - sin_b**2) / max(
+        np.cos(apart / 2), 1e-9
+    )  # component of the axis along the middle
     families = []
     for side_of_middle in (1.0, -1.0):
         cosine = np.clip(side_of_middle * along, -1, 1)[:, None]
@@ -241,7 +250,10 @@ def constant_rates(
 
 
 def whole_turns(dt: float, rate_max: float, spacing_rad: float) -> np.ndarray:
-    """Return rates (m, 3) of whole turns about axes all over the sphere in dt s, `rate_max` at most, so far apart as turns."""
+    """Return rates (m, 3) of whole turns in dt s about axes all over the sphere, `rate_max` at most.
+
+    As rotation vectors those of equal size are `spacing_rad` apart.
+    """
     rates = [np.zeros((0, 3))]
     for turns in range(1, int(rate_max * dt / (2 * np.pi)) + 1):
         angle = 2 * np.pi * turns
@@ -251,7 +263,7 @@ def whole_turns(dt: float, rate_max: float, spacing_rad: float) -> np.ndarray:
 
 
 def _spaced(path: np.ndarray, step: float) -> np.ndarray:
-    """Return some points of a path (n, 3), its ends among them, each at most about a step farther on than the one before."""
+    """Return some points of a path (n, 3), its ends among them, that are about a `step` or less apart along it."""
     length = np.linalg.norm(np.diff(path, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(length)])
     marks = np.linspace(0.0, along[-1], int(np.ceil(along[-1] / step)) + 1)
@@ -266,33 +278,91 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     the body follows from the part of |L| I^-1 that differs between the axes. If the inertia I is known the faster body nutates
     faster, and hardly any alias fits. If it is not, a body fits for which that part is the same: exactly, without wheels.
     """
-    dt = np.diff(model.obs.t_s)
-    first = int(np.argmin(dt))
-    uneven = dt / dt[first] - np.round(dt / dt[first])
-    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+    turn, rate_max = _turn_of_aliases(model, s), model.rate_max
+    if turn is None:
         return motions.take(slice(0))
-    turn, rate_max = 2 * np.pi / dt[first], model.rate_max
     most = int(2 * rate_max / turn)
-    more = turn * np.array([k for k in range(-most, most + 1) if k])
+    changes = turn * np.array([k for k in range(-most, most + 1) if k])
     begin = motions.take(slice(s.relatives_of))
-    inertia = model.body.inertia_at(begin.u[:, model.of_body])
+    inertia = model.body.inertia_at(begin.u[:, model.inertia_slice])
     momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
     momentum += model.obs.momentum
     size = np.linalg.norm(momentum, axis=2, keepdims=True)
     along = momentum / np.maximum(size, 1e-12)
-    faster = begin.omega + more[:, None, None, None] * along  # (turns, K, n, 3)
-    turns, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
+    faster = begin.omega + changes[:, None, None, None] * along  # (changes, K, n, 3)
+    change, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
     u = begin.u[which]
     if model.body.sphere and len(model.body.errors):
         # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
         rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
-        rates += more[turns, None, None] * np.eye(3)
-        u[:, model.of_body] = _errors_of_body(model.body, rates, u[:, model.of_body])
-    return Track(begin.attitude[which], faster[turns, which], u)
+        rates += changes[change, None, None] * np.eye(3)
+        u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
+    return Track(begin.attitude[which], faster[change, which], u)
+
+
+def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings) -> Track:
+    """Return the most probable motion (K) with whole revolutions more and fewer about L and about an axis of the body.
+
+    None under the conditions of :func:`aliases`. A body with two like moments precesses about its angular momentum L and spins
+    about its third axis, both at constant rates. Whole revolutions more of each between even samples show the same attitudes. The
+    new motion must keep L fixed in space: that hardly ever holds for a known inertia, and gives another inertia for an unknown one.
+    """
+    turn = _turn_of_aliases(model, s)
+    if turn is None or not len(motions) or not model.obs.only_sun:
+        return motions.take(slice(0))
+    best = motions.take(slice(1))
+    inertia = model.body.inertia_at(best.u[:, model.inertia_slice])
+    inertia = np.broadcast_to(inertia, (1, 3, 3))[0]
+    momentum = best.omega[0] @ inertia + model.obs.momentum
+    size = np.linalg.norm(momentum, axis=1, keepdims=True)
+    along = momentum / np.maximum(size, 1e-12)  # (n, 3)
+    # the axis about which the body spins: L makes a constant angle with it
+    principal = np.linalg.eigh(inertia)[1]
+    spin_axis = principal[:, np.argmin((along @ principal).std(axis=0))]
+    cosine = float((along @ spin_axis).mean())
+
+    most = min(int(2 * model.rate_max / turn), s.most_whole)
+    whole = np.arange(-most, most + 1)
+    about_L, about_axis = (grid.ravel() * turn for grid in np.meshgrid(whole, whole))
+    faster = best.omega[0] + about_L[:, None, None] * along + about_axis[:, None, None] * spin_axis
+    slow = np.linalg.norm(faster, axis=2).mean(axis=1) < model.rate_max
+    u = np.repeat(best.u, len(faster), axis=0)
+    if model.body.sphere and len(model.body.errors):
+        # as in `aliases`; the rate about the spin axis if all of L were along it
+        rates = size.mean() * np.linalg.inv(inertia) + about_L[:, None, None] * np.eye(3)
+        if abs(cosine) > s.least_cosine:
+            spin = np.outer(spin_axis, spin_axis)
+            rates = rates + (about_axis / cosine)[:, None, None] * spin
+        u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
+        bodies = model.body.inertia_at(u[:, model.inertia_slice])
+    else:
+        bodies = np.broadcast_to(inertia, (len(faster), 3, 3))
+    # how far L is from its place in space, whichever way it points, rad; single revolutions are tried by `aliases`
+    new = np.einsum("kij,knj->kni", bodies, faster) + model.obs.momentum
+    new /= np.maximum(np.linalg.norm(new, axis=2, keepdims=True), 1e-12)
+    off = np.arccos(np.clip(np.abs((new * along).sum(axis=2)), 0.0, 1.0)).mean(axis=1)
+    tried = np.flatnonzero(slow & (about_axis != 0) & (off < s.momentum_off_rad))
+    # the bodies nearest to what is known of it first; a known inertia is the same for all
+    sigmas = np.linalg.norm(u[tried][:, model.inertia_slice], axis=1).round(1)
+    which = tried[np.lexsort((off[tried], sigmas))[: s.most_of_two]]
+    return Track(np.repeat(best.attitude, len(which), axis=0), faster[which], u[which])
+
+
+def _turn_of_aliases(model: Model, s: AlternativeSettings) -> float | None:
+    """Return by how much, rad/s, a whole revolution between even samples changes the rate; None if no such alias is possible."""
+    dt = np.diff(model.obs.t_s)
+    first = int(np.argmin(dt))
+    uneven = dt / dt[first] - np.round(dt / dt[first])
+    if 2 * np.pi * np.abs(uneven).max() >= s.even_rad or gyro_decides(model, first):
+        return None
+    return float(2 * np.pi / dt[first])
 
 
 def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Return the errors (K, e), in sigmas, of bodies whose I^-1 is proportional to `rates` (K, 3, 3); of no body: `otherwise`."""
+    """Return the errors (K, e) of the inertia, in sigmas, of bodies whose I^-1 is proportional to `rates` (K, 3, 3).
+
+    Where that is no inertia of any body they are `otherwise` (K, e).
+    """
     lowest, _, highest = np.linalg.eigvalsh(rates).T
     sound = (lowest > 0) | (highest < 0)  # the other way about L all are negative
     inertia = np.linalg.inv(np.where(sound[:, None, None], rates, np.eye(3)))
@@ -305,24 +375,27 @@ def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.
 def other_bodies(motions: Track, model: Model) -> Track:
     """Return the most probable motion of K with each axis of a body without an inertia the longest, the middle and the shortest.
 
-    A body that turns about a principal axis answers to no small change of its moments, so that a fit that begins at a sphere may
-    stay there. None if an inertia is known.
+    A rotation about a principal axis does not change if the moments change a little, so that a fit that begins at a sphere may stay
+    there. None if an inertia is known.
     """
     if not (model.body.sphere and len(model.body.errors) and len(motions)):
         return motions.take(slice(0))
     best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
     sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
     u = best.u.copy()
-    u[:, model.of_body] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
+    u[:, model.inertia_slice] += OTHER_BODIES @ np.einsum("eii->ie", model.body.errors) / sizes
     return Track(best.attitude, best.omega, u)
 
 
 def grid_step(suns: int, dt: float, rate_max: float, s: SearchSettings) -> float:
-    """Return the step (rad/s) of a grid of rates: fine enough for the fit, unless that were too many."""
+    """Return the step (rad/s) of a grid of rates: a basin as a turn in dt s, or coarser, for `s.most_starts` starts at most.
+
+    `suns`: number of directions to the Sun, each of which has the whole grid.
+    """
     return max(s.basin_rad / dt, rate_max * (4 * np.pi / 3 * suns / s.most_starts) ** (1 / 3))
 
 
-def _ball(size: float, rate_max: float) -> np.ndarray:
+def _rate_grid(size: float, rate_max: float) -> np.ndarray:
     """Return a grid of rates (m, 3) with this step, up to the largest, rest among them."""
     axis = np.arange(-np.floor(rate_max / size), np.floor(rate_max / size) + 1) * size
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -330,7 +403,10 @@ def _ball(size: float, rate_max: float) -> np.ndarray:
 
 
 def fine_up_to(model: Model, s: SearchSettings) -> float:
-    """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any."""
+    """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any rate.
+
+    Only a grid that was made coarser to hold fewer starts can miss one (:func:`grid_step`).
+    """
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
     if _constant_rate_holds(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
@@ -338,11 +414,12 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
 
 
-def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
-    """Return the model with terms trusted as far as starts at a sample go.
+def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
+    """Return the model with the errors of the terms enlarged by what starts at a sample may be off at the others.
 
-    Starts are `apart_rad` apart at the next sample, and the farther a sample is the more unknown torques have changed, and errors
-    of the inertia: three percent of it turned a long body with 9 deg/s by 0.2 rad from sample to sample, 37 s apart.
+    Starts are `apart_rad` apart at the next sample. The farther away a sample is, the more unknown torques and errors of the
+    inertia have changed the motion: three percent of it turned a long body with 9 deg/s by 0.2 rad from sample to sample, 37 s
+    apart.
     """
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])
@@ -354,35 +431,35 @@ def _loosened(model: Model, sample: int, apart_rad: float) -> Model:
     return replace(model, obs=replace(obs, terms=terms))
 
 
-def _best(model: Model, sample: int, begin: PairStarts, most: int) -> Track:
-    """Return the starts that fit all samples best, carried by the equations of motion, and the slowest one."""
-    loose = _loosened(model, sample, begin.apart_rad)
-    tracks, every = [], []
+def _best_starts(model: Model, sample: int, begin: PairStarts, most: int) -> Track:
+    """Return the `most` starts that fit all samples best, propagated to them, the slowest of all among them."""
+    loose = _loosen_terms(model, sample, begin.apart_rad)
+    tracks, costs_of_parts = [], []
     for part in np.array_split(np.arange(len(begin.omega)), 1 + len(begin.omega) // AT_ONCE):
         rates = begin.omega[part]
-        track = carried(model, sample, facing(begin.sun_B[part]), rates)
+        track = propagate(model, sample, facing(begin.sun_B[part]), rates)
         prior = (rates**2).sum(axis=1) / (2 * model.rate_sigma**2)
         cost = costs(loose.obs, track).sum(axis=1) + prior
         keep = np.argsort(cost, kind="stable")[:most]
         tracks.append(track.take(keep))
-        every.append(cost[keep])
-    track, cost = Track.joined(tracks), np.concatenate(every)
+        costs_of_parts.append(cost[keep])
+    track, cost = Track.joined(tracks), np.concatenate(costs_of_parts)
     order = np.argsort(cost, kind="stable")
-    slow = np.linalg.norm(track.omega[:, sample], axis=1)
-    slowest = order[np.argmin(slow[order])]
+    speed = np.linalg.norm(track.omega[:, sample], axis=1)
+    slowest = order[np.argmin(speed[order])]
     keep = order[:most] if slowest in order[:most] else np.append(order[: most - 1], slowest)
     return track.take(keep)
 
 
 def _thinned(model: Model, sample: int, begin: PairStarts, s: SearchSettings) -> PairStarts:
-    """Return the better ones of a crowd of starts: by the pair alone, then fitted to four samples."""
+    """Return the better ones of a crowd of starts: the best by the pair alone, of these the best after a fit to four samples."""
     apart = begin.apart_rad
     pair = model.seeing(slice(sample, sample + 2))
-    motions = _best(pair, 0, begin, s.tried[0])
+    motions = _best_starts(pair, 0, begin, s.tried[0])
     window = slice(max(0, sample - 1), min(len(model.obs), sample + 3))
     around, sample = model.seeing(window), sample - window.start
     of_pair = PairStarts(motions.sun_B[:, 0], motions.omega[:, 0], apart)
-    motions = _best(around, sample, of_pair, s.tried[1])
-    motions = shot(_loosened(around, sample, apart), sample, motions, 3)
+    motions = _best_starts(around, sample, of_pair, s.tried[1])
+    motions = fit_single_shooting(_loosen_terms(around, sample, apart), sample, motions, 3)
     motions = motions.take(distinct(motions, around.obs.t_s, s, s.tried[1], drop=np.inf))
     return PairStarts(motions.sun_B[:, sample], motions.omega[:, sample], apart)

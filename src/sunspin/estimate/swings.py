@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import sph_harm_y
 
 from sunspin.estimate.chain import RATE, TURN, Fit, costs, equations, fit, log_left_out
-from sunspin.estimate.evidence import likeliest, over_shares
+from sunspin.estimate.evidence import best_fit, over_shares
 from sunspin.estimate.model import AS_STATED, Model, Noise, Observations, Track
 from sunspin.estimate.settings import AlternativeSettings, LadderSettings
 from sunspin.estimate.terms.term import facing
@@ -36,7 +36,7 @@ SWINGS = "an oscillation quicker than the samples"
 
 
 def swings_by_all_ways(
-    stated: Model, fits: Sequence[Fit], s: AlternativeSettings, of_ladder: LadderSettings
+    nominal: Model, fits: Sequence[Fit], s: AlternativeSettings, ladder_settings: LadderSettings
 ) -> list[Fit]:
     """Return fits of a body that swings about rest, by each angle of the settings between two samples, under weak torques.
 
@@ -44,23 +44,23 @@ def swings_by_all_ways(
     seen. The log evidence of a size is the log of the mean likelihood over all ways on the sphere, in the measure of the other
     fits; its motion is at rest.
     """
-    best = likeliest([one for one in fits if one.model.what == AS_STATED])
-    obs = stated.obs
+    best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
+    obs = nominal.obs
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
     span_s = float(np.ptp(obs.t_s))
     motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
     # gains as the best motion has them: errors enlarged by what is unknown of them would count as likelihood
-    terms = zip(stated.obs.terms, stated.of_terms, strict=True)
-    known = replace(obs, terms=tuple(term.held(motion.u[0, place]) for term, place in terms))
-    alone = _of_known(best.model, motion, known, of_ladder)
+    held = tuple(term.held(motion.u[0, own]) for term, own in nominal.terms_with_slices)
+    known = replace(obs, terms=held)
+    alone = _of_known(best.model, motion, known, ladder_settings)
     if not np.isfinite(alone.log_evidence[0]):
         return []
     # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
     # alone a true rotation once stood 12 below a swing: its gains, lights and zeros had cost it 28, and the swing nothing.
     others = float(best.log_evidence.max() - alone.log_evidence[0])
-    measure = others + log_left_out(stated) + stated.log_prior
+    measure = others + log_left_out(nominal) + nominal.log_prior
     # what the log of the mean likelihood must be at least
-    least = max(float(one.log_evidence.max()) for one in fits) - s.hopeless - measure
+    least = max(float(fitted.log_evidence.max()) for fitted in fits) - s.hopeless - measure
     if _bound(alone.model, alone.motions, wanders).max() + ROUGHLY * len(obs) < least:
         return []
     still = _still(motion)
@@ -69,13 +69,13 @@ def swings_by_all_ways(
         if log < least:
             continue
         # under torques that turn the body less over the pass than the swing does, the sum is the same
-        weak = [rung for rung in of_ladder.rungs if rung * span_s / np.sqrt(3) <= wander]
-        for rung in weak or [min(of_ladder.rungs)]:
-            model = replace(stated, noise=Noise(rung, rate=float(wander)), what=SWINGS)
+        weak = [rung for rung in ladder_settings.rungs if rung * span_s / np.sqrt(3) <= wander]
+        for rung in weak or [min(ladder_settings.rungs)]:
+            model = replace(nominal, noise=Noise(rung, rate=float(wander)), what=SWINGS)
             fitted = fit(model, still, 8)
             # about rest: how slow the body is in the mean the readings tell to this, a share of the rates before them
             of_rate = np.linalg.slogdet(fitted.motions.covariance[:, 0, RATE, RATE])[1] / 2
-            share = of_rate - 3 * np.log(stated.rate_sigma)
+            share = of_rate - 3 * np.log(nominal.rate_sigma)
             swinging.append(replace(fitted, log_evidence=log + share + measure))
     return swinging
 
@@ -85,9 +85,9 @@ def _of_known(model: Model, motion: Track, known: Observations, s: LadderSetting
 
     Unknowns of the body, and of terms that hold none, stay; so does what the sizes of their sigmas add.
     """
-    places = zip(known.terms, model.of_terms, strict=True)
-    kept = [motion.u[:, place] for term, place in places if term.unknowns()]
-    u = np.concatenate([motion.u[:, model.of_body], *kept], axis=1)
+    slices = zip(known.terms, model.term_slices, strict=True)
+    kept = [motion.u[:, own] for term, own in slices if term.unknowns()]
+    u = np.concatenate([motion.u[:, model.inertia_slice], *kept], axis=1)
     begin = Track(motion.attitude, motion.omega, u)
     fitted = fit(replace(model, obs=known), begin, s.steps, s.tolerance)
     return over_shares(fitted, s.beyond_fit)

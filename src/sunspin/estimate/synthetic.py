@@ -1,4 +1,4 @@
-"""Simulated telemetry of any vehicle: of a motion that the caller states, and of a random pass with the errors of real sensors."""
+"""Simulated telemetry of any vehicle: of a given motion, and of a random pass with the errors of real sensors."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ EPOCH_UTC = "2000-01-01T12:00:00Z"
 """Epoch if neither the vehicle file nor an orbit gives one."""
 
 NOISE = 0.02
-"""Noise of a reading of a random pass as a part of full Sun, one sigma, if the vehicle file states none. If gains are relative,
-full Sun has the size that makes the stated noise this part of it."""
+"""Noise of a reading as a part of full Sun, one sigma, if the vehicle file states none. With relative gains the signal of full Sun
+is chosen so that the stated noise is this part of it."""
 
 GAIN_ERROR = 0.05
 """Relative error of the gain of each panel of a random pass, one sigma: cells of one batch differ by a few per cent."""
@@ -97,8 +97,8 @@ def synthetic_telemetry(
     vehicle.require_panels()
     truth = _checked(truth)
     noise = vehicle.input_noise if truth.noise is None else truth.noise
-    be = "the noise of a twin must be zero or positive"
-    noise = per_panel(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
+    rule = "the noise of a twin must be zero or positive"
+    noise = per_panel(vehicle, 0.0 if noise is None else noise, np.greater_equal, rule)
     scale = full_signal_scale(vehicle) if truth.scale is None else float(truth.scale)
     speeds = truth.wheel_speed_rad_s
     if speeds is None:
@@ -115,9 +115,9 @@ def synthetic_telemetry(
     )
     sun = motion["sun_B"].values
     tilt = _tilt(truth, vehicle, generator(seed, 1))
-    exact = (
-        panel_power(vehicle, sun) if tilt is None else vehicle.response_in().power(sun, tilt=tilt)
-    )
+    exact = panel_power(vehicle, sun)
+    if tilt is not None:
+        exact = vehicle.response_in().power(sun, tilt=tilt)
     power = noisy_power(vehicle, scale * exact, noise, generator(seed, 0))
     true_values = {
         "omega_B": np.array(truth.omega_B, dtype=np.float64),
@@ -219,8 +219,7 @@ def simulate_pass(
         light of the Earth comes from a random direction.
     """
     t_s = on_time_grid(t_s)
-    axis = rng.standard_normal(3)
-    begin = rng.standard_normal(4)
+    axis, first_quaternion = rng.standard_normal(3), rng.standard_normal(4)
     body = vehicle
     if vehicle.inertia_kg_m2 is None:
         body = replace(vehicle, inertia_kg_m2=np.diag(rng.uniform(*MOMENTS, 3)), wheels=())
@@ -233,8 +232,8 @@ def simulate_pass(
         wheel_mode="hold",
         rtol=1e-9,
     )
-    # the attitudes of `motion` are relative to that of the first sample
-    first_B_from_N = matrix_from_quaternion(begin / np.linalg.norm(begin))
+    # the attitudes of `motion` are relative to that of the first sample, which is random
+    first_B_from_N = matrix_from_quaternion(first_quaternion / np.linalg.norm(first_quaternion))
     B_from_N = matrix_from_quaternion(motion["B_from_N"].values) @ first_B_from_N
     if orbit:
         environment, light = _light_in_orbit(orbit, t_s, rng)
@@ -246,7 +245,7 @@ def simulate_pass(
         n = (len(t_s), 1)
         light = Light(np.tile(sun / np.linalg.norm(sun), n), np.ones(len(t_s)), np.tile(earth, n))
     sun_B, earth_B = (
-        np.einsum("nij,nj->ni", B_from_N, each) for each in (light.sun_N, light.earth_N)
+        np.einsum("nij,nj->ni", B_from_N, vector) for vector in (light.sun_N, light.earth_N)
     )
     of_sun = panel_power(vehicle, sun_B) * light.lit[:, None]
     power = _readings(vehicle, of_sun, earth_B, bits, rng)
@@ -257,23 +256,24 @@ def simulate_pass(
 def _light_in_orbit(
     sources: tuple[Source, ...], t_s: np.ndarray, rng: np.random.Generator
 ) -> tuple[Orbit, Light]:
-    """Return an orbit that begins at a random time of the sources and is sunlit at the times t_s (n) after it, and its light."""
-    first, days = sum(sources[0].epoch_jd), WITHIN_DAYS
+    """Return an orbit at a random time of the sources with enough sunlit samples at the times t_s (n) after it, and its light."""
+    first_jd, days = sum(sources[0].epoch_jd), WITHIN_DAYS
     if isinstance(sources[0], Ephemeris):
-        first, last = sources[0].span_jd
-        days = last - first - t_s[-1] / DAY_S
+        first_jd, last_jd = sources[0].span_jd
+        days = last_jd - first_jd - t_s[-1] / DAY_S
     if days < 0:
         raise InputError("the table of positions is shorter than a pass", got=f"{t_s[-1]:.0f} s")
     for _ in range(TRIES):
-        epoch = utc_from_jd(first + days * rng.uniform())
+        epoch = utc_from_jd(first_jd + days * rng.uniform())
         try:
             orbit = in_orbit(sources, epoch, t_s)
         except InputError:  # a gap of the table
             continue
-        here = orbit.at(t_s)
-        assert here.lit is not None and here.albedo_light_N is not None  # an orbit knows both
-        if (here.lit > LIT).mean() >= LEAST_SUNLIT:
-            return orbit, Light(here.sun_N, here.lit, here.albedo_light_N)
+        surroundings = orbit.at(t_s)
+        lit, earth_N = surroundings.lit, surroundings.albedo_light_N
+        assert lit is not None and earth_N is not None  # an orbit knows both
+        if (lit > LIT).mean() >= LEAST_SUNLIT:
+            return orbit, Light(surroundings.sun_N, lit, earth_N)
     raise InputError(
         "no pass of this length is half in sunlight",
         got=f"{t_s[-1]:.0f} s",
@@ -290,12 +290,12 @@ def _readings(
 ) -> np.ndarray:
     """Return the readings (n, n_input) of panels with errors, from the exact signals of the Sun (n, n_input).
 
-    `earth_B` (n, 3): light of the Earth in parts of full Sun, body axes.
+    `earth_B` (n, 3): light of the Earth in parts of full Sun, body axes. Errors are noise, gains and, with `bits`, rounding.
     """
     size = np.linalg.norm(earth_B, axis=1)
-    towards = earth_B / np.where(size > 0, size, 1.0)[:, None]
+    to_earth = earth_B / np.where(size > 0, size, 1.0)[:, None]
     scale = full_signal_scale(vehicle)
-    exact = scale * (of_sun + panel_power(vehicle, towards) * size[:, None])
+    exact = scale * (of_sun + panel_power(vehicle, to_earth) * size[:, None])
     full = scale * np.max(panel_power(vehicle, vehicle.panel_normals_B), axis=0)  # of each input
     noise = NOISE * full if vehicle.input_noise is None else vehicle.input_noise
     gain = 1 + GAIN_ERROR * rng.standard_normal(exact.shape[1])

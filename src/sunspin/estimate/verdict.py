@@ -80,9 +80,9 @@ class Misfit(NamedTuple):
 
 
 def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
-    """Return sums of squared residuals (...) with so many degrees of freedom as a size in sigmas.
+    """Return sums of squared residuals (...), with `freedom` degrees of freedom each, as sizes in sigmas.
 
-    It is the root of the sum, scaled so that it exceeds 3 as often as one normal number does (:data:`BEYOND`).
+    A size is the root of the sum, scaled so that it exceeds 3 as often as the size of one normal number does (:data:`BEYOND`).
     """
     return 3 * np.sqrt(np.maximum(square, 0.0) / chdtri(np.maximum(freedom, 1), BEYOND))
 
@@ -90,15 +90,15 @@ def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
 def misfit(sigmas: np.ndarray) -> Misfit:
     """Return the misfit of one sensor's residuals (n) in the order of time, as :func:`in_sigma` has them, NaN without a reading.
 
-    The number of runs of good and bad readings is compared with its mean and variance for a random order, as by Wald and Wolfowitz
-    (1940, Ann. Math. Statist. 11, 147).
+    A run is a stretch of readings that are all good or all bad. The number of runs is compared with its mean and variance for a
+    random order, as by Wald and Wolfowitz (1940, Ann. Math. Statist. 11, 147).
     """
-    beyond = np.asarray(sigmas)[np.isfinite(sigmas)] > 3.0
-    n, bad = len(beyond), int(beyond.sum())
+    is_bad = np.asarray(sigmas)[np.isfinite(sigmas)] > 3.0
+    n, bad = len(is_bad), int(is_bad.sum())
     good = n - bad
     if not bad or not good:
         return Misfit(n, bad / max(n, 1), 1.0)
-    runs = 1 + int(np.count_nonzero(beyond[1:] != beyond[:-1]))
+    runs = 1 + int(np.count_nonzero(is_bad[1:] != is_bad[:-1]))
     expected = 1 + 2 * bad * good / n
     variance = (expected - 1) * (expected - 2) / max(n - 1, 1)
     chance = ndtr((runs - expected) / np.sqrt(variance)) if variance > 0 else 1.0
@@ -138,23 +138,24 @@ def upper_text(value: float) -> str:
 
 
 def drawn_speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return draws (K, `DRAWS`) of the angular speed of rates (K, 3) with covariances (K, 3, 3), the same ones every time."""
+    """Return draws (K, `DRAWS`) of the angular speed of rates (K, 3) with covariances (K, 3, 3); the seed is fixed."""
     normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
     values, axes = np.linalg.eigh(covariance)
-    spread = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return np.linalg.norm(omega[:, None] + np.einsum("kij,nj->kni", spread, normal), axis=-1)
+    root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]  # root root^T is the covariance
+    return np.linalg.norm(omega[:, None] + np.einsum("kij,nj->kni", root, normal), axis=-1)
 
 
 def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray) -> Speed:
     """Return the speed of the rate `omega` (3) of the first of K solutions.
 
-    Near zero the speed is not normally distributed, so that its error and its limit come from draws (K, `DRAWS`). The error is that
-    of the first: an unlikely alias makes it no larger. The limit counts all by their probability (K).
+    Near zero the speed is not normally distributed, so that its error and its limit come from draws (K, `DRAWS`) of the speeds of
+    all solutions. The error is that of the first solution: an unlikely alias does not enlarge it. The limit is the quantile
+    :data:`UPPER` of all, weighted by their probability (K).
     """
     value = float(np.linalg.norm(omega))
     if not (np.isfinite(value) and np.isfinite(drawn).all()):
         return Speed(value, np.nan, np.nan)
-    # the weighted quantile of all draws
+    # every draw of a solution has the same part of its probability
     weight = np.repeat(probability / probability.sum() / drawn.shape[1], drawn.shape[1])
     speed = drawn.ravel()
     order = np.argsort(speed)
@@ -236,9 +237,11 @@ def answers(
     cost is at most `cost_limit`. `left_open`: what the search may have left out, in words; empty if nothing.
     """
     probability, omega, covariance, one_rate = motions
-    wrong = tuple(name for name, one in misfits.items() if not one.fits)
+    wrong = tuple(name for name, sensor_misfit in misfits.items() if not sensor_misfit.fits)
     sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
-    x, y, z = (bool(one < NARROWER * rate_sigma) for one in sigma)  # NaN is not constrained
+    x, y, z = (
+        bool(component_sigma < NARROWER * rate_sigma) for component_sigma in sigma
+    )  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     four_answers = Answers(
         unique=bool(probability[one_rate].sum() >= DECIDED),
@@ -295,33 +298,36 @@ def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, An
         """Return a variable of yes and no on passes."""
         return "pass_id", np.array(values, dtype=bool)
 
-    said = [row.answers for row in rows]
-    each = ("pass_id", "solution")
+    verdicts = [row.answers for row in rows]
+    by_solution = ("pass_id", "solution")
     table: dict[str, Any] = {
         "utc_start": ("pass_id", [utc(row.first_s) for row in rows]),
         "utc_end": ("pass_id", [utc(row.last_s) for row in rows]),
         "samples": ("pass_id", [row.samples for row in rows]),
-        "probability": (each, padded([row.probability for row in rows])),
-        "decided": flags([one.decided for one in said]),
-        "unique": flags([one.unique for one in said]),
+        "probability": (by_solution, padded([row.probability for row in rows])),
+        "decided": flags([verdict.decided for verdict in verdicts]),
+        "unique": flags([verdict.unique for verdict in verdicts]),
         **{
-            f"constrained_{axis}": flags([one.constrained[k] for one in said])
+            f"constrained_{axis}": flags([verdict.constrained[k] for verdict in verdicts])
             for k, axis in enumerate("xyz")
         },
-        "fits": flags([one.fits for one in said]),
-        "search_complete": flags([one.search_complete for one in said]),
+        "fits": flags([verdict.fits for verdict in verdicts]),
+        "search_complete": flags([verdict.search_complete for verdict in verdicts]),
         "columns_checked": ("pass_id", [row.columns_checked for row in rows]),
         "utc_at": ("pass_id", [utc(row.at_s) for row in rows]),
     }
     for k, name in enumerate(("speed_low", "speed_median", "speed_high")):
-        table[name] = each, padded([row.speed[:, k] for row in rows])
+        table[name] = by_solution, padded([row.speed[:, k] for row in rows])
     for name in ("omega", "sigma"):
         for k, axis in enumerate("xyz"):
-            table[f"{name}_{axis}"] = each, padded([getattr(row, name)[:, k] for row in rows])
-    table["constrained_speed"] = flags([one.speed.constrained for one in said])
-    table["speed_sigma"] = "pass_id", [one.speed.sigma for one in said]
-    table["speed_below"] = "pass_id", [one.speed.below for one in said]
-    table["why_not_decided"] = "pass_id", [one.why_not for one in said]
+            table[f"{name}_{axis}"] = (
+                by_solution,
+                padded([getattr(row, name)[:, k] for row in rows]),
+            )
+    table["constrained_speed"] = flags([verdict.speed.constrained for verdict in verdicts])
+    table["speed_sigma"] = "pass_id", [verdict.speed.sigma for verdict in verdicts]
+    table["speed_below"] = "pass_id", [verdict.speed.below for verdict in verdicts]
+    table["why_not_decided"] = "pass_id", [verdict.why_not for verdict in verdicts]
     return table
 
 
@@ -427,7 +433,7 @@ def alike_motions(vehicle: Vehicle) -> str:
     count = len(vehicle.response_in().symmetries)
     if count == 1:
         return ""
-    shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]
+    shared = [panel_input.name for panel_input in vehicle.inputs if len(panel_input.panels) > 1]
     which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
     copies = "a mirror solution" if count == 2 else f"{count - 1} symmetric solutions"
     return (

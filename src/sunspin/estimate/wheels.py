@@ -18,7 +18,7 @@ import xarray as xr
 
 from sunspin.estimate.carry import RATE, nutation, require_followed
 from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
-from sunspin.estimate.evidence import PassFits, leading, likeliest
+from sunspin.estimate.evidence import PassFits, best_fit, best_motions
 from sunspin.estimate.model import Model, Observations, Track
 from sunspin.estimate.observe import Pass, wheel_models
 from sunspin.estimate.one_pass import PassFitter, one_pass
@@ -102,25 +102,25 @@ class ReversedSearches:
 
 
 def decide_wheels(
-    assessment: Assessment, stated: Model, passes: Sequence[Pass], fitter: PassFitter
+    assessment: Assessment, nominal: Model, passes: Sequence[Pass], fitter: PassFitter
 ) -> DecidedWheels:
     """Return what the wheels do: of several possibilities the one under which the longest passes have the largest evidence.
 
-    `stated`: the nominal model of the whole file, with any momentum of the wheels.
+    `nominal`: the nominal model of the whole file, with any momentum of the wheels.
     """
     momenta = wheel_models(assessment.vehicle, assessment.telemetry)
-    for one in passes:
-        longest_s = float(np.diff(stated.obs.t_s[one.kept]).max())
+    for a_pass in passes:
+        longest_s = float(np.diff(nominal.obs.t_s[a_pass.kept]).max())
         for momentum in momenta.values():
-            require_followed(stated.body.inertia, momentum[one.kept], longest_s)
-    first, *others = momenta
+            require_followed(nominal.body.inertia, momentum[a_pass.kept], longest_s)
+    first, *others = momenta  # names of the models
     if not others:
         return DecidedWheels(first, first, momenta[first], {})
 
     # the model of each pass that is compared, under each model of the wheels
-    compared = longest(passes)
+    compared = longest_passes(passes)
     models = {
-        (name, k): kept_samples(stated.with_momentum(momentum), passes[k])
+        (name, k): model_of_kept(nominal.with_momentum(momentum), passes[k])
         for name, momentum in momenta.items()
         for k in compared
     }
@@ -135,34 +135,40 @@ def decide_wheels(
     ]
     jobs = [(name, k) for name in momenta if name not in alike for k in compared]
     fits = dict(zip(jobs, fitter.fits_if_any([models[job] for job in jobs]), strict=True))
-    begin = {}  # motions of each pass, none if the first model allows none
+    begin: dict[int, Track | None] = dict.fromkeys(
+        compared
+    )  # None if the first model allows no motion
     for k in compared:
         of_first = fits[first, k]
-        best = None if of_first is None else leading(of_first.fits, s.most, s)
-        begin[k] = Track.free(best.attitude, best.omega) if best is not None and len(best) else None
+        if of_first is not None:
+            best = best_motions(of_first.fits, s.most, s)
+            begin[k] = Track.free(best.attitude, best.omega) if len(best) else None
     jobs = [(name, k) for name in alike for k in compared]
     fitted = fitter.fits_if_any([models[job] for job in jobs], [begin[k] for _, k in jobs])
     fits |= dict(zip(jobs, fitted, strict=True))
 
-    evidence = {job: -np.inf if one is None else log_evidence(one) for job, one in fits.items()}
+    evidence = {
+        job: -np.inf if pass_fits is None else log_evidence(pass_fits)
+        for job, pass_fits in fits.items()
+    }
     if not np.isfinite(list(evidence.values())).any():
         one_pass(models[first, compared[0]], fitter.settings, fitter.budget)  # raises, and says why
     total = {name: sum(evidence[name, k] for k in compared) for name in momenta}
-    best_name = max(total, key=lambda name: total[name])
-    above = total[best_name] - max(total[name] for name in momenta if name != best_name)
-    done = {k: one for k in compared if (one := fits[best_name, k]) is not None}
-    words = f"{best_name}{EVIDENCE}{above:.1f} above any other)"
-    return DecidedWheels(best_name, words, momenta[best_name], done)
+    best, second = sorted(total, key=lambda name: total[name], reverse=True)[:2]
+    words = f"{best}{EVIDENCE}{total[best] - total[second]:.1f} above any other)"
+    fits_of_best = {k: fits[best, k] for k in compared}
+    done = {k: pass_fits for k, pass_fits in fits_of_best.items() if pass_fits is not None}
+    return DecidedWheels(best, words, momenta[best], done)
 
 
-def longest(passes: Sequence[Pass]) -> list[int]:
+def longest_passes(passes: Sequence[Pass]) -> list[int]:
     """Return the places of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
     return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
-def kept_samples(stated: Model, of_pass: Pass) -> Model:
-    """Return the model of the samples of a pass that the search keeps; `stated`: that of the whole file."""
-    return replace(stated, obs=stated.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
+def model_of_kept(nominal: Model, of_pass: Pass) -> Model:
+    """Return the model of the samples of a pass that the search keeps; `nominal`: that of the whole file."""
+    return replace(nominal, obs=nominal.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
 
 
 def name_of_wheels(words: str) -> str:
@@ -171,73 +177,80 @@ def name_of_wheels(words: str) -> str:
 
 
 def _turn_alike(first: Model, second: Model, basin_rad: float) -> bool:
-    """Return whether the wheels of two models turn the rate alike in a pass: no motion leaves the basin in which a fit finds it.
+    """Return whether the wheels of two models turn the rate of the body alike in a pass, to `basin_rad`.
 
-    The angle counts from the median sample: motions agree there and differ at the ends.
+    A fit under the second model then finds its motion from that of the first. The difference of the momenta turns the rate at the
+    angular frequency of :func:`nutation`; its integral is an angle. It counts from the median sample, where the motions agree, to
+    the ends.
     """
     t_s = first.obs.t_s
-    rate = nutation(first.body.inertia, second.obs.momentum - first.obs.momentum)
-    middle = len(rate) // 2
+    frequency = nutation(first.body.inertia, second.obs.momentum - first.obs.momentum)
+    middle = len(t_s) // 2
     halves = slice(middle + 1), slice(middle, None)
-    return max(float(np.trapezoid(rate[half], t_s[half])) for half in halves) < basin_rad
+    return max(float(np.trapezoid(frequency[half], t_s[half])) for half in halves) < basin_rad
 
 
 def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.ndarray:
-    """Return the momentum (n_wheel, n, 3) of each wheel in mean moments of inertia times rad/s.
+    """Return the momentum (n_wheel, n, 3) of each wheel in mean moments of inertia times rad/s; (0, n, 3) without an inertia.
 
-    `name`: what the wheels do, a key of :func:`wheel_models`. That gives the sum over all wheels: the sum with one wheel reversed
-    is less by twice the momentum of this wheel.
+    `name`: what the wheels do, a key of :func:`wheel_models`, which gives the sum H over all wheels. With wheel k reversed it is
+    H - 2 h_k.
     """
     total = wheel_models(vehicle, telemetry).get(name)
     if vehicle.inertia_kg_m2 is None or total is None:
         return np.zeros((0, telemetry.sizes["time"], 3))
-    each = np.zeros((len(vehicle.wheels), *total.shape))
+    momenta = np.zeros((len(vehicle.wheels), *total.shape))
     for k, wheel in enumerate(vehicle.wheels):
         wheels = list(vehicle.wheels)
         wheels[k] = replace(wheel, axis_B=-np.asarray(wheel.axis_B))
         with_reversed = wheel_models(replace(vehicle, wheels=tuple(wheels)), telemetry)[name]
-        each[k] = (total - with_reversed) / 2
-    return each
-
-
-def reversed_momenta(
-    vehicle: Vehicle, each: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
-) -> dict[tuple[int, ...], np.ndarray]:
-    """Return the wheels' momenta (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
-
-    Without wheels so slow that they hardly turn the rate round, or so fast that they wrap. `each` (n_wheel, n, 3): their momenta
-    as the file has them; `inertia` (3, 3) in mean moments.
-    """
-    if not len(each) or not each.any():
-        return {}
-    momenta = {}
-    for change in wheel_changes(vehicle):
-        of_reversed = each[list(change.reversed_wheels)].sum(axis=0)
-        rate = float(nutation(inertia, of_reversed).max(initial=0.0))
-        wraps = rate * float(np.median(np.diff(t_s))) >= WRAPPED_RAD
-        if rate * float(np.ptp(t_s)) > WEAK_RAD and not wraps:
-            momenta[change.reversed_wheels] = each.sum(axis=0) - 2 * of_reversed
+        momenta[k] = (total - with_reversed) / 2
     return momenta
 
 
-def expected(assessment: Assessment) -> str:
-    """Return the name of what the wheels probably do: a file with their friction, which lets them coast, probably says so."""
+def reversed_momenta(
+    vehicle: Vehicle, of_wheels: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
+) -> dict[tuple[int, ...], np.ndarray]:
+    """Return the total momenta (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
+
+    Left out are wheels that hardly turn the rate of the body round in the whole file, and those that turn it by more than
+    :data:`WRAPPED_RAD` between two samples. `of_wheels` (n_wheel, n, 3): momenta as the file has them, at times `t_s` (n).
+    `inertia` (3, 3) is in mean moments.
+    """
+    momenta: dict[tuple[int, ...], np.ndarray] = {}
+    if not of_wheels.any():
+        return momenta
+    usual_s, span_s = float(np.median(np.diff(t_s))), float(np.ptp(t_s))
+    for change in wheel_changes(vehicle):
+        of_reversed = of_wheels[list(change.reversed_wheels)].sum(axis=0)
+        frequency = float(nutation(inertia, of_reversed).max(initial=0.0))  # rad/s
+        if frequency * span_s > WEAK_RAD and frequency * usual_s < WRAPPED_RAD:
+            momenta[change.reversed_wheels] = of_wheels.sum(axis=0) - 2 * of_reversed
+    return momenta
+
+
+def probable_wheel_model(assessment: Assessment) -> str:
+    """Return the name of the wheel model that will probably be decided.
+
+    It is the second, that of wheels which coast, if the vehicle file states a friction; else the first and only one.
+    """
     names = list(wheel_models(assessment.vehicle, assessment.telemetry))
     return names[:2][-1]
 
 
 def search_reversed(
-    assessment: Assessment, name: str, stated: Model, longest_pass: Pass, fitter: PassFitter
+    assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
 ) -> ReversedSearches:
     """Return the quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
 
-    `name`: what the wheels do; `stated`: the nominal model of the whole file.
+    `name`: what the wheels do; `nominal`: the nominal model of the whole file.
     """
     vehicle = assessment.vehicle
     each = momentum_of_each(vehicle, assessment.telemetry, name)
-    momenta = reversed_momenta(vehicle, each, stated.body.inertia, stated.obs.t_s)
+    momenta = reversed_momenta(vehicle, each, nominal.body.inertia, nominal.obs.t_s)
     models = [
-        kept_samples(stated.with_momentum(momentum), longest_pass) for momentum in momenta.values()
+        model_of_kept(nominal.with_momentum(momentum), longest_pass)
+        for momentum in momenta.values()
     ]
     return ReversedSearches(name, momenta, fitter.quick_evidence(models))
 
@@ -260,13 +273,16 @@ def doubted_signs(
         return None
     settings, first = fitter.settings, compared[0]
     # the fits of the file as it is written have found its motions: the quick evidence begins from them, without a search
-    known = leading(first.fits.fits, MOTIONS, settings.search)
+    known = best_motions(first.fits.fits, MOTIONS, settings.search)
     quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
     for (which, momentum), quick in zip(searches.momenta.items(), searches.evidence, strict=True):
         if quick < quick_as_written - FAR:
             continue
-        models = [one.model.with_momentum(momentum[one.samples.kept]) for one in compared]
+        models = [
+            fitted_pass.model.with_momentum(momentum[fitted_pass.samples.kept])
+            for fitted_pass in compared
+        ]
         gain, has_another_motion, new_fits = 0.0, False, []
         for model, as_written in zip(models, compared, strict=True):
             (fitted,) = fitter.fits_if_any([model])
@@ -279,14 +295,15 @@ def doubted_signs(
             new_fits.append(fitted)
         if len(new_fits) < len(compared) or not has_another_motion or gain < CLEARLY:
             continue
+        # the longest pass at all its samples
         whole = replace(obs, momentum=momentum).of_pass(first.samples.samples)
         kept = first.samples.kept_in_pass
         solved = solutions(new_fits[0], whole, kept, settings.solutions, settings.search)
         agree = all(misfit(part[0]).fits for part in solved.residual.values())
         fits_well = bool(agree and solved.track.cost[0] <= solved.cost_limit)
-        best = solved.obs.t_s, solved.track.omega[0], solved.track.sun_B[0]
-        doubted.append(Reversed(which, gain, fits_well, *best))
-    return max(doubted, key=lambda one: one.gain, default=None)
+        omega, sun_B = solved.track.omega[0], solved.track.sun_B[0]
+        doubted.append(Reversed(which, gain, fits_well, solved.obs.t_s, omega, sun_B))
+    return max(doubted, key=lambda reversed_wheels: reversed_wheels.gain, default=None)
 
 
 def log_evidence(fits: PassFits) -> float:
@@ -295,9 +312,14 @@ def log_evidence(fits: PassFits) -> float:
 
 
 def _is_another(first: PassFits, second: PassFits) -> bool:
-    """Return whether the most probable motion of the second is none that the first allows."""
-    best_fits = likeliest(first.fits), likeliest(second.fits)
-    a, b = (one.motions.take(np.array([np.argmax(one.log_evidence)])) for one in best_fits)
-    sigma = np.sqrt(np.einsum("nii->ni", a.covariance[0, :, RATE, RATE]))
-    off = np.abs(b.omega[0] - a.omega[0]) / sigma
+    """Return whether the most probable motion of the second is none that the first allows.
+
+    Their rates then differ by more than :data:`OTHER_SIGMAS` of the first motion at half of the samples.
+    """
+    fits = best_fit(first.fits), best_fit(second.fits)
+    numbers = [int(np.argmax(fitted.log_evidence)) for fitted in fits]
+    omega, other_omega = (fitted.motions.omega[k] for fitted, k in zip(fits, numbers, strict=True))
+    covariance = fits[0].motions.covariance[numbers[0], :, RATE, RATE]
+    sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    off = np.abs(other_omega - omega) / sigma
     return bool(np.median(off.max(axis=1)) > OTHER_SIGMAS)

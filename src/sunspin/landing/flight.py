@@ -20,7 +20,7 @@ DIRECTION_ERROR = 1e-2
 
 
 @dataclass(frozen=True)
-class Track:
+class FlightStates:
     """Motions (n) at instants (n_t), in body axes.
 
     Total momentum (N m s), direction to the Sun and rate (rad/s) are (n, n_t, 3), wheel speeds (rad/s) are (n, n_t, n_wheel).
@@ -48,7 +48,7 @@ def split_at_switches(
 
 def fly(
     vehicle: Vehicle, rows: Rows, schedule: Schedule, begin_s: float, times_s: np.ndarray
-) -> Track:
+) -> FlightStates:
     """Propagate motions from `begin_s` and return them at `times_s`.
 
     A motion that fails in one of the pieces between switches has the outcome of the first failure.
@@ -70,10 +70,10 @@ def fly(
         motion = run(vehicle, rows, stops - begin, command=command, error=DIRECTION_ERROR)
         outcome = np.where(outcome == 0, motion.outcome, outcome)
         values = motion.momentum_B, motion.sun_B, motion.omega_B, motion.wheel_speed_rad_s
-        rows = Track(*values, outcome).at(-1)
+        rows = FlightStates(*values, outcome).at(-1)
         pieces.append([value[:, : len(wanted)] for value in values])
     joined = (np.concatenate(parts, axis=1) for parts in zip(*pieces, strict=True))
-    return Track(*joined, outcome)
+    return FlightStates(*joined, outcome)
 
 
 def rz_time_shares(

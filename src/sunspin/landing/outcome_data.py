@@ -117,6 +117,8 @@ def _explain_missing(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterat
     `values` are those of :func:`outcome_dataset`.
     """
     vehicle, shape = rows.vehicle, rows.shape
+    if rows.until != "landing":
+        yield f"The simulation ends with the {rows.until}: nothing later is reported."
     if rows.scenario.collision_speed_m_s is None:
         yield "There is no collision in this scenario, so none is reported."
     elif not rows.collides:
@@ -124,6 +126,8 @@ def _explain_missing(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterat
         yield (
             f"Without {missing} in the vehicle file the collision cannot be computed, so the motion continues undisturbed."
         )
+    if rows.until != "landing":
+        return
     if shape is None:
         yield "Without a hull and legs in the vehicle file it is unknown what touches the ground first."
     elif not rows.lands:

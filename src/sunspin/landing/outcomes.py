@@ -53,6 +53,9 @@ APPROACH_TURN_RAD = 0.25
 """Runs that rotate by more than this from one sample to the next are repeated with twice, four times ... as many samples. At 3
 rad/s and samples 1.2 rad apart, a tenth of the runs touched with the wrong point."""
 
+STAGES = ("collision", "flight", "landing")
+"""Last stage of a simulation, each with those before it. The collision gives rates, momenta and speeds; the flight after it the
+distribution of r_z; the landing the antenna's visibility, first contact and rest. Flight and landing take about as long each."""
 
 Draws = dict[str, np.ndarray]
 """Name of `scenario.DRAWS` -> uniform random numbers (n), one for each run."""
@@ -128,7 +131,8 @@ def collide(
 class OutcomeRows:
     """Callable that computes the outcome of runs by their numbers, for :func:`sunspin.compute.rows.ensemble`.
 
-    `candidates` (m) are motions with their `probability` (m). `verticals` (m_up, 3) are the equally probable directions up.
+    `candidates` (m) are motions with their `probability` (m). `until` is the last stage (`STAGES`); values of later ones are
+    missing. `verticals` (m_up, 3) are the equally probable directions up.
     """
 
     vehicle: Vehicle
@@ -138,6 +142,7 @@ class OutcomeRows:
     probability: np.ndarray
     n_rows: int
     seed: int
+    until: str = "landing"
     shape: Shape | None = field(init=False, repr=False)
     verticals: np.ndarray = field(init=False, repr=False)
 
@@ -227,9 +232,10 @@ class OutcomeRows:
                 impulse_B, before.sun_B, up_and_orbiter[0]
             )
 
-        failed = self._propagate_to_landing(
-            after, momentum_after, up_and_orbiter, draw, out, failed
-        )
+        if self.until != "collision":
+            failed = self._propagate_to_landing(
+                after, momentum_after, up_and_orbiter, draw, out, failed
+            )
         for name, values in out.items():
             if name != "candidate":
                 values[failed != 0] = _missing_value(values.dtype)
@@ -291,6 +297,8 @@ class OutcomeRows:
             self.vehicle, start, schedule, scenario.collision_s, scenario.landing_s, BINS
         )
         failed = np.where(failed == 0, outcome, failed)
+        if self.until == "flight":
+            return failed
         # middles of equal intervals of the flight, and the samples of the last metres
         flight = (
             scenario.collision_s
@@ -419,6 +427,7 @@ def outcomes(
     seed: int = 0,
     *,
     scenario: Scenario | None = None,
+    until: str = "landing",
     workers: int | None = None,
     store: str | Path | None = None,
     executor: Any = None,
@@ -443,6 +452,8 @@ def outcomes(
         Run i draws from SeedSequence(seed, spawn_key=(i,)), so that runs of two strategies with the same seed share their draws.
     scenario : Scenario, optional
         Times, speeds, distributions; default: that of the built-in case of the vehicle's name.
+    until : "collision", "flight" or "landing"
+        Last stage that is simulated (`STAGES`); values of later stages are missing. An earlier end takes less time.
     workers, store, executor, progress, chunk
         As in :func:`sunspin.compute.rows.ensemble`.
 
@@ -459,6 +470,8 @@ def outcomes(
         raise InputError("n must be a positive whole number of runs", got=n)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError("seed must be zero or a positive whole number", got=seed)
+    if until not in STAGES:
+        raise InputError(f"until must be one of {', '.join(STAGES)}", got=until)
     vehicle.require_inertia()
     scenario = scenario or default_scenario(vehicle)
     rows = OutcomeRows(
@@ -468,6 +481,7 @@ def outcomes(
         *read_candidates(vehicle, candidates, scenario),
         int(n),
         int(seed),
+        until,
     )
     values = ensemble(
         rows,

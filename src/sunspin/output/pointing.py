@@ -112,7 +112,7 @@ class Directions(NamedTuple):
     along_track: np.ndarray
 
 
-class Track(NamedTuple):
+class OrbitTrack(NamedTuple):
     """Position (n, 3) m and velocity (n, 3) m/s in J2000 at n times, one sigma along the track (n) s, and the instants."""
 
     position: np.ndarray
@@ -358,7 +358,7 @@ def _sun_between(data: xr.Dataset, attitude: Rotation, pass_of: np.ndarray) -> n
     return attitude.apply(sun_N[pass_of])
 
 
-def _track(data: xr.Dataset, t_s: np.ndarray, interpolated: bool) -> Track:
+def _track(data: xr.Dataset, t_s: np.ndarray, interpolated: bool) -> OrbitTrack:
     """Return the track at the times `t_s` (n) of the samples, or at others, where it is `interpolated` by cubics.
 
     At samples 10 minutes apart the error of the cubic is 4 km, or 0.03 deg of nadir.
@@ -367,12 +367,12 @@ def _track(data: xr.Dataset, t_s: np.ndarray, interpolated: bool) -> Track:
     position, velocity, sigma = (data[name].values for name in TRACK)
     when = Instants.of(str(data.attrs["epoch_utc"]), t_s + float(data.attrs["orbit_clock_s"]))
     if not interpolated:
-        return Track(position, velocity, sigma, when)
+        return OrbitTrack(position, velocity, sigma, when)
     if len(time) < 2:
         position, velocity = (np.repeat(x, len(t_s), axis=0) for x in (position, velocity))
-        return Track(position, velocity, np.repeat(sigma, len(t_s)), when)
+        return OrbitTrack(position, velocity, np.repeat(sigma, len(t_s)), when)
     cubic = CubicHermiteSpline(time, position, velocity)
-    return Track(cubic(t_s), cubic(t_s, 1), np.interp(t_s, time, sigma), when)
+    return OrbitTrack(cubic(t_s), cubic(t_s, 1), np.interp(t_s, time, sigma), when)
 
 
 def _targets(
@@ -453,7 +453,7 @@ def _sigmas(
     return sigma
 
 
-def _seen_from(station: Station, track: Track) -> tuple[np.ndarray, np.ndarray]:
+def _seen_from(station: Station, track: OrbitTrack) -> tuple[np.ndarray, np.ndarray]:
     """Return the elevation (n), rad, of the spacecraft above the horizon of a station, and its distance (n), m."""
     line = track.position - station.position_J2000(track.when)
     distance = np.linalg.norm(line, axis=1)

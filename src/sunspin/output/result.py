@@ -218,6 +218,14 @@ class Result:
         return path
 
 
+def prepare_to_draw(kinds: str) -> None:
+    """Import what draws results of these kinds, a module of :mod:`sunspin.output.kinds`, and load all that is used first."""
+    from sunspin.output.figures import load
+
+    load()
+    import_module(f"sunspin.output.kinds.{kinds}")
+
+
 def draw(data: Any, context: Context, workers: int = 1) -> list[Picture]:
     """Return all figures of a result, drawn side by side; none without the packages of ``sunspin[pictures]``."""
     if missing_packages("pictures"):

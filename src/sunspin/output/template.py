@@ -14,7 +14,7 @@ from sunspin.base.errors import OutputError, TelemetryError, printable
 from sunspin.base.tables import read_table
 from sunspin.telemetry.reader import columns_of_readings
 from sunspin.telemetry.suggest import (
-    SensorColumns,
+    AxisColumns,
     Suggestion,
     suggest_section,
     toml_string,
@@ -124,7 +124,7 @@ def _seen(suggestion: Suggestion, face: str) -> str:
     return f"; its largest reading is {share:.0%} of the largest of all panels"
 
 
-def _fill_sensor(text: str, sensor: str, triple: SensorColumns) -> str:
+def _fill_sensor(text: str, sensor: str, triple: AxisColumns) -> str:
     """Return a vehicle file whose commented example of a sensor names the columns of the telemetry, still as a comment."""
     begin = text.index(f"# [{sensor}]\n")
     head, example = text[:begin], text[begin:]

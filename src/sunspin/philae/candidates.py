@@ -31,7 +31,7 @@ from sunspin.philae.rebound import (
     propagate_back,
     published_candidates,
 )
-from sunspin.philae.threshold import CONFIDENCE, Calibration, get_calibration
+from sunspin.philae.threshold import CONFIDENCE, ThresholdCalibration, get_calibration
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle import Vehicle
 
@@ -39,8 +39,8 @@ DRAWS, ELEVATION_DRAWS, POSTERIOR_DRAWS = 10_000, 2_000, 4_000
 """Largest number of candidates that are propagated to the collision, and of those whose range of the Sun's elevation is computed;
 number of draws from a posterior."""
 
-DIRECTION_ERROR = 1e-5
-"""Largest error (rad) of directions at touchdown and collision; angular speeds then err far less than the grid's step."""
+DIRECTION_ERROR = 1e-4
+"""Largest error (rad) of directions at touchdown and collision; angular speeds then err by 1e-6 rad/s at most."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class CandidateSets:
     chosen: Candidates
     scan_range: Candidates
     near_minimum: Candidates
-    calibration: Calibration | None
+    calibration: ThresholdCalibration | None
     share: float
     posterior: xr.DataTree | None = None
 
@@ -245,7 +245,7 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
     near_minimum = select_below(factor * scan.smallest, "scan", about)
     if source == "posterior":
-        posterior = sample_posterior(rebound, options)
+        posterior = sample_posterior(case.vehicle, case.telemetry, rebound.span_s, options)
         chosen, prior = (
             make_candidates(
                 rebound, states, options.seed, source=source, about=about, from_posterior=True
@@ -280,17 +280,19 @@ def compute(scan: TelemetryScan, check: DataCheck, options: Options) -> Candidat
     return CandidateSets(case, rebound, chosen, scan_range, near_minimum, calibration, share)
 
 
-def sample_posterior(rebound: Rebound, options: Options) -> xr.DataTree:
-    """Return the posterior of the rebound's readings; raise `TelemetryError` if no motion explains them."""
+def sample_posterior(
+    vehicle: Vehicle, telemetry: xr.Dataset, span_s: tuple[float, float], options: Options
+) -> xr.DataTree:
+    """Return the posterior of the readings in `Rebound.span_s`; raise `TelemetryError` if no motion explains them."""
     from sunspin.estimate.posterior import posterior
 
-    times = rebound.samples["utc_s"].values
+    begin_s, end_s = span_s
     tree = posterior(
-        rebound.case.vehicle,
-        rebound.case.telemetry,
+        vehicle,
+        telemetry,
         seed=options.seed,
-        begin_s=float(times[rebound.first]),
-        end_s=float(times[-1]),
+        begin_s=begin_s,
+        end_s=end_s,
         draws=POSTERIOR_DRAWS,
         workers=options.workers,
         progress=options.progress,

@@ -59,8 +59,8 @@ class AfterCollision(NamedTuple):
     """Simulated collisions of the candidate motions.
 
     `runs`: simulations as in section 3.3 by set of candidates ("chosen", "scan_range", "near_minimum") and by wheel strategy
-    ("off", "held"). `weighted`: simulations of the chosen candidates at the kernel's times and speeds, with the weights of
-    :func:`condition`.
+    ("off", "held"), those of the chosen candidates up to the landing. `weighted`: simulations of the chosen candidates at the
+    kernel's times and speeds, with the weights of :func:`condition`.
     """
 
     candidate_sets: CandidateSets
@@ -87,23 +87,29 @@ def compute(
     `options` are passed to :func:`sunspin.landing.outcomes.outcomes`.
     """
 
-    def simulate(motions: Candidates, strategy: str, count: int, scenario: Scenario) -> xr.Dataset:
+    def simulate(
+        motions: Candidates, strategy: str, count: int, scenario: Scenario, until: str
+    ) -> xr.Dataset:
         """Simulate `count` collisions of a set of candidates; the result says whether the telemetry is synthetic."""
-        settings = dict[str, Any](seed=seed, scenario=scenario, **options)
+        settings = dict[str, Any](seed=seed, scenario=scenario, until=until, **options)
         runs = outcomes(case.vehicle, motions.dataset(), strategy, max(count, 1), **settings)
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
     paper, real = candidate_sets.rebound.scenarios()
+    # of the sets for comparison only r_z is used
     sets = (
-        ("chosen", candidate_sets.chosen, n),
-        ("scan_range", candidate_sets.scan_range, n // 2),
-        ("near_minimum", candidate_sets.near_minimum, n // 2),
+        ("chosen", candidate_sets.chosen, n, "landing"),
+        ("scan_range", candidate_sets.scan_range, n // 2, "flight"),
+        ("near_minimum", candidate_sets.near_minimum, n // 2, "flight"),
     )
     runs = {
-        name: {strategy: simulate(motions, strategy, count, paper) for strategy in ("off", "held")}
-        for name, motions, count in sets
+        name: {
+            strategy: simulate(motions, strategy, count, paper, until)
+            for strategy in ("off", "held")
+        }
+        for name, motions, count, until in sets
     }
-    at_kernel_speeds = simulate(candidate_sets.chosen, "off", n, real)
+    at_kernel_speeds = simulate(candidate_sets.chosen, "off", n, real, "collision")
     return AfterCollision(candidate_sets, runs, condition(case, at_kernel_speeds))
 
 

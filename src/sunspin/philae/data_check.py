@@ -14,10 +14,10 @@ import numpy as np
 import xarray as xr
 
 from sunspin.cases import Case
-from sunspin.estimate.spin import fit_spin
 from sunspin.philae.descent import Descent
 from sunspin.philae.rebound import event_seconds, select_rebound
 from sunspin.philae.row import Row, make_row
+from sunspin.philae.spin import fit_spin
 from sunspin.philae.sun_directions import unshadowed_samples
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 from sunspin.telemetry.synthetic import draw_tilts, generator

@@ -16,10 +16,10 @@ from numpy.polynomial.polynomial import polyval
 from sunspin.base.errors import TelemetryError
 from sunspin.cases import Case
 from sunspin.estimate.scan.directions import reconstructible_mask
-from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
 from sunspin.output.figures import COLOURS, empty_figure, titled
 from sunspin.philae.rebound import event_seconds
 from sunspin.philae.row import Row, make_row
+from sunspin.philae.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 
 if TYPE_CHECKING:

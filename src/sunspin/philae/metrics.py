@@ -21,12 +21,12 @@ from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import Outcome
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan import error_growth
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.near_minimum import near_minimum
-from sunspin.estimate.scan.volume import Table, make_table, scan
+from sunspin.estimate.scan.volume import Histograms, make_table, scan
 from sunspin.output.figures import COLOURS, empty_figure, titled
+from sunspin.philae import error_growth
 from sunspin.philae.rebound import (
     LINE_RANGE,
     Options,
@@ -297,7 +297,9 @@ def growth_figure(result: Sensitivity) -> Figure:
 # ---- EMD: the scan and its near-minimum set ----------------------------------------------------------------------------------
 
 
-def propagate_grid(case: Case, sun_B: np.ndarray, duration_s: float, options: Options) -> Table:
+def propagate_grid(
+    case: Case, sun_B: np.ndarray, duration_s: float, options: Options
+) -> Histograms:
     """Propagate every motion of the grid from the Sun direction sun_B (3), once for any target distribution."""
     axes, speed = scan_grid(case, options.coarser), nominal_wheel_speeds(case.vehicle)
     mask = None if direction_mask(case) is None else "reconstructible"
@@ -376,7 +378,7 @@ class TelemetryScan:
     """
 
     rebound: Rebound
-    table: Table
+    table: Histograms
     emd: np.ndarray
     near: NearMinimum
     truth: dict[str, Any]

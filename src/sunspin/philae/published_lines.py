@@ -141,7 +141,11 @@ def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options)
 
     def simulate(strategy: str, scenario: Scenario) -> xr.Dataset:
         """Simulate collisions of the motions on the lines."""
-        settings: dict[str, Any] = {"scenario": scenario, "workers": options.workers}
+        settings: dict[str, Any] = {
+            "scenario": scenario,
+            "workers": options.workers,
+            "until": "flight",
+        }
         return outcomes(case.vehicle, motions, strategy, runs, options.seed, **settings)
 
     return PublishedLines(

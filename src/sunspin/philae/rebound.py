@@ -237,6 +237,12 @@ class Rebound:
         return self.samples["time"].values - self.samples["time"].values[self.first]
 
     @property
+    def span_s(self) -> tuple[float, float]:
+        """Times in s since the epoch of the samples of a posterior: from the candidates' instant to the last one."""
+        times = self.samples["utc_s"].values
+        return float(times[self.first]), float(times[-1])
+
+    @property
     def reconstructed(self) -> np.ndarray:
         """Boolean mask (n) of the samples that give a direction."""
         return is_reconstructed(self.samples["status"])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shlex
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +21,8 @@ from sunspin.base.errors import InputError
 from sunspin.base.extras import require_extra
 from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
+from sunspin.compute.helper import helper_process
+from sunspin.compute.pool import worker_count
 from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
 from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
@@ -103,8 +107,7 @@ def reproduce(
     changes : dict or list of str, optional
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
     posterior : bool
-        Add the posterior of the rebound's readings, which uses the times of the samples, when all else is written. It takes about
-        as long as the rest.
+        Add the posterior of the rebound's readings, which uses the times of the samples, when all else is written.
     on_page : callable, optional
         Called with the result as written before the posterior is added.
     """
@@ -118,11 +121,6 @@ def reproduce(
     folder = results_folder(out, "reproduce")
     options: dict[str, Any] = {"source": candidates, "simulations": calibrate, "seed": seed}
     options |= {"coarser": coarser, "workers": workers, "progress": progress}
-    drawn: pictures.Drawn = {}
-    study = compute(case, lambda so_far: pictures.draw_pictures(so_far, drawn), **options)
-    write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
-    telemetry_copy = folder / f"telemetry{source.suffix or '.csv'}"
-    write_whole(telemetry_copy, lambda part: part.write_bytes(source.read_bytes()))
 
     # the command that repeats this run
     command = ["sunspin", "reproduce", "--seed", str(seed)]
@@ -140,26 +138,42 @@ def reproduce(
     # the stored contradictions of the paper were computed from the unchanged case
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
-    samples = case.telemetry, study.synthetic
+    drawn: pictures.Drawn = {}
 
     def write(study: Study) -> Written:
-        """Write pictures, summary, data and page of the study."""
+        """Write inputs, pictures, summary, data and page of the study."""
+        write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
+        telemetry_copy = folder / f"telemetry{source.suffix or '.csv'}"
+        write_whole(telemetry_copy, lambda part: part.write_bytes(source.read_bytes()))
         drawings = pictures.write_pictures(study, drawn, folder)
         summary = make_summary(study, drawings, time.perf_counter() - began)
         summary["changes"] = [str(change) for change in case.changes]
         summary |= {"command": shlex.join(command), "inputs": _hash_inputs(case, vehicle)}
+        samples = case.telemetry, study.synthetic
         contents = Contents(make_datasets(study), drawings, tables, vehicle_text, *samples)
         write_contents(folder, summary, contents)
         return Written(folder, write_report(folder), summary)
 
-    written = write(study)
-    if not posterior or study.candidate_sets.result is None:
-        return written
-    if on_page is not None:
-        on_page(written)
-    study = add_timing(study)
-    pictures.draw_pictures(study, drawn)
-    return write(study)
+    # the posterior needs no result of the other steps, unless their candidates are its draws
+    processes = worker_count(workers) if posterior and candidates != "posterior" else 1
+    with helper_process(processes, _prepare_posterior) as helper:
+        study = compute(
+            case, lambda so_far: pictures.draw_pictures(so_far, drawn), helper, **options
+        )
+        written = write(study)
+        if not posterior or study.candidate_sets.result is None:
+            return written
+        if on_page is not None:
+            on_page(written)
+        study = add_timing(study, helper)
+        pictures.draw_pictures(study, drawn)
+        return write(study)
+
+
+def _prepare_posterior() -> None:
+    """Import what a posterior needs, and leave the processor to the other steps, so that their page is there early."""
+    os.nice(10)
+    import_module("sunspin.estimate.posterior")
 
 
 def _load_inputs(

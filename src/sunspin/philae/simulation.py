@@ -162,7 +162,7 @@ class PhaseSamples(NamedTuple):
         return CELL_W * vehicle.response_in().power(self.sun_B, tilt=tilt) * self.transmission
 
 
-class Collision(NamedTuple):
+class SimulatedCollision(NamedTuple):
     """A simulated collision: the states just before and after it, the leg that hits, and the velocity (3) in m/s at the impact."""
 
     before: State
@@ -232,7 +232,7 @@ def philae_twin(
     return join_phases(case, phases, power, truth)
 
 
-def describe_truth(case: Case, start: State, collision: Collision) -> dict[str, Any]:
+def describe_truth(case: Case, start: State, collision: SimulatedCollision) -> dict[str, Any]:
     """Return the true state at the first sample after the touchdown, the collision and the descent's rate, by name."""
     before, after = collision.before, collision.after
     return {
@@ -376,7 +376,7 @@ def find_first_state(
     return State(t, point + step * along, sun, speed)
 
 
-def simulate_collision(case: Case, start: State, rng: np.random.Generator) -> Collision:
+def simulate_collision(case: Case, start: State, rng: np.random.Generator) -> SimulatedCollision:
     """Simulate the collision of the motion through `start`: draw leg and direction, apply the impact."""
     t = case.require_timeline().event("collision").t_s
     run = _propagate_to(case.vehicle, start, np.array([t]))
@@ -391,7 +391,7 @@ def simulate_collision(case: Case, start: State, rng: np.random.Generator) -> Co
     motion = before.omega_B, before.wheel_speed_rad_s
     after = impact(case.vehicle, *motion, velocity, leg, **bounce)
     omega, speed = after["omega_B"].values, after["wheel_speed_rad_s"].values
-    return Collision(before, State(t, omega, before.sun_B, speed), leg, velocity)
+    return SimulatedCollision(before, State(t, omega, before.sun_B, speed), leg, velocity)
 
 
 def _propagate_to(vehicle: Vehicle, state: State, t_s: np.ndarray) -> xr.Dataset:

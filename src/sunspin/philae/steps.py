@@ -23,7 +23,7 @@ class MissingResult(Exception):
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[T]):
+class StepOutcome(Generic[T]):
     """Result and rows of a step, or the error because of which it has none. A step that has not ended has nothing.
 
     `key`: name of the step in `missing` of `summary.json`. `section`: a key of `study.SECTIONS`. If `inherited`, the error was
@@ -59,20 +59,20 @@ def run_step(
     rows: Callable[[T], list[Row]] | None = None,
     section: str = "telemetry",
     fatal: tuple[type[SunspinError], ...] = (),
-) -> Outcome[T]:
+) -> StepOutcome[T]:
     """Return the outcome of a step: the result of `compute`, and the rows that `rows` returns for it.
 
     An error of `REPORTED` becomes the reason why the result is missing, but for the classes in `fatal`.
     """
     try:
         result = compute()
-        return Outcome(key, title, section, result, tuple(rows(result)) if rows else ())
+        return StepOutcome(key, title, section, result, tuple(rows(result)) if rows else ())
     except MissingResult as missing:
-        return Outcome(key, title, section, error=missing.args[0], inherited=True)
+        return StepOutcome(key, title, section, error=missing.args[0], inherited=True)
     except fatal:
         raise
     except REPORTED as error:
-        return Outcome(key, title, section, error=error)
+        return StepOutcome(key, title, section, error=error)
 
 
 class Steps:
@@ -81,7 +81,7 @@ class Steps:
     def __init__(self, workers: int | None = None) -> None:
         # the kernels of a step use all cores: more than two steps at a time would take memory and gain nothing
         self._pool = ThreadPoolExecutor(min(worker_count(workers), 2), thread_name_prefix="step")
-        self._stopped, self.submitted = threading.Event(), list[Future[Outcome[Any]]]()
+        self._stopped, self.submitted = threading.Event(), list[Future[StepOutcome[Any]]]()
 
     def __enter__(self) -> Steps:
         return self
@@ -97,13 +97,13 @@ class Steps:
         compute: Callable[[], T],
         rows: Callable[[T], list[Row]] | None = None,
         **about: Any,
-    ) -> Future[Outcome[T]]:
+    ) -> Future[StepOutcome[T]]:
         """Submit the step whose outcome is that of `run_step` with these arguments."""
         step = self._pool.submit(lambda: run_step(key, title, compute, rows, **about))
         self.submitted.append(step)
         return step
 
-    def of(self, step: Future[Outcome[T]]) -> Outcome[T]:
+    def of(self, step: Future[StepOutcome[T]]) -> StepOutcome[T]:
         """Return the outcome of a step to one that was submitted later, which waits for it."""
         wait([step])
         if self._stopped.is_set():

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, as_completed
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import xarray as xr
 
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, TelemetryError
 from sunspin.cases import Case
+from sunspin.compute.helper import Helper
 from sunspin.philae import (
     candidates,
     collision,
@@ -38,7 +40,7 @@ from sunspin.philae.descent import Descent
 from sunspin.philae.mechanics import Mechanics, Precession
 from sunspin.philae.metrics import Sensitivity, TelemetryScan
 from sunspin.philae.published_lines import PublishedLines
-from sunspin.philae.rebound import Options, read_truth, select_rebound
+from sunspin.philae.rebound import Options, make_rebound, read_truth, select_rebound
 from sunspin.philae.row import (
     Row,
     count_verdicts,
@@ -47,7 +49,7 @@ from sunspin.philae.row import (
     settle,
     withhold_verdict,
 )
-from sunspin.philae.steps import REPORTED, Outcome, Steps, T, run_step
+from sunspin.philae.steps import REPORTED, StepOutcome, Steps, T, run_step
 from sunspin.philae.strategies import Strategies
 from sunspin.philae.sun_directions import Phases, ReadingNoise
 from sunspin.philae.timing import Timing
@@ -84,22 +86,22 @@ class Study:
     options: Options
     noise: ReadingNoise
     sun: xr.Dataset
-    phases: Outcome[Phases] = Outcome()
-    descent: Outcome[Descent] = Outcome()
-    check: Outcome[DataCheck] = Outcome()
-    scan: Outcome[TelemetryScan] = Outcome()
-    candidate_sets: Outcome[CandidateSets] = Outcome()
-    touchdown: Outcome[CandidateSets] = Outcome()
-    motions: Outcome[dict[str, xr.Dataset]] = Outcome()
-    collision: Outcome[AfterCollision] = Outcome()
-    speeds: Outcome[xr.Dataset] = Outcome()
-    strategies: Outcome[Strategies] = Outcome()
-    sensitivity: Outcome[Sensitivity] = Outcome()
-    mechanics: Outcome[Mechanics] = Outcome()
-    published_lines: Outcome[PublishedLines] = Outcome()
-    precession: Outcome[Precession] = Outcome()
-    inputs: Outcome[Case] = Outcome()
-    timing: Outcome[Timing] = Outcome()
+    phases: StepOutcome[Phases] = StepOutcome()
+    descent: StepOutcome[Descent] = StepOutcome()
+    check: StepOutcome[DataCheck] = StepOutcome()
+    scan: StepOutcome[TelemetryScan] = StepOutcome()
+    candidate_sets: StepOutcome[CandidateSets] = StepOutcome()
+    touchdown: StepOutcome[CandidateSets] = StepOutcome()
+    motions: StepOutcome[dict[str, xr.Dataset]] = StepOutcome()
+    collision: StepOutcome[AfterCollision] = StepOutcome()
+    speeds: StepOutcome[xr.Dataset] = StepOutcome()
+    strategies: StepOutcome[Strategies] = StepOutcome()
+    sensitivity: StepOutcome[Sensitivity] = StepOutcome()
+    mechanics: StepOutcome[Mechanics] = StepOutcome()
+    published_lines: StepOutcome[PublishedLines] = StepOutcome()
+    precession: StepOutcome[Precession] = StepOutcome()
+    inputs: StepOutcome[Case] = StepOutcome()
+    timing: StepOutcome[Timing] = StepOutcome()
 
     @property
     def synthetic(self) -> bool:
@@ -107,9 +109,9 @@ class Study:
         return bool(self.sun.attrs.get("synthetic"))
 
     @property
-    def outcomes(self) -> list[Outcome[Any]]:
+    def outcomes(self) -> list[StepOutcome[Any]]:
         """Outcomes of all steps in the paper's order."""
-        return [value for value in vars(self).values() if isinstance(value, Outcome)]
+        return [value for value in vars(self).values() if isinstance(value, StepOutcome)]
 
     @property
     def rows(self) -> list[Row]:
@@ -131,7 +133,12 @@ class Study:
         }
 
 
-def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options: Any) -> Study:
+def compute(
+    case: Case,
+    on_step: Callable[[Study], Any] | None = None,
+    helper: Helper | None = None,
+    **options: Any,
+) -> Study:
     """Run the study on the case's telemetry, but for the posterior (`add_timing`).
 
     Parameters
@@ -141,6 +148,8 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
         collision. Steps that need other samples are left out and named in `missing`.
     on_step : callable, optional
         Called with the study so far after each step, in the caller's thread, while other steps run.
+    helper : Helper, optional
+        Samples the posterior for `add_timing` meanwhile. Only if the candidates do not come from the posterior.
     options
         Of :class:`sunspin.philae.rebound.Options`.
     """
@@ -149,6 +158,12 @@ def compute(case: Case, on_step: Callable[[Study], Any] | None = None, **options
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
     select_rebound(case, sun)  # raises an error before any work if the file has no samples there
     study = Study(case, Options(**options), noise, sun)
+    if helper is not None:
+        with suppress(TelemetryError):  # which the scan reports
+            span_s = make_rebound(case, sun).span_s
+            # without progress, whose lines would stand between those of the other steps
+            silent = replace(study.options, progress=False)
+            helper.start(candidates.sample_posterior, case.vehicle, case.telemetry, span_s, silent)
     with Steps(study.options.workers) as steps:
         so_far = submit_steps(steps, study)
         for step in as_completed(steps.submitted):
@@ -265,9 +280,9 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
         strategies.rows,
     )
 
-    def settled(step: Future[Outcome[T]]) -> Outcome[T]:
+    def settled(step: Future[StepOutcome[T]]) -> StepOutcome[T]:
         """Return the outcome of a step with its rows as they are counted; an empty one if it has not ended."""
-        return settle_rows(study, step.result()) if step.done() else Outcome()
+        return settle_rows(study, step.result()) if step.done() else StepOutcome()
 
     def so_far() -> Study:
         """Return the study with the outcomes of the steps that have ended."""
@@ -296,22 +311,24 @@ def submit_steps(steps: Steps, study: Study) -> Callable[[], Study]:
     return so_far
 
 
-def add_timing(study: Study) -> Study:
+def add_timing(study: Study, helper: Helper | None = None) -> Study:
     """Return the study with its last step: the posterior of the rebound's readings, and what it predicts.
 
-    It takes as long as all others, and runs when their page is there.
+    The posterior takes longer than any other step. With the `helper` of `compute` it is sampled meanwhile, else now.
     """
-    sets = study.candidate_sets.get
-    outcome = run_step(
-        "timing",
-        "Past the paper: what the times of the samples add",
-        lambda: timing.compute(sets().rebound, sets().posterior, TIMING_RUNS, study.options),
-        timing.rows,
-    )
+
+    def compute_last() -> Timing:
+        """Return what follows from the posterior, or raise `MissingResult` without candidates."""
+        sets = study.candidate_sets.get()
+        posterior = sets.posterior if helper is None else helper.result()
+        return timing.compute(sets.rebound, posterior, TIMING_RUNS, study.options)
+
+    title = "Past the paper: what the times of the samples add"
+    outcome = run_step("timing", title, compute_last, timing.rows)
     return replace(study, timing=settle_rows(study, outcome))
 
 
-def settle_rows(study: Study, outcome: Outcome[T]) -> Outcome[T]:
+def settle_rows(study: Study, outcome: StepOutcome[T]) -> StepOutcome[T]:
     """Return the outcome of a step with its rows as they are counted: with their source, kind and verdict."""
     case = study.case
     # a row without a source (`chain`) has that of its section; it is "put_in" if the telemetry was made from its figure or selected

@@ -36,8 +36,7 @@ from sunspin.compute.pool import process_pool, worker_count
 from sunspin.dynamics.batch import Outcome
 from sunspin.estimate.scan.histogram import distances_to_target, target_segments
 from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.volume import Table
-from sunspin.estimate.spin import fit_spin
+from sunspin.estimate.scan.volume import Histograms
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.descent import find_first_clean_sample
 from sunspin.philae.metrics import make_near_minimum_set, propagate_grid
@@ -53,9 +52,9 @@ from sunspin.philae.rebound import (
 )
 from sunspin.philae.simulation import (
     CELL_W,
-    Collision,
     PhaseSamples,
     RestingSun,
+    SimulatedCollision,
     State,
     add_noise,
     add_rebound_noise,
@@ -70,6 +69,7 @@ from sunspin.philae.simulation import (
     simulate_ground_phases,
     simulate_second_rebound,
 )
+from sunspin.philae.spin import fit_spin
 from sunspin.philae.sun_directions import share_in_shadowed_range
 from sunspin.telemetry.health import panel_health
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
@@ -171,7 +171,7 @@ def _not_found(problem: str) -> InputError:
 # ---- Panels and descent ------------------------------------------------------------------------------------------------------
 
 
-class Descent(NamedTuple):
+class DrawnDescent(NamedTuple):
     """An accepted descent and the panels that it was drawn with.
 
     `tilt` (n_panel, 3): rotations of the panels in rad. `phases`, `power`: samples and readings with legs folded and unfolded.
@@ -184,7 +184,7 @@ class Descent(NamedTuple):
     draws: int
 
 
-def draw_descent(case: Case, seed: int, number: int) -> Descent:
+def draw_descent(case: Case, seed: int, number: int) -> DrawnDescent:
     """Draw panels and descent number `number` of a seed until n_z, Delta and E of the descent are as printed."""
     vehicle, rng = case.vehicle, generator(seed, 1, number)
     printed_E = case.published["descent_E"].value
@@ -206,7 +206,7 @@ def draw_descent(case: Case, seed: int, number: int) -> Descent:
         if abs(fit_spin(unfolded.t_s - unfolded.t_s[0], sun_B).E - printed_E) > CRITERIA.descent_E:
             continue
         folded, folded_power = draw_folded_samples(case, folded, power, tilt, rng)
-        return Descent(tilt, (folded, unfolded), [folded_power, power], draws)
+        return DrawnDescent(tilt, (folded, unfolded), [folded_power, power], draws)
     raise _not_found("no panels show what is printed of the descent")
 
 
@@ -325,7 +325,7 @@ class PrintedScan:
     def __init__(self, case: Case) -> None:
         """Propagate the motions of the paper's grid: a minute and a half on one core, 430 MB."""
         self.case = case
-        self.table: Table = propagate_grid(
+        self.table: Histograms = propagate_grid(
             case, first_sun(case), published_window_s(case), Options()
         )
         self.fine = self.table.outcome == Outcome.FINE
@@ -394,7 +394,7 @@ def find_printed_rebounds(
 
 def draw_collision(
     case: Case, seed: int, start: State, tilt: np.ndarray
-) -> tuple[Collision, PhaseSamples, np.ndarray]:
+) -> tuple[SimulatedCollision, PhaseSamples, np.ndarray]:
     """Draw the collision of the motion through `start` until r_z is often negative after it.
 
     Return the collision, the samples after it, and their readings (n, n_panel).

@@ -30,7 +30,7 @@ from sunspin.compute.pool import worker_count
 from sunspin.dynamics.batch import EMD_ERROR, Outcome, Rows, run, sun_heights
 from sunspin.estimate.scan.directions import target_weights
 from sunspin.estimate.scan.histogram import BINS, distances_to_target, target_segments
-from sunspin.estimate.scan.volume import Table
+from sunspin.estimate.scan.volume import Histograms
 from sunspin.philae.rebound import (
     Options,
     Rebound,
@@ -59,7 +59,7 @@ BLOCK, MAX_BLOCKS = 256, 20
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ThresholdCalibration:
     """Results of simulated rebounds similar to the data.
 
     `key`: hash of everything the calibration depends on. `ratio` (n): EMD of the truth over the smallest EMD. `emd_min` (n):
@@ -135,7 +135,7 @@ def quantile_threshold(values: np.ndarray, confidence: float) -> Threshold:
     return Threshold(float(ordered[index]), float(low), float(high))
 
 
-def calibration_key(rebound: Rebound, table: Table) -> str:
+def calibration_key(rebound: Rebound, table: Histograms) -> str:
     """Return the hash of everything that a calibration depends on.
 
     That is: inertia, wheels and panels with their sigmas, times of the readable samples, number of directions, noise, brightness,
@@ -283,7 +283,7 @@ def emd_of_truths(case: Case, states: Rows, window_s: float, targets: list[tuple
     )
 
 
-def calibrate(rebound: Rebound, table: Table, options: Options) -> Calibration:
+def calibrate(rebound: Rebound, table: Histograms, options: Options) -> ThresholdCalibration:
     """Repeat the method on `options.simulations` simulated rebounds similar to the data (default: `SIMULATIONS`).
 
     `table` is that of the scan from the same first direction.
@@ -295,7 +295,7 @@ def calibrate(rebound: Rebound, table: Table, options: Options) -> Calibration:
     bar = tqdm(targets, "calibration of the threshold", leave=False, disable=bar_disabled)
     smallest = np.array([table.distances(*target, threads)[propagated].min() for target in bar])
     true_states = rebound.states(np.array([simulated.omega_B for simulated in rebounds]))
-    return Calibration(
+    return ThresholdCalibration(
         calibration_key(rebound, table),
         options.seed,
         ratio=emd_of_truths(rebound.case, true_states, rebound.window_s, targets) / smallest,
@@ -305,7 +305,7 @@ def calibrate(rebound: Rebound, table: Table, options: Options) -> Calibration:
     )
 
 
-def get_calibration(rebound: Rebound, table: Table, options: Options) -> Calibration:
+def get_calibration(rebound: Rebound, table: Histograms, options: Options) -> ThresholdCalibration:
     """Return the calibration that fits these data: the shipped one if its key is theirs, else a new one.
 
     If `options.simulations` is a positive number, a new one is made in any case. Raises `TelemetryError` if it is zero and the
@@ -325,7 +325,7 @@ def get_calibration(rebound: Rebound, table: Table, options: Options) -> Calibra
     return replace(calibrate(rebound, table, options), confidence=confidence)
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path) -> ThresholdCalibration:
     """Read a calibration written by `write_calibration`; raise `InputError` for any other file."""
     try:
         data = json.loads(path.read_text("utf-8"))
@@ -339,10 +339,10 @@ def read_calibration(path: Path) -> Calibration:
     except (ValueError, KeyError, TypeError) as error:
         what = f"this is no calibration of a threshold ({error})"
         raise InputError(what, where=str(path)) from None
-    return Calibration(key, seed, ratio, emd_min, directions, "shipped with the case")
+    return ThresholdCalibration(key, seed, ratio, emd_min, directions, "shipped with the case")
 
 
-def write_calibration(calibration: Calibration, path: Path) -> None:
+def write_calibration(calibration: ThresholdCalibration, path: Path) -> None:
     """Write a calibration to ship with a case, of 400 simulations: plain data, six digits."""
     data = {
         "what": "the scan repeated on synthetic rebounds of known truth like the case's telemetry (sunspin.philae.threshold)",

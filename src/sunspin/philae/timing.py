@@ -38,7 +38,7 @@ SPEED_STEP_S = 20.0
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueSpeeds:
     """True angular speeds in rad/s of the case's own telemetry: just after the touchdown, before and after the collision.
 
     `state`: the true state at the first sample. `speed` (n_time): true angular speed at the times of `Timing.t_s`.
@@ -75,7 +75,7 @@ class Timing:
     t_s: np.ndarray
     speed: np.ndarray
     after: np.ndarray
-    truth: Truth | None
+    truth: TrueSpeeds | None
 
     @property
     def unique(self) -> bool:
@@ -95,7 +95,7 @@ def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options:
     """
     case = rebound.case
     if posterior is None:
-        posterior = sample_posterior(rebound, options)
+        posterior = sample_posterior(case.vehicle, case.telemetry, rebound.span_s, options)
     motions = states_dataset(*draws_of_posterior(posterior), source="posterior")
     t = np.append(np.arange(0.0, rebound.window_s, SPEED_STEP_S), rebound.window_s)
     # the touchdown first, then from the candidates' instant to the collision
@@ -113,6 +113,7 @@ def compute(rebound: Rebound, posterior: xr.DataTree | None, runs: int, options:
         runs,
         options.seed,
         scenario=as_in_the_paper,
+        until="collision",
         workers=options.workers,
     )
     after = np.linalg.norm(collisions["omega_after_B"].values, axis=1)
@@ -128,7 +129,7 @@ def _speeds(rebound: Rebound, states: Rows, t_s: np.ndarray) -> np.ndarray:
     return np.linalg.norm(omega_B, axis=2)
 
 
-def _find_truth(rebound: Rebound, t_s: np.ndarray) -> Truth | None:
+def _find_truth(rebound: Rebound, t_s: np.ndarray) -> TrueSpeeds | None:
     """Return the true values if the telemetry is the case's own synthetic one."""
     known = read_truth(rebound.case)
     if not known:
@@ -141,7 +142,7 @@ def _find_truth(rebound: Rebound, t_s: np.ndarray) -> Truth | None:
         float(np.linalg.norm(known[f"collision_omega_{when}_B"])) for when in ("before", "after")
     )
     touchdown = float(touchdown_speeds(rebound, state)[0])
-    return Truth(state, touchdown, before, after, _speeds(rebound, state, t_s)[0])
+    return TrueSpeeds(state, touchdown, before, after, _speeds(rebound, state, t_s)[0])
 
 
 def rows(timing: Timing) -> list[Row]:

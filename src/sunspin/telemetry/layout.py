@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.tables import Table
+from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.times import parse_utc
 from sunspin.telemetry.timescales import UNIX_ZERO
@@ -26,11 +26,11 @@ SERIES_NAMES = ("series", "metric", "name", "_field", "field", "parameter", "mne
 class Samples(NamedTuple):
     """A table with a row for each sample, and the sentences that say how it was made; no sentences if nothing was changed."""
 
-    table: Table
+    table: TextTable
     notes: tuple[str, ...] = ()
 
 
-def collect_metrics(table: Table, time_column: str, names: set[str]) -> Samples:
+def collect_metrics(table: TextTable, time_column: str, names: set[str]) -> Samples:
     """Return a table of one value a row as a table with a column for each name and a row for each time, in the order of time.
 
     `names`: the columns that the vehicle file reads. A table that has one of them in its header is returned unchanged, as is one
@@ -90,7 +90,7 @@ def _sort_key(text: str) -> tuple[float, str]:
     return number, text
 
 
-def _describe_sources(table: Table, columns: list[str], series_column: str) -> str:
+def _describe_sources(table: TextTable, columns: list[str], series_column: str) -> str:
     """Return the other columns in which rows differ, with two of their values, in words for advice; empty if there are none."""
     texts = []
     for name in columns:
@@ -101,7 +101,7 @@ def _describe_sources(table: Table, columns: list[str], series_column: str) -> s
 
 
 def join_packets(
-    table: Table, time: np.ndarray, span_s: float, reading_columns: set[str]
+    table: TextTable, time: np.ndarray, span_s: float, reading_columns: set[str]
 ) -> tuple[Samples, np.ndarray]:
     """Return a table in which rows within `span_s` of the first are one sample, and the rows (m) that begin a sample.
 

@@ -19,7 +19,7 @@ import xarray as xr
 
 from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
-from sunspin.base.tables import Table, read_table
+from sunspin.base.tables import TextTable, read_table
 from sunspin.telemetry.layout import collect_metrics, join_packets
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
@@ -188,7 +188,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
     return xr.Dataset(readings | sensors | temperatures, coords, attrs | counts)
 
 
-def _find_late_rows(form: TelemetryForm, table: Table, time: np.ndarray) -> np.ndarray:
+def _find_late_rows(form: TelemetryForm, table: TextTable, time: np.ndarray) -> np.ndarray:
     """Return the rows (n) whose time (n, s) is not later than all times before it.
 
     Raises
@@ -219,7 +219,7 @@ def columns_of_readings(vehicle: Vehicle) -> set[str]:
     return names
 
 
-def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
+def _panel_columns(vehicle: Vehicle, table: TextTable, optional: bool) -> list[str]:
     """Return the name of the column of each input; an empty list if all are missing and `optional`.
 
     The name is that of `[telemetry.columns]`, else the panel's name or one such as PXp_W, else that of the vehicle file for errors.
@@ -251,7 +251,7 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
 
 
 def _refuse_bad_cells(
-    form: TelemetryForm, what: str, bad: np.ndarray, table: Table, names: list[str]
+    form: TelemetryForm, what: str, bad: np.ndarray, table: TextTable, names: list[str]
 ) -> None:
     """Raise a `TelemetryError` for the first bad cell (n, n_column) of the columns `names`, if ``bad_rows = "refuse"``."""
     if form.bad_rows == "refuse" and bad.any():
@@ -262,7 +262,7 @@ def _refuse_bad_cells(
 
 
 def _read_panels(
-    vehicle: Vehicle, table: Table, columns: list[str]
+    vehicle: Vehicle, table: TextTable, columns: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the panel readings (n, n_input) in W or A, NaN if missing, and the flag (n) of each row (bits of `FLAGS`).
 
@@ -297,7 +297,7 @@ def _read_panels(
 
 
 def _signals_of_angles(
-    vehicle: Vehicle, table: Table, columns: list[str], values: np.ndarray
+    vehicle: Vehicle, table: TextTable, columns: list[str], values: np.ndarray
 ) -> np.ndarray:
     """Return the readings (n, n_panel) of flat panels that have the Sun at these angles (deg), or with these cosines.
 
@@ -329,7 +329,7 @@ def _signals_of_angles(
 
 
 def _correct_for_temperature(
-    vehicle: Vehicle, table: Table, values: np.ndarray
+    vehicle: Vehicle, table: TextTable, values: np.ndarray
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Return readings (n, n_panel) reduced to the panels' reference temperature, and a dict with the variable of the temperatures.
 
@@ -360,7 +360,7 @@ def _clock_columns(form: TelemetryForm) -> list[str]:
     return [name for name in names if name is not None]
 
 
-def _require_clock(form: TelemetryForm, table: Table) -> None:
+def _require_clock(form: TelemetryForm, table: TextTable) -> None:
     """Raise a `TelemetryError` if a column with times is missing."""
     require_column(table, form.time_column, "the time")
     if form.week_column is not None:
@@ -370,8 +370,8 @@ def _require_clock(form: TelemetryForm, table: Table) -> None:
 
 
 def _leave_out_others(
-    form: TelemetryForm, table: Table, times: Times, reading_columns: set[str]
-) -> tuple[Table, Times, int]:
+    form: TelemetryForm, table: TextTable, times: Times, reading_columns: set[str]
+) -> tuple[TextTable, Times, int]:
     """Return table and times without rows in which only columns that are not used have a value, and the number of these rows.
 
     Such rows are no samples: temperatures at times of their own, or packets of another instrument. A row without any value is a
@@ -399,8 +399,8 @@ def _leave_out_others(
 
 
 def _sort_and_merge(
-    form: TelemetryForm, table: Table, times: Times, reading_columns: set[str]
-) -> tuple[Table, Times, dict[str, int]]:
+    form: TelemetryForm, table: TextTable, times: Times, reading_columns: set[str]
+) -> tuple[TextTable, Times, dict[str, int]]:
     """Return table and times sorted by time, and the numbers of rows sorted, merged and left out (only numbers that are not zero).
 
     Rows of one instant are merged if their `reading_columns` do not contradict each other. Other columns, such as the station or
@@ -441,7 +441,7 @@ def _sort_and_merge(
 
 
 def require_column(
-    table: Table,
+    table: TextTable,
     name: str,
     what: str,
     section: str = "telemetry",
@@ -486,7 +486,7 @@ def _find_similar_name(name: str, names: list[str]) -> str | None:
     return name_of_letters[nearest[0]] if nearest else None
 
 
-def _unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
+def _unused_columns(vehicle: Vehicle, table: TextTable, columns: list[str]) -> list[str]:
     """Return the columns of the file that are not read; `columns` are those of the panels."""
     form = vehicle.telemetry
     used = {*_clock_columns(form), form.voltage_column, "phase", *columns}
@@ -495,7 +495,7 @@ def _unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[
     return [name for name in table.header if name not in used]
 
 
-def _missing_sensors(vehicle: Vehicle, table: Table, unused: list[str]) -> list[str]:
+def _missing_sensors(vehicle: Vehicle, table: TextTable, unused: list[str]) -> list[str]:
     """Return the sensors that have no column in the file, with their columns in parentheses.
 
     Raises

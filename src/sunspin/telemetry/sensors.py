@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.base.tables import Table
+from sunspin.base.tables import TextTable
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, SunSensor, SunVector
 
@@ -71,7 +71,7 @@ def sensor_columns(vehicle: Vehicle) -> Iterator[SensorColumns]:
             yield SensorColumns("[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column])
 
 
-def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
+def read_sensors(vehicle: Vehicle, table: TextTable) -> dict[str, Any]:
     """Return the variables of sensors for a Dataset over `time`; sensors without columns in the table are left out.
 
     Returns
@@ -105,7 +105,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     return variables
 
 
-def read_columns(table: Table, names: Sequence[str]) -> dict[str, Any]:
+def read_columns(table: TextTable, names: Sequence[str]) -> dict[str, Any]:
     """Return the variable `column_reading` (time, column): numbers of columns as the file has them, NaN for fill values."""
     if not names:
         return {}
@@ -113,7 +113,7 @@ def read_columns(table: Table, names: Sequence[str]) -> dict[str, Any]:
     return {"column_reading": (("time", "column"), _numbers(table, list(names)), about)}
 
 
-def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
+def _sun_variables(vehicle: Vehicle, table: TextTable) -> dict[str, Any]:
     """Return the variables of `read_sensors` that come from Sun sensors and the Sun vector."""
     sensors, vector = vehicle.sensors.sun_sensors, vehicle.sensors.sun_vector
     vector = vector if vector is not None and table.has(vector.names) else None
@@ -169,7 +169,7 @@ class _CombinedSun(NamedTuple):
 
 def _combine_sensors(
     vehicle: Vehicle,
-    table: Table,
+    table: TextTable,
     present: Iterable[int],
     vector: SunVector | None,
     lit: np.ndarray,
@@ -223,7 +223,7 @@ def _direction_variables(
     }
 
 
-def _numbers(table: Table, names: Any) -> np.ndarray:
+def _numbers(table: TextTable, names: Any) -> np.ndarray:
     """Return the readings (n, n_column) of columns; NaN for cells without a number and for fill values."""
     values = table.numbers(names)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
@@ -233,7 +233,7 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
     return np.where(may_be_fill & (np.abs(values) > FILL_FACTOR * largest_other), np.nan, values)
 
 
-def _sun_vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sun_vector(form: SunVector, table: TextTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the directions (n, 3) of a Sun vector, their information matrices (n, 3, 3), and whether it sees the Sun (n)."""
     value = form.sign * _numbers(table, form.names)
     length = np.linalg.norm(value, axis=1)
@@ -246,7 +246,7 @@ def _sun_vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, 
     return direction, information, sees
 
 
-def _angles(sensor: SunSensor, table: Table, y_turned: np.ndarray) -> np.ndarray:
+def _angles(sensor: SunSensor, table: TextTable, y_turned: np.ndarray) -> np.ndarray:
     """Return the Sun's angles (n, 2), rad, from a sensor's normal towards its x and y axes; NaN if not measured."""
     x = sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad
     y = np.full(len(x), np.nan)

@@ -92,7 +92,7 @@ def find_lost_panels(
     return lost
 
 
-class Fit(NamedTuple):
+class SunFit(NamedTuple):
     """Fit of the Sun in each sample (n) without a silent panel.
 
     `sun`: index of the best trial direction; `square`: chi-square; `unexplained`: not explained without the panel either;
@@ -116,7 +116,7 @@ class Fit(NamedTuple):
 
 def _fit_without(
     k: int, readings: np.ndarray, light: np.ndarray, sigma: np.ndarray, lost: np.ndarray
-) -> Fit:
+) -> SunFit:
     """Fit a trial direction to each sample of readings (n, n_panel) without panel `k` and without the panels `lost` (n_panel).
 
     `light` (n_direction, n_panel) is the model of the readings, `sigma` (n_panel) their error, both as shares of full Sun.
@@ -137,12 +137,12 @@ def _fit_without(
         sun[part], best[part] = square.argmin(axis=1), square.min(axis=1)
         decrease[part] = (square + penalty).min(axis=1) - best[part]
     unexplained = chdtrc(used.sum(), best) < UNEXPLAINED
-    return Fit(sun, best, unexplained, ~unexplained & (decrease > CLEAR_CHI2), decrease)
+    return SunFit(sun, best, unexplained, ~unexplained & (decrease > CLEAR_CHI2), decrease)
 
 
 def _explained_by_battery(
     k: int,
-    fit: Fit,
+    fit: SunFit,
     t_s: np.ndarray,
     readings: np.ndarray,
     light: np.ndarray,

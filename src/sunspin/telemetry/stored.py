@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.tables import Table
+from sunspin.base.tables import TextTable
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import parse_instant
@@ -52,7 +52,7 @@ def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
     # the sensors' variables are those that a table with a single row of zeros gives
     columns = [name for sensor in sensor_columns(vehicle) for name in sensor.columns]
     sample = pd.DataFrame(dict.fromkeys(columns, "0"), index=[1])
-    sensor_variables = read_sensors(vehicle, Table(sample, [], ""))
+    sensor_variables = read_sensors(vehicle, TextTable(sample, [], ""))
     # the second Sun direction exists only in files with an ambiguous sign of y, which zeros do not have
     for name in ("B", "cov_B"):
         if f"sun_sensor_{name}" in sensor_variables:

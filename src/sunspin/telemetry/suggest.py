@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.base.tables import Table
+from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.layout import collect_metrics
 from sunspin.telemetry.times import parse_utc
@@ -110,10 +110,10 @@ class Suggestion(NamedTuple):
     section: str
     columns: dict[str, str]
     largest: dict[str, float]
-    sensors: dict[str, SensorColumns]
+    sensors: dict[str, AxisColumns]
 
 
-class SensorColumns(NamedTuple):
+class AxisColumns(NamedTuple):
     """Columns x, y, z of a sensor along its own axes, and the size of their unit in rad/s or T; None if no name has a unit."""
 
     columns: tuple[str, str, str]
@@ -141,7 +141,7 @@ class _Group(NamedTuple):
         return has_word and unit == self.unit and bool(before.strip() or after.strip())
 
 
-def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Suggestion | None:
+def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> Suggestion | None:
     """Return a section that would read a table; None without a column of times or of two faces.
 
     The table may have one value a row (:func:`sunspin.telemetry.layout.collect_metrics`). `panels`: names of a vehicle's panels by
@@ -185,7 +185,7 @@ def suggest_section(table: Table, panels: dict[str, str] | None = None) -> Sugge
     return Suggestion("\n".join(lines) + "\n", group.columns, largest, _sensor_columns(table, used))
 
 
-def _sensor_columns(table: Table, used: set[str]) -> dict[str, SensorColumns]:
+def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
     """Return the columns of a gyro and of a magnetometer by the words in their names, without the columns in `used`.
 
     Three columns whose names differ only in the axis are those of a sensor. Of several triples the first is taken.
@@ -197,7 +197,7 @@ def _sensor_columns(table: Table, used: set[str]) -> dict[str, SensorColumns]:
         if axis is not None and column not in used and _is_numeric(table, column):
             template = f"{words[: axis.start()]}#{words[axis.end() :]}"
             triples[template].setdefault(axis[0], column)
-    sensors: dict[str, SensorColumns] = {}
+    sensors: dict[str, AxisColumns] = {}
     for template, columns in triples.items():
         if len(columns) < 3:
             continue
@@ -208,7 +208,7 @@ def _sensor_columns(table: Table, used: set[str]) -> dict[str, SensorColumns]:
                 sizes = SENSOR_UNITS[sensor]
                 by_word = (sizes[word] for word in re.split(r"[_ #]+", template) if word in sizes)
                 size = sizes.get(unit, next(by_word, None))
-                sensors[sensor] = SensorColumns((columns["x"], columns["y"], columns["z"]), size)
+                sensors[sensor] = AxisColumns((columns["x"], columns["y"], columns["z"]), size)
     return sensors
 
 
@@ -234,7 +234,7 @@ def _split_unit(name: str) -> tuple[str, str]:
 
 
 def _judge_angles(
-    table: Table, words: set[str], unit: str, columns: dict[str, str]
+    table: TextTable, words: set[str], unit: str, columns: dict[str, str]
 ) -> tuple[str, float, str] | None:
     """Return quantity, factor to degrees and the reason for a group of angles of the Sun or of cosines; None if it is no such.
 
@@ -287,7 +287,7 @@ def _words(name: str) -> str:
     return re.sub(r"[._/:|#]+", " ", spaced).lower()
 
 
-def _best_group(table: Table) -> _Group | None:
+def _best_group(table: TextTable) -> _Group | None:
     """Return the group of columns that are most probably currents or powers of panels; None if no group has two faces."""
     groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for column in table.header:
@@ -312,7 +312,7 @@ def _best_group(table: Table) -> _Group | None:
 
 
 def _judge_quantity(
-    table: Table, template: str, unit: str, columns: dict[str, str]
+    table: TextTable, template: str, unit: str, columns: dict[str, str]
 ) -> tuple[str, float, str]:
     """Return quantity, size of the unit and the reason for a group; an empty quantity if it is neither current nor power."""
     if unit in UNITS:
@@ -334,13 +334,13 @@ def _judge_quantity(
     return quantity, 1.0, f"{guess}{letter}, guessed by the size (up to {largest:.4g})"
 
 
-def _is_numeric(table: Table, column: str) -> bool:
+def _is_numeric(table: TextTable, column: str) -> bool:
     """Return whether enough cells of a column are numbers."""
     cells = [cell for cell in table.cells[column] if cell.strip()]
     return bool(cells) and np.isfinite([plain_number(c) for c in cells]).mean() >= READ_SHARE
 
 
-def _time_column(table: Table) -> tuple[str, list[str]] | None:
+def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
     """Return the column of times and the lines of the section that say how it is read; None if there is none."""
     ranked = []
     for place, column in enumerate(table.header):

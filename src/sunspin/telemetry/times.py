@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.tables import Table
+from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.restarts import (
     FALL_INTERVALS,
@@ -116,7 +116,7 @@ def _kind_of_zone(text: str) -> str | None:
     return "local" if moment.utcoffset() else "utc"
 
 
-def read_received_times(form: TelemetryForm, table: Table) -> np.ndarray | None:
+def read_received_times(form: TelemetryForm, table: TextTable) -> np.ndarray | None:
     """Read the time of reception of each row (n), Unix seconds; NaN for cells without a time; None if there is no such column.
 
     Raises
@@ -143,7 +143,7 @@ def read_received_times(form: TelemetryForm, table: Table) -> np.ndarray | None:
     return received
 
 
-def read_times(form: TelemetryForm, table: Table, reading_columns: set[str]) -> Times:
+def read_times(form: TelemetryForm, table: TextTable, reading_columns: set[str]) -> Times:
     """Read the times of all rows in the file's order.
 
     The epoch is that of the vehicle file. If it states none, the epoch follows from received times, or it is the time of the first
@@ -192,7 +192,7 @@ def read_times(form: TelemetryForm, table: Table, reading_columns: set[str]) -> 
 
 
 def _cell_error(
-    table: Table, name: str, row: int, what: str, do: str, got: str | None = None
+    table: TextTable, name: str, row: int, what: str, do: str, got: str | None = None
 ) -> TelemetryError:
     """Return the error for the cell of column `name` in a row; `got`: text shown instead of the cell."""
     cell = table.cells[name].iat[row]
@@ -201,7 +201,7 @@ def _cell_error(
     )
 
 
-def _read_seconds(form: TelemetryForm, table: Table, kind: str) -> np.ndarray:
+def _read_seconds(form: TelemetryForm, table: TextTable, kind: str) -> np.ndarray:
     """Read the time column (n) in s; raise a `TelemetryError` that expects `kind` for a cell without a plausible number."""
     numbers = np.array([plain_number(cell) for cell in table.cells[form.time_column]])
     numbers = numbers * form.time_scale_s
@@ -211,7 +211,7 @@ def _read_seconds(form: TelemetryForm, table: Table, kind: str) -> np.ndarray:
     return numbers
 
 
-def _read_unix(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]]:
+def _read_unix(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, list[str]]:
     """Read Unix times (n, s), and say if they are counted in ms, us or ns: as seconds they would lie thousands of years ahead.
 
     A unit that the vehicle file states (`time_scale_s`) is not changed.
@@ -230,7 +230,7 @@ def _read_unix(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]
 
 def _read_elapsed(
     form: TelemetryForm,
-    table: Table,
+    table: TextTable,
     received: np.ndarray | None,
     fixed: datetime | None,
     frames: Frames,
@@ -337,7 +337,7 @@ def _rows_are(which: np.ndarray) -> str:
     return "1 row is" if n == 1 else f"{n} rows are"
 
 
-def _restart_error(form: TelemetryForm, table: Table, restart: Restart) -> TelemetryError:
+def _restart_error(form: TelemetryForm, table: TextTable, restart: Restart) -> TelemetryError:
     """Return the error for elapsed times that start again without received times."""
     before = table.cells[form.time_column].iat[restart.before]
     cell = table.cells[form.time_column].iat[restart.row]
@@ -381,7 +381,7 @@ def _unix(moment: datetime) -> float:
 
 
 def _read_calendar(
-    form: TelemetryForm, table: Table, fixed: datetime | None
+    form: TelemetryForm, table: TextTable, fixed: datetime | None
 ) -> tuple[np.ndarray, datetime, bool, list[str]]:
     """Return dated times (n, s) from an epoch, that epoch, whether they name no zone, and sentences on the clock.
 
@@ -405,7 +405,7 @@ def _read_calendar(
 
 def _check_set_back(
     form: TelemetryForm,
-    table: Table,
+    table: TextTable,
     time: np.ndarray,
     frames: Frames,
     local: bool,
@@ -443,7 +443,7 @@ def _format_span(seconds: float) -> str:
 
 
 def _set_back_error(
-    form: TelemetryForm, table: Table, back: Restart, local: bool
+    form: TelemetryForm, table: TextTable, back: Restart, local: bool
 ) -> TelemetryError:
     """Return the error for a clock that was set back; `local`: the times name no zone."""
     cells = table.cells[form.time_column]
@@ -458,7 +458,7 @@ def _set_back_error(
     return _cell_error(table, form.time_column, back.row, what, do, got)
 
 
-def _read_utc(form: TelemetryForm, table: Table) -> tuple[np.ndarray, bool, list[str]]:
+def _read_utc(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, bool, list[str]]:
     """Read dates (n) in microseconds from 1970; also return whether none of them names a zone, and sentences on the zone."""
     cells = table.cells[form.time_column].tolist()
     moments = [moment for cell in cells if (moment := parse_utc(cell)) is not None]
@@ -486,7 +486,7 @@ def _read_utc(form: TelemetryForm, table: Table) -> tuple[np.ndarray, bool, list
 
 
 def _convert_local_times(
-    form: TelemetryForm, table: Table, micro: np.ndarray, bare: np.ndarray
+    form: TelemetryForm, table: TextTable, micro: np.ndarray, bare: np.ndarray
 ) -> tuple[np.ndarray, list[str]]:
     """Convert local times of the stated zone to UTC; return them (n), microseconds from 1970, and sentences on the zone.
 
@@ -507,7 +507,7 @@ def _convert_local_times(
 
 
 def _utc_of_both_passes(
-    form: TelemetryForm, table: Table, micro: np.ndarray, bare: np.ndarray
+    form: TelemetryForm, table: TextTable, micro: np.ndarray, bare: np.ndarray
 ) -> np.ndarray:
     """Return the UTC of each time in the first and in the second pass of a double hour (2, n), microseconds from 1970.
 
@@ -582,7 +582,7 @@ def _decide_double_hours(
     return utc, undecided
 
 
-def _read_atomic(form: TelemetryForm, table: Table) -> np.ndarray:
+def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
     """Read GPS time or TAI as UTC (n) in s from 1970.
 
     Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale.
@@ -605,7 +605,7 @@ def _read_atomic(form: TelemetryForm, table: Table) -> np.ndarray:
     return utc_of_tai(_add_gps_weeks(form, table, seconds) + GPS_ZERO_S + ahead_s)
 
 
-def _add_gps_weeks(form: TelemetryForm, table: Table, seconds: np.ndarray) -> np.ndarray:
+def _add_gps_weeks(form: TelemetryForm, table: TextTable, seconds: np.ndarray) -> np.ndarray:
     """Return GPS time (n), s from its epoch of 1980, from the numbers of the time column (n, s).
 
     With a column of GPS weeks, these are seconds of the week. The rollovers that the vehicle file states are added to weeks of ten
@@ -651,7 +651,7 @@ def _add_gps_weeks(form: TelemetryForm, table: Table, seconds: np.ndarray) -> np
 
 
 def _rollover_error(
-    form: TelemetryForm, table: Table, row: int, seconds: np.ndarray
+    form: TelemetryForm, table: TextTable, row: int, seconds: np.ndarray
 ) -> TelemetryError:
     """Return the error for ambiguous GPS weeks, with the date of a row for each possible number of rollovers.
 

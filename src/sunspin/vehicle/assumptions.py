@@ -26,7 +26,7 @@ Share = Annotated[
 
 
 @part
-class Study(Part):
+class StudyRules(Part):
     """Rules of the reconstruction.
 
     `lead_s`: time (s) from the first touchdown to the first sample; None: as given by the times of the telemetry.
@@ -64,7 +64,7 @@ class Collision(Part):
 class AssumptionsFile(Part):
     """Tables of the assumptions file."""
 
-    study: Study = Study()
+    study: StudyRules = StudyRules()
     collision: Collision = Collision()
 
 

@@ -37,9 +37,9 @@ from sunspin.vehicle.parts import (
     Fact,
     HullPart,
     Leg,
-    Orbit,
     Panel,
     ResponseForm,
+    StatedOrbit,
     SunRule,
     Wheel,
 )
@@ -271,7 +271,7 @@ class Vehicle(Part):
     legs: tuple[Leg, ...] = ()
     hull: tuple[HullPart, ...] = ()
     antenna: Antenna | None = None
-    orbit: Orbit | None = None
+    orbit: StatedOrbit | None = None
     sun_rules: tuple[SunRule, ...] = ()
     gain_unit: str | None = None
     telemetry: TelemetryForm = TelemetryForm()

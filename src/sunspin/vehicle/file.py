@@ -24,7 +24,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 @part
-class Body(Part):
+class BodyTable(Part):
     """The table [body]."""
 
     mass_kg: craft.Mass | None = None
@@ -37,13 +37,13 @@ class VehicleFile(Part):
 
     name: Name
     description: str = ""
-    body: Body = Body()
+    body: BodyTable = BodyTable()
     panel: tuple[parts.Panel, ...] = ()
     wheel: tuple[parts.Wheel, ...] = ()
     leg: tuple[parts.Leg, ...] = ()
     hull: tuple[parts.HullPart, ...] = ()
     antenna: parts.Antenna | None = None
-    orbit: parts.Orbit | None = None
+    orbit: parts.StatedOrbit | None = None
     sun_rule: tuple[parts.SunRule, ...] = ()
     telemetry: craft.TelemetryForm = craft.TelemetryForm()
     sun_sensor: tuple[sensors.SunSensor, ...] = ()

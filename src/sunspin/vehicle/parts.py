@@ -334,7 +334,7 @@ def _two_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
 
 
 @part
-class Orbit(Part):
+class StatedOrbit(Part):
     """The orbit as far as it is known: the two lines of elements, or none if the command line gives a file.
 
     `shift_s`: time by which the vehicle is ahead of the elements along the track. `clock_s`: time by which the telemetry's

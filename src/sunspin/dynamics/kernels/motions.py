@@ -86,7 +86,7 @@ TIME_ROUNDING = 1e-12
 """Share of a run within which an output counts as reached."""
 
 
-class Clock(NamedTuple):
+class LaneClock(NamedTuple):
     """How far the lanes are, (L) each.
 
     `row`: number of the motion, -1 for an idle lane; `due`: number of the next output; `left` and `until`: seconds to the end of
@@ -317,7 +317,7 @@ def advance(queue, motions, task, answer, work):
         np.zeros(orders),
         np.zeros(ROWS * L),
     )
-    clock = Clock(
+    clock = LaneClock(
         np.full(L, -1),
         np.zeros(L, np.int64),
         np.zeros(L),

@@ -104,7 +104,7 @@ SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 
 """McLachlan's fractions of the step; the last of SIDE is applied twice in the middle, forward and backward."""
 
 
-class Task(NamedTuple):
+class SplitTask(NamedTuple):
     """What is to be run: `queue` (n), numbers of the motions, similar ones together; `steps` (n) of each; `duration` s; `frames`
     (2^n_wheel, 12), for each set of free wheels the inverse moments l and the rows p, q, m of the rotation from B."""
 
@@ -114,7 +114,7 @@ class Task(NamedTuple):
     frames: np.ndarray
 
 
-class Answer(NamedTuple):
+class SplitAnswer(NamedTuple):
     """`hist` (n, bins) s; `again` (n): whether the Taylor kernel must compute the motion."""
 
     hist: np.ndarray
@@ -134,7 +134,7 @@ class Fractions(NamedTuple):
     side_time: np.ndarray
 
 
-class Lanes(NamedTuple):
+class SplitLanes(NamedTuple):
     """Working arrays: `w` (NUMBERS L), `u` (WHEELS PER_WHEEL), float32; `fractions` of the flows; `left` in the run and `step` (L):
     s."""
 
@@ -542,9 +542,9 @@ def run_block(first, task, lanes, motions, nodes, answer):
     nodes.hist[:] = F(0)  # lanes with copies of the last motion
 
 
-def new_lanes() -> Lanes:
+def new_lanes() -> SplitLanes:
     """Return empty working arrays."""
-    return Lanes(
+    return SplitLanes(
         np.zeros(NUMBERS * L, F),
         np.zeros(WHEELS * PER_WHEEL, F),
         fractions_of_step(),
@@ -570,7 +570,7 @@ _run = _entry(digest(*(str(module.__file__) for module in (rows, histogram)), __
 
 def run(
     motions: Motions, steps: np.ndarray, duration_s: float, frames: np.ndarray, nodes: Any
-) -> Answer:
+) -> SplitAnswer:
     """Return the histograms (n, bins) of motions with one body, without torques, forward in time, and which must be done again.
 
     steps : (n)
@@ -579,8 +579,8 @@ def run(
         Principal axes for each set of free wheels (:func:`sunspin.dynamics.principal.frames`).
     """
     n = len(motions.omega_B)
-    answer = Answer(np.zeros((n, len(nodes.hist) // L), F), np.zeros(n, dtype=np.bool_))
+    answer = SplitAnswer(np.zeros((n, len(nodes.hist) // L), F), np.zeros(n, dtype=np.bool_))
     if n:
-        task = Task(np.argsort(steps, kind="stable"), steps, float(duration_s), frames)
+        task = SplitTask(np.argsort(steps, kind="stable"), steps, float(duration_s), frames)
         _run(task, new_lanes(), motions, nodes, answer)
     return answer

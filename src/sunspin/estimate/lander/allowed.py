@@ -1,4 +1,4 @@
-"""Which directions to the Sun the readings of a sample allow, and by how much they contradict others."""
+"""Directions to the Sun that the readings of a sample allow, and by how much readings contradict other directions."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from sunspin.vehicle.response.planes import sphere
 
 
 def possible_directions(panels: PanelPowers, sample: int, s: GridSettings) -> np.ndarray:
-    """Return directions to the Sun (c, 3), spaced evenly, that the readings of a sample allow; best first."""
-    here = panels.take(slice(sample, sample + 1))
+    """Return directions to the Sun (c, 3) that the readings of a sample allow, `directions_rad` apart; the best one first."""
+    panels_then = panels.take(slice(sample, sample + 1))
     around = sphere(s.directions)
     light = panels.brightness * panels.response.power(around)[:, None]
     if panels.throttled:
-        light = here.best_factor(light)[0] * light
+        light = panels_then.best_factor(light)[0] * light
     full = panels.brightness * panels.response.power(panels.response.facing_B).diagonal()
     tolerance = np.hypot(s.sigmas * panels.sigma, s.brightness * full)
-    square = np.minimum(((light[:, 0] - here.power[0]) / tolerance) ** 2, s.cap)
-    misfit = square @ here.used[0]
+    square = np.minimum(((light[:, 0] - panels_then.power[0]) / tolerance) ** 2, s.cap)
+    misfit = square @ panels_then.used[0]
     order = np.argsort(misfit, kind="stable")
     allowed = around[order][misfit[order] < misfit.min() + 1.0]
-    # the farthest from all that are kept is kept next, until each is near one of them
-    kept, nearest = allowed[:1], allowed @ allowed[0]
+    # choose the direction farthest from all chosen ones next, until each is near a chosen one
+    chosen, nearest = allowed[:1], allowed @ allowed[0]  # cosines
     while nearest.min() < np.cos(s.directions_rad):
-        kept = np.concatenate([kept, allowed[[np.argmin(nearest)]]])
-        nearest = np.maximum(nearest, allowed @ kept[-1])
-    return kept
+        chosen = np.concatenate([chosen, allowed[[np.argmin(nearest)]]])
+        nearest = np.maximum(nearest, allowed @ chosen[-1])
+    return chosen
 
 
 def shortfall(
     panels: PanelPowers, sun_B: np.ndarray, angle_rad: float, s: GridSettings
 ) -> np.ndarray:
-    """Return by how much (K, n) readings contradict all directions within an angle of `sun_B` (K, n, 3).
+    """Return by how much (K, n) readings contradict all directions within an angle of `sun_B` (K, n, 3): squares of sigmas.
 
-    Of throttled samples all factors are tried on which a reading may decide: if any agrees with all, one at the end of the interval
-    that a reading allows does.
+    The power of an input within that angle is in an interval. A reading beyond it by more than the tolerance is a contradiction.
+    Each reading of a throttled sample allows an interval of factors. If a factor agrees with all readings, one of the ends of these
+    intervals does, so that only the ends are tried.
     """
     low, high = panels.response.bounds(sun_B, angle_rad)
     low = panels.brightness * low * (1 - s.brightness)
@@ -66,9 +67,10 @@ def shortfall(
 
 
 def cube_nodes(size: int) -> np.ndarray:
-    """Return directions (6 (size + 1)^2, 3) by which readings are compared with any direction once and for all: nodes on a cube.
+    """Return directions (6 (size + 1)^2, 3) on a grid over the sphere, for tables of what readings say of a direction.
 
-    They stand in (size + 1) rows and columns on each of the faces +x, -x, +y, -y, +z, -z, along the next two axes.
+    They are projected from nodes on a cube: (size + 1) rows and columns on each of the faces +x, -x, +y, -y, +z, -z, along the next
+    two axes.
     """
     side = np.linspace(-1, 1, size + 1)
     row, column = np.meshgrid(side, side, indexing="ij")

@@ -1,4 +1,4 @@
-"""How the motions of a lander are carried through a search: fitted to a window, compared, and widened to the next one."""
+"""The search for motions of a lander: trial motions are fitted to a window of samples, compared, and carried to a wider window."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from sunspin.estimate.terms.powers import TILT
 MORE = "more trial solutions than the search can follow"
 
 RUNS_AT_ONCE = 8192
-"""Motions of which one sample is looked at together."""
+"""Motions that are run together to compare them with one sample."""
 
 FIT_S, START_S = 0.005, 1e-5
-"""s of one core for a motion that is fitted to five samples, with what follows, and for a cell of the grid of rates and a direction
-from which starts settle. Measured on Philae."""
+"""Seconds of one core for the fit of a motion to five samples and the stages after it, and for the starts in a cell of the grid of
+rates with one direction. Measured on Philae."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
@@ -55,9 +55,9 @@ class Stage(NamedTuple):
 
 
 class Shooting:
-    """Motions given by one state at the reference, in a search (:class:`sunspin.estimate.search.Carrier`).
+    """Steps of a search for motions that are given by one state at the reference (:class:`sunspin.estimate.search.Carrier`).
 
-    `notes`: what the verdict has to say of the search; `complete`: every motion that may fit was followed.
+    `notes`: remarks on the search for the verdict; `complete`: every motion that may fit was followed.
     """
 
     def __init__(
@@ -70,8 +70,8 @@ class Shooting:
     ) -> None:
         """Begin a search under a model that counts time from `reference`.
 
-        The inertia has its stated sigma: under a larger one a few samples fit bodies far from it, and the true motion is taken for
-        a copy of theirs. `torque_size`: index of the sigma of a constant torque, if one acts.
+        The inertia has its stated sigma. Under a larger one a few samples would fit bodies far from it, and the true motion would
+        count as a copy of theirs. `torque_size`: index of the sigma of a constant torque, if one acts.
         """
         self.model, self.reference = model, reference
         self.sizes: Sizes = {"inertia": 0}
@@ -91,7 +91,7 @@ class Shooting:
         return Shooting(model, self.reference, self.settings, self.workers, self.s.searched_under)
 
     def _note(self, text: str, complete: bool) -> None:
-        """Note once what the verdict has to say."""
+        """Add a remark for the verdict, unless it has been added before."""
         self.complete &= complete
         if text not in self.notes:
             self.notes.append(text)
@@ -99,17 +99,17 @@ class Shooting:
     # ---- the search --------------------------------------------------------------------------------------------------------
 
     def fit(self, motions: TrialMotions, window: slice) -> TrialMotions:
-        """Return motions fitted to the samples of a window, those that fit by far too badly only to half.
+        """Return motions fitted to the samples of a window; fits that are far too bad after the first level end there.
 
-        If body and wheel are free, the others are fitted again without copies and with new derivatives: a further sample moves a
-        motion far along its ridge, and otherwise the noise would take up the misfit. That takes as long as all before.
+        If body and wheel are free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far
+        along its ridge, and with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
         """
         s = self.s
         problem, held = self._problem(window)
         first = not len(motions.curvature) and not len(motions.neighbours_s)
         levels = s.first_levels if first else s.levels
         limit = self.cost_limit(window)
-        # a cost that the wider noise of the first level leaves only to motions that do not fit
+        # under the wider noise of the first level only motions that do not fit cost more than this
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
         fitted = self._fitted(
             problem, motions, partial(fit_first, hopeless=hopeless, held=held), levels
@@ -140,8 +140,8 @@ class Shooting:
     def _problem(self, window: slice) -> tuple[FitProblem, bool]:
         """Return the fit to a window, and whether body and wheel are held at their centres.
 
-        Each panel's own tilts are left alone and counted as noise: they would be as many as readings. The rotation of all panels
-        stays free: a few samples fit a motion in rotated axes too, and as noise it would let through many more.
+        Tilts of single panels count as noise, as they would be as many unknowns as readings. The common rotation of all panels is
+        free: as noise it would let through many more motions.
         """
         held = window.stop - window.start < self.s.held
         model = self.model.seeing(window)
@@ -155,7 +155,7 @@ class Shooting:
     def kept(self, motions: TrialMotions, window: slice) -> TrialMotions:
         """Return motions without copies and without those that the readings rule out, best first."""
         s = self.s
-        # within what noise may do, and not far less probable than the best; if none is, the best some
+        # within the limit by noise, and not far less probable than the best; if there are none, a few of the best
         limit, best = self.cost_limit(window), float(np.min(motions.cost, initial=np.inf))
         possible = motions.cost <= min(limit, best + s.drop + s.slack)
         size = f"({window.stop - window.start} samples)"
@@ -164,7 +164,7 @@ class Shooting:
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
             self._note(f"no motion is within the noise {size}", complete=True)
-        # copies: near in rate and direction until the end of the next window; if there is a curvature that says so, on one ridge
+        # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
         motions = self._at_most(
@@ -175,7 +175,7 @@ class Shooting:
         return self._at_most(one_each_ridge(motions, s), s.most, size)
 
     def _at_most(self, motions: TrialMotions, most: int, where: str) -> TrialMotions:
-        """Return at most so many motions (best first), evenly by how well they fit: all of a line fits well, and its ends count."""
+        """Return at most so many motions (best first), evenly spaced in the order of cost, so that a line keeps its ends."""
         if len(motions) <= most:
             return motions
         self._note(f"{MORE} {where}", complete=False)
@@ -185,7 +185,7 @@ class Shooting:
     def widened(self, motions: TrialMotions, window: slice, wider: slice) -> TrialMotions:
         """Return motions for a wider window: with neighbours of families, without those that the next samples rule out.
 
-        A look at the next sample takes one run, where a fit takes forty.
+        The comparison with a sample takes one run of a motion, a fit forty.
         """
         s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
@@ -206,8 +206,8 @@ class Shooting:
     def _allowed(self, shots: Shots, sample: int) -> np.ndarray:
         """Return which motions (K) a sample allows.
 
-        Some direction within `look_rad` of the predicted Sun explains its panels, and the rate at the first sample is not above the
-        largest.
+        It allows a motion if a direction within `look_rad` of the predicted Sun explains its panels. The rate at the first sample
+        must also be within the limit.
         """
         g = self.settings.grid
         model = self.model.seeing(slice(sample, sample + 1))
@@ -224,7 +224,7 @@ class Shooting:
         return allowed
 
     def _announce(self, going: int, most: int, samples: int) -> None:
-        """Tell whoever waits before a fit that takes long or leaves motions out, with what would help."""
+        """Warn before a fit that takes long or leaves motions out, with a smaller rate limit that would avoid it."""
         took = FIT_S * min(going, most) * samples / self.s.held
         log = logging.getLogger("sunspin")
         if going > most:
@@ -248,7 +248,7 @@ class Shooting:
             )
 
     def announce_starts(self) -> None:
-        """Tell whoever waits before a search for starts that takes long, with what would make it shorter."""
+        """Warn before a search for starts that takes long, with a rate limit that would make it short."""
         reference = self.reference
         took = START_S * cell_count(reference.limit, reference.edge) * len(reference.suns)
         if took > LONG_S:
@@ -266,8 +266,8 @@ class Shooting:
     def cost_limit(self, window: slice) -> float:
         """Return the cost that a true motion does not exceed in a window.
 
-        Half a unit for each number, and what noise larger than stated, three sigmas of chance and outliers may add: these
-        have nothing to do with each other, so their squares add.
+        It is half a unit for each reading plus a margin: for noise larger than stated, for three sigmas of chance, and for
+        outliers. These are independent, so that their squares add.
         """
         s, model = self.s, self.model.seeing(window)
         count = _explained(model)
@@ -281,16 +281,16 @@ class Shooting:
     # ---- all samples -------------------------------------------------------------------------------------------------------
 
     def fit_all_samples(self, motions: TrialMotions) -> ShotFit:
-        """Return motions fitted to all samples with all unknowns free, their mirror images, and curvature; without copies.
+        """Return motions and their symmetric solutions fitted to all samples with all unknowns free, without copies.
 
-        Fits begin with the stated sigma of the inertia, and with a larger one; under a constant torque with several of its sizes,
-        as the prior of a small one holds it.
+        Each fit begins with the stated sigma of the inertia and again with the larger one; under a constant torque with several of
+        its sizes, as the prior of a small size would keep the torque small.
         """
         fit = self._fit_all_samples(motions.shots, motions.starts)
         images = self.model.panels.response.symmetries
         if len(images) == 1:
             return fit
-        # the search may miss some of the images under what changes no reading; rates are axial vectors, which a mirror reverses
+        # The search may miss symmetric solutions, which no reading distinguishes. A mirror reverses rates, which are axial vectors.
         shots = fit.motions
         imaged = [
             Shots(np.linalg.det(x) * (shots.omega @ x.T), shots.sun @ x.T, shots.u) for x in images
@@ -312,7 +312,7 @@ class Shooting:
             fit = partial(fit_finally, problem, levels=self.s.last_levels)
             fitted, curvature = in_pieces(fit, shots, problem.rows_at_once, self.workers)
             if sizes:
-                # from there on all sizes count, by how likely they are
+                # now under the prior with all sizes
                 weighed = replace(problem, sizes=ALL_SIZES)
                 fit = partial(fit_finally, weighed, levels=((1.0, 4),))
                 fitted, curvature = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
@@ -325,8 +325,8 @@ class Shooting:
         if len(kept) > self.s.most_fitted:
             self._note(f"more than {self.s.most_fitted} solutions", complete=True)
             kept = kept.take(slice(self.s.most_fitted))
-        once = -(-kept.starts // len(begins))  # a start is counted by the fit from each size
-        return replace(kept, starts=once, complete=self.complete, notes=tuple(self.notes))
+        starts = -(-kept.starts // len(begins))  # each start was fitted from each size
+        return replace(kept, starts=starts, complete=self.complete, notes=tuple(self.notes))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Motions of a lander that are copies of each other, or of one family: found alike, joined, and with neighbours between them.
+"""Trial motions of a lander that are copies of each other, and neighbours placed between motions of one family.
 
-The readings of a few samples leave families: motions along a line or a surface that fit alike. The fits of neighbouring starts stay
-a step apart along it, and as the window grows that step grows: without others between them the true motion would be lost.
+A few samples allow families of motions, along a line or a surface, that fit equally well. Fits from neighbouring starts end a step
+apart on it. That step grows with the window, and without neighbours between them the true motion would be lost.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sunspin.solve.rotations import move_on_sphere
 
 
 def boxes(shots: Shots, reach_s: float, s: ShootingSettings) -> np.ndarray:
-    """Return boxes (K, 6) of rate and direction: motions in one differ by little at a time `reach_s` from the reference."""
+    """Return the index (K, 6) of the box of rate and direction of each motion: in one box motions are alike for `reach_s`."""
     return np.floor(
         np.concatenate([shots.omega * (reach_s / s.box_rad), shots.sun / s.box_sun_rad], axis=1)
     ).astype(np.int64)
@@ -30,42 +30,41 @@ def one_each_box(trials: TrialMotions, reach_s: float, s: ShootingSettings) -> T
     _, first, inverse = np.unique(box, axis=0, return_index=True, return_inverse=True)
     starts = np.bincount(inverse.ravel(), weights=trials.starts[order]).astype(np.int64)
     rank = np.argsort(first, kind="stable")
-    kept = trials.take(order[first[rank]])
-    return TrialMotions(kept.shots, starts[rank], kept.curvature, kept.neighbours_s)
+    return replace(trials.take(order[first[rank]]), starts=starts[rank])
 
 
 def one_each_ridge(trials: TrialMotions, s: ShootingSettings) -> TrialMotions:
-    """Return motions (best first) without those on the ridge of a better one, whose starts count for it.
+    """Return motions (best first) without those on the ridge of a better one, which gets their starts.
 
-    Uncertain inertia, friction and wheel make a ridge of each motion, which boxes of rate and direction cut into many.
+    Uncertain inertia, friction and wheel turn each solution into a ridge, which extends over many boxes of rate and direction.
     """
     shots, curvature = trials.shots, trials.curvature
     reach = _reach(curvature, s.ridge_chi2)
-    kept, starts, left = [], [], np.arange(len(trials))
-    while len(left):
-        best = left[0]
-        off = np.abs(shots.omega[left] - shots.omega[best])
-        # of thousands few are so near in rate that their distance has to be computed
-        near = np.all(off <= np.maximum(reach[left], reach[best]), axis=1)
+    chosen, starts, remaining = [], [], np.arange(len(trials))
+    while len(remaining):
+        best = remaining[0]
+        off = np.abs(shots.omega[remaining] - shots.omega[best])
+        # few of thousands are near enough in rate that their distance has to be computed
+        near = np.all(off <= np.maximum(reach[remaining], reach[best]), axis=1)
         near[0] = True
-        candidates = left[near]
+        candidates = remaining[near]
         off = shots.take(candidates).from_centre(shots.take(slice(best, best + 1)))
         distance = np.minimum(_square(off, curvature[best]), _square(off, curvature[candidates]))
         copies = distance < s.ridge_chi2
         copies[0] = True
-        kept.append(best)
+        chosen.append(best)
         starts.append(int(trials.starts[candidates[copies]].sum()))
         near[near] = copies
-        left = left[~near]
-    joined = trials.take(np.array(kept, dtype=int))
-    return TrialMotions(joined.shots, np.array(starts), joined.curvature, joined.neighbours_s)
+        remaining = remaining[~near]
+    best_ones = trials.take(np.array(chosen, dtype=int))
+    return replace(best_ones, starts=np.array(starts))
 
 
 def distinct_fits(fit: ShotFit, s: ShootingSettings) -> ShotFit:
-    """Return motions fitted to all samples without copies, the likeliest first; the starts of copies count for what is kept.
+    """Return motions fitted to all samples without copies and without far less probable ones, by falling evidence.
 
-    Copies lie within so many sigmas of either one. Those far less probable than the best are left out. Evidence ranks them, not
-    density: where the sigma of a torque is one of several, the density is highest at no torque, in a tiny volume.
+    Copies are within so many sigmas of either one; the better one gets their starts. The order is not by density: if the sigma of
+    a torque is one of several, the density is highest at no torque, in a tiny volume.
     """
     evidence = np.where(np.isfinite(fit.motions.cost), fit.log_evidence, -np.inf)
     order = np.argsort(-evidence, kind="stable")
@@ -74,8 +73,7 @@ def distinct_fits(fit: ShotFit, s: ShootingSettings) -> ShotFit:
     for i in order[evidence[order] >= evidence[order[0]] - s.drop]:
         if kept:
             off = fit.motions.take(np.array(kept)).from_centre(fit.motions.take(slice(i, i + 1)))
-            of_kept, own = _square(off, fit.curvature[kept]), _square(off, fit.curvature[i])
-            distance = np.minimum(of_kept, own)
+            distance = np.minimum(_square(off, fit.curvature[kept]), _square(off, fit.curvature[i]))
             nearest = int(np.argmin(distance))
             if distance[nearest] < s.same_chi2:
                 count[nearest] += int(fit.starts[i])
@@ -101,10 +99,11 @@ def _reach(curvature: np.ndarray, chi2: float) -> np.ndarray:
 def with_neighbours(
     trials: TrialMotions, reach_s: float, max_rate: float, s: ShootingSettings
 ) -> TrialMotions:
-    """Return motions, and after them neighbours of those that are one of a family at a time `reach_s` from the reference.
+    """Return motions, and after them neighbours of those that belong to a family, for a window up to `reach_s` from the reference.
 
-    A family is uncertain in some combination of rate and direction by more than `family_rad` then. Its neighbours differ along the
-    loosest combinations, alone and together. Unknowns stay: what differs by these alone is found from either.
+    A motion belongs to a family if some combination of rate and direction leaves the attitude at that time uncertain by more than
+    `family_rad`. Its neighbours are displaced along the most uncertain combinations, alone and together. Their unknowns are the
+    same, as a fit finds those from either.
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)  # rad at that time per unit of each coordinate
     least = np.diag([max_rate**-2] * 3 + [1.0] * 2)  # information of the prior
@@ -130,9 +129,10 @@ def with_neighbours(
         parts.append(Shots(own.omega + step[:, RATE], sun, own.u, own.cost))
         parents.append(rows)
 
+    # all given motions, and of neighbours the first in each box that no other motion is in
     every, parent = Shots.joined(parts), np.concatenate(parents)
     _, first = np.unique(boxes(every, reach_s, s), axis=0, return_index=True)
-    kept = np.union1d(first, np.arange(len(trials)))
-    own = kept < len(trials)
-    starts = np.where(own, trials.starts[parent[kept]], 1)
-    return TrialMotions(every.take(kept), starts, neighbours_s=placed_s[parent[kept]])
+    chosen = np.union1d(first, np.arange(len(trials)))
+    is_given = chosen < len(trials)
+    starts = np.where(is_given, trials.starts[parent[chosen]], 1)
+    return TrialMotions(every.take(chosen), starts, neighbours_s=placed_s[parent[chosen]])

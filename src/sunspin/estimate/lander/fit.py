@@ -1,13 +1,13 @@
 """Fits of a lander's motions: one state at the reference, from which the equations of motion reach every sample.
 
 The cost of a motion is minus the log of its posterior density: that of each reading (:meth:`PanelPowers.law`) and the prior of the
-unknowns. Damped least squares lowers it for K motions at once. Derivatives of the motion are found once, by differences of runs,
-and then corrected by what each step shows, which takes one run (Broyden 1965, Math. Comp. 19, 577). The noise is no unknown of a
-step: it is put at its best for the differences that are left.
+unknowns. Damped least squares lowers it for K motions at once. Derivatives of the motion are computed once, by differences of
+runs. After each step they are corrected by the change that the step has made (Broyden 1965, Math. Comp. 19, 577), so that a step
+takes one run. The noise is no unknown of a step: after the steps it gets its best value for the residuals.
 
-A motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit; c of these change the motion, the
-others only what sensors read of it. What is seen of a motion (n, w) are its directions to the Sun at n samples, and its rates if
-they are needed; R differences from readings follow.
+A motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit. c of these change the motion, the
+others only the readings. `seen` (K, n, w) are the states of K motions at n samples that sensors depend on: directions to the Sun
+(w = 3), and rates if they are needed (w = 6). `value` (K, R) are predicted less read numbers.
 """
 
 from __future__ import annotations
@@ -28,40 +28,41 @@ from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
 
 SEEN_SUN, SEEN_RATE = slice(0, 3), slice(3, None)
-"""Where direction to the Sun and rate (rad/s) stand in what is seen of a sample."""
+"""Slices of `seen`: direction to the Sun and rate (rad/s) at a sample."""
 
 RATE_STEP = 3e-4
-"""Step of the differences in rates, as a turn (rad) over the window; the second order that it leaves is a part in a thousand."""
+"""Step of the differences in rates, as a rotation (rad) over the window. Second-order terms are a thousandth of the derivative."""
 
 UNKNOWN_STEP, UNKNOWN_STEP_S, LARGEST_UNKNOWN_STEP = 1e-4, 2700.0, 3e-3
-"""The same of the unknowns, in sigmas, over a window of that many seconds; shorter windows take larger steps, up to the last."""
+"""Step of the differences in unknowns, in sigmas, for a window of `UNKNOWN_STEP_S`; it is in inverse proportion to the length of
+the window, up to `LARGEST_UNKNOWN_STEP`."""
 
-SEARCH_ERROR, FINAL_ERROR = 1e-4, 1e-6
-"""Error of directions (rad) in runs of a search and of draws, and of the fit to all samples. Runs that give derivatives by their
-differences err by a tenth of it. Where a step corrects derivatives, the run after it has the whole error."""
+SEARCH_ERROR, FINAL_ERROR = 1e-3, 1e-5
+"""Largest error of directions (rad) in runs of a search and of draws, and of the fit to all samples; real errors are fifty times
+smaller. It is a tenth of that in runs whose differences give derivatives."""
 
 FLOOR = 1e-9
-"""Part of the largest curvature that is added to all: directions that no reading determines stay as they are."""
+"""Part of the largest curvature that is added to all, so that directions which no reading determines do not change."""
 
 INSIDE = 0.95
-"""Part of the distance to bodies that cannot exist up to which fits go: draws about them stay among those that can."""
+"""Fits go up to this part of the distance to bodies that cannot exist, so that most draws about them can."""
 
 LARGEST_TURN = 0.5
-"""rad by which one step may turn the Sun within the window; an unknown moves by one sigma at most."""
+"""rad by which one step may rotate the Sun within the window; the limit of an unknown is one sigma."""
 
 NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
 """Derivatives, and motions, that one thread holds in memory at once."""
 
 
 def states_of(seen: np.ndarray) -> SunStates:
-    """Return what is seen (K, n, w) as directions to the Sun and rates."""
+    """Return `seen` (K, n, w) as directions to the Sun and rates."""
     return SunStates.of(seen[..., SEEN_SUN], seen[..., SEEN_RATE])
 
 
 class Point(NamedTuple):
-    """Motions in a fit: states, derivatives `seen_slopes` (K, c, n, w) of what is seen, and the step that led there.
+    """Motions in a fit: states at the reference, derivatives `seen_slopes` (K, c, n, w) of `seen`, and the last step.
 
-    `before` (K, n, w): what was seen where that step began; `step` (K, c), zero if derivatives are not to be corrected by it.
+    `before` (K, n, w): `seen` before that step; `step` (K, c), zero if derivatives are not to be corrected by it.
     """
 
     omega: np.ndarray
@@ -78,7 +79,7 @@ class Point(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Differences `value` (K, R) in stated sigmas and derivatives `jacobian` (K, R, F) by the free coordinates.
+    """Residuals `value` (K, R) in stated sigmas and their derivatives `jacobian` (K, R, F) by the free coordinates.
 
     `fine` (K): the motion could be computed; `seen_slopes` and `seen` as in :class:`Point`.
     """
@@ -92,10 +93,10 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True)
 class FitProblem:
-    """What is fitted: motions to the samples of a model, with some coordinates free.
+    """A least-squares problem: motions are fitted to the samples of a model, with some coordinates free.
 
-    `free_unknowns` (m): which unknowns are free; the noise never is. `error_rad`: of runs. `sizes`: which sigma is taken of
-    unknowns with several (:meth:`LanderModel.prior_cost`).
+    `free_unknowns` (m): which unknowns are free; the noise never is. `error_rad`: of directions in runs. `sizes`: the sigma to use
+    for unknowns with several (:meth:`LanderModel.prior_cost`).
     """
 
     model: LanderModel
@@ -111,7 +112,7 @@ class FitProblem:
 
     @cached_property
     def moving(self) -> np.ndarray:
-        """Return the indices of those on which the motion depends, so that a derivative needs a run; they come first."""
+        """Return the indices of fitted unknowns on which the motion depends, so that a derivative needs a run; they come first."""
         return self.fitted[self.fitted < len(self.model.of_motion)]
 
     @cached_property
@@ -138,9 +139,9 @@ class FitProblem:
     # ---- derivatives -------------------------------------------------------------------------------------------------------
 
     def seen(self, shots: Shots, error_rad: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return what sensors see of motions (K, n, w), and which could be computed (K).
+        """Return `seen` (K, n, w) of motions, and which could be computed (K).
 
-        w = 3, or 6 with the rates: if times of samples may be off, or other sensors than panels are read.
+        Rates are included if times of samples have errors, or if there are other readings than those of panels.
         """
         seen, fine = self.model.carried(shots, error_rad)
         every = np.concatenate([seen.sun_B, seen.omega], axis=2)
@@ -152,10 +153,10 @@ class FitProblem:
         return self.error_rad / 10
 
     def derivatives(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is seen (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
+        """Return `seen` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
 
-        The jump at a wheel's stop is in them. The direction needs one run: r(0) -> r(t) is a rotation that does not depend on r(0),
-        so that a tangent is carried like the Sun, and the other one is across both.
+        They include the jump when a wheel stops. Derivatives by the direction need one run: r(0) -> r(t) is a rotation that does
+        not depend on r(0), so that one tangent is propagated like the Sun, and the other one is across both.
         """
         count = len(shots)
         rate_step = RATE_STEP / self.reach_s
@@ -192,18 +193,18 @@ class FitProblem:
         return steps
 
     def differences(self, shots: Shots, seen: np.ndarray, seen_slopes: np.ndarray) -> Linear:
-        """Return differences of readings and their derivatives, by the chain rule from those of what is seen (K, n, w).
+        """Return residuals of readings and their derivatives, by the chain rule from `seen` (K, n, w) and `seen_slopes`.
 
-        With c = 0 `seen_slopes` only derivatives by unknowns on which the motion does not depend are returned.
+        If `seen_slopes` has c = 0 the only derivatives are those by unknowns on which the motion does not depend.
         """
         model, count = self.model, len(shots)
         fine = np.all(np.isfinite(seen), axis=(1, 2))
         seen = np.where(fine[:, None, None], seen, 0.0)
         states = states_of(seen)
-        # a change d of the Sun is the turn d x sun of the body, but for the turn about the Sun
+        # a change d of the Sun is the rotation d x sun of the body; no sensor shows the rotation about the Sun
         turn = np.moveaxis(cross(seen_slopes[..., SEEN_SUN], states.sun[:, None]), 1, -1)
         of_rate = np.moveaxis(seen_slopes[..., SEEN_RATE], 1, -1)
-        # of the panels' own unknowns those that are fitted; the first `moving` columns are of coordinates that change the motion
+        # fitted unknowns of the panels; the first `moving` columns of the Jacobian are coordinates that change the motion
         own = self.fitted[len(self.moving) :] - len(model.of_motion)
         moving = seen_slopes.shape[1]
         values, columns = [], []
@@ -225,14 +226,14 @@ class FitProblem:
         return Linear(value, jacobian, fine, seen_slopes, seen)
 
     def of_panels(self, value: np.ndarray) -> np.ndarray:
-        """Return the differences (K, n, p) of the panels among all (K, R)."""
+        """Return the residuals (K, n, p) of the panels among all (K, R)."""
         shape = self.model.panels.power.shape
         return value[:, : shape[0] * shape[1]].reshape(-1, *shape)
 
     def weigh(
         self, value: np.ndarray, u: np.ndarray, noise_factor: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return cost (K) and weights (K, R) of differences under `noise_factor` times the noise; only panels have outliers."""
+        """Return cost (K) and weights (K, R) of residuals under `noise_factor` times the noise; only panels have outliers."""
         law = self.model.panels.law(u[:, self.model.of_panels], noise_factor)
         by_sample, weight = law(self.of_panels(value))
         others = value[:, weight[0].size :]
@@ -263,24 +264,25 @@ def _normal(
 
 
 def corrected(seen_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return derivatives (K, c, n, w) corrected so that a step (K, c) gives the change (K, n, w) of what is seen that it gave.
+    """Return derivatives (K, c, n, w) of `seen`, corrected so that they explain its change (K, n, w) by a step (K, c).
 
-    Broyden's update: of all such corrections the smallest, each coordinate being counted by how far it moves what is seen.
+    Broyden's update is the smallest such correction: with the derivatives J (c rows), the step s and the change y it adds
+    W s (y - s J) / (s W s) to J. Here the metric W is diagonal, with the squared lengths of the rows of J.
     """
     flat = seen_slopes.reshape(*seen_slopes.shape[:2], -1)
-    size = step * np.sum(flat**2, axis=2)
-    length = np.sum(size * step, axis=1, keepdims=True)
-    share = np.divide(size, length, out=np.zeros_like(size), where=length > 0)
-    left = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
-    return seen_slopes + (share[:, :, None] * left).reshape(seen_slopes.shape)
+    weighted = step * np.sum(flat**2, axis=2)
+    length = np.sum(weighted * step, axis=1, keepdims=True)
+    share = np.divide(weighted, length, out=np.zeros_like(weighted), where=length > 0)
+    unexplained = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
+    return seen_slopes + (share[:, :, None] * unexplained).reshape(seen_slopes.shape)
 
 
 def in_tangents_at(
     there: np.ndarray, sun: np.ndarray, seen_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives and a step, given in the tangents at directions `sun` (K, 3), in those at directions `there` (K, 3)."""
+    """Return derivatives and a step by tangents at directions `sun` (K, 3), as those by tangents at directions `there` (K, 3)."""
     across = np.stack(tangent_basis(there), axis=1)
-    turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)
+    turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)  # (K, 2, 2)
     seen_slopes, step = seen_slopes.copy(), step.copy()
     seen_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, seen_slopes[:, SUN])
     step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
@@ -288,12 +290,12 @@ def in_tangents_at(
 
 
 class Fitting:
-    """A batch of motions being fitted under a noise; the result of each depends on itself alone."""
+    """A batch of motions that are fitted together; the result of each does not depend on the others."""
 
     def __init__(self, problem: FitProblem, shots: Shots) -> None:
         """Begin at motions whose bodies can exist, with the stated noise.
 
-        A noise that was small for fewer readings would let the wide levels draw in less than they should.
+        A small noise from a fit to fewer readings would make levels of larger noise less effective.
         """
         u = problem.model.limited(shots.u, INSIDE)
         u[:, problem.model.places("noise")] = 0.0
@@ -328,7 +330,7 @@ class Fitting:
         self.system = self.problem.system(self.shots.u, self.linear, self.noise_factor)
 
     def take(self, rows: np.ndarray) -> None:
-        """Go on with some of the motions."""
+        """Continue with some of the motions."""
         self.shots, self.system = self.shots.take(rows), take_problems(self.system, rows)
 
     def steps(self, count: int) -> None:
@@ -348,7 +350,7 @@ class Fitting:
         self.shots, self.system = end.state.shots, end.system
 
     def _learnt(self, system: DenseSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return derivatives and what is seen where a system was set up, no step having been taken from there."""
+        """Return the last three fields of :class:`Point` for motions at which a system was set up, before a step from there."""
         linear = Linear(*system.extras)
         step = np.zeros((len(linear.seen), len(self.problem.of_motion)))
         return linear.seen_slopes, linear.seen, step
@@ -388,17 +390,18 @@ class Fitting:
         return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, unknowns)
 
     def _limited(self, point: Point) -> Point:
-        """Return motions that the prior allows; of a step that was cut off nothing is learnt."""
+        """Return motions within the limits of the prior; derivatives are not corrected by a step that was cut off."""
         model = self.problem.model
         omega, u = limit_length(point.omega, model.max_rate), model.limited(point.u, INSIDE)
         whole = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
         return point._replace(omega=omega, u=u, step=np.where(whole[:, None], point.step, 0.0))
 
     def fit_noise(self, few: bool = False, held: bool = False) -> None:
-        """Put the noise at its best for the present differences.
+        """Set the noise to its best value for the present residuals.
 
-        `few`: as many readings as there are numbers fitted tell nothing of it; `held`: nor that it is less than stated. Else a
-        family of motions that fit the first samples seems to be one motion, known to a tenth of its width.
+        `few`: there are hardly more readings than fitted numbers, so that degrees of freedom are subtracted. `held`: the noise is
+        then also not smaller than stated. Otherwise a family of motions that fit the first samples would look like one motion,
+        known to a tenth of the family's width.
         """
         panels, own = self.problem.model.panels, self.problem.model.of_panels
         answered = self._answered() if few else np.zeros(len(self.shots))
@@ -406,14 +409,14 @@ class Fitting:
         u = self.shots.u.copy()
         value = self.problem.of_panels(self.linear.value)
         if panels.time_s:
-            # times at their best leave less than the noise
+            # with the best errors of times residuals are smaller than the noise
             answered = answered + panels.taken_by_times(states_of(self.linear.seen), u[:, own])
         u[:, own] = panels.best_noise(value, u[:, own], answered, least)
         self.shots = replace(self.shots, u=u)
         self._weigh_again()
 
     def _answered(self) -> np.ndarray:
-        """Return how many readings (K) the fitted numbers answer for: the trace of their share in the curvature."""
+        """Return the degrees of freedom (K) that the fit uses: the trace of the readings' part in the curvature."""
         linear, u = self.linear, self.shots.u
         weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
@@ -421,13 +424,15 @@ class Fitting:
         prior[:, UNKNOWNS] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
             :, self.problem.fitted
         ]
-        size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)  # in these units none is large
+        size = np.sqrt(
+            np.einsum("kff->kf", read) + prior + 1e-12
+        )  # units of a well-conditioned matrix
         read /= size[:, :, None] * size[:, None, :]
         whole = read + np.eye(read.shape[1]) * (prior / size**2 + 1e-9)[:, :, None]
         return np.trace(np.linalg.solve(whole, read), axis1=1, axis2=2)
 
     def curvature(self) -> np.ndarray:
-        """Return second derivatives (K, D, D) of the cost, by Gauss and Newton; of what is not free those of the prior."""
+        """Return second derivatives (K, D, D) of the cost, by Gauss-Newton; for unknowns that are not free, those of the prior."""
         problem, linear, u = self.problem, self.linear, self.shots.u
         weight = problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
@@ -452,8 +457,8 @@ def fit_first(
 ) -> tuple[Shots, np.ndarray]:
     """Return motions fitted to a few samples, with costs, and their curvature (K, D, D).
 
-    Those that cost more than `hopeless` after the first level stay as they are then, with no curvature and the cost under the noise
-    of that level. `held`: body and wheel are not free.
+    Motions that cost more than `hopeless` after the first level are not fitted further: they keep the cost under the noise of that
+    level and have zero curvature. `held`: body and wheel are not free.
     """
     fitting = Fitting(problem, shots)
     (noise_factor, steps), *others = levels
@@ -491,7 +496,7 @@ def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shot
 def in_pieces(
     fit: Callable[[Shots], tuple[Shots, np.ndarray]], shots: Shots, rows: int, workers: int
 ) -> tuple[Shots, np.ndarray]:
-    """Return the result of a fit of many motions, so many at a time, by threads; it does not depend on their number."""
+    """Return the result of a fit of many motions, in pieces of `rows` motions by `workers` threads; both do not change it."""
     pieces: list[Any] = [shots.take(slice(k, k + rows)) for k in range(0, len(shots), rows)]
     with ThreadPoolExecutor(workers) as pool:
         parts = list(pool.map(fit, pieces))

@@ -1,9 +1,9 @@
-"""Where the search for a lander's motions begins: the reference, and a grid of rates there.
+"""Starts of the search for a lander's motions: the reference sample, and a grid of rates there.
 
-The attitude that the body has reached at the samples next to the reference is computed on a grid of rates, fine enough to be
-interpolated. Every cell of the grid is looked through on points a quarter of its edge apart. The best of each eighth is taken,
-unless no direction near it agrees with the readings. From there least squares on interpolated attitudes find the nearest
-solution: a motion has a start within an eighth of a cell. The initial direction does not enter the runs: they give rotations.
+Rotations from the reference to the samples next to it are computed on a grid of rates that is fine enough to be interpolated. They
+do not depend on the initial direction to the Sun. In each cell of the grid the readings are compared at points a quarter of the
+edge apart. The best point of each eighth of a cell is a start, unless no direction near it agrees with the readings. Least squares
+on interpolated rotations lead from it to the nearest solution. So each motion has a start within an eighth of a cell.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
 CELLS_AT_ONCE, RUNS_AT_ONCE = 20_000, 4096
-"""Cells that one thread looks through together, and starts that it follows back to the first sample."""
+"""Cells that one thread searches together, and starts that it propagates back to the first sample together."""
 
 MIDDLES = 0.25 + 0.5 * CORNERS
 """Middles (8, 3) of the eighths of a cell, in parts of its edge."""
 
 POINTS = 0.5 * CORNERS[:, None] + 0.25 * (0.5 + CORNERS)
-"""Points (8 eighths, 8, 3) by which a cell is looked through."""
+"""Points (8 eighths, 8, 3) at which readings are compared, in parts of the edge."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The sample at which a motion is a state, and where the search begins.
+    """The sample at which the state gives a motion, and the grid of rates there on which the search begins.
 
-    `sample`: its index, `after_s` after the first one; `window`: it and its two neighbours, the `others` (m) in it. The search
-    tries the directions `suns` (c, 3) with rates on a grid, `edge` apart, up to `limit`. The prior's ball of rates, up to `given`,
-    is that at the first sample, at which no motion is faster than `fastest`; `max_rate`: ball at the reference that holds what
-    comes of it. Rates are in rad/s.
+    `sample`: its index, `after_s` after the first one; `window`: it and its two neighbours, the `others` (m). The search tries the
+    directions `suns` (c, 3) with rates on a grid, `edge` apart, up to `limit`. The prior is uniform for rates up to `given` at the
+    first sample. `max_rate`: the largest rate at the reference that may result; `fastest`: a motion that is faster at the first
+    sample is left out. Rates are in rad/s.
     """
 
     sample: int
@@ -69,7 +69,7 @@ class Reference:
 
     @property
     def notes(self) -> list[str]:
-        """Return what the verdict has to say if not all rates can be searched."""
+        """Return a remark for the verdict if not all rates can be searched."""
         if self.limit >= self.max_rate * (1 - 1e-9):
             return []
         return [f"only rates up to {np.degrees(self.limit):.3g} deg/s could be searched"]
@@ -83,9 +83,9 @@ class Reference:
 
 
 def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = False) -> Reference:
-    """Return the reference from which the search is the shortest, of those samples at which no wheel can have stopped.
+    """Return the reference with the shortest search, among samples at which no wheel can have stopped.
 
-    `given_rate`: the largest rate is the caller's, and refused if it needs more starts than can be tried.
+    `given_rate`: the largest rate is stated by the caller; it is an error if it needs more starts than can be tried.
     """
     reference, needed = _shortest(model, s)
     if given_rate and needed > s.most_starts:
@@ -110,13 +110,14 @@ def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = Fal
 def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
     """Return the reference with the shortest search, and how many starts it has in the ball of the prior.
 
-    Starts take time, and so do motions that fit the first few samples. These are about as many as the directions that the samples
-    allow, times the volume of rates in units of 1 / (time to the farthest of them)^3: from the middle of a file it is half as far.
+    The time is that of the starts plus that of the motions which fit the first few samples. The number of these is about the
+    product of the numbers of directions that the samples allow, times the volume of rates in units of 1 / (time to the farthest
+    sample)^3. That favours a reference in the middle of a file, from which the samples are half as far.
     """
     t_s, panels = model.obs.t_s, model.panels
     read = np.flatnonzero(panels.present())
     lit = np.flatnonzero(panels.lit.any(axis=1))
-    # Samples that may be the reference, evenly some of them: lit, wheels still run there, and have handed over little.
+    # The reference may be a lit sample at which all wheels still run and have lost little momentum. Some of these are tried.
     choices = [k for k in lit if _wheels_run(model, t_s[k], s)] or [lit[0]]
     slow = [k for k in choices if model.spun_up(t_s[k]) <= s.most_spun * model.max_rate]
     choices = slow or choices[:1]
@@ -153,7 +154,7 @@ def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
             others=others,
             edge=edge,
             suns=suns[sample],
-            # the whole ball that comes of the prior's, unless even the prior's cannot be searched
+            # all rates that may result from the prior, unless not even those of the prior can be searched
             limit=limit if limit < model.max_rate else ball,
             max_rate=ball,
             fastest=fastest,
@@ -164,7 +165,7 @@ def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
 
 
 def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
-    """Return whether every wheel still has a good part of its speed then, so that motions can be followed back through it."""
+    """Return whether every wheel still has a good part of its speed at `after_s`, so that motions can be propagated back."""
     none = np.zeros((1, len(model.unknowns)))
     first, then = model.wheel_speeds(none), replace(model, after_s=after_s).wheel_speeds(none)
     commands = batch.one_command(model.vehicle, model.wheel_mode)
@@ -173,11 +174,11 @@ def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
 
 
 def _balls(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, float]:
-    """Return a largest rate at a reference that holds what comes of the prior's ball, and one at the first sample (rad/s).
+    """Return the limit of rates at a reference, and the limit of what these may be at the first sample (rad/s).
 
-    Wheels that run down hand over their momentum, and unequal moments let the speed vary: the ball's edge moves, and a truth beyond
-    it would be lost. But most motions of the wider ball began beyond the largest rate. Those that did by more than what friction is
-    not known by are left out.
+    Wheels that run down give their momentum to the body, and with unequal moments the speed varies. So the limit of the prior,
+    which holds at the first sample, is widened at the reference. Most motions within the wider limit were too fast at the first
+    sample: those that exceed the second limit, which allows for the uncertainty of the friction, are left out.
     """
     if after_s == 0.0:
         return model.max_rate, s.faster_at_first * model.max_rate
@@ -191,19 +192,19 @@ def _balls(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, 
 
 
 def cell_count(limit: float, edge: float) -> float:
-    """Return about how many cells a ball of rates has."""
+    """Return the approximate number of cells of a grid of rates up to `limit`, `edge` apart."""
     return 4 / 3 * np.pi * (limit / edge + 1.0) ** 3
 
 
 def largest_ball(cells: float, edge: float) -> float:
-    """Return the limit (rad/s) of a ball of rates that has about so many cells."""
+    """Return the limit of rates (rad/s) for a grid of about so many cells; the inverse of :func:`cell_count`."""
     return edge * ((cells / (4 / 3 * np.pi)) ** (1 / 3) - 1)
 
 
 def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) -> None:
-    """Refuse samples (s from the reference) over which the nominal body, at this rate, needs too many steps.
+    """Raise InputError if the nominal body, at this rate, needs too many steps over the samples (s from the reference).
 
-    A wheel at a speed in the wrong unit does that. The sentence names a window that is short enough.
+    A wheel speed in the wrong unit may be the cause. The sentence names a window that is short enough.
     """
     omega = np.full((1, 3), rate_rad_s / np.sqrt(3))
     nominal = Shots(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
@@ -231,11 +232,11 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 def grid_starts(
     model: LanderModel, reference: Reference, s: GridSettings, workers: int = 1
 ) -> Iterator[tuple[slice, TrialMotions]]:
-    """Yield the window about the reference, with motions near each one that its readings allow, best first.
+    """Yield the window about the reference with starts near all motions that its readings allow, the best first.
 
-    `model` counts time from `reference`. Torques hardly move a body in three samples, and inertia, friction and wheel are those of
-    the nominal body. If no start settles, rest and rotations about the axes are tried, so that the verdict can say by how much
-    no motion fits.
+    `model` counts time from `reference`. Torques are left out, as they hardly move a body in three samples; inertia, friction and
+    wheel are those of the nominal body. If no start settles, rest and rotations about the axes are the starts, so that the verdict
+    can state by how much no motion fits.
     """
     bare = replace(model, frame="", max_rate=reference.limit)
     reached = Reached.of(bare, reference.limit, reference.fastest)
@@ -243,7 +244,7 @@ def grid_starts(
     omega, sun, misfit = settled_starts(grid, bare.panels, reference, s, workers)
     size = np.linalg.norm(omega, axis=1, keepdims=True)
     omega = omega * np.minimum(1.0, reference.limit / np.maximum(size, 1e-12))
-    # of starts in one box of rate and direction the best
+    # keep the best start in each box of rate and direction
     order = np.argsort(misfit, kind="stable")
     reach_s = float(np.abs(grid.times_s).max())
     box = np.concatenate([omega[order] * reach_s, sun[order]], axis=1) / s.apart_rad

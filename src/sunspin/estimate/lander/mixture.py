@@ -1,8 +1,9 @@
-"""Draws of a lander's posterior under all models together, and what they are at the first sample."""
+"""Draws of a lander's posterior under all models together, and their states at the first sample."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -49,7 +50,7 @@ def at_first_sample(model: LanderModel, shots: Shots) -> First:
         attitude=True,
         leave_long=True,
     )
-    # the torque that is constant in space, as the body sees it then
+    # components, in the body axes of then, of the torque that is constant in space
     steady[:, 1] = np.einsum("nij,nj->ni", back.attitude[:, 0], steady[:, 1])
     return First(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)
 
@@ -59,13 +60,14 @@ class Mixture:
     """Draws (n) of all models together, weighed by evidence.
 
     `fits` (h): the models with the motions about which they were drawn, the nominal one first; `probability` (h) of each model;
-    `starts`: how many starts of the search led to each region.
+    `starts`: how many starts of the search led to each region; `workers`: threads that evaluate draws.
     """
 
     fits: tuple[ShotFit, ...]
     draws: Draws
     probability: np.ndarray
     starts: np.ndarray
+    workers: int = 1
 
     @classmethod
     def of(
@@ -94,27 +96,35 @@ class Mixture:
         return np.flatnonzero(self.draws.region == region)
 
     def effective(self, region: int) -> float:
-        """Return how many draws of equal weight those of a region are worth."""
+        """Return the effective sample size of a region."""
         own = self.draws.log_weight[self.inside(region)]
         return effective_draws(np.exp(own - logsumexp(own)))
 
     def by_model(self, index: np.ndarray) -> Iterator[tuple[LanderModel, np.ndarray, Shots]]:
-        """Yield the models of draws, each with the places of its draws in `index` and their motions."""
+        """Yield each model of the draws `index` (n), with the positions of its draws in `index`, and their motions."""
         for h in np.unique(self.draws.of_model[index]):
             model = self.fits[h].model
             places = np.flatnonzero(self.draws.of_model[index] == h)
             shots = self.draws.shots.take(index[places])
             yield model, places, replace(shots, u=shots.u[:, : len(model.unknowns)])
 
+    def each_once(
+        self, index: np.ndarray, evaluate: Callable[[LanderModel, Shots], Sequence[np.ndarray]]
+    ) -> list[np.ndarray]:
+        """Return the arrays (n, ...) that a function of a model and its motions gives for draws, which may be there repeatedly.
+
+        Each draw is evaluated once, and models side by side if there are several workers.
+        """
+        once, place = np.unique(index, return_inverse=True)
+        parts = list(self.by_model(once))
+        with ThreadPoolExecutor(min(self.workers, len(parts))) as pool:
+            values = list(pool.map(lambda part: evaluate(part[0], part[2]), parts))
+        place = np.argsort(np.concatenate([places for _, places, _ in parts]))[place]
+        return [np.concatenate(each)[place] for each in zip(*values, strict=True)]
+
     def first(self, index: np.ndarray) -> First:
         """Return draws at the first sample."""
-        wheels = len(self.nominal.vehicle.wheels)
-        shapes = (3,), (3,), (wheels,), (2, 3)
-        whole = First(*(np.zeros((len(index), *shape)) for shape in shapes))
-        for model, places, shots in self.by_model(index):
-            for out, part in zip(whole, at_first_sample(model, shots), strict=True):
-                out[places] = part
-        return whole
+        return First(*self.each_once(index, at_first_sample))
 
     def values(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Return the unknowns of the nominal model, each (n) in its own unit, by name."""
@@ -127,11 +137,12 @@ class Mixture:
 
     def log_likelihood(self, index: np.ndarray) -> np.ndarray:
         """Return the log likelihood (n) of draws."""
-        total = np.zeros(len(index))
-        for model, places, shots in self.by_model(index):
+
+        def of_model(model: LanderModel, shots: Shots) -> tuple[np.ndarray]:
             target = LanderTarget(model)
-            total[places] = target.log_likelihood(target.run(shots), shots.u)
-        return total
+            return (target.log_likelihood(target.run(shots), shots.u),)
+
+        return self.each_once(index, of_model)[0]
 
     def checked(
         self, picked: np.ndarray, rng: np.random.Generator, s: SamplingSettings

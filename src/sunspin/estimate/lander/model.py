@@ -1,7 +1,7 @@
-"""What a fit of a lander believes: a body with wheels that run down, its unknowns, and what was seen from first to last sample.
+"""Model of a lander: a body with wheels that run down, its unknowns with their priors, and the observations.
 
-Unlike in a chain (:mod:`sunspin.estimate.model`) the equations leave nothing out: one state and the unknowns give the whole
-motion, so that the equations themselves determine inertia and friction (docs/posterior.md). Units are SI and radians.
+Unlike in a chain (:mod:`sunspin.estimate.model`) the equations of motion are exact: one state and the unknowns give the whole
+motion. So the readings also determine inertia and friction (docs/posterior.md). Units are SI and radians.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MASS = ("inertia", "wheel_inertia")
 """Kinds of unknowns that may describe a body that cannot exist."""
 
 FARTHEST = 8.0
-"""No trial unknown is farther from its centre than so many of its largest sigmas."""
+"""Limit of an unknown in a fit, in its largest sigmas from its centre."""
 
 HALVINGS = 30
 """Bisections that find how far inertias may be from their centres: to 1e-9 of their distance."""
@@ -54,10 +54,10 @@ PRIOR_DRAWS = 20_000
 
 
 Sizes = Mapping[str, int]
-"""Kind of unknowns whose sigma is one of several (:attr:`Unknown.shares`) -> index of the one that is taken."""
+"""Kind of unknowns with several possible sigmas (:attr:`Unknown.shares`) -> index of the one that a fit uses."""
 
 ALL_SIZES: Sizes = {}
-"""All sigmas count, by how likely they are."""
+"""The prior is the mixture over all sigmas."""
 
 
 class CarriedStates(NamedTuple):
@@ -69,7 +69,7 @@ class CarriedStates(NamedTuple):
 
 @dataclass(frozen=True)
 class LanderModel:
-    """A lander and what was seen of it.
+    """A lander and its observations.
 
     `of_motion`: the unknowns on which the motion depends; those of the panels follow them. `max_rate` (rad/s): the ball of rates at
     the reference, which is `after_s` after the first sample; times of the observations count from there, wheel speeds are those at
@@ -124,7 +124,10 @@ class LanderModel:
         return centre + u * np.array([unknown.sigma for unknown in self.unknowns])
 
     def _deviation(self, u: np.ndarray, kind: str, count: int) -> np.ndarray:
-        """Return how far off their centres (K, count) the numbers of a kind are, by :attr:`Unknown.index`; zero for known ones."""
+        """Return the deviations (K, count) of the unknowns of a kind from their centres, by :attr:`Unknown.index`.
+
+        They are zero for numbers that are known.
+        """
         off = np.zeros((len(u), count))
         for i in self.places(kind):
             off[:, self.unknowns[i].index] = self.unknowns[i].sigma * u[:, i]
@@ -142,7 +145,7 @@ class LanderModel:
     # ---- prior -------------------------------------------------------------------------------------------------------------
 
     def _shared(self) -> Iterator[tuple[list[int], np.ndarray, np.ndarray]]:
-        """Yield unknowns whose sigma is one of several: their places, the sigmas (s) in units of `sigma`, and log odds (s)."""
+        """Yield each kind of unknowns with s possible sigmas: indices, the sigmas over `sigma` (s), and their log odds (s)."""
         for kind in dict.fromkeys(x.kind for x in self.unknowns if len(x.shares) > 1):
             places = self.places(kind)
             shares = np.array(self.unknowns[places[0]].shares)
@@ -154,8 +157,8 @@ class LanderModel:
     def prior_cost(self, u: np.ndarray, sizes: Sizes = ALL_SIZES) -> tuple[np.ndarray, np.ndarray]:
         """Return minus the log prior density (K) of unknowns, over that of m standard normal numbers at zero, and weights (K, m).
 
-        The weights are those of the squares in a step of a fit, as a Student's law has them. An unknown whose sigma is one of
-        several has a mixture of normal laws; `sizes`: kinds of which one sigma is taken, by its index.
+        A fit multiplies the square of each unknown by its weight. The prior of unknowns with several possible sigmas is a mixture
+        of normal laws, unless `sizes` names the index of the one sigma to use.
         """
         cost, weight = 0.5 * u**2, np.ones_like(u)
         total = cost.sum(axis=1)
@@ -164,10 +167,10 @@ class LanderModel:
             if (size := sizes.get(self.unknowns[places[0]].kind)) is not None:
                 shares, log_odds = shares[[size]], log_odds[[size]]
             square = 0.5 * np.sum(some**2, axis=1)[:, None]
-            each = log_odds - square / shares**2 - len(places) * np.log(shares)
-            whole = logsumexp(each, axis=1)
-            total += -whole - square[:, 0]
-            weight[:, places] = (np.exp(each - whole[:, None]) @ shares**-2.0)[:, None]
+            of_sigmas = log_odds - square / shares**2 - len(places) * np.log(shares)  # (K, s)
+            mixture = logsumexp(of_sigmas, axis=1)
+            total += -mixture - square[:, 0]
+            weight[:, places] = (np.exp(of_sigmas - mixture[:, None]) @ shares**-2.0)[:, None]
         return total, weight
 
     def log_prior_density(self, shots: Shots) -> np.ndarray:
@@ -188,7 +191,9 @@ class LanderModel:
         """Return the log of the part of the prior that describes bodies that can exist."""
         if not self.places(*MASS):
             return 0.0
-        rng = np.random.default_rng(0)  # one for all: this belongs to the prior, not to the draws
+        rng = np.random.default_rng(
+            0
+        )  # a property of the prior, which does not depend on the seed of the draws
         u = rng.standard_normal((PRIOR_DRAWS, len(self.unknowns)))
         for places, shares, log_odds in self._shared():
             u[:, places] *= rng.choice(shares, (PRIOR_DRAWS, 1), p=np.exp(log_odds))
@@ -198,7 +203,7 @@ class LanderModel:
     # ---- body and wheels ---------------------------------------------------------------------------------------------------
 
     def bodies(self, u: np.ndarray) -> Bodies:
-        """Return inertia, wheels, friction and constant torque of each motion; bodies that cannot exist are drawn in."""
+        """Return inertia, wheels, friction and constant torque of each motion, bodies that cannot exist made :meth:`possible`."""
         return self._bodies_of(self.possible(u))
 
     def _bodies_of(self, u: np.ndarray) -> Bodies:
@@ -242,8 +247,9 @@ class LanderModel:
     def possible(self, u: np.ndarray, inside: float = 1.0) -> np.ndarray:
         """Return unknowns (K, m) of bodies that can exist.
 
-        Inertias of others are drawn towards their centres, to the part `inside` of the distance at which the body could exist. All
-        on the way can: the conditions are convex in the tensor, and on the way a wheel has at most the inertia of the line.
+        Deviations of inertias are shortened, to the part `inside` of the longest ones with which the body can exist. All shorter
+        ones are possible too: the conditions are convex in the tensor, and the inertia of a wheel, by its log, grows at most
+        linearly on the way.
         """
         mass = self.places(*MASS)
         if not mass or not len(u):
@@ -261,14 +267,14 @@ class LanderModel:
         return drawn_in
 
     def limited(self, u: np.ndarray, inside: float = 1.0) -> np.ndarray:
-        """Return unknowns (K, m) that are not farther from their centres than a fit may go."""
+        """Return unknowns (K, m) within the limits of a fit: :data:`FARTHEST`, and bodies that can exist."""
         most = FARTHEST * np.array([max(1.0, *unknown.shares) for unknown in self.unknowns])
         return self.possible(np.clip(u, -most, most), inside)
 
     def wheel_speeds(self, u: np.ndarray) -> np.ndarray:
         """Return the speeds (K, n_wheel) of the wheels at the reference, rad/s.
 
-        They run down as in a body whose rate is constant: for Philae that is good to 1e-4.
+        The body's rate is taken as constant while they run down, with an error of 1e-4 for Philae.
         """
         wheels = self.vehicle.wheels
         first = np.array([wheel.speed_rad_s for wheel in wheels])
@@ -290,7 +296,7 @@ class LanderModel:
         return speeds
 
     def spun_up(self, after_s: float) -> float:
-        """Return the rate (rad/s) that wheels running down hand over until then, about the axis of the least moment."""
+        """Return the rate (rad/s), about the axis of the least moment, of the momentum that wheels lose up to `after_s`."""
         none = np.zeros((1, len(self.unknowns)))
         then = replace(self, after_s=after_s).wheel_speeds(none)
         lost = np.abs(then - replace(self, after_s=0.0).wheel_speeds(none))[0]
@@ -321,7 +327,7 @@ class LanderModel:
             command=self.wheel_mode,
             error=error_rad,
             acting=self.acting,
-            leave_long=True,  # one draw far out in the priors must not end them all
+            leave_long=True,  # one motion with too many steps, far out in the priors, must not be an error for all
         )
 
     def carried(self, shots: Shots, error_rad: float) -> CarriedStates:

@@ -158,9 +158,9 @@ class Draws:
     """N weighted draws from the posterior of a lander, of one model or of several together.
 
     `log_weight` (N): log of the posterior density over that of the proposals; `of_model` (N): index of the model of each draw, by
-    which its unknowns are read; `region` (N): index of the solution that it belongs to. `effective`: how many equal draws they
-    are worth; `tail`: Pareto index k of the weights; `evidence`: log of the mean weight; `outside`: share of walkers that left what
-    was proposed; `rounds` (r, 3): log evidence, effective share of draws and k after each round.
+    which its unknowns are read; `region` (N): index of the solution that it belongs to. `effective`: how many equal draws they are
+    worth; `tail`: Pareto index k of the weights; `evidence`: log of the mean weight; `rounds` (r, 3): log evidence, effective share
+    of draws and k after each round.
     """
 
     shots: Shots
@@ -170,7 +170,6 @@ class Draws:
     effective: float
     tail: float
     evidence: float
-    outside: float = 0.0
     rounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __len__(self) -> int:

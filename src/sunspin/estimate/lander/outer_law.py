@@ -88,14 +88,12 @@ class Bend(NamedTuple):
 class OuterLaw(NamedTuple):
     """A mixture of C Student laws from which outer coordinates (d) are drawn: `weight` (C), `mean` (C, d), `covariance` (C, d, d).
 
-    `stands_on` (C): the draw at which a component was placed, -1 for none. Means and covariances are those of the straight points
-    of `bend`, if there is one.
+    Means and covariances are those of the straight points of `bend`, if there is one.
     """
 
     weight: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
-    stands_on: np.ndarray
     bend: Bend | None = None
 
     def straight(self, y: np.ndarray) -> np.ndarray:
@@ -123,13 +121,11 @@ class OuterLaw(NamedTuple):
         with np.errstate(divide="ignore"):
             return np.stack(parts, axis=1) + np.log(self.weight / self.weight.sum())
 
-    def moved_to(
-        self, y: np.ndarray, weight: np.ndarray, s: SamplingSettings
-    ) -> tuple[OuterLaw, np.ndarray]:
-        """Return the law with its components moved to weighted draws y (N, d), and each component's part of each draw (N, C).
+    def moved_to(self, y: np.ndarray, weight: np.ndarray, s: SamplingSettings) -> OuterLaw:
+        """Return the law with its components moved to weighted draws y (N, d): a step of expectation and maximisation.
 
         A draw is divided among the components in proportion to the densities with which they propose it, times its `weight` (N). A
-        component takes mean and covariance of its parts (a step of expectation and maximisation); one without any is left out.
+        component takes mean and covariance of its parts. One with hardly any is left out.
         """
         log_densities = self.log_densities(y, s.freedom)
         part = np.exp(log_densities - logsumexp(log_densities, axis=1, keepdims=True))
@@ -150,10 +146,7 @@ class OuterLaw(NamedTuple):
             off = y - mean[i]
             covariance[i] = learnt * ((own[:, None] * off).T @ off) + (1 - learnt) * covariance[i]
         least = np.einsum("cii,ij->cij", covariance, np.eye(mean.shape[1]))
-        law = OuterLaw(
-            part.sum(axis=0), mean, covariance + 1e-9 * least, np.full(len(used), -1), bend
-        )
-        return law, part
+        return OuterLaw(part.sum(axis=0), mean, covariance + 1e-9 * least, bend)
 
     @staticmethod
     def joined(parts: Sequence[tuple[float, OuterLaw]]) -> OuterLaw:
@@ -161,8 +154,7 @@ class OuterLaw(NamedTuple):
         weight = np.concatenate([share * law.weight / law.weight.sum() for share, law in parts])
         mean = np.concatenate([law.mean for _, law in parts])
         covariance = np.concatenate([law.covariance for _, law in parts])
-        stands_on = np.concatenate([law.stands_on for _, law in parts])
-        return OuterLaw(weight, mean, covariance, stands_on, parts[0][1].bend)
+        return OuterLaw(weight, mean, covariance, parts[0][1].bend)
 
 
 def student_draws(

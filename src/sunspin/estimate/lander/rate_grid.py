@@ -22,6 +22,7 @@ from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.settings import GridSettings
 from sunspin.solve.rotations import cross, tangent_basis
+from sunspin.vehicle.response.planes import sphere as even_directions
 
 TRIAL_ERROR = 1e-3
 """Error of directions (rad) in runs of the grid, and in those that only look whether a sample allows a motion."""
@@ -35,9 +36,9 @@ CORNERS = np.array(list(product((0, 1), repeat=3)))
 SPACINGS, TRIED_CELLS = (4, 3, 2), 100
 """How many steps of the grid may lie between two runs, and on how many cells of such a size that is tried."""
 
-
-UNSURE = 1.1
-"""Factor on what wheels push: their momentum is counted without the body's own rate."""
+FIRST_RATES, BEYOND = 400, 1.02
+"""Directions of the fastest rates at the first sample that are followed to the reference, and how much farther rates are searched
+than these lead: between the directions they may lead a little farther."""
 
 
 class Sphere(NamedTuple):
@@ -63,38 +64,46 @@ class Sphere(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """Rates at a reference that motions may have reached: at most `limit` (rad/s), with a root of twice the energy of `most`.
+    """Rates at a reference that motions may have reached: at most `limit` (rad/s), and in an ellipsoid about `centre` (3).
 
-    `inertia` (3, 3) without what free wheels carry along their axes, for which twice the energy is rate . inertia . rate.
+    With c the distance of a rate from the centre, the root of c . inertia . c is at most `most` there; `inertia` (3, 3) is without
+    what free wheels carry along their axes.
     """
 
     limit: float
+    centre: np.ndarray
     inertia: np.ndarray
-    most: float = np.inf
+    most: float
 
     @classmethod
     def of(cls, model: LanderModel, limit: float, fastest: float) -> Reached:
         """Return what the nominal body reaches that is not faster than `fastest` (rad/s) at the first sample.
 
-        Friction of a wheel pushes the body along the wheel's axis u: the root of twice the energy changes by the wheel's change of
-        momentum times the root of u . inverse inertia . u, at most.
+        Motions take the ball of these rates to a region whose surface comes from the ball's, so that an ellipsoid about rates that
+        began there holds all. Wheels that run down push it aside: about rest it would hold 1.8 times as many rates for Philae.
         """
-        vehicle, none = model.vehicle, np.zeros((1, len(model.unknowns)))
-        commands = batch.one_command(vehicle, model.wheel_mode)
-        body = Bodies.of(vehicle)
-        inertia = gyrostat.free_inertia(body, [command != "hold" for command in commands])
-        then, first = model.wheel_speeds(none), replace(model, after_s=0.0).wheel_speeds(none)
-        pushed = body.wheel_inertia_kg_m2 * np.abs(then - first)[0]
-        along = np.einsum("wi,ij,wj->w", body.axes_B, np.linalg.inv(inertia), body.axes_B)
-        most = np.sqrt(np.linalg.eigvalsh(inertia)[-1]) * fastest
-        return cls(limit, inertia, float(most + UNSURE * pushed @ np.sqrt(along)))
+        first, direction = replace(model, after_s=0.0), even_directions(FIRST_RATES)
+        none = np.zeros((FIRST_RATES, len(model.unknowns)))
+        rows = first.rows(Shots(fastest * direction, direction, none))
+        reached = first.run(rows, np.array([model.after_s]), TRIAL_ERROR).omega_B[:, 0]
+        reached = reached[np.isfinite(reached).all(axis=1)]
+        commands = batch.one_command(model.vehicle, model.wheel_mode)
+        inertia = gyrostat.free_inertia(
+            Bodies.of(model.vehicle), [command != "hold" for command in commands]
+        )
+        bare = cls(limit, reached.mean(axis=0), inertia, np.inf)
+        return bare._replace(most=BEYOND * float(np.sqrt(bare.energy(reached).max())))
+
+    def energy(self, omega: np.ndarray) -> np.ndarray:
+        """Return twice the energy (n) of rates (n, 3) relative to the centre."""
+        off = omega - self.centre
+        return np.einsum("ni,ij,nj->n", off, self.inertia, off)
 
     def within(self, omega: np.ndarray, margin: float) -> np.ndarray:
         """Return which rates (n, 3) are reached, or are within `margin` (rad/s) of such."""
-        energy = np.einsum("ni,ij,nj->n", omega, self.inertia, omega)
         aside = margin * np.sqrt(np.linalg.eigvalsh(self.inertia)[-1])
         near = np.sum(omega**2, axis=1) <= (self.limit + margin) ** 2
-        return near & (energy <= (self.most + aside) ** 2)
+        return near & (self.energy(omega) <= (self.most + aside) ** 2)
 
 
 @dataclass(frozen=True)

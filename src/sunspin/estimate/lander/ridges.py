@@ -216,26 +216,19 @@ class Ridge:
         """Return the predicted best stiff coordinates (n, q) at y (n, d)."""
         return monomials(y, self.chart.curved) @ self.coefficients
 
-    def log_outer(self, y: np.ndarray, freedom: float, draws: bool = False) -> np.ndarray:
-        """Return the log density (n) with which all rounds together proposed y (n, d).
-
-        `draws`: y are the ridge's own draws, in order. A component that was placed at a draw does not count for it: it is there
-        because the draw's weight was large, and would make it small. With it the evidence is short by 0.03 to 0.06.
-        """
-        every = []
-        for count, law in self.laws:
-            of_each = law.log_densities(y, freedom)
-            if draws:
-                own = np.flatnonzero(law.stands_on >= 0)
-                of_each[law.stands_on[own], own] = -np.inf
-            every.append(logsumexp(of_each, axis=1) + np.log(count / self.drawn))
-        return np.asarray(logsumexp(every, axis=0))
+    def log_outer(self, y: np.ndarray, freedom: float) -> np.ndarray:
+        """Return the log density (n) with which all rounds together have proposed y (n, d): the mixture of their laws."""
+        of_rounds = [
+            logsumexp(law.log_densities(y, freedom), axis=1) + np.log(count / self.drawn)
+            for count, law in self.laws
+        ]
+        return np.asarray(logsumexp(of_rounds, axis=0))
 
     def log_weights(self, freedom: float) -> np.ndarray:
         """Return the log (N) of the posterior density at each proposal over the density with which it was proposed."""
-        drawn = self.proposals
-        assert drawn is not None
-        return drawn.log_mass - drawn.log_inner - self.log_outer(drawn.y, freedom, draws=True)
+        proposals = self.proposals
+        assert proposals is not None
+        return proposals.log_mass - proposals.log_inner - self.log_outer(proposals.y, freedom)
 
     def log_share(self, shots: Shots, freedom: float) -> np.ndarray:
         """Return the log of about how densely this ridge has proposed motions (n), in rate, solid angle and unknowns.
@@ -336,7 +329,7 @@ def _components(chart: Chart, peaks: list[Peak], y: np.ndarray, log_promise: flo
     every = np.array([chart.covariance(one)[of_y, of_y] for one in covariance])
     # less unequal than the masses: Laplace's method may be wrong by a few units
     weight = np.exp(np.clip(0.7 * (log_mass - log_promise), -8.0, 8.0))
-    return OuterLaw(weight, y + steps, every, np.full(len(weight), -1))
+    return OuterLaw(weight, y + steps, every)
 
 
 def over_sizes(
@@ -543,7 +536,7 @@ def trace_ridge(
 ) -> None:
     """Learn where a ridge runs, from `count` points at each of several widths about its motion.
 
-    A narrow part comes first: its curve takes the starts of the wider ones near the ridge.
+    A narrow part comes first: its curve takes the starts of the wider ones near the ridge, where derivatives are known.
     """
     for width in s.trace_widths:
         law = ridge.first
@@ -552,10 +545,9 @@ def trace_ridge(
         white = rng.standard_normal((count, law.mean.shape[1]))
         y = law.mean[which] + width * np.einsum("nij,nj->ni", root, white)
         before = [] if ridge.points is None else [ridge.points]
-        u = np.tile(ridge.chart.centre.u, (count, 1))
-        if before:
-            u = before[0].slopes_near(y, ridge.first).u
-        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, None)
+        near = before[0].slopes_near(y, law) if before else None
+        u = np.tile(ridge.chart.centre.u, (count, 1)) if near is None else near.u
+        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, near)
         ridge.points = RidgePoints.joined([*before, RidgePoints(y, stiff.best, stiff.slopes)])
         fit_ridge_curve(ridge, s)
 

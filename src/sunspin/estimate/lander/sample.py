@@ -16,12 +16,9 @@ from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
-from sunspin.estimate.lander.outer_law import OuterLaw, student_log_density
 from sunspin.estimate.lander.ridges import (
     Ridge,
-    complete_motions,
     fit_ridge_curve,
-    fit_stiff,
     propose,
     ridges_of,
     trace_ridge,
@@ -29,9 +26,6 @@ from sunspin.estimate.lander.ridges import (
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.settings import SAMPLING, SamplingSettings
 from sunspin.solve.weights import effective_draws, pareto_tail
-
-INSIDE_TAIL = 10.0
-"""Times the largest weight of a ridge's draws that a walker's weight may have before it counts as outside of the proposals."""
 
 
 def sample(
@@ -44,18 +38,17 @@ def sample(
 ) -> Draws:
     """Return weighted draws from the posterior about the fitted motions, their regions numbered by falling probability.
 
-    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent. Walkers that start from draws check that they
-    do not leave what was proposed (`Draws.outside`): Pareto's k does not see a part of the posterior that is never proposed.
+    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent.
     """
     ridges = ridges_of(target, fit, fitted_share, s)
-    # Where each ridge runs: improbable ones from fewer points.
+    # Find the course of each ridge, that of improbable ones by fewer points.
     promise = np.array([ridge.log_promise for ridge in ridges])
     points = np.where(promise < promise.max() + np.log(s.small), s.trace_small, s.trace)
     for ridge, count in zip(ridges, points, strict=True):
         trace_ridge(target, ridge, int(count), rng, s)
     if budget is not None:
         budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
-    # Rounds of draws, until all together are good enough; after each the ridges learn from their draws.
+    # Draw in rounds until all draws together are good enough. After each round the proposals of the ridges adapt to their draws.
     draws, log_shares, rounds = None, [], []
     for turn in range(s.rounds):
         counts = _draws_of_ridges(ridges, log_shares, s)
@@ -71,18 +64,18 @@ def sample(
         if (turn and good) or spent or turn + 1 == s.rounds:
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
-            learn(ridge, own, rng, s)
+            learn(ridge, own, s)
     assert draws is not None
-    draws = replace(draws, rounds=np.array(rounds))
-    if not np.isfinite(draws.evidence):
-        return draws
-    return replace(draws, outside=share_outside(target, ridges, log_shares, rng, s))
+    return replace(draws, rounds=np.array(rounds))
 
 
 def _draws_of_ridges(
     ridges: list[Ridge], log_shares: list[np.ndarray], s: SamplingSettings
 ) -> np.ndarray:
-    """Return how many draws each ridge gets: by the root of its probability, first by Laplace's method."""
+    """Return how many draws each ridge gets, in proportion to the root of its probability.
+
+    In the first round the probability is that of Laplace's method, later that of its draws (`log_shares`).
+    """
     if not log_shares:
         promise = np.array([ridge.log_promise for ridge in ridges])
         share = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
@@ -95,15 +88,16 @@ def _draws_of_ridges(
 
 
 def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.ndarray]]:
-    """Return the draws of all ridges and rounds, and the log of the share of the posterior of each ridge's draws.
+    """Return the draws of all ridges and rounds, and the log probabilities of each ridge's own draws.
 
-    A motion that several ridges may propose is divided between them as in multiple importance sampling (Veach 1995).
+    If several ridges may propose a motion, the weight of a draw is multiplied by the part of its own ridge in the density of all
+    (multiple importance sampling, Veach 1995).
     """
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
     shots = Shots.joined([one.proposals.shots for one in drawn if one.proposals is not None])
     ridge_of = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])  # of each draw
     log_weight = np.concatenate([one.log_weights(s.freedom) - np.log(one.drawn) for one in drawn])
-    # how a draw (n) is divided between the ridges (r): a part of it belongs to each, by how densely that has proposed it
+    # part of each ridge (r) in the density with which all ridges propose each draw (n)
     log_part = np.zeros((len(ridge_of), 1))
     if len(drawn) > 1:
         log_shares = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
@@ -140,109 +134,45 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
 def regions(weight: np.ndarray, part: np.ndarray, s: SamplingSettings) -> np.ndarray:
     """Return the region of each draw (n), by falling probability: ridges that share motions are one region.
 
-    `weight` (n): probabilities; `part` (n, r): how much of each draw belongs to each ridge.
+    `weight` (n): probabilities; `part` (n, r): part of each draw that belongs to each ridge.
     """
     mass = weight @ part
     overlap = (part * weight[:, None]).T @ part
-    alike = overlap > s.connected * np.minimum(mass[:, None], mass)
-    label = connected_components(alike, directed=False)[1][np.argmax(part, axis=1)]
+    shared = overlap > s.connected * np.minimum(mass[:, None], mass)
+    label = connected_components(shared, directed=False)[1][np.argmax(part, axis=1)]
     _, inverse = np.unique(label, return_inverse=True)
     rank = np.argsort(np.argsort(-np.bincount(inverse, weights=weight), kind="stable"))
     return rank[inverse]
 
 
-def learn(
-    ridge: Ridge, log_share: np.ndarray, rng: np.random.Generator, s: SamplingSettings
-) -> None:
-    """Learn from all draws of a ridge how to propose the next ones (population Monte Carlo: Cappe et al. 2008).
+def learn(ridge: Ridge, log_share: np.ndarray, s: SamplingSettings) -> None:
+    """Adapt the proposals of a ridge to all its draws so far (population Monte Carlo: Cappe et al. 2008).
 
-    `log_share` (N): log of the share of the posterior of each draw. Learnt are the curve z*(y), the scatter about it, and the outer
-    law. A part of the next draws comes from the first law, so that what was never proposed may still be found. If the draws are
-    poor, another part comes from components at some of them.
+    `log_share` (N): log probability of each draw. Adapted are the curve z*(y), the scatter about it, and the outer
+    law. A part of the next draws comes from the first law, so that parts of the posterior that no draw has reached may still be.
     """
     proposals = ridge.proposals
     if proposals is None or not np.isfinite(logsumexp(log_share)):
         return
     fit_ridge_curve(ridge, s)
-    # one draw may outweigh all others by chance: none counts for more than one over the root of their number
+    # One draw may outweigh all others by chance. No weight is larger than one over the root of the number of draws.
     log_weight = log_share - logsumexp(log_share)
     weight = np.exp(np.minimum(log_weight, -np.log(len(log_weight)) / 2))
     weight /= weight.sum()
     off = proposals.z - ridge.best(proposals.y)
     scatter = (weight[:, None] * off).T @ off
     ridge.scatter = scatter + 1e-6 * np.trace(scatter) * np.eye(len(scatter))
-    learnt, part = ridge.learnt.moved_to(proposals.y, weight, s)
-    ridge.learnt = law = learnt
-    if effective_draws(np.exp(log_weight)) < s.poor * len(weight):
-        # smaller copies of components at draws chosen by their weights: each of that which most likely proposed the draw
-        chosen = rng.choice(len(weight), s.local, p=weight)
-        shrunk = s.local_size**2 * learnt.covariance[np.argmax(part[chosen], axis=1)]
-        means = learnt.straight(proposals.y)[chosen]
-        local = OuterLaw(np.full(s.local, 1 / s.local), means, shrunk, chosen, learnt.bend)
-        law = OuterLaw.joined([(1 - s.local_share, learnt), (s.local_share, local)])
+    ridge.learnt = ridge.learnt.moved_to(proposals.y, weight, s)
     wide = ridge.first._replace(covariance=2.0 * ridge.first.covariance)
-    ridge.proposing = [(s.defence, wide), (1 - s.defence, law)]
-
-
-def share_outside(
-    target: LanderTarget,
-    ridges: list[Ridge],
-    log_shares: list[np.ndarray],
-    rng: np.random.Generator,
-    s: SamplingSettings,
-) -> float:
-    """Return the share of walkers that start from draws and end where hardly anything was proposed.
-
-    Walkers are Metropolis chains in the outer coordinates y and in z - z*(y), where z are the stiff ones (:class:`Chart`) and z*(y)
-    their best values for y; so they follow the ridge. Their density is estimated by one draw of the reading unknowns, which leaves
-    chains exact (Andrieu and Roberts 2009). A walker is outside if its weight, had it been drawn, exceeds the largest weight of its
-    own ridge by :data:`INSIDE_TAIL`.
-    """
-    share = np.concatenate(log_shares)
-    picked = _systematic(share, s.walkers, rng)
-    ends = np.cumsum([0, *(len(own) for own in log_shares)])
-    outside = 0
-    for r, ridge in enumerate(ridges):
-        rows = picked[(picked >= ends[r]) & (picked < ends[r + 1])] - ends[r]
-        proposals, chart = ridge.proposals, ridge.chart
-        if not len(rows) or proposals is None:
-            continue
-        weight = np.exp(log_shares[r] - logsumexp(log_shares[r]))
-        off = proposals.y - weight @ proposals.y
-        d = proposals.y.shape[1]
-        outer = np.linalg.cholesky((weight[:, None] * off).T @ off + 1e-12 * np.eye(d))
-        inner = np.linalg.cholesky(ridge.scatter)
-        y, z, log_mass = proposals.y[rows], proposals.z[rows], proposals.log_mass[rows]
-        shots = proposals.shots.take(rows)
-        size = s.walk_size / np.sqrt(d + chart.stiff)
-        for _ in range(s.walk_steps):
-            to = y + size * rng.standard_normal(y.shape) @ outer.T
-            aside = z + ridge.best(to) - ridge.best(y)
-            aside = aside + size * rng.standard_normal(z.shape) @ inner.T
-            trial, of_trial = complete_motions(target, chart, to, aside, shots.u, rng, s)
-            taken = np.log(rng.random(len(y))) < of_trial - log_mass
-            y, z = np.where(taken[:, None], to, y), np.where(taken[:, None], aside, z)
-            log_mass = np.where(taken, of_trial, log_mass)
-            shots = Shots(*(
-                np.where(taken[:, None], getattr(trial, name), getattr(shots, name))
-                for name in ("omega", "sun", "u")
-            ))  # fmt: skip
-        assert ridge.points is not None
-        near = ridge.points.slopes_near(y, ridge.learnt)
-        stiff = fit_stiff(target, chart, y, ridge.best(y), near.u, near)
-        root = s.inner_width * stiff.root
-        white = np.linalg.solve(root, (z - stiff.best)[:, :, None])[:, :, 0]
-        log_inner = student_log_density(white, s.freedom)
-        log_inner = log_inner - np.log(np.einsum("kii->ki", root)).sum(axis=1)
-        log_weight = log_mass - log_inner - ridge.log_outer(y, s.freedom)
-        largest = ridge.log_weights(s.freedom).max()
-        outside += int(np.sum(log_weight > largest + np.log(INSIDE_TAIL)))
-    return outside / s.walkers
+    ridge.proposing = [(s.defence, wide), (1 - s.defence, ridge.learnt)]
 
 
 class Checked(NamedTuple):
-    """`p`: share of simulated readings that fit their motion worse than the real ones; `noise_sigmas`: how far the noise is from
-    the stated one, in sigmas of its prior."""
+    """Result of a predictive check.
+
+    `p`: share of simulated sets of readings that fit their motion worse than the real ones; `noise_sigmas`: log of the noise over
+    the stated one, in sigmas of its prior.
+    """
 
     p: float
     noise_sigmas: float
@@ -251,7 +181,7 @@ class Checked(NamedTuple):
 def predictive_check(
     target: LanderTarget, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
 ) -> Checked:
-    """Return whether readings that fit as badly as the real ones would come from these motions, which are draws of equal weight."""
+    """Return how often readings simulated from these motions, draws of equal weight, fit worse than the real ones."""
     some = shots.take(slice(0, s.checked))
     seen = target.run(some)
     real = target.log_likelihood(seen, some.u)
@@ -266,84 +196,94 @@ def mixed(
     reach_s: float,
     s: SamplingSettings = SAMPLING,
 ) -> Draws:
-    """Return the draws of several models together, each weighed by evidence and prior, with regions that are one joined.
+    """Return the draws of several models together, weighed by the evidence and the prior of each model.
 
-    `log_priors`: relative to the nominal model, which is the first. Models without weight are left out, but the first. A region of
-    a less probable model belongs to one of an earlier model if the two differ by less than models bend one motion.
+    `log_priors`: relative to the nominal model, which is the first. Other models of negligible probability are left out. Regions of
+    two models become one if the alternative model may have moved the one to the other.
     """
     evidence = np.array([one.evidence for one in drawn]) + np.array(log_priors)
-    weight = np.exp(evidence - logsumexp(evidence))  # probability of each model
-    kept = [m for m in range(len(drawn)) if m == 0 or weight[m] > s.no_weight]
-    count = max(drawn[m].shots.u.shape[1] for m in kept)
-    # log weights of the draws of a model, whose sum is its evidence times its prior
-    parts = {m: drawn[m].log_weight - np.log(len(drawn[m])) + log_priors[m] for m in kept}
-    labels = _regions_of_models(drawn, weight, kept, reach_s, s)
-    log_weight = np.concatenate([parts[m] for m in kept])
+    probability = np.exp(evidence - logsumexp(evidence))  # of each model
+    models = [m for m in range(len(drawn)) if m == 0 or probability[m] > s.no_weight]
+    count = max(drawn[m].shots.u.shape[1] for m in models)
+    # the weights of a model's draws add to its evidence times its prior
+    parts = {m: drawn[m].log_weight - np.log(len(drawn[m])) + log_priors[m] for m in models}
+    labels = _regions_of_models(drawn, probability, models, reach_s, s)
+    log_weight = np.concatenate([parts[m] for m in models])
     share = np.exp(log_weight - logsumexp(log_weight))
-    label = np.concatenate([labels[m] for m in kept])
-    # regions are numbered by falling probability, and all models have as many unknowns as the largest
+    label = np.concatenate([labels[m] for m in models])
+    # regions are numbered by falling probability, and all motions get as many unknowns as the largest model has
     rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
-    wide = [drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in kept]
+    wide = [
+        drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in models
+    ]
     return Draws(
         shots=Shots.joined(wide),
         log_weight=log_weight + np.log(len(log_weight)),
-        of_model=np.repeat(kept, [len(drawn[m]) for m in kept]),
+        of_model=np.repeat(models, [len(drawn[m]) for m in models]),
         region=rank[label],
         effective=effective_draws(share),
         tail=pareto_tail(log_weight),
         evidence=float(logsumexp(log_weight)),
-        outside=float(sum(weight[m] * drawn[m].outside for m in kept)),
         rounds=np.concatenate([one.rounds for one in drawn]),
     )
 
 
 def _regions_of_models(
-    drawn: Sequence[Draws], weight: np.ndarray, kept: list[int], reach_s: float, s: SamplingSettings
+    drawn: Sequence[Draws],
+    probability: np.ndarray,
+    models: list[int],
+    reach_s: float,
+    s: SamplingSettings,
 ) -> dict[int, np.ndarray]:
-    """Return for each model the region of each draw among those of all models."""
-    known: list[tuple[np.ndarray, np.ndarray]] = []
+    """Return for each of some models the region of each draw, numbered over all models.
+
+    `probability`: of each model. From the most probable model on, a region is either one of those of earlier models, or a new one.
+    A region is described by mean (6) and covariance (6, 6) of its rate times `reach_s` (rad) and of its direction.
+    """
+    regions_so_far: list[tuple[np.ndarray, np.ndarray]] = []
     labels: dict[int, np.ndarray] = {}
-    for m in sorted(kept, key=lambda m: -weight[m]):
-        draws, before = drawn[m], len(known)
+    for m in sorted(models, key=lambda m: -probability[m]):
+        draws, earlier = drawn[m], len(regions_so_far)
         share = np.exp(draws.log_weight - logsumexp(draws.log_weight))
         label = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
         for region in range(len(label)):
             inside = draws.region == region
-            of = share[inside]
-            x = np.concatenate(
-                [reach_s * draws.shots.omega[inside], draws.shots.sun[inside]], axis=1
-            )
-            part = of / max(of.sum(), 1e-300)
-            mean = part @ x
-            spread = np.einsum("n,ni,nj->ij", part, x - mean, x - mean) + 1e-6 * np.eye(6)
-            counts = weight[m] * of.sum() > 10 * s.no_weight
-            far = [_apart(mean, spread, *one, s) for one in known[:before]] if counts else []
-            if far and min(far) < s.one_region:
-                label[region] = int(np.argmin(far))
+            mass = share[inside].sum()
+            weight = share[inside] / max(mass, 1e-300)
+            omega, sun = draws.shots.omega[inside], draws.shots.sun[inside]
+            x = np.concatenate([reach_s * omega, sun], axis=1)
+            mean = weight @ x
+            covariance = np.einsum("n,ni,nj->ij", weight, x - mean, x - mean) + 1e-6 * np.eye(6)
+            distances = []
+            if probability[m] * mass > 10 * s.no_weight:
+                distances = [
+                    _distance(mean, covariance, *other, s) for other in regions_so_far[:earlier]
+                ]
+            if distances and min(distances) < s.one_region:
+                label[region] = int(np.argmin(distances))
             else:
-                label[region] = len(known)
-                known.append((mean, spread))
+                label[region] = len(regions_so_far)
+                regions_so_far.append((mean, covariance))
         labels[m] = label[draws.region]
     return labels
 
 
-def _apart(
-    mean: np.ndarray, spread: np.ndarray, other: np.ndarray, wide: np.ndarray, s: SamplingSettings
+def _distance(
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    other_mean: np.ndarray,
+    other_covariance: np.ndarray,
+    s: SamplingSettings,
 ) -> float:
-    """Return the squared distance of two regions, in sigmas of the wider or in the bend between models if that is less."""
-    off, wider = mean - other, max((spread, wide), key=np.trace)
+    """Return the squared distance of two regions: in sigmas of the wider one, or in the largest change by another model if less."""
+    off, wider = mean - other_mean, max((covariance, other_covariance), key=np.trace)
     turn, sun = np.linalg.norm(off[RATE]) / s.bent_rad, np.linalg.norm(off[3:]) / s.sun_rad
-    bent = float(max(turn, sun)) ** 2 * s.one_region
-    return min(float(off @ np.linalg.solve(wider, off)), bent)
+    by_model = float(max(turn, sun)) ** 2 * s.one_region
+    return min(float(off @ np.linalg.solve(wider, off)), by_model)
 
 
 def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the indices (n) of draws of equal weight, systematically chosen and in random order."""
-    return rng.permutation(_systematic(log_weight, n, rng))
-
-
-def _systematic(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Return n indices in proportion to the weights, in increasing order."""
-    edges = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
-    places = (np.arange(n) + rng.random()) / n * edges[-1]
-    return np.minimum(np.searchsorted(edges, places), len(edges) - 1)
+    """Return the indices (n) of draws of equal weight, in random order, chosen systematically in proportion to the weights."""
+    cumulative = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
+    levels = (np.arange(n) + rng.random()) / n * cumulative[-1]
+    return rng.permutation(np.minimum(np.searchsorted(cumulative, levels), len(cumulative) - 1))

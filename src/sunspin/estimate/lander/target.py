@@ -20,7 +20,8 @@ from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
 from sunspin.estimate.model import Unknown
 
 LEAST_TURN_RAD = 1e-3
-"""Steps that turn the body by less within the window correct no derivatives: runs are good to 1e-5 rad, and would be the change."""
+"""Derivatives are not corrected by steps that rotate the body by less than this within the window: the change would be comparable
+with the error of runs, 1e-5 rad."""
 
 
 class MotionSlopes(NamedTuple):
@@ -95,8 +96,8 @@ class LanderTarget:
     ) -> Equations:
         """Return the equations under `noise_factor` times the noise.
 
-        If `slopes` of motions near by are given, no runs for derivatives are made: those are corrected by what the step from there
-        has changed, if it is a step in rate and direction alone.
+        With `slopes` of motions near by no further runs give derivatives. The given ones are corrected by the change that the step
+        from there has made (Broyden), if it is a step in rate and direction alone.
         """
         problem = self._problem
         if slopes is None:
@@ -108,7 +109,7 @@ class LanderTarget:
                 np.linalg.norm(step[:, RATE], axis=1) * self.reach_s,
                 np.linalg.norm(step[:, SUN], axis=1),
             )
-            # if unknowns of the motion have changed as well, what is seen has not changed by the step alone
+            # if unknowns of the motion differ too, the change is not by the step alone
             alike = np.all(
                 shots.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
             )
@@ -133,9 +134,9 @@ class LanderTarget:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
         problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
-        # the differences depend on u and on what is seen alone
-        none = np.zeros((len(u), 3))
-        linear = problem.differences(Shots(none, none, u), seen, still)
+        # differences of readings do not use rate and direction at the reference
+        unused = np.zeros((len(u), 3))
+        linear = problem.differences(Shots(unused, unused, u), seen, still)
         _, weight = problem.weigh(linear.value, u, noise_factor)
         jacobian = linear.jacobian
         weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)

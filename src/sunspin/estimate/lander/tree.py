@@ -1,4 +1,4 @@
-"""The result of `posterior`: draws, solutions, and how they came about, as a DataTree."""
+"""The result of `posterior` as a DataTree: draws, solutions, and the numbers of the search and the sampling."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ LEAST_PROBABILITY = 1e-4
 """Solutions with less probability are not listed."""
 
 TOO_FEW = 10.0
-"""Effective draws below which the sigma of a solution is that of the draws proposed there, as that of one draw would be zero; and
-below which it is not listed unless it counts."""
+"""Effective sample size below which the covariance of a solution is that of all rates proposed there, as the draws with weight
+spread too little; a solution with a probability below `COUNTS` is then not listed."""
 
 OF_SOLUTION = 4000
-"""Draws of equal weight from which mean and covariance of a solution come."""
+"""Draws of equal weight that give mean and covariance of a solution."""
 
 BEST_OF = 100
-"""Further draws of a solution among which the one of the largest likelihood is looked for."""
+"""Draws of a solution, in addition to those in the result, among which the one of the largest likelihood is sought."""
 
 EACH = ("chain", "draw")
 """Dimensions of the draws."""
@@ -123,21 +123,21 @@ def _solutions(
     rows = []
     for region in range(count):
         every = mix.inside(region)
-        even = every[resampled(mix.draws.log_weight[every], OF_SOLUTION, rng)]
+        even = every[resampled(mix.draws.log_weight[every], OF_SOLUTION, rng)]  # of equal weight
         inside, times = np.unique(even, return_counts=True)
-        share, first = times / OF_SOLUTION, mix.first(inside)
-        mean, sun = share @ first.omega, share @ first.sun
+        weight, first = times / OF_SOLUTION, mix.first(inside)
+        mean, sun = weight @ first.omega, weight @ first.sun
         off = first.omega - mean
-        covariance = np.einsum("n,ni,nj->ij", share, off, off)
+        covariance = np.einsum("n,ni,nj->ij", weight, off, off)
         effective = mix.effective(region)
         if effective < TOO_FEW:
             covariance = _of_proposed(mix, every, mean, prior_sigma)
 
-        # the draw of the largest likelihood, of those in the result and some more if these are few
-        own = mix.draws.region[picked] == region
-        tried = np.concatenate([picked[own], even[:BEST_OF]])
-        known = np.concatenate([log_likelihood[own], mix.log_likelihood(even[:BEST_OF])])
-        best = tried[[int(np.argmax(known))]]
+        # the draw of the largest likelihood, among those of the result and some more, as the result may have none
+        in_result = mix.draws.region[picked] == region
+        tried = np.concatenate([picked[in_result], even[:BEST_OF]])
+        likelihoods = [log_likelihood[in_result], mix.log_likelihood(even[:BEST_OF])]
+        best = tried[[int(np.argmax(np.concatenate(likelihoods)))]]
         rows.append(
             SolutionRow(
                 mean,
@@ -162,7 +162,7 @@ def _solutions(
 
 
 def _listed(mix: Mixture) -> int:
-    """Return how many regions are listed: up to the first that has too little probability, or too few draws and does not count."""
+    """Return how many regions are listed: those before the first with too little probability or too small an effective size."""
     for region, share in enumerate(mix.share):
         too_few = share < COUNTS and mix.effective(region) < TOO_FEW
         if share <= LEAST_PROBABILITY or too_few:
@@ -173,9 +173,9 @@ def _listed(mix: Mixture) -> int:
 def _of_proposed(
     mix: Mixture, every: np.ndarray, mean: np.ndarray, prior_sigma: float
 ) -> np.ndarray:
-    """Return the covariance (3, 3) about their mean of all rates proposed in a region, which spread more than those with weight.
+    """Return the covariance (3, 3) of all rates proposed in a region about `mean`, whatever their weights.
 
-    If these are too few, that of the prior.
+    `every`: indices of its draws; if they are too few the covariance is that of the prior.
     """
     if len(every) < TOO_FEW:
         return prior_sigma**2 * np.eye(3)

@@ -27,9 +27,6 @@ NOISE_LIMIT = 3.5
 TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
 """Pareto index k above which, and number of effective draws below which, draws are approximate."""
 
-OUTSIDE_LIMIT = 0.02
-"""Share of walkers that may leave what was proposed."""
-
 UNIQUE = 0.99
 """Probability of the only solution that counts."""
 
@@ -45,12 +42,12 @@ DARK_RUN = 3
 
 @dataclass(frozen=True)
 class PosteriorFindings:
-    """What the verdict is made of.
+    """Quantities that decide the verdict.
 
     Of each solution (r), by falling probability: `probability`, `rate` (r, 3), the longest sigma `length` and the root mean square
     `speed`, rad/s. `interval_s`: between samples; `p`, `noise_sigmas`: of the predictive check; `accused`: sentences on panels;
-    `tail`, `effective`, `outside`: how good the draws are; `doubts`: what the search left out, in words; `dark`: when no panel was
-    lit, in words; `complete`: every motion that may fit was followed.
+    `tail`, `effective`: Pareto's k and effective sample size of the draws; `doubts`: on the search, in words; `dark`: when no panel
+    was lit, in words; `complete`: every motion that may fit was followed.
     """
 
     probability: np.ndarray
@@ -63,7 +60,6 @@ class PosteriorFindings:
     accused: list[str]
     tail: float
     effective: float
-    outside: float
     doubts: list[str]
     dark: str
     complete: bool
@@ -75,14 +71,11 @@ class PosteriorFindings:
 
     @property
     def approximate(self) -> list[str]:
-        """Return why the draws are approximate, in words; nothing if they are good."""
-        why = []
-        if self.tail > TAIL_LIMIT or self.effective < EFFECTIVE_LIMIT:
-            size = f"effective sample size only {self.effective:.0f} (Pareto k {self.tail:.2f})"
-            why.append(f"{size}: errors and probabilities are approximate")
-        if self.outside > OUTSIDE_LIMIT:
-            why.append(f"{self.outside:.1%} of the posterior's volume was not sampled")
-        return why
+        """Return in a sentence that the draws are approximate; none if they are good."""
+        if self.tail <= TAIL_LIMIT and self.effective >= EFFECTIVE_LIMIT:
+            return []
+        size = f"effective sample size only {self.effective:.0f} (Pareto k {self.tail:.2f})"
+        return [f"{size}: errors and probabilities are approximate"]
 
     @property
     def is_line(self) -> bool:
@@ -119,7 +112,7 @@ def posterior_words(findings: PosteriorFindings) -> tuple[str, str]:
 
 
 def _solutions_text(findings: PosteriorFindings) -> str:
-    """Return what the solutions say by themselves."""
+    """Return in words how many solutions there are, and the speed of the likeliest."""
     counted, rate = findings.counted, findings.rate
     best = f"{np.degrees(findings.speed[0]):.3g} deg/s"
     likeliest = findings.probability[0]
@@ -144,7 +137,7 @@ def _solutions_text(findings: PosteriorFindings) -> str:
 
 
 def _not_explained(findings: PosteriorFindings) -> str:
-    """Return that no solution fits, by how much, and what may be the cause."""
+    """Return in words that no solution fits, by how much, and what may be the cause."""
     text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p:.2g}"
     if abs(findings.noise_sigmas) > NOISE_LIMIT:
         side = "more" if findings.noise_sigmas > 0 else "less"
@@ -156,9 +149,10 @@ def _not_explained(findings: PosteriorFindings) -> str:
 
 
 def _eclipse_text(findings: PosteriorFindings) -> str:
-    """Return what to do if the samples without a lit panel, if any, are in the shadow of a planet, which no motion explains.
+    """Return in words how to exclude samples without a lit panel, in case they are in the shadow of a planet; empty without such.
 
-    Of 15 samples with six in the shadow, readings called outliers left a chance of 1 % of residuals as large: that is not refused.
+    Residuals alone do not refuse a window with an eclipse: with six of 15 samples in the shadow, many readings counted as outliers,
+    and residuals as large had a probability of 1 %.
     """
     if not findings.dark:
         return ""
@@ -167,7 +161,7 @@ def _eclipse_text(findings: PosteriorFindings) -> str:
 
 
 def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
-    """Return when no panel was lit for :data:`DARK_RUN` samples or more, the longest such time; empty if that was never.
+    """Return in words the longest time without a lit panel, if it has :data:`DARK_RUN` samples or more; else an empty text.
 
     `t_s` (n) from the epoch; `lit` (n): whether any panel was lit.
     """
@@ -182,9 +176,9 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
 def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
     """Return sentences on panels with many outliers; `outliers` (n, p): probabilities, `lit` (n, p)."""
     sentences = []
-    base = np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
-    for name, count, of in zip(names, outliers.sum(axis=0), base, strict=True):
-        if count >= ACCUSED_LEAST and count > ACCUSED_SHARE * of:
+    readings = np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
+    for name, count, total in zip(names, outliers.sum(axis=0), readings, strict=True):
+        if count >= ACCUSED_LEAST and count > ACCUSED_SHARE * total:
             sentences.append(
                 f"panel {name}: about {count:.0f} outliers (shadow, failed panel or wrong column)"
             )
@@ -199,7 +193,7 @@ def sigmas(solutions: xr.Dataset) -> np.ndarray:
 def pass_row(
     findings: PosteriorFindings, tree: xr.DataTree, prior_sigma: float, columns_checked: str
 ) -> PassRow:
-    """Return the solutions at the first sample and the four answers, as the table of passes has them.
+    """Return the solutions at the first sample and the answers to the four checks, as a row of the table of passes.
 
     `prior_sigma` (rad/s): of a component of the rate in the ball that was searched.
     """
@@ -217,7 +211,7 @@ def pass_row(
         best[:] = True
     value = float(np.linalg.norm(rate[0]))
     off = float(np.sqrt(np.mean((speed[best] - value) ** 2)))
-    x, y, z = (bool(one < NARROWER * prior_sigma) for one in draws.std(axis=0))
+    x, y, z = (bool(sigma < NARROWER * prior_sigma) for sigma in draws.std(axis=0))
     answers = Answers(
         unique=findings.unique,
         constrained=(x, y, z),

@@ -1,4 +1,4 @@
-"""From telemetry to what a fit of a lander sees: every reading of one stretch without blows, dark ones too."""
+"""Observations of a lander from telemetry: every reading of one stretch without impacts, dark ones too."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ from sunspin.vehicle.response import panels
 from sunspin.vehicle.response.planes import sphere
 
 FREE_PHASE = "first_rebound"
-"""Phase that is taken if a file has several and none is named: of Philae's, the one without a blow and with its wheel."""
+"""Phase that is used if a file has several and none is given: of Philae's, the one without an impact and with its wheel running."""
 
 MOST_SAMPLES = 600
-"""Samples beyond this are thinned evenly: the motion is overdetermined long before."""
+"""If there are more samples, evenly spaced ones are used: fewer determine the motion as well."""
 
 MOST_NAMED = 12
-"""Phases that are named if an unknown one was asked for."""
+"""Phases that the refusal of an unknown phase names, at most."""
 
 LIKELY_UNIT = 0.5, 1.2
-"""Brightness for which gains with a unit may be right, where few panels say how bright the Sun is."""
+"""Estimated brightness between which stated gains in W or A may be right, if few panels determine it."""
 
 BRIGHTEST = 40
-"""Samples with the most light by which the brightness is bounded."""
+"""Number of the brightest samples that determine the brightness."""
 
 BETWEEN_RAD = 0.03
-"""How far any direction is from the nearest of those that are tried for the brightness."""
+"""Largest angle of a direction from the nearest of those that are tried for the brightness."""
 
 BRIGHTNESS_STEP, DIMMEST, WIDEST = 0.02, 0.03, 3.0
-"""Steps of the log brightness, and between which parts of the brightest reading it lies."""
+"""Step of the log brightness, and its limits over the brightest reading."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """What one stretch shows; times of the observations count from its first sample, `start_s` after the epoch.
+    """Observations of one stretch of telemetry; their times count from its first sample, `start_s` after the epoch.
 
-    `noise_from`: where the noise of the panels comes from; `remarks`: what was left out, in words.
+    `noise_from`: source of the noise of the panels, in words; `remarks`: what was left out, in words.
     """
 
     obs: Observations
@@ -65,7 +65,7 @@ def observe_window(
     phase: str | None = None,
     observations: Sequence[Mapping[str, Any]] = (),
 ) -> Window:
-    """Return all readings of a stretch of telemetry that count, and other observations, each at a sample of its own time.
+    """Return all usable readings of a stretch of telemetry, and other observations, each at a sample of its own time.
 
     `begin_s`, `end_s` (s from the epoch) or `phase` bound the stretch. Raises `InputError` for fewer than three samples with a lit
     panel, an unknown phase or observation.
@@ -99,10 +99,10 @@ def observe_window(
     guess = _brightness(vehicle, power, used, sigma, threshold)
     require_known(observations, float(times[index[0]]), float(times[index[-1]]))
 
-    # an observation has a sample of its own, at which no panel was read, unless panels were read at that very time
-    own = np.array([float(one["t_s"]) for one in observations])
-    t_s, place = np.unique(np.concatenate([times[index], own]), return_inverse=True)
-    at_samples, at_given = np.split(place.ravel(), [len(index)])
+    # an observation becomes a sample without panels, unless there is a sample at exactly its time
+    given_s = np.array([float(observation["t_s"]) for observation in observations])
+    t_s, sample_of = np.unique(np.concatenate([times[index], given_s]), return_inverse=True)
+    at_samples, at_given = np.split(sample_of.ravel(), [len(index)])
     whole_power, whole_used = (np.zeros((len(t_s), power.shape[1]), kind) for kind in (float, bool))
     whole_power[at_samples], whole_used[at_samples] = power, used
     read = PanelPowers(
@@ -116,8 +116,8 @@ def observe_window(
         throttled=vehicle.throttled,
     )
     given = tuple(
-        KINDS[str(one["kind"])].of(one, int(at), len(t_s))
-        for one, at in zip(observations, at_given, strict=True)
+        KINDS[str(observation["kind"])].of(observation, int(sample), len(t_s))
+        for observation, sample in zip(observations, at_given, strict=True)
     )
     obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (read, *given))
     return Window(obs, float(t_s[0]), noise_from, tuple(remarks))
@@ -130,7 +130,7 @@ def _stretch(
     end_s: float | None,
     phase: str | None,
 ) -> tuple[np.ndarray, list[str]]:
-    """Return which samples (n) lie in the stretch that is asked for, and remarks."""
+    """Return which samples (n) lie in the requested stretch, and remarks in words."""
     inside, remarks = np.ones(len(times), dtype=bool), []
     phases = np.array([], dtype=str)
     if "phase" in telemetry.coords:
@@ -156,7 +156,10 @@ def _stretch(
 
 
 def _left_out(quality: xr.Dataset, number: np.ndarray, inside: np.ndarray) -> list[str]:
-    """Return remarks on samples (n) and readings (n, p), all of which were a `number`, that do not count, with the reasons."""
+    """Return remarks on samples that were left out wholly or in part, with the reasons.
+
+    `number` (n, p): readings that are finite.
+    """
     measured, why = quality["measured"].values, quality["why"].values
     whole = inside & ~measured.any(axis=1)
     part = inside & ~whole & (number & ~measured & ~quality["missed"].values).any(axis=1)
@@ -215,6 +218,6 @@ def _likeliest_brightness(
 
 
 def with_unknowns(obs: Observations, read: PanelPowers) -> Observations:
-    """Return observations whose panels are replaced by `read`, the same with their unknowns."""
+    """Return observations with other panels: `read` are the same panels with their unknowns."""
     terms = tuple(read if isinstance(term, PanelPowers) else term for term in obs.terms)
     return replace(obs, terms=terms)

@@ -5,76 +5,77 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.column_tests import changes_of_sensor
-from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
+from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
 from sunspin.estimate.orbit.invariants import (
     FEWEST,
     Predicted,
-    angles,
-    field_of,
+    calibrated_field,
+    field_sun_angles,
     fit_magnetometer,
 )
 from sunspin.estimate.orbit.readings import Readings
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 
-LARGEST_ANGLE_RAD, CLEARER = 0.15, 0.5
-"""Right elements leave no larger median of the angle between field and Sun, in addition to the error of the Sun's direction: 0.01
-to 0.07 rad on simulated spinners whose panels get 10 to 30 % of the Earth's light. Other axes are named if they leave less than the
-second as a share of what the stated axes, and any others, leave."""
+LARGEST_ANGLE_RAD = 0.15
+"""Largest median residual of the angle between field and Sun with right elements, in addition to the error of the Sun's direction.
+On simulated spinners whose panels get 10 to 30 % of the Earth's light it was 0.01 to 0.07 rad."""
+
+CLEARER = 0.5
+"""Other axes are named if their median residual is below this part of that of the stated axes, and of any others."""
 
 
-def turned_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> Change | None:
-    """Return the change of axes with which a magnetometer's angle to the Sun is the predicted one, if with those of the file it is
-    not.
+def better_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> ColumnChange | None:
+    """Return the change of a magnetometer's axes with which the angle between field and Sun is as predicted at the first offset.
 
-    Of the predictions the first offset counts. None also if other axes fit as well. The strength of the field determines zero and
-    matrix but for a rotation or a mirror, so the angle alone compares the ways. If all axes point the other way, this is for the
-    check of the orbit to say.
+    None if the axes of the file, or those of two changes, fit nearly as well, or if only the sign of all three is wrong, which the
+    check of the orbit reports. The strength of the field determines zero and matrix but for a rotation or a mirror, and the angle
+    then judges the axes.
     """
     use = readings.has_field
     if readings.has_angle.sum() < FEWEST or vehicle.sensors.magnetometer is None:
         return None
     readings, predicted = readings.take(use), predicted.take(use).at([0])
-    # by the strength alone
-    _, state, scales = fit_magnetometer(readings.without_sun(), predicted)
-    field, known = field_of(readings.field, scales.in_T(state.unknown)[0]), predicted.angles()
-    ways = changes_of_sensor(vehicle, "field_B")  # that of the file comes first
-    off = [angles(field @ axes_matrix(way).T, readings.sun) - known for way in ways]
-    median = np.nanmedian(np.abs(off), axis=1)
+    _, state, scales = fit_magnetometer(readings.without_sun(), predicted)  # by the strength alone
+    field = calibrated_field(readings.field, scales.in_T(state.unknown)[0])
+    changes = changes_of_sensor(vehicle, "field_B")  # the first one keeps the axes of the file
+    angle = [field_sun_angles(field @ axes_matrix(change).T, readings.sun) for change in changes]
+    median = np.nanmedian(np.abs(np.array(angle) - predicted.angles()), axis=1)
     best, second = np.argsort(median)[:2]
-    if np.array_equal(axes_matrix(ways[best]), -np.eye(3)):
+    if np.array_equal(axes_matrix(changes[best]), -np.eye(3)):
         return None
     is_clear = median[best] < min(CLEARER * min(median[0], median[second]), LARGEST_ANGLE_RAD)
-    return ways[best] if is_clear else None
+    return changes[best] if is_clear else None
 
 
-def axes_matrix(way: Change) -> np.ndarray:
-    """Return the matrix (3, 3) that turns readings of the field into those after a change of axes."""
-    return way.axes["field_B"]
+def axes_matrix(change: ColumnChange) -> np.ndarray:
+    """Return the matrix (3, 3) by which a change of axes multiplies the readings of the field."""
+    return change.axes["field_B"]
 
 
 def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
-    """Return whether the median angle between field and Sun is not as predicted at the first offset.
+    """Return whether the median angle between field and Sun differs from the prediction at the first offset.
 
-    It is asked only of `FEWEST` samples or more that show the angle. `calibration` (12): matrix and zero of the magnetometer. The
-    stated errors of the Sun's directions are allowed for.
+    The allowed difference includes the stated errors of the Sun directions. False with fewer than `FEWEST` samples that show the
+    angle. `calibration` (12): matrix and zero of the magnetometer.
     """
-    off = np.abs(angles(field_of(readings.field, calibration), readings.sun) - predicted.angles())
-    known = np.isfinite(off)
+    field = calibrated_field(readings.field, calibration)
+    difference = np.abs(field_sun_angles(field, readings.sun) - predicted.angles())
+    known = np.isfinite(difference)
     if known.sum() < FEWEST:
         return False
-    stated = np.sqrt(np.trace(readings.covariance[known], axis1=1, axis2=2) / 2)
-    allowed = LARGEST_ANGLE_RAD + np.median(np.minimum(stated, LARGEST_ANGLE_RAD))
-    return bool(np.median(off[known]) > allowed)
+    sun_sigma = np.sqrt(np.trace(readings.covariance[known], axis1=1, axis2=2) / 2)
+    allowed = LARGEST_ANGLE_RAD + np.median(np.minimum(sun_sigma, LARGEST_ANGLE_RAD))
+    return bool(np.median(difference[known]) > allowed)
 
 
-def axes_words(way: Change, assessment: Assessment) -> str:
-    """Return what :func:`turned_axes` means, what to write into the vehicle file, and what else looks the same."""
+def axes_words(change: ColumnChange, assessment: Assessment) -> str:
+    """Return in words a result of :func:`better_axes`, how to correct the vehicle file, and which other changes look the same."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     columns = column_changes(vehicle, telemetry)
-    same = [change.what for change, _ in alike(Observed.of(vehicle, telemetry), way, columns)]
+    same = [other.what for other, _ in alike(Observed.of(vehicle, telemetry), change, columns)]
     others = f", or, which looks the same, {' or '.join(same)}: find out which before you set it"
     return (
-        f"{way.what} has the angle to the Sun that the orbit predicts, and with the columns of the file it does not"
-        f"; {way.do}{others if same else ''}"
+        f"{change.what} has the angle to the Sun that the orbit predicts, and with the columns of the file it does not"
+        f"; {change.do}{others if same else ''}"
     )

@@ -16,15 +16,15 @@ from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.orbit.attitudes import (
     DRIFT,
-    EACH,
+    PER_SENSOR,
     ROUNDS,
     SENSORS,
     SHIFT,
-    AttitudeLaw,
+    OrbitModel,
     OrbitState,
-    summed,
+    summed_information,
 )
-from sunspin.estimate.orbit.axes import axes_matrix, turned_axes
+from sunspin.estimate.orbit.axes import axes_matrix, better_axes
 from sunspin.estimate.orbit.invariants import (
     ISOTROPIC,
     MATRIX,
@@ -33,11 +33,11 @@ from sunspin.estimate.orbit.invariants import (
     ZERO,
     ZERO_SIGMA,
     Sky,
-    field_of,
+    calibrated_field,
     fit_magnetometer,
-    residuals_left,
+    median_residuals,
 )
-from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.estimate.orbit.readings import Readings, orbit_readings
 from sunspin.solve.rotations import cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
@@ -56,19 +56,19 @@ FEWEST = 40
 """Conditions that samples must put on the unknowns before Sun sensors are calibrated with the magnetometer."""
 
 REACH, STEP_S, MOST_STEPS = 4.0, 20.0, 24
-"""The field is tabulated within so many sigmas of the shift, in steps of so many seconds, or wider ones if these are too many a
-side."""
+"""The field is tabulated for offsets up to this many prior sigmas, in steps of so many seconds, or larger ones if more than
+`MOST_STEPS` to each side would be needed."""
 
 FIRST_ROUNDS = 2
 """Alternations of unknowns and noise before the readings get the unit of the whole fit."""
 
 WORSE = 1.3
-"""A fit that leaves more of the field's strength than its start by this factor rests in another minimum."""
+"""A fit whose median residual of the field's strength is larger than at its start by this factor has ended in another minimum."""
 
 FEWEST_PARTS = 6
-"""Parts of a file, at least, that are left out in turn, as each may err as one: passes, in pieces if they are fewer."""
+"""Least number of parts of a file that a jackknife leaves out in turn. The parts are passes, divided if there are fewer."""
 
-OF_NORMAL = 0.83
+STUDENT_SCALE = 0.83
 """Scale of Student's law with four degrees of freedom that fits normal noise of one sigma."""
 
 SUN_TURNED_RAD = 0.01
@@ -76,8 +76,8 @@ SUN_TURNED_RAD = 0.01
 Earth's light were 3 deg off at a sigma of 0.4, and its passes decided 5 sigma off; with this they are 3.5 off at most. With 0.02 a
 satellite in orbit was decided wrongly by its magnetometer alone."""
 
-FIELD = slice(0, 13)
-"""Unknowns that the magnetometer's field depends on: matrix, zero, and offset."""
+MAGNETOMETER = slice(0, 13)
+"""Unknowns of the magnetometer in an orbit: matrix, zero, and along-track offset."""
 
 SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 """Keys of a Sun sensor in the order of its unknowns: bias in rad, and scale over the stated one."""
@@ -86,13 +86,13 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 class CalibrationStart(NamedTuple):
     """Where a fit begins: field (T) = `matrix` reading - `zero_T`, `shift_s` ahead of the orbit.
 
-    `left_T`: the median residual of the field's strength there.
+    `residual_T`: the median residual of the field's strength there.
     """
 
     matrix: np.ndarray
     zero_T: np.ndarray
     shift_s: float = 0.0
-    left_T: float = np.inf
+    residual_T: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,13 @@ class FieldCalibration:
         """Return fields (n, 3) in T of readings (n, 3)."""
         return reading @ self.matrix.T - self.zero
 
-    def columns(self, reading: np.ndarray) -> np.ndarray:
-        """Return what one sigma of each error changes in the fields (n, 13, 3) of readings (n, 3)."""
+    def reading_errors(self, reading: np.ndarray) -> np.ndarray:
+        """Return the change (n, 13, 3), in T, of the calibrated fields of readings (n, 3) by one sigma of each error."""
         by_matrix = np.einsum("eij,nj->nei", self.errors[:, MATRIX].reshape(-1, 3, 3), reading)
         return by_matrix - self.errors[None, :, ZERO]
 
-    def along(self, field_along_N: np.ndarray) -> np.ndarray:
-        """Return what one sigma of each error changes in the orbit's field (n, 13, 3) in T.
+    def orbit_errors(self, field_along_N: np.ndarray) -> np.ndarray:
+        """Return the change (n, 13, 3), in T, of the orbit's field by one sigma of each error, as some move the satellite.
 
         `field_along_N` (n, 3): change of the field by one sigma along the track, T.
         """
@@ -130,22 +130,24 @@ class FieldCalibration:
     def sigma_T(
         self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
     ) -> np.ndarray:
-        """Return one sigma (n) of each component of readings (n, 3), from how far their strength is off, in T.
+        """Return one sigma (n), in T, of each component of the calibrated fields of readings (n, 3).
 
-        `field_N` (n, 3): the field, T; `field_along_N` (n, 3): its change by one sigma along the track. The strength needs no
-        attitude. So a reading whose strength is off by more than the errors of this calibration is trusted less in all directions.
+        The strength can be compared without an attitude. A field whose strength differs from the orbit's by more than the errors
+        of this calibration explain gets a larger sigma. `field_N` (n, 3): the orbit's field, T; `field_along_N` (n, 3): its change
+        by one sigma along the track.
         """
         field = self.field(reading)
-        size, strength = np.linalg.norm(field, axis=1), np.linalg.norm(field_N, axis=1)
-        # what one sigma of each error (n, e) changes in the strength that was read, and in the one that the orbit has
-        in_read = np.einsum("nei,ni->ne", self.columns(reading), field / size[:, None])
-        in_orbit = np.einsum("nei,ni->ne", self.along(field_along_N), field_N / strength[:, None])
+        read_strength, strength = (np.linalg.norm(part, axis=1) for part in (field, field_N))
+        read_unit, unit = field / read_strength[:, None], field_N / strength[:, None]
+        # change (n, e) of either strength by one sigma of each error
+        by_reading = np.einsum("nei,ni->ne", self.reading_errors(reading), read_unit)
+        by_orbit = np.einsum("nei,ni->ne", self.orbit_errors(field_along_N), unit)
         noise = np.hypot(self.noise_T, MODEL_SIGMA_T)
-        expected = np.sqrt(noise**2 + ((in_read - in_orbit) ** 2).sum(axis=1))
-        return noise * np.fmax(np.abs(size - strength) / expected, 1.0)
+        expected = np.sqrt(noise**2 + ((by_reading - by_orbit) ** 2).sum(axis=1))
+        return noise * np.fmax(np.abs(read_strength - strength) / expected, 1.0)
 
-    def of_axes(self, axes: np.ndarray) -> FieldCalibration:
-        """Return the calibration of readings that `axes` (3, 3) turn into those of this one."""
+    def with_axes(self, axes: np.ndarray) -> FieldCalibration:
+        """Return the calibration for readings that become those of this calibration if they are multiplied by `axes` (3, 3)."""
         errors = self.errors.copy()
         errors[:, MATRIX] = (errors[:, MATRIX].reshape(-1, 3, 3) @ axes).reshape(-1, 9)
         return replace(self, matrix=self.matrix @ axes, errors=errors)
@@ -156,9 +158,10 @@ class Calibration:
     """Sensors fitted along an orbit, relative to the vehicle file with which the telemetry was read.
 
     `values` (D) of all unknowns, with their covariances (D, D): `model` by the curvature, `robust` by leaving out each pass
-    (jackknife), and `prior`. `unit_T` and `unit`: units of the field in T and of the readings in theirs; `sensors`: number of Sun
-    sensors. `noise_T` of a component of the field; `sun_noise` in units of the stated sigmas. `strength` (2) and
-    `angle` (2): median residuals in T and rad, before and after. `samples`: numbers of those that show something.
+    (jackknife), and `prior`. In the fit fields are in units of `unit_T` (T), and readings in units of `unit` (in their own unit).
+    `sensors`: number of Sun sensors. `noise_T` of a component of the field; `sun_noise` in units of the stated sigmas. `strength`
+    (2) and `angle` (2): median residuals in T and rad, before and after. `samples`: how many show field, Sun, or both, and in how
+    many passes.
     """
 
     values: np.ndarray
@@ -191,7 +194,7 @@ class Calibration:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance (D, D) by the curvature, each sigma widened to that by the scatter between passes if this is larger."""
+        """Covariance (D, D) by the curvature, each sigma widened to the one by the jackknife if that is larger."""
         wider = np.sqrt(np.maximum(np.diag(self.robust) / np.diag(self.model), 1.0))
         return self.model * np.outer(wider, wider)
 
@@ -218,38 +221,38 @@ class Calibration:
     @property
     def bias(self) -> np.ndarray:
         """Bias (F, 2) of each Sun sensor's angles, rad: true angle = (angle - bias) / scale."""
-        return self.values[SENSORS:].reshape(self.sensors, EACH)[:, :2]
+        return self.values[SENSORS:].reshape(self.sensors, PER_SENSOR)[:, :2]
 
     @property
     def scale(self) -> np.ndarray:
         """Scales (F, 3) of x, y and turned y of each Sun sensor over the stated ones."""
-        return 1 + self.values[SENSORS:].reshape(self.sensors, EACH)[:, 2:]
+        return 1 + self.values[SENSORS:].reshape(self.sensors, PER_SENSOR)[:, 2:]
 
-    def turned_by_sun(self) -> np.ndarray:
-        """Return the covariance (9, 9) of the matrix, by rows, from errors that all directions of panels have in common.
+    def covariance_of_sun_errors(self) -> np.ndarray:
+        """Return the covariance (9, 9) of the matrix, by rows, from errors that all Sun directions by panels have in common.
 
-        Light of the Earth, and sides without a panel, move the Sun's directions of a whole file one way. Neither the residuals nor
-        the parts of the file show it: all directions of the field are turned by the same angle.
+        Light of the Earth, and sides without a panel, rotate the Sun directions of a whole file by the same angle, and so the axes
+        of a magnetometer that is calibrated by them. Neither the residuals nor the jackknife show it.
         """
         axes = np.eye(3) + self.values[MATRIX].reshape(3, 3)
-        turned = np.array([axes @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
-        return SUN_TURNED_RAD**2 * turned.T @ turned
+        rotated = np.array([axes @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
+        return SUN_TURNED_RAD**2 * rotated.T @ rotated
 
-    def of_field(self, shift_s: float, sigma_s: float) -> FieldCalibration:
-        """Return the magnetometer's part at another offset (s) with another sigma.
+    def magnetometer(self, shift_s: float, sigma_s: float) -> FieldCalibration:
+        """Return the calibration of the magnetometer if the offset is `shift_s` with another sigma than the fit has found (s).
 
-        Given the offset, the other unknowns are where the regression on it has them. The errors are then turned from those of the
-        fit, reading = (1 + M) field + zero, to those of field = matrix reading - zero.
+        The other unknowns follow the offset by their regression on it. Their errors are propagated from the equation of the fit,
+        reading = (1 + M) field + zero, to field = matrix reading - zero.
         """
-        covariance = self.covariance[FIELD, FIELD]
+        covariance = self.covariance[MAGNETOMETER, MAGNETOMETER]
         by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]
         values = self.values.copy()
-        values[FIELD] += by_shift * (shift_s - self.shift_s)
+        values[MAGNETOMETER] += by_shift * (shift_s - self.shift_s)
         moved = replace(self, values=values)
         added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
         covariance = covariance + added_variance * np.outer(by_shift, by_shift)
         if not self.sensors:
-            covariance[MATRIX, MATRIX] += moved.turned_by_sun()
+            covariance[MATRIX, MATRIX] += moved.covariance_of_sun_errors()
         # matrix is the inverse of 1 + M, so that its change is -matrix dM matrix; by rows that is a Kronecker product
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
         slope = np.zeros((13, 13))
@@ -258,102 +261,103 @@ class Calibration:
         slope[ZERO, ZERO] = self.unit * matrix
         slope[SHIFT, SHIFT] = 1 / sigma_s
         errors = (slope @ np.linalg.cholesky(covariance)).T
-        return FieldCalibration(matrix, zero_T, errors, self.noise_T / OF_NORMAL, self.scale_T)
+        return FieldCalibration(matrix, zero_T, errors, self.noise_T / STUDENT_SCALE, self.scale_T)
 
 
-def along_orbit(
+def calibrate_magnetometer(
     local: Any, assessment: Assessment, known: Calibration | None = None
 ) -> FieldCalibration | None:
     """Return the calibration of a file's magnetometer along an orbit; None without an orbit or without readings.
 
-    `local`: the environment, in J2000 or in axes along the Sun. `known`: the fit by which the check of this orbit has estimated
-    its along-track offset; else one is made here. Few readings give little more back than the priors, which are wide: then a fit
-    of the motion estimates the rest.
+    `local`: the environment, in J2000 or in axes along the Sun. `known`: the fit of all sensors that the check of this orbit has
+    made, if any. With few readings the result is close to the priors, which are wide. The fit of the motion then estimates the
+    calibration further.
 
     The magnetometer is fitted to strength and angle first, which needs no start, then with the attitudes projected out.
     """
     orbit = local.orbit if isinstance(local, SunAlongZ) else local
     if not isinstance(orbit, Orbit) or "field_B" not in assessment.telemetry:
         return None
-    along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     if known is not None:
-        return known.of_field(known.shift_s, along)
-    readings = read(assessment, MOST_SAMPLES)
+        return known.magnetometer(known.shift_s, orbit.offset_sigma_s)
+    readings = orbit_readings(assessment, MOST_SAMPLES)
     use = readings.has_field
     if not use.any():
         return None
+    vehicle = assessment.vehicle
     predicted = Sky.along(orbit, readings.t_s, np.zeros(1)).invariants()
-    way = None
+    # if the file has exchanged axes, calibrate readings with the right ones, and undo that at the end
+    change = None
     if "sun_sensor_angle" not in assessment.telemetry:
-        way = turned_axes(readings, predicted, assessment.vehicle)
-    axes = np.eye(3) if way is None else axes_matrix(way)
+        change = better_axes(readings, predicted, vehicle)
+    axes = np.eye(3) if change is None else axes_matrix(change)
     readings = readings.with_axes(axes)
     _, state, scales = fit_magnetometer(readings.take(use), predicted.take(use))
-    values = scales.in_T(state.unknown)[0]
-    left, _ = residuals_left(field_of(readings.field, values), readings.sun, predicted)
-    start = CalibrationStart(values[MATRIX].reshape(3, 3), values[ZERO], left_T=left)
-    prior = priors(assessment.vehicle, readings, orbit)
-    prior[ZERO] = np.abs(axes) @ prior[ZERO]
-    fitted = by_sun_sensors(orbit, assessment.vehicle, readings, start)
+    first = scales.in_T(state.unknown)[0]
+    field = calibrated_field(readings.field, first)
+    residual_T, _ = median_residuals(field, readings.sun, predicted)
+    start = CalibrationStart(first[MATRIX].reshape(3, 3), first[ZERO], residual_T=residual_T)
+    fitted = calibrate_with_sun_sensors(orbit, vehicle, readings, start)
     if fitted is None:
-        stated = readings.with_stated_sun()
-        fitted = fit_along(orbit, assessment.vehicle, stated, start, prior)
-    return fitted.of_field(0.0, along).of_axes(axes)
+        prior = priors(vehicle, readings, orbit)
+        prior[ZERO] = np.abs(axes) @ prior[ZERO]
+        fitted = fit_sensors(orbit, vehicle, readings.with_stated_sun(), start, prior)
+    return fitted.magnetometer(0.0, orbit.offset_sigma_s).with_axes(axes)
 
 
-def by_sun_sensors(
+def calibrate_with_sun_sensors(
     orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart
 ) -> Calibration | None:
-    """Return the calibration of a file whose Sun sensors may be off; None if it has none, too few samples show them and the field,
-    or the fit is clearly worse than its start."""
-    if not np.isfinite(readings.angle).any() or conditions_on_unknowns(readings) < FEWEST:
+    """Return all sensors calibrated together, Sun sensors included.
+
+    None without Sun sensors, with too few samples that show field and Sun, or if the fit is clearly worse than its start.
+    """
+    # the samples determine the field's strength, and some also its angle to the Sun
+    conditions = readings.has_field.sum() + (readings.has_field & readings.has_sun).sum()
+    if not np.isfinite(readings.angle).any() or conditions < FEWEST:
         return None
-    fitted = fit_along(orbit, vehicle, readings, start, priors(vehicle, readings, orbit))
-    return fitted if fitted.strength[1] < WORSE * start.left_T else None
-
-
-def conditions_on_unknowns(readings: Readings) -> int:
-    """Return how many field strengths, and angles to the Sun, the readings show."""
-    return int(readings.has_field.sum() + (readings.has_field & readings.has_sun).sum())
+    fitted = fit_sensors(orbit, vehicle, readings, start, priors(vehicle, readings, orbit))
+    return fitted if fitted.strength[1] < WORSE * start.residual_T else None
 
 
 def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
     """Return one sigma (D) of each unknown before the data: matrix (9), zero (3), offset, drift, and five of each Sun sensor.
 
-    It is that of the vehicle file, else the usual one. The zero's is in the unit of the readings.
+    Sigmas are those that the vehicle file states, else those of this module. That of the zero is in the unit of the readings.
     """
-    part, usual = vehicle.sensors.magnetometer, 1.0
-    if part is not None and readings.has_field.any():
-        column = readings.field @ np.linalg.inv(part.matrix).T + part.zero
+    magnetometer, usual = vehicle.sensors.magnetometer, 1.0
+    if magnetometer is not None and readings.has_field.any():
+        column = readings.field @ np.linalg.inv(magnetometer.matrix).T + magnetometer.zero
         usual = float(np.nanmedian(np.linalg.norm(column, axis=1)))
     zero = np.full(3, ZERO_SIGMA * usual)
-    if part is not None and part.zero_sigma.any():
-        zero = zero_sigmas(part.zero_sigma)
-    along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-    sigma = [np.full(9, MATRIX_SIGMA), zero, np.array([along, orbit.drift_sigma_s_day])]
+    if magnetometer is not None and magnetometer.zero_sigma.any():
+        zero = zero_sigmas(magnetometer.zero_sigma)
+    offset_and_drift = np.array([orbit.offset_sigma_s, orbit.drift_sigma_s_day])
+    sigmas = [np.full(9, MATRIX_SIGMA), zero, offset_and_drift]
     for sensor in vehicle.sensors.sun_sensors:
-        of_sensor = np.repeat([BIAS_RAD, ANGLE_SCALE], [2, 3])
+        sensor_sigma = np.repeat([BIAS_RAD, ANGLE_SCALE], [2, 3])
         # biases as they are, scales over the stated ones
         unit = [1.0, 1.0, sensor.x_scale, sensor.y_scale, sensor.y_turned_scale]
         for k, key in enumerate(SUN_KEYS):
             fact = vehicle.facts.get(f"sun_sensor.{sensor.name}.{key}")
             if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0:
-                of_sensor[k] = fact.sigma / abs(unit[k] or 1.0)
-        sigma.append(of_sensor)
-    return np.concatenate(sigma)
+                sensor_sigma[k] = fact.sigma / abs(unit[k] or 1.0)
+        sigmas.append(sensor_sigma)
+    return np.concatenate(sigmas)
 
 
-def fit_along(
+def fit_sensors(
     orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart, prior: np.ndarray
 ) -> Calibration:
     """Return the sensors calibrated by these readings, with the along-track offset and its drift.
 
-    `start`: near enough, as :func:`.invariants.fit_magnetometer` gets from anywhere. `prior` (D): as :func:`priors` gives it.
+    `start`: a calibration near the best one, such as that of :func:`.invariants.fit_magnetometer`, which needs no start itself.
+    `prior` (D): sigmas as of :func:`priors`.
     """
     half = int(np.clip(np.ceil(REACH * prior[SHIFT] / STEP_S), 4, MOST_STEPS))
     shifts = REACH * prior[SHIFT] / half * np.arange(-half, half + 1)
     sky = Sky.along(orbit, readings.t_s, shifts)
-    # what is seen in the shadow is not the Sun
+    # light in the Earth's shadow is not the Sun
     dark = sky.lit[np.abs(shifts - start.shift_s).argmin()] < 0.5
     readings = readings._replace(
         angle=np.where(dark[:, None, None], np.nan, readings.angle),
@@ -365,26 +369,26 @@ def fit_along(
     unit_T = float(np.median(np.linalg.norm(sky.field_at(start.shift_s)[0], axis=1)))
 
     for rounds in (FIRST_ROUNDS, ROUNDS):
-        # the prior is about a matrix near one: readings are in the unit that the fit before has given them
+        # The prior expects a matrix near one. So readings are in the unit that makes the determinant of the start's matrix one.
         unit = unit_T * abs(np.linalg.det(start.matrix)) ** (-1 / 3)
         inverse, unknown = np.linalg.inv(start.matrix), np.zeros(len(prior))
         unknown[MATRIX] = (inverse * unit_T / unit - np.eye(3)).ravel()
         unknown[ZERO], unknown[SHIFT] = inverse @ start.zero_T / unit, start.shift_s
         scaled = readings._replace(field=readings.field / unit)
-        law = AttitudeLaw(vehicle, scaled, sky, unit_T, _precision(prior, unit))
-        begin = OrbitState(unknown[None], law.triads(unknown)[None])
-        law, state = law.settled(begin, rounds)
+        model = OrbitModel(vehicle, scaled, sky, unit_T, _precision(prior, unit))
+        begin = OrbitState(unknown[None], model.triad_attitudes(unknown)[None])
+        model, state = model.fit_with_scatter(begin, rounds)
         unknown = state.unknown[0]
         matrix = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3)) * unit_T / unit
         start = CalibrationStart(matrix, unit * matrix @ unknown[ZERO], unknown[SHIFT])
-    return calibration_of(law, state, unit)
+    return calibration_with_errors(model, state, unit)
 
 
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
-    """Return the inverse covariance (D, D) of the unknowns before the data; the scale of the matrix is free.
+    """Return the inverse covariance (D, D) of the unknowns before the data; the scale of the matrix is hardly limited.
 
-    `prior` (D): sigmas, that of the zero in readings; `unit`: of readings in the fit. The scale is the mean of the diagonal: along
-    its direction among the nine elements the sigma is :data:`SCALE_FREE`.
+    `prior` (D): sigmas, that of the zero in the unit of readings; `unit`: that of the readings in the fit. The scale is the mean of
+    the diagonal: along its direction among the nine elements the sigma is :data:`SCALE_FREE`.
     """
     sigma = prior.copy()
     sigma[ZERO] /= unit
@@ -395,53 +399,60 @@ def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
     return precision
 
 
-def calibration_of(law: AttitudeLaw, state: OrbitState, unit: float) -> Calibration:
-    """Return the calibration that a fit ends with, and its covariances; `unit`: of its readings of the field.
+def calibration_with_errors(model: OrbitModel, state: OrbitState, unit: float) -> Calibration:
+    """Return the result of a fit with its covariances; `unit`: that of its readings of the field.
 
-    The jackknife leaves out each part of the file in turn. Where the unknowns go without it is one Newton step, as the gradients of
-    the remaining samples and of the prior add to minus that of the part.
+    The jackknife leaves out each part of the file in turn. At the minimum all gradients add to zero, so that without a part they
+    add to minus its own: one Newton step with the curvature of the rest gives the change of the unknowns.
     """
-    unknown, r = state.unknown[0], law.readings
-    best = law.settle(unknown, state.attitude[0])
-    gradients = law.gradients(best)
+    unknown, readings = state.unknown[0], model.readings
+    best = model.project_out_attitudes(unknown, state.attitude[0])
+    gradients = model.gradients(best)
     # expected weight of a sample under Student's law
-    expected = (STUDENT + law.conditions) / (STUDENT + law.conditions + 2)
-    information = law.precision + summed(expected, best.slope)
-    covariance, part_of = np.linalg.inv(information), _parts_left_out(r.pass_of)
+    expected = (STUDENT + model.conditions) / (STUDENT + model.conditions + 2)
+    information = model.precision + summed_information(expected, best.slope)
+    covariance, part_of = np.linalg.inv(information), _parts_left_out(readings.pass_of)
     steps = []
     for k in range(part_of.max() + 1):
         part = part_of == k
-        of_rest = information - summed(expected[part], best.slope[part])
-        steps.append(np.linalg.solve(of_rest, gradients[part].sum(axis=0)))
+        rest = information - summed_information(expected[part], best.slope[part])
+        steps.append(np.linalg.solve(rest, gradients[part].sum(axis=0)))
     off = np.array(steps) - np.mean(steps, axis=0)
-    robust = (1 - 1 / len(off)) * off.T @ off + covariance @ law.precision @ covariance
-    residuals = np.array([law.left(law.stated_unknown(unknown)), law.left(unknown)])
+    jackknife = (1 - 1 / len(off)) * off.T @ off
+    # the prior scatters as well, but no part of the file shows it
+    robust = jackknife + covariance @ model.precision @ covariance
+    residuals = np.array(
+        [model.median_residuals(model.unknowns_of_file(unknown)), model.median_residuals(unknown)]
+    )
     return Calibration(
         values=unknown,
         model=covariance,
         robust=robust,
-        prior=np.linalg.inv(law.precision),
-        unit_T=law.unit_T,
+        prior=np.linalg.inv(model.precision),
+        unit_T=model.unit_T,
         unit=unit,
-        sensors=len(law.vehicle.sensors.sun_sensors),
-        noise_T=law.scatter[2] * law.unit_T,
-        sun_noise=law.scatter[0],
+        sensors=len(model.vehicle.sensors.sun_sensors),
+        noise_T=model.scatter[2] * model.unit_T,
+        sun_noise=model.scatter[0],
         strength=residuals[:, 0],
         angle=residuals[:, 1],
         samples={
-            "field": int(r.has_field.sum()),
-            "Sun": int(r.has_sun.sum()),
-            "passes": len(np.unique(r.pass_of)),
-            "field and Sun": int((r.has_field & r.has_sun).sum()),
+            "field": int(readings.has_field.sum()),
+            "Sun": int(readings.has_sun.sum()),
+            "passes": len(np.unique(readings.pass_of)),
+            "field and Sun": int((readings.has_field & readings.has_sun).sum()),
         },
     )
 
 
 def _parts_left_out(pass_of: np.ndarray) -> np.ndarray:
-    """Return the number (n), from zero, of the part of a file that a sample is in: passes, in even pieces if they are few."""
+    """Return the number (n), from zero, of the part of a file that each sample is in: its pass, or a piece of it if there are few.
+
+    `pass_of` (n): number of the pass of each sample, in the order of time.
+    """
     _, passes, counts = np.unique(pass_of, return_inverse=True, return_counts=True)
     pieces = -(-FEWEST_PARTS // len(counts))
-    # which sample of its pass it is; samples are in the order of time
+    # position of each sample in its pass
     index_in_pass = np.arange(len(passes)) - np.searchsorted(passes, passes)
     piece = index_in_pass * pieces // counts[passes]
     return np.unique(passes * pieces + piece, return_inverse=True)[1]

@@ -18,12 +18,12 @@ import xarray as xr
 from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.orbit.axes import axes_matrix, axes_words, contradicted, turned_axes
+from sunspin.estimate.orbit.axes import axes_matrix, axes_words, better_axes, contradicted
 from sunspin.estimate.orbit.calibration import (
     MOST_SAMPLES,
     Calibration,
     CalibrationStart,
-    by_sun_sensors,
+    calibrate_with_sun_sensors,
 )
 from sunspin.estimate.orbit.invariants import (
     FEWEST,
@@ -32,11 +32,11 @@ from sunspin.estimate.orbit.invariants import (
     OffsetFits,
     Predicted,
     Sky,
-    field_of,
+    calibrated_field,
     fit_at_offsets,
-    residuals_left,
+    median_residuals,
 )
-from sunspin.estimate.orbit.readings import Readings, read
+from sunspin.estimate.orbit.readings import Readings, orbit_readings
 from sunspin.estimate.orbit.shadow import SunInShadow, sun_in_shadow
 from sunspin.estimate.settings import ORBIT, OrbitSettings
 from sunspin.telemetry.assess import Assessment, assess
@@ -44,7 +44,7 @@ from sunspin.vehicle import Vehicle
 
 
 class Verdict(Enum):
-    """What the rank says; the values are the sentences."""
+    """Verdicts on an orbit; the values are sentences for a person."""
 
     FITS = "elements consistent with the telemetry"
     REFUSED = "elements not consistent with the telemetry; not used"
@@ -55,14 +55,15 @@ class Verdict(Enum):
 class OrbitCheck:
     """The answer of :func:`check_orbit`.
 
-    `shift_s` at mid-file and its drift, with their sigmas; Sun sensors determine the drift, else it stays as it was. `better` of
-    `copies` comparison orbits fit better, and `mistaken` are expected to by chance. With the node rotated by `turn_rad` residuals
-    are `turn_times` smaller. `samples`: numbers that show something. Residuals are medians. `eclipse`: samples that show the Sun in
-    the predicted shadow, and all there. `matrix`, `zero`: field in T = matrix reading - zero, None without a magnetometer.
-    `border`: the shift is at the border of what was tried. `clock_behind_s`: the clock error with which the elements would fit,
-    else 0. `sign_turned`: the field with the opposite sign fits the Sun clearly better. `turned_axes`: other axes of the
-    magnetometer with which its angle to the Sun fits, in words. `made`: the fit of all sensors, if there are Sun sensors.
-    `sun_in_shadow`: samples with clear Sun that contradict the orbit at any offset within the prior.
+    `shift_s`: along-track offset at mid-file, with its drift and the sigmas of both; only Sun sensors determine the drift. `better`
+    of `copies` comparison orbits fit better, and `mistaken` are expected to by chance. With the node rotated by `turn_rad`
+    residuals are `turn_times` smaller. `samples`: how many show field, light, or the angle between field and Sun. Residuals are
+    medians. `eclipse`: samples that show the Sun in the predicted shadow, and all there. `matrix`, `zero`: field in T = matrix
+    reading - zero, None without a magnetometer. `border`: the offset is at the border of those tried. `clock_behind_s`: the clock
+    error with which refused elements would fit, else 0. `sign_turned`: the field with the opposite sign fits the Sun clearly
+    better. `turned_axes`: other axes of the magnetometer with which its angle to the Sun fits, in words. `fitted_sensors`: the fit
+    of all sensors, if there are Sun sensors. `sun_in_shadow`: samples with clear Sun that contradict the orbit at any offset within
+    the prior.
     """
 
     shift_s: float
@@ -85,11 +86,11 @@ class OrbitCheck:
     turned_axes: str = ""
     drift_s_day: float = 0.0
     drift_sigma_s_day: float = 0.0
-    made: Calibration | None = None
+    fitted_sensors: Calibration | None = None
     sun_in_shadow: SunInShadow = SunInShadow()
 
     def start(self, orbit: Orbit) -> CalibrationStart | None:
-        """Return where a fit of all sensors along the orbit may begin; None without a magnetometer."""
+        """Return the calibration at which a fit of all sensors along the orbit begins; None without a magnetometer."""
         if self.matrix is None or self.zero is None:
             return None
         shift_s = self.shift_s - orbit.shift_s
@@ -104,38 +105,37 @@ def check_orbit(
     seed: int = 0,
     settings: OrbitSettings = ORBIT,
 ) -> OrbitCheck:
-    """Rank an orbit among comparison orbits of random node and phase, by what the telemetry shows at any attitude.
+    """Rank an orbit among comparison orbits of random node and phase, by readings that do not depend on the attitude.
 
-    The along-track offset of every orbit is sought within three sigmas of its prior (of offset and clock together), which counts.
-    `telemetry`: Dataset of `read_telemetry`, or its Assessment. `seed`: of the random orbits.
+    Each orbit is fitted at along-track offsets within three sigmas of their prior, whose density counts. `telemetry`: Dataset of
+    `read_telemetry`, or its Assessment. `seed`: of the random orbits.
     """
     s, assessment = settings, assess(vehicle, telemetry)
-    shown = read(assessment, s.samples)
-    along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+    every = orbit_readings(assessment, s.samples)
     unchecked = OrbitCheck(
         orbit.shift_s,
-        along,
+        orbit.offset_sigma_s,
         drift_s_day=orbit.drift_s_day,
         drift_sigma_s_day=orbit.drift_sigma_s_day,
     )
-    if not len(shown.t_s):
+    if not len(every.t_s):
         return unchecked
-    # angles that are too few judge no orbit
-    judging = shown if shown.has_angle.sum() >= FEWEST else shown.without_sun()
-    trial = Trial(judging, along, s)
-    here = trial.predicted(orbit)
-    own = trial.fit(here)
-    way = None
+    # a few angles between field and Sun are no reason to refuse an orbit
+    readings = every if every.has_angle.sum() >= FEWEST else every.without_sun()
+    comparison = Comparison(readings, orbit.offset_sigma_s, s)
+    predicted = comparison.predicted(orbit)
+    own = comparison.fit(predicted)
+    change = None
     if "sun_sensor_angle" not in assessment.telemetry:
-        way = turned_axes(judging, here.at([own.best]), vehicle)
-    if way is not None:  # from here on as if the vehicle file named the axes rightly
-        trial = replace(trial, readings=judging.with_axes(axes_matrix(way)))
-        own = trial.fit(here)
-
-    # the rank among comparison orbits, and what may overrule it: too little to rank by, and Sun in the shadow, which comes last
-    rank = trial.rank(orbit, own, here, seed)
-    readings, at_best = trial.readings, here.at([own.best])
+        change = better_axes(readings, predicted.at([own.best]), vehicle)
+    if change is not None:  # from here on as if the vehicle file named these axes
+        comparison = replace(comparison, readings=readings.with_axes(axes_matrix(change)))
+        own = comparison.fit(predicted)
+    readings, at_best = comparison.readings, predicted.at([own.best])
     calibration = own.calibration[own.best]
+
+    # The verdict is by the rank among comparison orbits, unless there is too little to rank by. Sun in the shadow overrules it.
+    rank = comparison.rank(orbit, own, predicted, seed)
     enough = max(readings.has_field.sum(), np.isfinite(readings.light).sum()) >= FEWEST
     verdict = Verdict.FITS
     if rank.better > s.better or rank.turn_times > s.times:
@@ -145,14 +145,11 @@ def check_orbit(
     if not enough or rank.mistaken > s.mistaken:
         verdict = Verdict.UNDECIDED
     shadow = sun_in_shadow(orbit, assessment, s.span)
-    if shadow.samples:  # no other orbit need fit better: this one is wrong, or the clock is
+    if shadow.samples:
         verdict = Verdict.REFUSED
-    # what a field of the opposite sign, or another clock, must be clearly below to be named
-    lowest = rank.lowest if verdict is Verdict.REFUSED else float(own.cost.min())
-    lowest -= float(trial.prior(trial.shifts)[own.best])
 
-    shift_s, shift_sigma_s, border = trial.shift(orbit, own)
-    in_shadow = np.isfinite(readings.light) & (here.lit[own.best] < 0.5)
+    shift_s, shift_sigma_s, border = comparison.shift(orbit, own)
+    in_shadow = np.isfinite(readings.light) & (predicted.lit[own.best] < 0.5)
     answer = replace(
         unchecked,
         shift_s=orbit.shift_s + shift_s,
@@ -169,23 +166,24 @@ def check_orbit(
         sun_in_shadow=shadow,
     )
     if np.isfinite(calibration).all():
-        answer = _calibrated(answer, trial, at_best, calibration, lowest)
-        few_angles = not judging.has_angle.any() and shown.has_angle.any()
-        if few_angles:
-            answer = _with_few_angles(answer, replace(trial, readings=shown), at_best)
-    if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
-        words = axes_words(way, assessment)
-        answer = replace(answer, matrix=answer.matrix @ axes_matrix(way), turned_axes=words)
+        # a field of the opposite sign must cost clearly less than this
+        lowest = rank.lowest if verdict is Verdict.REFUSED else float(own.cost.min())
+        lowest -= float(comparison.prior(comparison.shifts)[own.best])
+        answer = _with_magnetometer(answer, comparison, at_best, calibration, lowest)
+        if not readings.has_angle.any() and every.has_angle.any():
+            answer = _with_few_angles(answer, replace(comparison, readings=every), at_best)
+    if change is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
+        words = axes_words(change, assessment)
+        answer = replace(answer, matrix=answer.matrix @ axes_matrix(change), turned_axes=words)
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, assessment)
-    return replace(answer, clock_behind_s=trial.clock_behind_s(orbit, rank.lowest))
+    return replace(answer, clock_behind_s=comparison.clock_behind_s(orbit, rank.lowest))
 
 
 class Rank(NamedTuple):
-    """How an orbit compares with others.
+    """How an orbit compares with comparison orbits: the fields of :class:`OrbitCheck` of the same names.
 
-    `better` comparison orbits fit better, and `mistaken` would by chance; with the node rotated by `turn_rad` residuals are
-    `turn_times` smaller. `lowest`: the cost of the best of the orbit and its copies.
+    `lowest`: the cost of the best of the orbit and its copies.
     """
 
     better: int
@@ -196,19 +194,19 @@ class Rank(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What orbits are compared with: readings, and offsets along the track, of which `along_s` is one sigma."""
+class Comparison:
+    """Fits of any orbit to the same readings, at the same along-track offsets; `along_s`: their prior sigma, s."""
 
     readings: Readings
     along_s: float
-    s: OrbitSettings
+    settings: OrbitSettings
 
     @property
     def shifts(self) -> np.ndarray:
         """Offsets (K) in s that are tried."""
-        steps = np.ceil(self.s.span * self.along_s / self.s.step_s)
-        half = int(np.clip(steps, 3, self.s.most_steps // 2))
-        return self.s.span * self.along_s / half * np.arange(-half, half + 1)
+        steps = np.ceil(self.settings.span * self.along_s / self.settings.step_s)
+        half = int(np.clip(steps, 3, self.settings.most_steps // 2))
+        return self.settings.span * self.along_s / half * np.arange(-half, half + 1)
 
     def prior(self, shifts: np.ndarray) -> np.ndarray:
         """Return the cost (K) of offsets by their prior."""
@@ -225,25 +223,25 @@ class Trial:
         readings: Readings | None = None,
         scatter: np.ndarray | None = None,
     ) -> OffsetFits:
-        """Return an orbit's fits at all offsets; at every third only, if none of these comes near the cost `reach` of its rival.
+        """Return an orbit's fits at all offsets, or only at every third one if none of these comes near a rival's cost `reach`.
 
-        `readings`, `scatter`: in place of those of the file and of their estimated noise.
+        `readings`, `scatter`: in place of the readings of the file and of their estimated noise.
         """
         readings = self.readings if readings is None else readings
         prior = self.prior(self.shifts)
         if np.isfinite(reach):
             third = slice(1, None, 3)
             coarse = fit_at_offsets(readings, predicted.at(third), prior[third], scatter)
-            if coarse.cost.min() > reach + self.s.near:
+            if coarse.cost.min() > reach + self.settings.near:
                 return coarse
         return fit_at_offsets(readings, predicted, prior, scatter)
 
     def rank(self, orbit: Orbit, own: OffsetFits, predicted: Predicted, seed: int) -> Rank:
-        """Return how an orbit compares with copies of random node and phase, and with other nodes.
+        """Return how an orbit compares with copies of random node and phase, and with copies of which only the node differs.
 
-        `own`, `predicted`: its fits, and what it predicts at every offset.
+        `own`, `predicted`: its fits and its predictions at every offset.
         """
-        rng, count = np.random.default_rng(seed), self.s.copies
+        rng, count = np.random.default_rng(seed), self.settings.copies
         nodes = rng.uniform(0, 2 * np.pi, count)
         phases = rng.uniform(0, orbit.elements[0].period_s, count)
         copies = [self.predicted(orbit, *pair) for pair in zip(nodes, phases, strict=True)]
@@ -254,14 +252,14 @@ class Trial:
         return Rank(better, mistaken, *self.other_node(orbit, own), float(winner.cost.min()))
 
     def mistaken(self, right: Predicted, copies: list[Predicted], winner: OffsetFits) -> float:
-        """Return how many copies would fit better by chance if the orbit were right, by the noise of the best of all orbits.
+        """Return the expected number of copies that would fit better by chance if the orbit were right.
 
-        `right`: the predictions of the orbit at one offset, which become noiseless readings. The cost of a copy for these is higher
-        than that of the orbit by D. With noise the difference is normal, of mean D and sigma sqrt(2 D). It is negative, and the
-        copy fits better, with the probability erfc(sqrt(D) / 2) / 2.
+        Noiseless readings are made from the predictions `right` of the orbit at one offset. For these a copy costs more than the
+        orbit by D. With noise the difference is normal, of mean D and sigma sqrt(2 D). It is negative, so that the copy fits
+        better, with the probability erfc(sqrt(D) / 2) / 2. The noise is that of the fit of the best of all orbits, `winner`.
         """
-        scatter = np.minimum(winner.scatter[winner.best], self.s.most_scatter)
-        noiseless = as_predicted(self.readings, right, winner.calibration[winner.best])
+        scatter = np.minimum(winner.scatter[winner.best], self.settings.most_scatter)
+        noiseless = noiseless_readings(self.readings, right, winner.calibration[winner.best])
         own_cost = float(fit_at_offsets(noiseless, right, np.zeros(1), scatter).cost[0])
         costs = [self.fit(copy, own_cost, noiseless, scatter).cost.min() for copy in copies]
         higher = np.maximum(np.array(costs) - own_cost, 0)
@@ -275,7 +273,7 @@ class Trial:
         count = self.readings.has_field.sum()
         if count < FEWEST:
             return 0.0, 1.0
-        nodes = np.radians(self.s.nodes_deg)
+        nodes = np.radians(self.settings.nodes_deg)
         costs = np.array([self.fit(self.predicted(orbit, node)).cost.min() for node in nodes])
         gain = (own.cost.min() - costs.min()) / (count + self.readings.has_angle.sum())
         return (float(nodes[costs.argmin()]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
@@ -285,12 +283,14 @@ class Trial:
 
         It is 0 unless this fits clearly better than the lowest cost of the orbit and all copies.
         """
-        clocks = 3600.0 * np.array(self.s.hours)
-        other = [replace(orbit, clock_s=orbit.clock_s + clock) for clock in clocks]
-        costs = [self.fit(self.predicted(one), lowest).cost.min() for one in other]
-        return float(clocks[np.argmin(costs)]) if min(costs) < lowest - self.s.clearly else 0.0
+        clocks = 3600.0 * np.array(self.settings.hours)
+        others = [replace(orbit, clock_s=orbit.clock_s + clock) for clock in clocks]
+        costs = [self.fit(self.predicted(orbit), lowest).cost.min() for orbit in others]
+        return (
+            float(clocks[np.argmin(costs)]) if min(costs) < lowest - self.settings.clearly else 0.0
+        )
 
-    def opposite(self, at: Predicted) -> float:
+    def cost_of_opposite_field(self, at: Predicted) -> float:
         """Return the cost of the field with the opposite sign at one offset, without the offset's prior."""
         opposite = self.readings._replace(field=-self.readings.field)
         return float(fit_at_offsets(opposite, at, np.zeros(1)).cost[0])
@@ -298,10 +298,10 @@ class Trial:
     def shift(self, orbit: Orbit, own: OffsetFits) -> tuple[float, float, bool]:
         """Return the offset in addition to the orbit's own (s), its sigma, and whether it is at the border of what was tried.
 
-        They are mean and sigma of the density exp(-cost), all minima counted. The sigma is at least what leaving out each part of
-        the file changes (jackknife): calibration drifts, and beacons of a pass err as one. `own`: the fits at all offsets.
+        They are mean and sigma of the density exp(-cost) over all offsets. The sigma is at least that of a jackknife over parts of
+        the file, as readings of one pass have errors in common. `own`: the fits at all offsets.
         """
-        s, tried = self.s, self.shifts
+        s, tried = self.settings, self.shifts
         step = tried[1] - tried[0]
         likely = tried[own.cost < own.cost.min() + s.deep]
         fine = np.linspace(likely.min() - step, likely.max() + step, s.fine)
@@ -325,17 +325,17 @@ class Trial:
         return mean, max(sigma, s.few * float(np.sqrt(jackknife))), at_border
 
 
-def as_predicted(readings: Readings, right: Predicted, calibration: np.ndarray) -> Readings:
-    """Return the readings without noise: as they would be if the orbit were right, at its one offset.
+def noiseless_readings(readings: Readings, right: Predicted, calibration: np.ndarray) -> Readings:
+    """Return the readings as they would be without noise if the orbit were right at the one offset of the predictions.
 
-    The field has the predicted strength and angle to the Sun, in the half plane where it was read; it is dark in the shadow.
-    `calibration` (12): matrix and zero by which fields become readings again.
+    The field gets the predicted strength and angle to the Sun, in the half plane of the Sun and the measured field. Samples in the
+    shadow are dark. `calibration` (12): matrix and zero of the magnetometer.
     """
     dark = np.isfinite(readings.light) & (right.lit[0] < 0.5)
     readings = readings._replace(light=np.where(dark, 0.0, readings.light))
     if not np.isfinite(calibration).all():
         return readings
-    sun, read_unit = readings.sun, field_of(readings.field, calibration)
+    sun, read_unit = readings.sun, calibrated_field(readings.field, calibration)
     read_unit /= np.linalg.norm(read_unit, axis=1, keepdims=True)
     across = read_unit - (read_unit * sun).sum(axis=1, keepdims=True) * sun
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -357,22 +357,26 @@ def _counts(readings: Readings) -> dict[str, int]:
     return {what: int(which.sum()) for what, which in shows.items()}
 
 
-def _calibrated(
-    answer: OrbitCheck, trial: Trial, at: Predicted, calibration: np.ndarray, lowest: float
+def _with_magnetometer(
+    answer: OrbitCheck,
+    comparison: Comparison,
+    at: Predicted,
+    calibration: np.ndarray,
+    lowest: float,
 ) -> OrbitCheck:
     """Return the answer with the magnetometer's calibration (12), its residuals, and whether its sign is the opposite one.
 
-    `at`: predictions at the one offset; `lowest`: the cost that the opposite sign must be clearly below. A calibration that itself
-    reverses the readings is of the opposite sign too, if the angle to the Sun fits only by this.
+    `at`: predictions at one offset; `lowest`: the cost that the opposite sign must be clearly below. The sign is also opposite if
+    the calibration itself reverses the readings and the angle to the Sun fits only by this.
     """
-    readings = trial.readings
-    field = field_of(readings.field, calibration)
-    strength, angle = residuals_left(field, readings.sun, at)
-    sign_turned = trial.opposite(at) < lowest - trial.s.clearly
+    readings = comparison.readings
+    field = calibrated_field(readings.field, calibration)
+    strength, angle = median_residuals(field, readings.sun, at)
+    sign_turned = comparison.cost_of_opposite_field(at) < lowest - comparison.settings.clearly
     reverses = np.linalg.det(calibration[MATRIX].reshape(3, 3)) < 0
     if reverses and answer.verdict is not Verdict.REFUSED and readings.has_angle.sum() >= FEWEST:
-        _, other = residuals_left(-field, readings.sun, at)
-        sign_turned |= angle < trial.s.mirrored * other
+        _, other = median_residuals(-field, readings.sun, at)
+        sign_turned |= angle < comparison.settings.mirrored * other
     return replace(
         answer,
         matrix=calibration[MATRIX].reshape(3, 3),
@@ -383,16 +387,21 @@ def _calibrated(
     )
 
 
-def _with_few_angles(answer: OrbitCheck, trial: Trial, at: Predicted) -> OrbitCheck:
-    """Return the answer with the residual of angles that are too few to judge an orbit, and with the sign that they show."""
-    readings = trial.readings
+def _with_few_angles(answer: OrbitCheck, comparison: Comparison, at: Predicted) -> OrbitCheck:
+    """Return the answer with the residual of angles that are too few to judge an orbit, and with the sign that they show.
+
+    `comparison`: with all readings; `at`: predictions at one offset.
+    """
+    readings = comparison.readings
     own = fit_at_offsets(readings, at, np.zeros(1))
-    clearly = trial.opposite(at) < own.cost[0] - trial.s.clearly
-    field = field_of(readings.field, own.calibration[0])
+    opposite_is_better = (
+        comparison.cost_of_opposite_field(at) < own.cost[0] - comparison.settings.clearly
+    )
+    field = calibrated_field(readings.field, own.calibration[0])
     return replace(
         answer,
-        angle_residual_rad=residuals_left(field, readings.sun, at)[1],
-        sign_turned=bool(clearly) and answer.verdict is not Verdict.REFUSED,
+        angle_residual_rad=median_residuals(field, readings.sun, at)[1],
+        sign_turned=bool(opposite_is_better) and answer.verdict is not Verdict.REFUSED,
         samples=_counts(readings),
     )
 
@@ -402,8 +411,8 @@ def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, assessment: Assessment) 
     start = answer.start(orbit)
     if start is None or "sun_sensor_angle" not in assessment.telemetry:
         return answer
-    readings = read(assessment, MOST_SAMPLES)
-    fitted = by_sun_sensors(orbit, assessment.vehicle, readings, start)
+    readings = orbit_readings(assessment, MOST_SAMPLES)
+    fitted = calibrate_with_sun_sensors(orbit, assessment.vehicle, readings, start)
     if fitted is None:
         return answer
     return replace(
@@ -416,7 +425,7 @@ def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, assessment: Assessment) 
         zero=fitted.matrix_T @ fitted.zero,
         strength_residual_T=float(fitted.strength[1]),
         angle_residual_rad=float(fitted.angle[1]),
-        made=fitted,
+        fitted_sensors=fitted,
     )
 
 

@@ -16,7 +16,7 @@ from sunspin.environment.earth import earth_from_J2000, rotate_vectors, sun_J200
 from sunspin.environment.light import sunlit_fraction
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.readings import Readings
-from sunspin.solve.least_squares import least_squares
+from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 
 STUDENT = 4.0
@@ -31,8 +31,11 @@ SCALE_INFORMATION = 0.1
 ZERO_SIGMA = 1.0
 """One sigma of the zero over the usual reading, if the vehicle file states none: it may be missing there."""
 
-TIED, LEAST_SCALE = 8, 1e-3
-"""Elements of the matrix in addition to its scale, and the smallest scale over the first one."""
+NOT_SCALE = 8
+"""Elements of the matrix in addition to its scale, whose prior is in proportion to it."""
+
+LEAST_SCALE = 1e-3
+"""Smallest scale of the matrix over the first one."""
 
 LEAST_SCATTER = np.array([0.003, 0.5])
 """Smallest scatter of the strength, over the field, and of the angle, in sigmas of the Sun: no model is better. Where few samples
@@ -164,22 +167,22 @@ def fit_at_offsets(
 ) -> OffsetFits:
     """Return the cost of K offsets in addition to that of their `prior` (K), with the magnetometer fitted at each.
 
-    `scatter` (2): as in :class:`OffsetFits`, if it is given and not estimated. All calibrations count, not the best alone: the cost
-    has the determinant of the unknowns' covariance (Laplace).
+    `scatter` (2): as in :class:`OffsetFits`, if it is not to be estimated. The posterior is integrated over all calibrations, not
+    taken at the best one: by Laplace's method that adds half the log determinant of the curvature to the cost.
     """
     use = readings.has_field
     cost = prior + eclipse_cost(readings.light, predicted.lit)
     if use.sum() < FEWEST:
-        nothing = np.full((len(prior), 14), np.nan)
-        return OffsetFits(cost, nothing[:, :12], nothing[:, 12:])
-    law, state, scales = fit_magnetometer(readings.take(use), predicted.take(use), scatter)
-    system = law.linearise(state)
+        unknown = np.full((len(prior), 12), np.nan)
+        return OffsetFits(cost, calibration=unknown, scatter=unknown[:, :2])
+    model, state, scales = fit_magnetometer(readings.take(use), predicted.take(use), scatter)
+    system = model.linearise(state)
     cost = cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2
     return OffsetFits(cost, scales.in_T(state.unknown), state.scatter)
 
 
 def eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return minus the log likelihood (K) of light and dark (n) where a part (K, n) of the Sun is predicted.
+    """Return minus the log likelihood (K) of light (n; 1, 0 or NaN) where a part (K, n) of the Sun's disc is predicted to be seen.
 
     A sample is dark with a probability that is high in the shadow (:data:`SEEN_IN_SHADOW`). In the Sun, where no panel may look
     there or a panel may be idle, it is the share of sunny samples that are dark, for each offset.
@@ -225,9 +228,10 @@ class MagnetometerState(NamedTuple):
 
 def fit_magnetometer(
     readings: Readings, predicted: Predicted, scatter: np.ndarray | None = None
-) -> tuple[MagnetometerLaw, MagnetometerState, Scales]:
-    """Return a magnetometer fitted at each of K offsets by n samples that all have a field; `scatter` (2): held there if it is
-    given, else fitted.
+) -> tuple[MagnetometerModel, MagnetometerState, Scales]:
+    """Return a magnetometer fitted at each of K offsets by n samples that all have a field: model, fitted state and units.
+
+    `scatter` (2): the scatters of strength and angle, if they are not to be fitted.
 
     First the strength is fitted as |matrix reading - zero| = predicted strength, which gets near from anywhere. But noise in the
     readings draws such a fit to a matrix that is too small, with far too large a zero (regression dilution). Then, from there, the
@@ -236,8 +240,9 @@ def fit_magnetometer(
     size = np.linalg.norm(readings.field, axis=1)
     usual = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
     scales = Scales(usual, float(np.median(predicted.strength)))
-    free, count = scatter is None, len(predicted.strength)
-    law = MagnetometerLaw(readings, scales, of_readings=False)
+    fit_scatter = scatter is None
+    count = len(predicted.strength)  # of offsets
+    model = MagnetometerModel(readings, scales, of_readings=False)
     state = MagnetometerState(
         np.zeros((count, 12)),
         predicted.strength / scales.field_T,
@@ -249,16 +254,16 @@ def fit_magnetometer(
     zero, scale = fit_sphere(readings.field / scales.reading, state.strength)
     unknown = np.column_stack([(scale - 1)[:, None] * np.eye(3).ravel(), scale[:, None] * zero])
     from_sphere = state._replace(unknown=unknown, scale=scale)
-    state = law.settled(law.better(state, from_sphere), free)
+    state = model.fit(model.better(state, from_sphere), fit_scatter)
 
-    law = MagnetometerLaw(readings, scales, of_readings=True)
-    if not free:
-        return law, law.settled(state, free), scales
-    state = law.settled(state._replace(scatter=law.scatter(state)), free)
+    model = MagnetometerModel(readings, scales, of_readings=True)
+    if not fit_scatter:
+        return model, model.fit(state, fit_scatter), scales
+    state = model.fit(state._replace(scatter=model.scatter(state)), fit_scatter)
     # Each offset may rest in a minimum of its own: begin again from the calibration at the best one.
-    best = np.full(count, law.linearise(state).cost.argmin())
+    best = np.full(count, model.linearise(state).cost.argmin())
     again = {name: getattr(state, name)[best] for name in ("unknown", "scatter", "scale")}
-    return law, law.better(state, law.settled(state._replace(**again), free)), scales
+    return model, model.better(state, model.fit(state._replace(**again), fit_scatter)), scales
 
 
 def fit_sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -282,7 +287,7 @@ def fit_sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, n
     return zero, scale.clip(LEAST_SCALE, 1 / LEAST_SCALE)
 
 
-class MagnetometerLaw:
+class MagnetometerModel:
     """Residuals of a magnetometer's readings: strength of the field, and its component toward the Sun.
 
     The residual of the strength is in the field, or, `of_readings`, the distance of a reading from all readings of that strength.
@@ -299,14 +304,20 @@ class MagnetometerLaw:
         across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
         covariance = readings.covariance[self.with_sun]
         self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance, across) + SUN_RAD**2)
-        # The mean of the diagonal is the scale, which is free; other elements are tied to it.
-        self.free, self.tied = np.zeros((12, 12)), np.zeros((12, 12))
-        self.free[MATRIX, MATRIX] = SCALE_INFORMATION * np.eye(9)
-        self.free[ZERO, ZERO] = ZERO_SIGMA**-2 * np.eye(3)
-        self.tied[MATRIX, MATRIX] = (np.eye(9) - np.outer(ISOTROPIC, ISOTROPIC)) / MATRIX_SIGMA**2
+        # Inverse prior covariances. The mean of the diagonal is the scale, which is hardly limited. The prior sigmas of all other
+        # elements are in proportion to it: their precision is divided by the square of the scale of each state.
+        self.free_precision, self.tied_precision = np.zeros((12, 12)), np.zeros((12, 12))
+        self.free_precision[MATRIX, MATRIX] = SCALE_INFORMATION * np.eye(9)
+        self.free_precision[ZERO, ZERO] = ZERO_SIGMA**-2 * np.eye(3)
+        self.tied_precision[MATRIX, MATRIX] = (
+            np.eye(9) - np.outer(ISOTROPIC, ISOTROPIC)
+        ) / MATRIX_SIGMA**2
 
     def residuals(self, state: MagnetometerState) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return residuals (K, .) of strength and component, in units of their scatter, each with its Jacobian (K, ., 12)."""
+        """Return two pairs of residuals and Jacobian: of the strength, and of the component toward the Sun of samples that show it.
+
+        They are in units of their scatter: (K, n) and (K, n, 12) of n samples, or (K, s) and (K, s, 12) of s samples with a Sun.
+        """
         matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
         field = self.reading @ np.swapaxes(matrix, 1, 2) - state.unknown[:, None, ZERO]
         if self.of_readings:
@@ -314,13 +325,13 @@ class MagnetometerLaw:
         else:
             length, unit = _length_and_direction(field)
             scatter = state.scatter[:, :1]
-            by_unknown = _by_unknown(unit / scatter[..., None], self.reading)
+            by_unknown = _jacobian_along(unit / scatter[..., None], self.reading)
             of_strength = (length - state.strength) / scatter, by_unknown
 
         sigma = state.strength[:, self.with_sun] * self.sigma * state.scatter[:, 1:]
         toward = (field[:, self.with_sun] * self.sun).sum(axis=2) - state.toward[:, self.with_sun]
         direction = self.sun / sigma[..., None]
-        of_toward = toward / sigma, _by_unknown(direction, self.reading[self.with_sun])
+        of_toward = toward / sigma, _jacobian_along(direction, self.reading[self.with_sun])
         return [of_strength, of_toward]
 
     def _distance_of_readings(
@@ -341,18 +352,18 @@ class MagnetometerLaw:
         turning = steepest @ np.swapaxes(matrix, 1, 2) - (steepness**2)[..., None] * unit
         by_field = unit - (off / length / steepness**2)[..., None] * turning
         size = (steepness * state.scatter[:, :1])[..., None]
-        by_unknown = _by_unknown(by_field / size, self.reading)
+        by_unknown = _jacobian_along(by_field / size, self.reading)
         outer = unit[..., :, None] * steepest[..., None, :]
         of_matrix = (off / steepness**2)[..., None, None] / size[..., None] * outer
         by_unknown[..., MATRIX] -= of_matrix.reshape(*off.shape, 9)
         return off / size[..., 0], by_unknown
 
     def linearise(self, state: MagnetometerState) -> DenseSystem:
-        """Return the normal equations of minus the log posterior, Student's law by its weights."""
-        matrix = self.free + self.tied / state.scale[:, None, None] ** 2
+        """Return the normal equations of minus the log posterior; Student's law by its weights."""
+        matrix = self.free_precision + self.tied_precision / state.scale[:, None, None] ** 2
         slope = (matrix @ state.unknown[..., None])[..., 0]
-        # a larger scale has more room for soft iron
-        cost = (slope * state.unknown).sum(axis=1) / 2 + TIED * np.log(state.scale)
+        # the prior of the other elements is as wide as the scale: its density has the factor 1 / scale for each of them
+        cost = (slope * state.unknown).sum(axis=1) / 2 + NOT_SCALE * np.log(state.scale)
         for k, (residual, jacobian) in enumerate(self.residuals(state)):
             cost = cost + (STUDENT + 1) / 2 * np.log1p(residual**2 / STUDENT).sum(axis=1)
             cost = cost + residual.shape[1] * np.log(state.scatter[:, k])
@@ -361,14 +372,14 @@ class MagnetometerLaw:
             matrix = matrix + weighed @ jacobian
         return DenseSystem(cost, matrix, slope)
 
-    def settled(self, state: MagnetometerState, free: bool) -> MagnetometerState:
+    def fit(self, state: MagnetometerState, fit_scatter: bool) -> MagnetometerState:
         """Return the state with unknowns and scale fitted and, if `free`, the scatters, in turn."""
-        for _ in range(ROUNDS if free else 1):
+        for _ in range(ROUNDS if fit_scatter else 1):
             solution = least_squares(
                 self.linearise, _stepped, solve_dense, state, steps=STEPS, tolerance=TOLERANCE
             )
             state = solution.state
-            scatter = self.scatter(state) if free else state.scatter
+            scatter = self.scatter(state) if fit_scatter else state.scatter
             matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
             scale = np.cbrt(np.abs(np.linalg.det(matrix)))
             state = state._replace(scatter=scatter, scale=np.maximum(scale, LEAST_SCALE))
@@ -387,14 +398,9 @@ class MagnetometerLaw:
 
     def better(self, first: MagnetometerState, second: MagnetometerState) -> MagnetometerState:
         """Return, at each offset, the state that costs less."""
-        wins = self.linearise(second).cost < self.linearise(first).cost
-        parts = []
-        # the first axis of each part are the offsets
-        for of_first, of_second in zip(first, second, strict=True):
-            part = of_first.copy()
-            part[wins] = of_second[wins]
-            parts.append(part)
-        return MagnetometerState(*parts)
+        second_is_better = self.linearise(second).cost < self.linearise(first).cost
+        offsets = np.flatnonzero(second_is_better)
+        return replace_problems(first, offsets, take_problems(second, offsets))
 
 
 ISOTROPIC = np.eye(3).ravel() / np.sqrt(3)
@@ -407,8 +413,11 @@ def _length_and_direction(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return length, field / length[..., None]
 
 
-def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
-    """Return the slope (K, m, 12) by the unknowns of the field's component along vectors (K, m, 3), at readings (m, 3)."""
+def _jacobian_along(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Return the derivative (K, m, 12) by the unknowns of the fields' components along vectors (K, m, 3), at readings (m, 3).
+
+    As field = (1 + M) reading - zero, the component along v changes by v reading^T dM and by -v dzero.
+    """
     jacobian = np.empty((*direction.shape[:2], 12))
     by_matrix = direction[..., :, None] * reading[:, None, :]
     jacobian[..., MATRIX] = by_matrix.reshape(*direction.shape[:2], 9)
@@ -426,23 +435,25 @@ def student_weight(residual: np.ndarray) -> np.ndarray:
     return (STUDENT + 1) / (STUDENT + residual**2)
 
 
-def angles(field: np.ndarray, sun: np.ndarray) -> np.ndarray:
+def field_sun_angles(field: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """Return the angles (n) in rad between fields and Suns (n, 3), NaN if one is not known."""
     cosine = (field * sun).sum(axis=-1) / np.linalg.norm(field, axis=-1)
     return np.arccos(np.clip(cosine, -1, 1))
 
 
-def field_of(reading: np.ndarray, calibration: np.ndarray) -> np.ndarray:
+def calibrated_field(reading: np.ndarray, calibration: np.ndarray) -> np.ndarray:
     """Return fields (n, 3) in T of readings (n, 3) by matrix and zero (12)."""
     return reading @ calibration[MATRIX].reshape(3, 3).T - calibration[ZERO]
 
 
-def residuals_left(field: np.ndarray, sun: np.ndarray, predicted: Predicted) -> tuple[float, float]:
-    """Return the median residuals of fields (n, 3) in T at the first offset: of the strength (T), of the angle to the Sun (rad).
+def median_residuals(
+    field: np.ndarray, sun: np.ndarray, predicted: Predicted
+) -> tuple[float, float]:
+    """Return the median absolute residuals of fields (n, 3) in T at the first offset: of strength (T) and angle to the Sun (rad).
 
     `sun` (n, 3): NaN where it was not read; the second is NaN if no sample shows both.
     """
     strength = np.abs(np.linalg.norm(field, axis=1) - predicted.strength[0])
-    angle = np.abs(angles(field, sun) - predicted.angles())
-    known = np.isfinite(angle).any()
-    return float(np.nanmedian(strength)), float(np.nanmedian(angle)) if known else np.nan
+    angle = np.abs(field_sun_angles(field, sun) - predicted.angles())
+    any_angle = np.isfinite(angle).any()
+    return float(np.nanmedian(strength)), float(np.nanmedian(angle)) if any_angle else np.nan

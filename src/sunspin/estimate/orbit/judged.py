@@ -1,4 +1,4 @@
-"""The orbit of a telemetry file, from a file of elements or from the vehicle file, as the telemetry leaves it."""
+"""The orbit of a telemetry file, from a file of elements or from the vehicle file, with its along-track offset by the telemetry."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimate.settings import ORBIT, OrbitSettings
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.parts import Orbit as Stated
+from sunspin.vehicle.parts import StatedOrbit
 
 
 def elements_of(
@@ -52,7 +52,7 @@ def orbit_of(
     sources = elements_of(vehicle, elements, shift_sigma_s)
     if sources is None:
         return None
-    stated = vehicle.orbit or Stated()
+    stated = vehicle.orbit or StatedOrbit()
     return in_orbit(
         sources,
         str(telemetry.attrs["epoch_utc"]),
@@ -64,15 +64,15 @@ def orbit_of(
     )
 
 
-def drifting(check: OrbitCheck) -> str:
-    """Return in words how the offset drifts, if Sun sensors have determined it."""
-    if check.made is None:
+def drift_words(check: OrbitCheck) -> str:
+    """Return in words how the offset drifts; empty if no Sun sensors have determined it."""
+    if check.fitted_sensors is None:
         return ""
     return f" at mid-file, {check.drift_s_day:+z.1f} ± {check.drift_sigma_s_day:.1f} s a day"
 
 
-def clock_off(check: OrbitCheck) -> str:
-    """Return in words with which clock elements would fit that do not; empty if with none."""
+def clock_words(check: OrbitCheck) -> str:
+    """Return in words with which clock error refused elements would fit; empty if with none."""
     hours = round(check.clock_behind_s / 3600)
     if not hours:
         return ""
@@ -87,15 +87,15 @@ def judged_orbit(
     *,
     settings: OrbitSettings = ORBIT,
 ) -> tuple[Orbit | None, OrbitCheck, str]:
-    """Return an orbit as the telemetry leaves it, the check of it, and what follows, in words.
+    """Return the orbit that results may use, its check, and a sentence that says which orbit that is.
 
-    Elements that fit get the estimated offset with its sigma. If the telemetry cannot judge them they stay as they were. Refused
-    ones are None: no result may depend on them.
+    An orbit that fits gets the estimated along-track offset with its sigma. If the telemetry cannot judge it, it stays as given. In
+    place of a refused one stands None: no result may depend on it.
     """
     check = check_orbit(orbit, vehicle, telemetry, settings=settings)
     if check.verdict is Verdict.REFUSED:
         why, _, _ = check.verdict.value.partition(";")
-        reasons = [why, str(check.sun_in_shadow), clock_off(check)]
+        reasons = [why, str(check.sun_in_shadow), clock_words(check)]
         text = "; ".join(reason for reason in reasons if reason)
         text = (
             f"the orbit is NOT USED: {text}; the result is without it (`sunspin check` says more)"
@@ -107,21 +107,22 @@ def judged_orbit(
     if check.turned_axes:
         remarks += f"; {check.turned_axes}"
     if check.verdict is Verdict.UNDECIDED:
-        sigma_s = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-        offset = f"{orbit.shift_s:+z.0f} ± {sigma_s:.0f} s along the track"
+        offset = f"{orbit.shift_s:+z.0f} ± {orbit.offset_sigma_s:.0f} s along the track"
         text = (
             f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
         )
         return orbit, check, text
-    # The offset is that of place and clock together, of which the data determine the sum.
-    of_place = float(np.sqrt(max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
+    # The estimated offset is the sum of the error of the elements and of the clock. The variance of the clock is its part.
+    elements_variance = max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)
     known = replace(
         orbit,
         shift_s=check.shift_s,
-        shift_sigma_s=of_place,
+        shift_sigma_s=float(np.sqrt(elements_variance)),
         clock_sigma_s=min(orbit.clock_sigma_s, check.shift_sigma_s),
         drift_s_day=check.drift_s_day,
         drift_sigma_s_day=check.drift_sigma_s_day,
     )
-    offset = f"{check.shift_s:+z.0f} ± {check.shift_sigma_s:.0f} s along the track{drifting(check)}"
+    offset = (
+        f"{check.shift_s:+z.0f} ± {check.shift_sigma_s:.0f} s along the track{drift_words(check)}"
+    )
     return known, check, f"the orbit is used: its elements fit, {offset}{remarks}"

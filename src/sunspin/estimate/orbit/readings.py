@@ -1,4 +1,4 @@
-"""What telemetry shows of things that an orbit predicts: magnetic field, direction to the Sun, and light."""
+"""Readings of what an orbit predicts: magnetic field, direction to the Sun, and whether the Sun is up."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from sunspin.telemetry.sun import SunStatus, signals
 from sunspin.vehicle.response.panels import opposite_panels
 
 WITH_BOTH = 0.5
-"""Share of the samples that is kept for those with field and Sun. The rest, the night too, shows the strength and the shadow."""
+"""Part of the chosen samples that is reserved for those with field and Sun. The rest, also in the night, shows the field's strength
+and the shadow."""
 
-EARTH_SHARE, EARTH_RAD, EARTH_ALIKE = 0.3, 0.1, 10
+EARTH_SHARE, EARTH_RAD, EARTH_INDEPENDENT = 0.3, 0.1, 10
 """Nothing in a file separates the Sun from the Earth's light on a panel without an opposite one. Such a panel counts as sunlit
-above this share of full Sun. A direction that rests on it is off by this angle (rad). As a spinner shows the same side all the
-time, the errors of at most so many samples average out. Simulated spinners with three to five such panels (10): without these
-limits the angle between field and Sun rotated the calibration by 4 to 130 deg, with them by 0.3 to 4 deg."""
+above `EARTH_SHARE` of full Sun. A direction that rests on it has an error of `EARTH_RAD` (rad). A spinner shows the Earth the same
+side all the time, so that the errors of a file average out as those of only `EARTH_INDEPENDENT` samples. On 10 simulated spinners
+with three to five such panels the calibration was rotated by 4 to 130 deg without these limits, and by 0.3 to 4 deg with them."""
 
 PANEL_RAD = 0.03
 """Error of a direction from panels in addition to their noise, rad: the Earth's light, panel normals."""
@@ -31,8 +32,8 @@ class Readings(NamedTuple):
 
     `field` (n, 3): magnetometer, in any unit. `sun` (n, 3) and its `covariance` (n, 3, 3): direction to the Sun by panels or by Sun
     sensors as the vehicle file states them. `light` (n): 1 if the Sun is up, 0 if it is dark. `angle` (n, F, 2): angles of each of
-    F Sun sensors, rad; `y_turned` (n, F): they are of a sensor that is rotated. `panel_sun` (n, 3): direction by panels, or of a
-    Sun vector; `panel_sigma` (n): its error about each axis, rad. `pass_of` (n): number of the pass.
+    F Sun sensors, rad; `y_turned` (n, F): the sensor is mounted with a rotated y axis. `panel_sun` (n, 3): direction by panels, or
+    by a Sun vector sensor; `panel_sigma` (n): its error about each axis, rad. `pass_of` (n): number of the pass.
     """
 
     t_s: np.ndarray
@@ -90,10 +91,11 @@ def _whole(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(np.isfinite(vectors).all(axis=1))
 
 
-def read(assessment: Assessment, most: int) -> Readings:
-    """Return at most `most` samples that show field, Sun or light, spread over the file; those with field and Sun come first.
+def orbit_readings(assessment: Assessment, most: int) -> Readings:
+    """Return the readings of at most `most` samples that show field, Sun or light, spread over the file.
 
-    A direction to the Sun is that of the panels or, where they were read, that of the Sun sensors.
+    Samples with field and Sun are preferred. A direction to the Sun is that of the Sun sensors if they were read, else of the
+    panels.
     """
     telemetry, vehicle = assessment.sensors, assessment.vehicle
     time = telemetry["time"].values
@@ -114,19 +116,19 @@ def read(assessment: Assessment, most: int) -> Readings:
         status = directions["status"].values
         light = np.where(status == SunStatus.DARK, 0.0, 1.0)
         light[status == SunStatus.MISSING] = np.nan
-    # what the panels alone show, for fits in which the Sun sensors may be off
+    # directions by panels are kept apart, for fits in which the Sun sensors may be off
     panel_sun, panels_by_earth = sun, by_earth
     if "sun_sensor_B" in telemetry:
-        stated = telemetry["sun_sensor_B"].values
-        known = _whole(stated)
-        sun = np.where(known[:, None], stated, sun)
-        own = telemetry["sun_sensor_cov_B"].values
-        covariance = np.where(known[:, None, None], own, covariance)
+        by_sensors = telemetry["sun_sensor_B"].values
+        known = _whole(by_sensors)
+        sun = np.where(known[:, None], by_sensors, sun)
+        sensor_covariance = telemetry["sun_sensor_cov_B"].values
+        covariance = np.where(known[:, None, None], sensor_covariance, covariance)
         light = np.where(known, 1.0, np.where(np.isfinite(light), light, 0.0))
         by_earth = by_earth & ~known
-        if vehicle.sensors.sun_vector is not None and not n_sensors and not assessment.has_panels:
-            panel_sun = stated
-            panel_sigma = np.full(n, vehicle.sensors.sun_vector.sigma_rad)
+        sun_vector = vehicle.sensors.sun_vector
+        if sun_vector is not None and not n_sensors and not assessment.has_panels:
+            panel_sun, panel_sigma = by_sensors, np.full(n, sun_vector.sigma_rad)
     # a direction without an error is no reading
     sun = np.where(_whole(covariance.reshape(n, 9))[:, None], sun, np.nan)
     panel_sun = np.where(np.isfinite(panel_sigma)[:, None], panel_sun, np.nan)
@@ -145,57 +147,57 @@ def read(assessment: Assessment, most: int) -> Readings:
         panel_sigma=panel_sigma,
         pass_of=pass_of,
     )
-    shows = readings.has_field | readings.has_sun | np.isfinite(light)
-    use = spread_evenly(telemetry, shows, most, readings.has_field & readings.has_sun)
+    shows_anything = readings.has_field | readings.has_sun | np.isfinite(light)
+    use = spread_evenly(telemetry, shows_anything, most, readings.has_field & readings.has_sun)
     by_earth, panels_by_earth, readings = by_earth[use], panels_by_earth[use], readings.take(use)
-    # errors that the samples have in common: by the Earth's light, and of the panels
-    added = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
+    # add the errors that samples have in common: by the Earth's light, and of the panels
+    earth = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
     variance = np.nan_to_num(readings.panel_sigma, nan=1.0) ** 2 + PANEL_RAD**2
     variance = variance + earth_variance(panels_by_earth.sum()) * panels_by_earth
-    return readings._replace(covariance=readings.covariance + added, panel_sigma=np.sqrt(variance))
+    return readings._replace(covariance=readings.covariance + earth, panel_sigma=np.sqrt(variance))
 
 
 def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
-    """Return the Sun directions by panels, without those that may be the Earth's light.
+    """Return the Sun directions by panels, NaN if they may be directions to the Earth, and samples with an unknown error by it.
 
-    Second, the samples (n) whose direction rests on a panel without an opposite one: nothing determines the Earth's light on it.
+    The latter (n) use a panel without an opposite one: nothing determines how much of the Earth's light is on it.
     """
     directions, vehicle = assessment.sun, assessment.vehicle
-    alone = ~opposite_panels(vehicle.response_in().facing_B).any(axis=1)
+    has_no_opposite = ~opposite_panels(vehicle.response_in().facing_B).any(axis=1)
     full = assessment.quality.attrs["full_sun"] * vehicle.input_gains
-    rests = directions["lit"].values & alone
+    uses_such_panel = directions["lit"].values & has_no_opposite
     weak = signals(assessment.telemetry) / full < EARTH_SHARE
-    doubtful = (rests & weak).any(axis=1)
-    kept = directions["sun_B"].where(~xr.DataArray(doubtful, dims="time"))
-    return directions.assign(sun_B=kept), rests.any(axis=1) & ~doubtful
+    doubtful = (uses_such_panel & weak).any(axis=1)
+    sun_B = directions["sun_B"].where(~xr.DataArray(doubtful, dims="time"))
+    return directions.assign(sun_B=sun_B), uses_such_panel.any(axis=1) & ~doubtful
 
 
 def earth_variance(count: int) -> float:
-    """Return the variance (rad^2) of each component of a direction that the Earth's light may disturb, in `count` samples.
+    """Return the variance (rad^2) of each component of the `count` directions of a file that the Earth's light may disturb.
 
-    The mean of them is off by no less than that of :data:`EARTH_ALIKE` independent ones: their variance grows with the count.
+    Their mean is no better than that of :data:`EARTH_INDEPENDENT` samples: with more of them the variance of each is larger.
     """
-    return EARTH_RAD**2 * max(count / EARTH_ALIKE, 1.0)
+    return EARTH_RAD**2 * max(count / EARTH_INDEPENDENT, 1.0)
 
 
 def spread_evenly(
-    telemetry: xr.Dataset, shows: np.ndarray, most: int, first: np.ndarray
+    telemetry: xr.Dataset, shows: np.ndarray, most: int, preferred: np.ndarray
 ) -> np.ndarray:
-    """Return at most `most` of the samples that show something (n) and came in time, spread over the file.
+    """Return the indices of at most `most` samples, spread over those that show something (n) and came in time.
 
-    Of the samples that come `first` (n), as many are kept as an even spread has, or `WITH_BOTH` of all if this is more.
+    At least the part `WITH_BOTH` of them are `preferred` ones (n), if the file has as many.
     """
     usable = np.flatnonzero(shows & ~find_late_frames(telemetry))
-    even, preferred = _even(usable, most), usable[first[usable]]
-    enough = min(len(preferred), int(WITH_BOTH * most))
-    if len(even) == len(usable) or first[even].sum() >= enough:
-        return even
-    kept = _even(preferred, enough)
-    others = _even(np.setdiff1d(usable, preferred), most - len(kept))
-    return np.sort(np.concatenate([kept, others]))
+    spread, first = _every_few(usable, most), usable[preferred[usable]]
+    enough = min(len(first), int(WITH_BOTH * most))
+    if len(spread) == len(usable) or preferred[spread].sum() >= enough:
+        return spread
+    chosen = _every_few(first, enough)
+    others = _every_few(np.setdiff1d(usable, first), most - len(chosen))
+    return np.sort(np.concatenate([chosen, others]))
 
 
-def _even(index: np.ndarray, most: int) -> np.ndarray:
-    """Return at most `most` of these numbers, evenly spaced in their order."""
-    which = np.linspace(0, len(index) - 1, min(len(index), most)) if len(index) else []
-    return index[np.unique(np.asarray(which, dtype=int))]
+def _every_few(values: np.ndarray, most: int) -> np.ndarray:
+    """Return at most `most` of these values (n), evenly spaced in their order."""
+    index = np.linspace(0, len(values) - 1, min(len(values), most)) if len(values) else []
+    return values[np.unique(np.asarray(index, dtype=int))]

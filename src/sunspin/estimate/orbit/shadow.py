@@ -25,30 +25,35 @@ CLEAR_SHARE, CLEAR_SIGMAS = 0.4, 8.0
 """A panel has clear Sun above this share of full Sun and this many sigma of noise. The Earth gives a panel 0.25 at reflectivity
 0.3; the brightest panel of a cube has 0.58 or more."""
 
-MISFIT, ALIKE, SCATTER = 0.35, 0.6, 0.3
-"""A sample is of sunlight if its misfit Delta to the best direction is smaller than the first. Light of the Earth up to 30 % of
-full Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the
-second share of the bright samples must be so, and their brightness must scatter by less than the third. On simulated cubes with
-three to six panels it scatters by 0.25 in sunlight and by 0.34 to 0.43 in noise alone."""
+MISFIT = 0.35
+"""A sample is of sunlight if its misfit Delta to the best direction is smaller than this. Light of the Earth up to 30 % of full Sun
+leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7."""
+
+FITTING_SHARE, SCATTER = 0.6, 0.3
+"""If full Sun itself is estimated from the file, at least this share of the bright samples must be of sunlight by `MISFIT`, and
+their relative brightness must scatter by less than `SCATTER`. On simulated cubes with three to six panels it scatters by 0.25 in
+sunlight and by 0.34 to 0.43 in noise alone."""
 
 DEPTH_M, LEEWAY_S = 20e3, 10.0
-"""The full shadow is that of an Earth smaller by the first, and the prior of the offset is wider by the second on both sides. Bent
-sunlight reaches a low orbit 20 km deep from rays 5 km high, spread over five times the area and mostly absorbed: less than
-`CLEAR_SHARE`. A clock may be off by seconds: a satellite at 500 km crosses the 20 km in 7 s or more."""
+"""The full shadow is that of an Earth whose radius is smaller by `DEPTH_M`, and offsets are tried `LEEWAY_S` beyond the prior.
+Sunlight that the air bends 20 km into the shadow of a low orbit comes from rays 5 km high, is spread over five times the area and
+mostly absorbed: less than `CLEAR_SHARE`. A satellite at 500 km crosses the 20 km in 7 s or more, and a clock may be off by
+seconds."""
 
 FEW, CHANCE_SIGMAS = 3, 2.0
-"""More samples than the first contradict the orbit if they are also more than `SEEN_IN_SHADOW` makes by chance: its mean and so
-many sigma."""
+"""Sunny samples in the shadow contradict an orbit if there are more than `FEW`, and more than the share `SEEN_IN_SHADOW` gives by
+chance: their expected number and so many sigma of it."""
 
 MOST_SAMPLES = 600
 """Samples of the file that are compared, spread evenly."""
 
-STEP_S, COARSE_S, SIDE_S = 10.0, 30.0, 600.0
-"""Steps of the along-track offset: within the prior, beyond it, and of the drift at one sample; a shadow lasts longer."""
+STEP_S, COARSE_S, DRIFT_STEP_S = 10.0, 30.0, 600.0
+"""Steps, in s, of the along-track offset within the prior, of the offset beyond it, and of the part that the drift adds at one
+sample. A shadow lasts longer than any of them."""
 
 
 class SunInShadow(NamedTuple):
-    """Samples with clear Sun in the full shadow, and all samples there, at the offset within the prior that leaves fewest.
+    """Number of samples with clear Sun in the full shadow and of all samples there, at the offset with the fewest sunny ones.
 
     `behind_s`, `ahead_s`: least errors (s) of a clock behind or ahead of UTC, or of elements that are as far off, that remove the
     contradiction; NaN if none does. All are 0 without a contradiction.
@@ -88,43 +93,43 @@ def _rounded_down(size_s: float) -> str:
 
 
 def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInShadow:
-    """Return how the light contradicts an orbit at every offset within so many `sigmas` of its prior.
+    """Return the samples that contradict an orbit at every offset within so many `sigmas` of its prior.
 
-    Nothing is contradicted if the samples are consistent with one of these offsets.
+    There are none if the light is consistent with one of these offsets.
     """
     t_s, clear = clear_sun(assessment)
     if clear.sum() <= FEW:
         return SunInShadow()
 
     def counts(offsets_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return at offsets (K): samples with clear Sun in the full shadow, all samples there, and whether this is no chance."""
+        """Return at offsets (K): sunny samples in the full shadow, all samples there, and whether the sunny ones are too many."""
         dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
-        sunny, every = (dark & clear).sum(axis=1), dark.sum(axis=1)
-        chance = SEEN_IN_SHADOW * every
-        return sunny, every, sunny > np.maximum(FEW, chance + CHANCE_SIGMAS * np.sqrt(chance))
+        sunny, total = (dark & clear).sum(axis=1), dark.sum(axis=1)
+        by_chance = SEEN_IN_SHADOW * total
+        most = np.maximum(FEW, by_chance + CHANCE_SIGMAS * np.sqrt(by_chance))
+        return sunny, total, sunny > most
 
     # most orbits are consistent with the offset of their elements, which saves the search of the others
     if not counts(np.zeros(1))[2].all():
         return SunInShadow()
     half_period = orbit.elements[0].period_s / 2
-    prior_sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
-    reach = min(sigmas * prior_sigma + LEEWAY_S, half_period)
-    within_prior = np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1)
-    sunny, every, contradicted = counts(within_prior)
+    largest = min(sigmas * orbit.offset_sigma_s + LEEWAY_S, half_period)
+    within_prior = np.linspace(-largest, largest, 2 * int(np.ceil(largest / STEP_S)) + 1)
+    sunny, total, contradicted = counts(within_prior)
     if not contradicted.all():
         return SunInShadow()
-    # refused: which offsets beyond the prior, over the whole orbit, would be consistent
+    # The orbit is contradicted. Which offsets beyond the prior, up to half a revolution, would be consistent?
     steps = int(half_period / COARSE_S)
     offsets_s = COARSE_S * np.arange(-steps, steps + 1)
     consistent = offsets_s[~counts(offsets_s)[2]]
-    # a satellite ahead of its place has a clock that is behind; the contradiction may end one step earlier
+    # If the clock is behind UTC the satellite seems ahead of its elements. The contradiction may end one step before these offsets.
     behind_s, ahead_s = (
         float(sizes[sizes > 0].min(initial=np.inf)) - COARSE_S
         for sizes in (consistent, -consistent)
     )
     behind_s, ahead_s = (size if np.isfinite(size) else np.nan for size in (behind_s, ahead_s))
     fewest = int(sunny.argmin())
-    return SunInShadow(int(sunny[fewest]), int(every[fewest]), behind_s, ahead_s)
+    return SunInShadow(int(sunny[fewest]), int(total[fewest]), behind_s, ahead_s)
 
 
 def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
@@ -168,7 +173,7 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
         # full Sun is what the brighter samples of the file give, which may be noise
         of_sound = brightness(vehicle, np.nan_to_num(value[sound]))
         low, median, high = np.quantile(of_sound, [0.16, 0.5, 0.84])
-        if clear.sum() < ALIKE * sound.sum() or high - low > 2 * SCATTER * median:
+        if clear.sum() < FITTING_SHARE * sound.sum() or high - low > 2 * SCATTER * median:
             clear = np.zeros_like(clear)
     return np.asarray(bright.any(axis=1)), clear
 
@@ -176,18 +181,18 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 def _in_full_shadow(
     orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
 ) -> np.ndarray:
-    """Return whether samples (K, n) at times t_s (n) are in the full shadow at along-track offsets (K) in s.
+    """Return which samples (K, n) at times t_s (n) are in the full shadow at along-track offsets (K) in s.
 
-    They are if they are so for every drift of the offset within so many `sigmas` of its prior.
+    It is those which are there for every drift of the offset within so many `sigmas` of its prior.
     """
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
     drift_s = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))
     drift_s = np.minimum(drift_s, orbit.elements[0].period_s / 2)
-    steps = int(np.ceil(drift_s.max() / SIDE_S)) if drift_s.max() > 1.0 else 0
+    steps = int(np.ceil(drift_s.max() / DRIFT_STEP_S)) if drift_s.max() > 1.0 else 0
     dark = np.ones(ahead_s.shape, dtype=bool)
-    for side in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
-        position, _ = orbit.states(when, ahead_s + side * drift_s)
+    for part in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
+        position, _ = orbit.states(when, ahead_s + part * drift_s)
         # the shadow of an Earth smaller by DEPTH_M, seen from farther out in proportion
         outward = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
         dark &= sunlit_fraction(outward, np.broadcast_to(sun, position.shape)) == 0

@@ -1,6 +1,6 @@
-"""The directions to the Sun that a scan compares: those measured in a window of the file, and those that a simulation may count.
+"""The directions to the Sun that a scan compares: the measured ones of a window, and the simulated ones that could be measured.
 
-A simulated direction counts only where the panels would have allowed to reconstruct it (paper, section 2.3).
+A simulated direction is counted only if the panels would have allowed to reconstruct it (paper, section 2.3).
 """
 
 from __future__ import annotations
@@ -23,23 +23,22 @@ def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
     compiled scan evaluates at every step: a short logical formula of half-spaces, or a table over the sphere.
     """
     names = vehicle.input_names
-    allowed = reconstructible_patterns(vehicle)
-    possible = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
-    good = [pattern for pattern in possible if pattern in allowed]
-    bad = [pattern for pattern in possible if pattern not in allowed]
+    reconstructible = reconstructible_patterns(vehicle)
+    patterns = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
+    good = [pattern for pattern in patterns if pattern in reconstructible]
+    bad = [pattern for pattern in patterns if pattern not in reconstructible]
     if not good:
         raise InputError(
             f"no direction of the Sun can be reconstructed with the panels of {vehicle.name!r}",
             do="three lit panels with independent normals are needed somewhere",
         )
-    lit_if_good, lit_if_bad = (
-        # also if there is no pattern
-        np.array([[name in pattern for name in names] for pattern in patterns], dtype=bool).reshape(
-            -1, len(names)
-        )
-        for patterns in (good, bad)
-    )
-    return vehicle.response_in().direction_set(lit_if_good, lit_if_bad)
+
+    def lit(patterns: list[frozenset[str]]) -> np.ndarray:
+        """Return which inputs (n_pattern, n_input) each pattern has lit; n_pattern may be 0."""
+        rows = [[name in pattern for name in names] for pattern in patterns]
+        return np.array(rows, dtype=bool).reshape(-1, len(names))
+
+    return vehicle.response_in().direction_set(lit(good), lit(bad))
 
 
 def directions_within(
@@ -48,7 +47,7 @@ def directions_within(
     begin_s: float | None,
     end_s: float | None,
 ) -> xr.Dataset:
-    """Return the directions `sun_B (time, axis)` measured from `begin_s` to `end_s` (s of the file's clock; None: no bound).
+    """Return the directions `sun_B (time, axis)` measured from `begin_s` to `end_s` (s of the file's clock; None: no limit).
 
     Samples without a direction are left out. `time` (s) is counted from the first direction.
 
@@ -60,8 +59,11 @@ def directions_within(
     assessment = assess(vehicle, telemetry)
     sun = assessment.sun
     time = sun["time"].values
-    low, high = -np.inf if begin_s is None else begin_s, np.inf if end_s is None else end_s
-    in_window = (time >= low) & (time <= high)
+    in_window = np.ones(len(time), dtype=bool)
+    if begin_s is not None:
+        in_window &= time >= begin_s
+    if end_s is not None:
+        in_window &= time <= end_s
     use = is_reconstructed(sun["status"]) & in_window
     if use.sum() < 2:
         raise InputError(

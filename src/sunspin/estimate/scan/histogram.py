@@ -11,24 +11,25 @@ from sunspin.base.errors import InputError
 from sunspin.dynamics.processor import njit
 
 BINS = 256
-"""Bins of r_z over [-1, 1]. The CDF is linear inside a bin, the measured one exact: the EMD errs by less than 1e-3 (see tests)."""
+"""Bins of r_z over [-1, 1]. The CDF of a histogram is taken as linear inside a bin. The error of the EMD is below 1e-3 (see
+tests)."""
 
 MAX_TARGET = 4096
-"""More target values than this are replaced by as many quantiles: measured tracks have tens, simulated ones 10^5."""
+"""If there are more target values they are replaced by this many quantiles. Measured tracks have tens, simulated ones 10^5."""
 
 LANES = 32
-"""Rows computed together: each has a sum of its own, and the processor's vectors hold several."""
+"""Rows that are computed together, so that the processor can use vector instructions."""
 
 
 def target_segments(
     target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None
 ) -> tuple[np.ndarray, ...]:
-    """Return the CDF of measured r_z (n) as S pieces on which it is constant and which do not cross an edge of a bin.
+    """Return the CDF of measured r_z (n) as S segments on which it is constant and which do not cross an edge of a bin.
 
     Returns
     -------
     bin_of, low, high, level : (S,) each
-        Bin of the piece, its ends as fractions of that bin, and the CDF on it.
+        Bin of the segment, its ends as fractions of that bin, and the CDF on it.
     """
     z = np.asarray(target_z, dtype=np.float64).ravel()
     w = np.ones_like(z) if weights is None else np.asarray(weights, dtype=np.float64).ravel()
@@ -48,11 +49,11 @@ def target_segments(
         levels = (np.arange(MAX_TARGET) + 0.5) / MAX_TARGET
         z = z[order][np.searchsorted(np.cumsum(w[order]) / w.sum(), levels)]
         w, order = np.ones(MAX_TARGET), np.arange(MAX_TARGET)
-    place = np.clip((z[order] + 1) * BINS / 2, 0, BINS)  # in units of a bin
-    knots = np.unique(np.concatenate([np.arange(BINS + 1, dtype=float), place]))
+    position = np.clip((z[order] + 1) * BINS / 2, 0, BINS)  # in units of a bin
+    knots = np.unique(np.concatenate([np.arange(BINS + 1, dtype=float), position]))
     cdf = np.concatenate([[0.0], np.cumsum(w[order])]) / w.sum()
     bin_of = np.minimum(np.floor(knots[:-1]).astype(np.int64), BINS - 1)
-    level = cdf[np.searchsorted(place, knots[:-1], side="right")]
+    level = cdf[np.searchsorted(position, knots[:-1], side="right")]
     return bin_of, knots[:-1] - bin_of, knots[1:] - bin_of, level
 
 
@@ -63,16 +64,18 @@ def distances_to_target(
 
     `workers`: threads, each of which takes its share of the rows.
     """
-    emd, share = np.empty(len(hist)), -(-len(hist) // workers) or 1
+    emd, rows_each = np.empty(len(hist)), -(-len(hist) // workers) or 1
 
     def fill(first: int) -> None:
-        emd_rows(hist[first : first + share], *segments, emd[first : first + share])
+        """Compute the distances of one thread's rows, from the row `first` on."""
+        rows = slice(first, first + rows_each)
+        emd_rows(hist[rows], *segments, emd[rows])
 
     if workers == 1:
         fill(0)
     else:
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(fill, range(0, len(hist), share)))
+            list(pool.map(fill, range(0, len(hist), rows_each)))
     return emd
 
 

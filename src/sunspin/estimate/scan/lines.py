@@ -24,6 +24,9 @@ Line = tuple[np.ndarray, np.ndarray]
 ALL_PAIRS = 60
 """In a cloud of at most this many different points every pair gives a candidate line, in a larger one random pairs."""
 
+RANDOM_PAIRS = 4096
+"""Number of these random pairs."""
+
 N_CANDIDATES, N_SEARCH_POINTS = 400, 800
 """Largest numbers of candidate lines and of points in the search. The refinement uses all points."""
 
@@ -89,18 +92,17 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
         cost = float(distances(ordered, *lines).min(axis=0).sum())
         if cost < best_cost * (1 - TOLERANCE):
             best, best_cost = lines, cost
-    assert best is not None  # the search returns at least one set
+    assert best is not None  # the search returns at least one set of candidates
     return _dataset(cloud, *best).assign_attrs(provenance("lines", seed=seed))
 
 
 def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return lines (points and directions, (m, 3) each) through pairs of different points."""
     distinct = np.unique(cloud, axis=0)
-    first, second = (
-        np.triu_indices(len(distinct), 1)
-        if len(distinct) <= ALL_PAIRS
-        else rng.integers(len(distinct), size=(2, 4096))
-    )
+    if len(distinct) <= ALL_PAIRS:
+        first, second = np.triu_indices(len(distinct), 1)
+    else:
+        first, second = rng.integers(len(distinct), size=(2, RANDOM_PAIRS))
     use = np.flatnonzero(first != second)
     if len(use) > N_CANDIDATES:
         use = rng.choice(use, N_CANDIDATES, replace=False)
@@ -115,13 +117,11 @@ def _search(
 
     One start is greedy and the others are random. Each is improved by exchanges of one line as long as they help.
     """
-    sample = (
-        cloud
-        if len(cloud) <= N_SEARCH_POINTS
-        else cloud[rng.choice(len(cloud), N_SEARCH_POINTS, replace=False)]
-    )
+    sample = cloud
+    if len(cloud) > N_SEARCH_POINTS:
+        sample = cloud[rng.choice(len(cloud), N_SEARCH_POINTS, replace=False)]
     origin, direction = _candidates(cloud, rng)
-    cost = distances(sample, origin, direction)
+    cost = distances(sample, origin, direction)  # (candidates, points)
     n_starts = int(np.clip(SEARCH_WORK // cost.size, MIN_STARTS, MAX_STARTS))
     starts = [_greedy(cost, n_lines)] + [
         rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)
@@ -135,7 +135,10 @@ def _search(
 
 
 def _greedy(cost: np.ndarray, n_lines: int) -> list[int]:
-    """Choose candidates one after the other, each the one that lowers the sum of distances most. `cost` (m, n): distances."""
+    """Return candidates chosen one after the other, each lowering the sum of distances most.
+
+    `cost` (m, n): distances of n points from m candidates.
+    """
     chosen: list[int] = []
     nearest = np.full(cost.shape[1], np.inf)
     for _ in range(n_lines):
@@ -152,8 +155,8 @@ def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
     chosen, unchanged, slot = list(chosen), 0, 0
     while unchanged < len(chosen):
         others = [candidate for k, candidate in enumerate(chosen) if k != slot]
-        rest = cost[others].min(axis=0) if others else np.full(cost.shape[1], np.inf)
-        totals = np.minimum(cost, rest).sum(axis=1)
+        to_others = cost[others].min(axis=0) if others else np.full(cost.shape[1], np.inf)
+        totals = np.minimum(cost, to_others).sum(axis=1)  # with each candidate (m) in this slot
         best = int(np.argmin(totals))
         better = totals[best] < totals[chosen[slot]] * (1 - TOLERANCE)
         if better:
@@ -166,15 +169,16 @@ def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
 def _refine(
     cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return lines refined by turns of two steps until nothing changes: assign points to lines, fit each line to its points."""
+    """Return lines refined by alternation until nothing changes: assign points to the nearest line, fit each line to its points."""
     origin, direction = origin.copy(), direction.copy()
     member = np.full(len(cloud), -1)
     for _ in range(MAX_ROUNDS):
         before, member = member, distances(cloud, origin, direction).argmin(axis=0)
-        changed = np.unique(np.concatenate([before[before != member], member[before != member]]))
+        moved = before != member
+        changed = np.unique(np.concatenate([before[moved], member[moved]]))  # lines
         if changed.size == 0:
             break
-        for k in changed[changed >= 0]:  # a line with the same points stays
+        for k in changed[changed >= 0]:  # before the first assignment there is none, -1
             members = cloud[member == k]
             if len(members) >= 2:
                 origin[k], direction[k] = line_through(members, origin[k], direction[k])
@@ -191,31 +195,33 @@ def line_through(
     their weights 1/d are infinite.
     """
     distance = distances(points, origin[None], direction[None])[0]
-    best = distance.sum(), origin, direction
+    least, best = distance.sum(), (origin, direction)
     smoothing = float(distance.max())
     if smoothing <= 0:
-        return origin, direction
+        return best
     floor, previous = smoothing * 0.5**SMOOTHING_STEPS, np.inf
     for _ in range(4 * SMOOTHING_STEPS):
         weight = 1.0 / np.hypot(distance, smoothing)
         centre = weight @ points / weight.sum()
-        spread = points - centre
-        axis = np.linalg.eigh((weight[:, None] * spread).T @ spread)[1][:, -1]
+        offset = points - centre
+        # the eigenvector of the largest eigenvalue: along the weighted points
+        axis = np.linalg.eigh((weight[:, None] * offset).T @ offset)[1][:, -1]
         distance = distances(points, centre[None], axis[None])[0]
         cost = distance.sum()
-        if cost < best[0]:
-            best = cost, centre, axis
+        if cost < least:
+            least, best = cost, (centre, axis)
         if smoothing <= floor and previous - cost < TOLERANCE * cost:
             break
         previous, smoothing = cost, max(smoothing / 2, floor)
-    return best[1], best[2]
+    return best
 
 
 def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> xr.Dataset:
     """Return the Dataset of `fit_lines` for points (n, 3) and lines (n_lines, 3), which are ordered, centred and oriented here."""
-    table = distances(points, origin, direction)
-    member = table.argmin(axis=0)
+    distance = distances(points, origin, direction)
+    member = distance.argmin(axis=0)
     counts = np.bincount(member, minlength=len(origin))
+    # lines in order of decreasing count, numbered again
     order = np.lexsort((*origin.T, -counts))
     rank = np.argsort(order)
     origin, direction, counts = origin[order], direction[order], counts[order]
@@ -226,7 +232,7 @@ def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> x
             origin[k] = origin[k] + middle * direction[k]
         last = np.flatnonzero(np.abs(direction[k]) > 1e-12)[-1]
         direction[k] *= np.sign(direction[k, last])
-    nearest = table.min(axis=0)
+    nearest = distance.min(axis=0)
     mean = [float(nearest[member == k].mean()) if counts[k] else 0.0 for k in range(len(origin))]
     return xr.Dataset(
         {
@@ -279,14 +285,10 @@ def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -
     """
     lines = list(zip(fitted["point"].values, fitted["direction"].values, strict=True))
     if len(lines) < len(reference):
-        raise InputError(
-            "there are fewer fitted lines than reference lines",
-            got=f"{len(lines)} and {len(reference)}",
-        )
-    cost = np.array(
-        [
-            [line_deviation(line, wanted, **options)["mean"] for line in lines]
-            for wanted in reference
-        ]
-    )
-    return [int(index) for index in linear_sum_assignment(cost)[1]]
+        got = f"{len(lines)} and {len(reference)}"
+        raise InputError("there are fewer fitted lines than reference lines", got=got)
+    deviation = [
+        [line_deviation(line, published, **options)["mean"] for line in lines]
+        for published in reference
+    ]
+    return [int(index) for index in linear_sum_assignment(np.array(deviation))[1]]

@@ -63,7 +63,7 @@ def with_near_minimum(
     n_lines: int,
     seed: int,
 ) -> xr.Dataset:
-    """Return the result of `sunspin scan`: the volume, its near-minimum set and the lines of :func:`sunspin.fit_lines` through it.
+    """Return a scan with its near-minimum set, and with the lines of :func:`sunspin.fit_lines` through it, for `sunspin scan`.
 
     The set is the variable `near_minimum (near_point, rate_axis)`, rad/s.
 

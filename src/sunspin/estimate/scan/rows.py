@@ -1,4 +1,4 @@
-"""The rows of a scan: initial states on a grid of rates, and what is kept of the motion that each begins.
+"""The rows of a scan: an initial state on a grid of rates each, and the number that a scan keeps of its motion.
 
 All are frozen data without compiled code, so that they can be sent to other processes.
 """
@@ -110,13 +110,13 @@ class Start:
 
 
 class Measure(NamedTuple):
-    """What a scan keeps of each motion: an array of this type and of this shape for each row.
+    """A quantity that a scan keeps of each motion.
 
     Attributes
     ----------
     histogram : True if it is computed from a histogram of r_z (`batch.Heights`), False if from directions (`batch.Motion`)
-    dtype, shape : of the array of one motion
-    compute : function of n motions run together and the scan's target that returns the values (n, *shape)
+    dtype, shape : type and shape of the quantity of one motion
+    compute : function of n motions run together and the scan's target that returns the quantities (n, *shape)
     """
 
     histogram: bool
@@ -141,7 +141,7 @@ class ScanRows:
     ----------
     t_s : length of the run in s; for E the times (n) of the directions, after the start
     measure : a name in `MEASURES`
-    target : for EMD the result of `target_segments`, for E the directions (n, 3), for histograms None
+    target : what motions are compared with: for EMD the result of `target_segments`, for E the directions (n, 3), else None
     mask : directions that count in a histogram: "reconstructible", or None for all
     emd_error, direction_error : allowed error of the EMD, or of the Sun direction at the end (rad). If neither is given, it is 1e-3
         of the EMD, or 1e-3 rad for E.
@@ -174,7 +174,7 @@ class ScanRows:
 
     @property
     def outputs(self) -> dict[str, tuple[str, tuple[int, ...]]]:
-        """Return type and shape of what is kept of each motion, by name."""
+        """Return type and shape of the results of one motion, by name."""
         measure = MEASURES[self.measure]
         return {self.measure: (measure.dtype, measure.shape), "outcome": ("int8", ())}
 
@@ -184,7 +184,7 @@ class ScanRows:
         return len(self.start)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Run the motions of the rows `index` (n) and return what is kept of them, by name."""
+        """Run the motions of the rows `index` (n) and return their results, by name."""
         states, acting = self.start.take(index), self.start.acting
         run: batch.Heights | batch.Motion
         measure = MEASURES[self.measure]

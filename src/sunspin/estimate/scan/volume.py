@@ -125,13 +125,13 @@ def scan(
         _axis(values, name) for values, name in zip((omega_x, omega_y, omega_z), RATES, strict=True)
     ]
     check_size(*(len(axis) for axis in axes))
-    # without what the motion and the light do not depend on, so that a store still serves after a change of it
+    # Leave out parts on which neither motion nor light depend. So rows in a store stay valid if only such parts change.
     landing = {"mass_kg": None, "legs": (), "hull": (), "antenna": None}
     body = replace(vehicle, **landing, facts={}, changes=())
-    forces = acting(propagation.torques, propagation.environment, propagation.start_s)
-    start = Start.on_grid(body, axes, sun_B, wheel_speed_rad_s, forces, propagation.B_from_N)
+    torques = acting(propagation.torques, propagation.environment, propagation.start_s)
+    start = Start.on_grid(body, axes, sun_B, wheel_speed_rad_s, torques, propagation.B_from_N)
     mode = propagation.wheel_mode
-    how: dict[str, Any] = {
+    options: dict[str, Any] = {
         "wheel_mode": mode if isinstance(mode, str) else tuple(mode),
         "direction_error": propagation.direction_error,
     }
@@ -139,7 +139,7 @@ def scan(
         if emd_error is not None:
             what, got = "a track is compared by E, not by EMD", f"emd_error {emd_error}"
             raise InputError(what, got=got, do="give Propagation(direction_error=...)")
-        rows, count = track_rows(body, start, target_z, **how), target_z.sizes["time"]
+        rows, count = track_rows(body, start, target_z, **options), target_z.sizes["time"]
     else:
         if duration_s is None or not (np.isfinite(duration_s) and duration_s != 0):
             raise InputError("duration_s must be the length of the run in s", got=duration_s)
@@ -152,12 +152,12 @@ def scan(
             target=target,
             mask=mask,
             emd_error=emd_error,
-            **how,
+            **options,
         )
-    out = ensemble(
+    results = ensemble(
         rows, workers=workers, store=store, scheduler=executor, progress=progress, label="scan"
     )
-    return as_volume(vehicle, rows, rows.measure, out, count)
+    return as_volume(vehicle, rows, rows.measure, results, count)
 
 
 def as_volume(
@@ -214,7 +214,7 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Table:
+class Histograms:
     """The histograms `hist` (n, BINS), in s, and outcomes (n) of the motions of a grid; 1 kB a motion."""
 
     rows: ScanRows
@@ -245,7 +245,7 @@ def make_table(
     mask: str | None = "reconstructible",
     workers: int | None = None,
     progress: bool = False,
-) -> Table:
+) -> Histograms:
     """Run every motion of a grid once and return the histograms of r_z.
 
     Parameters
@@ -262,5 +262,5 @@ def make_table(
     grid = [np.asarray(axes[rate], dtype=np.float64) for rate in RATES]
     start = Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s)
     rows = ScanRows(vehicle, start, float(duration_s), "hist", mask=mask)
-    out = ensemble(rows, workers=workers, progress=progress, label="scan")
-    return Table(rows, out["hist"], out["outcome"])
+    results = ensemble(rows, workers=workers, progress=progress, label="scan")
+    return Histograms(rows, results["hist"], results["outcome"])

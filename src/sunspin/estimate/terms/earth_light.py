@@ -78,7 +78,7 @@ class EarthLight:
         return replace(self, light_N=self.light_N[samples], known_N=known)
 
     @property
-    def of_light(self) -> slice:
+    def light_slice(self) -> slice:
         """Return where the unknowns of the vector stand; those of the zeros follow."""
         return slice(0, self.light_N.shape[1])
 
@@ -108,7 +108,7 @@ class EarthLight:
         The derivatives (K, n, p, 3 + b + p) are those by a turn of the body, by the unknowns of the vector and by those of the
         zeros. What the zeros add is not in the light (:meth:`zero`).
         """
-        light_N = np.einsum("km,nmj->knj", u[:, self.of_light], self.light_N)
+        light_N = np.einsum("km,nmj->knj", u[:, self.light_slice], self.light_N)
         light_N = light_N if self.known_N is None else light_N + self.known_N
         light_B = (attitude @ light_N[..., None])[..., 0]
         size = np.maximum(np.linalg.norm(light_B, axis=-1), LEAST_LIGHT)
@@ -120,7 +120,7 @@ class EarthLight:
 
     def zero(self, u: np.ndarray) -> np.ndarray:
         """Return what panels read too much (K, 1, p), alike in all samples."""
-        of_zeros = slice(self.of_light.stop, None)
+        of_zeros = slice(self.light_slice.stop, None)
         return (u[:, of_zeros] * self.zeros)[:, None]
 
     def begin(

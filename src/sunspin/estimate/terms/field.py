@@ -58,11 +58,11 @@ class CalibratedMagnetometer(Protocol):
     def field(self, reading: np.ndarray) -> np.ndarray:
         """Return the fields (n, 3) of readings."""
 
-    def columns(self, reading: np.ndarray) -> np.ndarray:
-        """Return what one sigma of each error changes in the fields (n, e, 3) of readings."""
+    def reading_errors(self, reading: np.ndarray) -> np.ndarray:
+        """Return the change (n, e, 3) of the fields of readings by one sigma of each error."""
 
-    def along(self, field_along_N: np.ndarray) -> np.ndarray:
-        """Return what one sigma of each error changes in the orbit's field (n, e, 3), of which one along the track is (n, 3)."""
+    def orbit_errors(self, field_along_N: np.ndarray) -> np.ndarray:
+        """Return the change (n, e, 3) of the orbit's field by one sigma of each error; (n, 3) by one sigma along the track."""
 
     def sigma_T(
         self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
@@ -284,19 +284,21 @@ class KnownField(Term):
     noise_T: float
 
     @classmethod
-    def of(cls, fields: FieldChange, here: Surroundings, one: CalibratedMagnetometer) -> Self:
+    def of(
+        cls, fields: FieldChange, here: Surroundings, calibration: CalibratedMagnetometer
+    ) -> Self:
         """Return readings calibrated along an orbit; noise and the zero's error are then those of the calibration."""
         field_N, along_N = here.field_N, here.field_along_N
         assert field_N is not None and along_N is not None
         read = fields.field_B
         return cls(
             t_s=fields.t_s,
-            read_B=one.field(read),
-            sigma_T=one.sigma_T(read, field_N, along_N),
+            read_B=calibration.field(read),
+            sigma_T=calibration.sigma_T(read, field_N, along_N),
             field_N=field_N,
-            own_B=one.columns(read),
-            along_N=one.along(along_N),
-            noise_T=one.noise_T,
+            own_B=calibration.reading_errors(read),
+            along_N=calibration.orbit_errors(along_N),
+            noise_T=calibration.noise_T,
         )
 
     def present(self) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Readings that a person gives for a lander: each with its own time and one Gaussian sigma.
+"""Readings of a lander that a person states in addition to its panels: each with its own time and one Gaussian sigma.
 
-They are exact in what they mean, and know no errors in common, so that they are simpler than the sensors of a telemetry file.
+They are simpler than sensors of a telemetry file, as they have no axes, gains or common errors.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from sunspin.estimate.terms.term import Residual, Term, gaussian
 from sunspin.solve.rotations import cross_matrix
 
 KEYS = ("kind", "t_s", "value", "sigma")
-"""What a person states of each reading; a field also the Sun's angle from it, `angle_rad`."""
+"""What a person states of each reading; of a field also the angle between it and the Sun, `angle_rad`."""
 
 LEAST_SINE = 1e-3
-"""Sine of the Sun's angle from a direction below which its slope is not taken to be steeper."""
+"""Least sine of the angle between Sun and field by which its derivative is divided."""
 
 
 @dataclass(frozen=True)
 class Given(Term):
-    """Numbers `value` (n, r) with one `sigma` (n) each, infinite at samples without."""
+    """Readings `value` (n, r) of one kind with one `sigma` (n) each, which is infinite at samples without a reading."""
 
     keys: ClassVar[tuple[str, ...]] = KEYS
     numbers: ClassVar[int] = 3
@@ -36,7 +36,7 @@ class Given(Term):
 
     @classmethod
     def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
-        """Return one reading at sample `at` of `count`."""
+        """Return the term of one reading at sample `at` of `count` samples."""
         value = np.zeros((count, cls.numbers))
         value[at] = checked(observation, cls.numbers)
         return cls(value, _only(at, count, float(observation["sigma"])))

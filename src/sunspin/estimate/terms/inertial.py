@@ -21,7 +21,7 @@ WHOLE_TURNS = 20
 
 
 @dataclass(frozen=True)
-class Gyro(Term):
+class GyroRates(Term):
     """Rates (n, 3) in rad/s, NaN where not read, with one `sigma` (rad/s).
 
     `zero_sigma` (3) in rad/s of the zero of each axis, zero for one that is known; `scale_sigma`, relative. `zero_stated`: the

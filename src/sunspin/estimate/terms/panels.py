@@ -218,12 +218,12 @@ class Panels(Term):
         return gains if self.earth is None else (*gains, *self.earth.unknowns(self.names))
 
     @property
-    def of_gains(self) -> slice:
+    def gain_slice(self) -> slice:
         """Return where the errors of the gains stand among the unknowns."""
         return slice(0, len(self.gain_errors))
 
     @property
-    def of_earth(self) -> slice:
+    def earth_slice(self) -> slice:
         """Return where the unknowns of the Earth's light stand: behind the gains."""
         return slice(len(self.gain_errors), None)
 
@@ -235,16 +235,16 @@ class Panels(Term):
         attitude, u = super().begin(states, about_sun)
         if self.earth is None:
             return attitude, u
-        of_earth = self.of_earth
+        earth_slice = self.earth_slice
 
         def cost(u_earth: np.ndarray, turned: np.ndarray) -> np.ndarray:
             """Return the cost (K) of unknowns of the light (K, b + p) at attitudes (K, n, 3, 3)."""
             trial = u.copy()
-            trial[:, of_earth] = u_earth
+            trial[:, earth_slice] = u_earth
             (residual,) = self.residuals(States(turned, states.omega), trial)
             return residual.law(residual.value)[0].sum(axis=1)
 
-        attitude, u[:, of_earth] = self.earth.begin(attitude, cost, about_sun)
+        attitude, u[:, earth_slice] = self.earth.begin(attitude, cost, about_sun)
         return attitude, u
 
     def for_search(self) -> list[Self]:
@@ -283,7 +283,7 @@ class Panels(Term):
 
     def held(self, u: np.ndarray) -> Self:
         """Return the panels without unknowns: gains that are off by u (m) sigmas, and the Earth's light as in a search."""
-        gain = self.gain + u[self.of_gains] @ self.gain_errors
+        gain = self.gain + u[self.gain_slice] @ self.gain_errors
         known = replace(self, gain=gain, gain_errors=self.gain_errors[:0])
         return known if self.earth is None else known.for_search()[0]
 
@@ -318,7 +318,7 @@ class Panels(Term):
         if axis is None:
             return images
         mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
-        new = [one for one in mirrored if np.abs(images - one).max(axis=(1, 2)).min() > FLAT]
+        new = [image for image in mirrored if np.abs(images - image).max(axis=(1, 2)).min() > FLAT]
         return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
@@ -326,13 +326,13 @@ class Panels(Term):
         if not np.isfinite(self.sigma).any():
             return
         # `predicted`: what a factor and a scale of one would read (K, n, p); its slopes (..., 3 + m) by a turn and by the unknowns
-        gain = (self.gain + u[:, self.of_gains] @ self.gain_errors)[:, None]
+        gain = (self.gain + u[:, self.gain_slice] @ self.gain_errors)[:, None]
         sunlight, sunlight_by_turn = self._sunlight(states, gain)
         predicted = sunlight * self.sun_up[:, None]
         by_turn = sunlight_by_turn * self.sun_up[:, None, None]
         by_earth, zero = [], 0.0
         if self.earth is not None:
-            u_earth = u[:, self.of_earth]
+            u_earth = u[:, self.earth_slice]
             earthlight, slopes = self.earth.on_panels(self.response, gain, states.attitude, u_earth)
             predicted, by_turn = predicted + earthlight, by_turn + slopes[..., :3]
             by_earth, zero = [slopes[..., 3:]], self.earth.zero(u_earth)

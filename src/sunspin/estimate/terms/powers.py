@@ -1,17 +1,17 @@
 """All readings of a lander's panels, dark ones too, with one brightness over the whole stretch (docs/posterior.md, "Likelihood").
 
-A lit reading is the panel's power, brightness times gain times cosine of the incidence, with Gaussian noise. A dark one says that
-noise keeps the power below the threshold: panels turned away say nothing. Any reading may, with a small probability, have nothing
-to do with the Sun: a shadow, a spike.
+A lit reading is the panel's power, brightness times gain times cosine of the incidence, with Gaussian noise. The likelihood of a
+dark reading is the probability that noise keeps the power below the threshold: it is one for panels that face away. Any reading may
+be an outlier with a small probability: a shadow, a spike.
 
-The time of a sample may be off by `time_s` (one sigma): all its panels were read a little earlier or later than it says. A fit puts
-that error at its best for each motion; the density is the sum over all errors, as a panel that lights up leaves two good ones.
+All readings of a sample are taken at its time plus an unknown error (`time_s`: one sigma). A fit uses the best error for each
+motion. The density sums over all errors, since a panel that becomes lit within the error may leave two good ones.
 
-If a full battery throttles the panels, a sample has an unknown factor. It is put at its best for each motion (variable
-projection, Kaufman 1975, BIT 15, 49) and integrated out: that leaves one power of the noise.
+If a full battery throttles the panels, all readings of a sample have one unknown factor. A fit uses the best factor for each motion
+(variable projection, Kaufman 1975, BIT 15, 49). The density integrates over it, which leaves one power of the noise.
 
-K motions, n samples, p inputs, m unknowns of the panels. A fit asks :meth:`PanelPowers.residuals`, in which a dark reading is
-a bound; draws are weighed by :meth:`PanelPowers.log_density`, with the probability of that.
+K motions, n samples, p inputs, m unknowns of the panels. Fits use :meth:`PanelPowers.residuals`, in which a dark reading is an
+upper bound. Draws are weighed by :meth:`PanelPowers.log_density`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from sunspin.estimate.model import States, Unknown
-from sunspin.estimate.settings import SPOILT, SPOILT_DARK, SPOILT_LARGEST
+from sunspin.estimate.settings import OUTLIER, OUTLIER_DARK, OUTLIER_LARGEST
 from sunspin.estimate.terms.term import Law, Residual, Term, gaussian
 from sunspin.solve.rotations import components_after_rotation, cross, tangent_basis
 from sunspin.vehicle import Vehicle
@@ -33,28 +33,32 @@ from sunspin.vehicle.response.flat import PanelResponse
 
 LOG_2PI = float(np.log(2 * np.pi))
 
+TILT, COMMON_TILT = "tilt", "tilt_common"
+"""Kinds of unknowns: two angles of a panel about axes across its normal, and one rotation of all panels."""
+
 HALF_WEIGHT, ROUNDS = 5.0, 3
-"""Sigmas at which a reading counts half for the factor of a throttled sample, and how often both are computed again."""
+"""Residual, in sigmas, at which a reading has half its weight for the factor of a throttled sample, and how often factor and
+weights are computed again."""
 
 MEAN_LIT_SINE = 2 / 3
 """Mean square of the sine of the angle between a normal and the Suns that light its panel."""
 
 TIME_STEPS, FAR_TIME = 3, 4.0
-"""Newton steps to the best error of a sample's time, and how many sigmas it may be."""
+"""Newton steps to the best error of a sample's time, and its limit in sigmas."""
 
 TIME_SPACING, FEWEST_TIMES = 1.5, 4.0
-"""Distance of the times over which the density of a sample is summed, at most, and how many times there are for each sigma of the
-error, at least. The distance is in sigmas of the narrowest possible peak: a normal law is summed to 1e-3."""
+"""Largest distance of the times at which the density of a sample is evaluated for the sum over time errors, in sigmas of the
+narrowest possible peak (a normal law is summed to 1e-3), and the least number of times for each sigma of the error."""
 
 LARGEST_LOG_NOISE, NOISE_STEPS = 5.0, 8
-"""Sigmas of its prior up to which the noise is sought, and Newton steps by which that is done."""
+"""Upper limit of the log noise in sigmas of its prior, and Newton steps to the best one."""
 
 
 @dataclass(frozen=True)
 class SunStates(States):
     """K motions of a lander at n samples, as its sensors see them: rates and directions to the Sun, `sun` (K, n, 3).
 
-    The turn about the Sun is not seen, so that there is no attitude.
+    No sensor shows the rotation about the Sun direction, so that there is no attitude.
     """
 
     sun: np.ndarray
@@ -72,9 +76,9 @@ class SunStates(States):
 
 @dataclass(frozen=True)
 class PanelPowers(Term):
-    """Readings `power` (n, p) of inputs, of which those `used` (n, p) count, with their stated `sigma` (p).
+    """Readings `power` (n, p) of inputs with their stated `sigma` (p); only those `used` (n, p) enter.
 
-    `threshold`: readings above it are lit; `largest` reading of the stretch. `brightness`: first guess of the signal of a panel of
+    `threshold`: readings above it are lit; `largest`: the largest reading. `brightness`: first guess of the signal of a panel of
     gain one at normal incidence. `own` (m): unknowns, log brightness (its centre is the first guess), log noise over the stated
     one, log gains and tilts of panels. `turns` (m, n_panel, 3): rotation (rad, B) of each panel by one sigma of each unknown.
     `throttled`: all readings of a sample are lowered by one unknown factor. `time_s`: sigma of the time of each sample, s.
@@ -116,8 +120,8 @@ class PanelPowers(Term):
         return float(self.lit.sum())
 
     @cached_property
-    def free_factors(self) -> np.ndarray:
-        """Return which samples (n) have a factor that lit readings determine, which takes up one of them."""
+    def has_factor(self) -> np.ndarray:
+        """Return which samples (n) have an unknown factor, which uses up one of the lit readings that determine it."""
         return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
     def places(self, kind: str) -> list[int]:
@@ -143,13 +147,13 @@ class PanelPowers(Term):
         places = self.places("noise")
         return self.own[places[0]].sigma * u[:, places[0]] if places else np.zeros(len(u))
 
-    # ---- what a fit asks ---------------------------------------------------------------------------------------------------
+    # ---- for fits ----------------------------------------------------------------------------------------------------------
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield by how much predicted powers exceed the read ones (K, n, p), in stated sigmas, with the derivatives of that.
+        """Yield predicted less read powers (K, n, p), in stated sigmas, with their derivatives.
 
-        If times may err, every sample is predicted at the best error of its time, and a second residual follows: these errors
-        (K, n, 1) in sigmas, which the prior of the times holds near zero.
+        If times have errors, every sample is predicted at the best error of its time, and a second residual follows: these errors
+        (K, n, 1) in sigmas of their prior.
         """
         late_s = self.best_times(states, u)[0]
         sun = sun_later(states, late_s)
@@ -160,10 +164,10 @@ class PanelPowers(Term):
             yield Residual(value, by_turn=by_turn, by_u=by_u, law=law)
             return
 
-        # The error t of a sample's time, in sigmas, is no unknown of a fit: it is at its best for any motion. With b = d value / dt
-        # and the weights w of the sample's readings the best t makes sum(w b value) + t zero. If motion or unknowns change the
-        # readings by dv, it changes by dt = -sum(w b dv) / (1 + sum(w b b)), and the value by dv + b dt. Second derivatives are
-        # left out (Kaufman).
+        # The error t of a sample's time, in sigmas, is no unknown of a fit but always the best one for the motion. With b = d value
+        # / dt and the weights w of the sample's readings, sum(w b value) + t = 0 at the best t. If motion or unknowns change the
+        # values by dv, t changes by dt = -sum(w b dv) / (1 + sum(w b b)), and the values by dv + b dt. Second derivatives are
+        # neglected (Kaufman).
         by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)  # b (K, n, p)
         weighted = law(value)[1] * by_time
         size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
@@ -172,7 +176,7 @@ class PanelPowers(Term):
         time_by_u = -(weighted[..., None, :] @ by_u / size)
         by_turn = by_turn + by_time[..., None] * time_by_turn
         by_u = by_u + by_time[..., None] * time_by_u
-        # the sample was taken `late` after the state: a change of the rate has turned the body by itself times that
+        # the sample was taken `late` after the state, so that a change of the rate rotates the body by late times itself
         late = late_s[..., None, None]
         yield Residual(value, by_turn=by_turn, by_rate=late * by_turn, by_u=by_u, law=law)
         yield Residual(
@@ -186,9 +190,9 @@ class PanelPowers(Term):
     def _powers_with_slopes(
         self, sun: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the powers (K, n, p) under directions to the Sun (K, n, 3), not throttled, and their derivatives.
+        """Return the powers (K, n, p), not throttled, under directions to the Sun (K, n, 3), with their derivatives.
 
-        By turns of the body (K, n, p, 3) and by the unknowns (K, n, p, m).
+        These are by rotations of the body (K, n, p, 3) and by the unknowns (K, n, p, m).
         """
         slopes = self.response.slopes(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
         by_u = np.zeros((*slopes.power.shape, len(self.own)))
@@ -204,23 +208,24 @@ class PanelPowers(Term):
         return slopes.power, cross(slopes.to_sun, sun[..., None, :]), by_u
 
     def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return predicted less read powers (K, n, p) in stated sigmas, and their slopes (K, n, p, 1) by the predicted power.
+        """Return predicted less read powers (K, n, p) in stated sigmas, and their derivatives (K, n, p, 1) by the predicted power.
 
-        A dark reading says only that the power is below the threshold: it differs by what the prediction is above.
+        For a dark reading it is the predicted power less the threshold, and zero below it.
         """
-        above = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
-        counts = self.used & (self.lit | (power > self.threshold))
-        return np.where(self.used, above, 0.0) / self.sigma, counts[..., None] / self.sigma[:, None]
+        difference = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
+        varies = self.used & (self.lit | (power > self.threshold))
+        by_power = varies[..., None] / self.sigma[:, None]
+        return np.where(self.used, difference, 0.0) / self.sigma, by_power
 
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return how late (K, n; s) each sample was taken at its best, and the curvature (K, n; 1/s2) of its cost without prior.
+        """Return the best error (K, n; s) of each sample's time, and the curvature (K, n; 1/s2) of its cost without prior.
 
-        Newton steps begin at no error, in two ways, of which the better one counts: with outliers down-weighted at once, or with
-        all readings at full weight in the first step, as the time may be what is wrong.
+        Newton steps begin at no error, in two ways, of which the better one is returned: with outliers down-weighted at once, or
+        with all readings at full weight in the first step, since it may be the time that is wrong.
         """
-        none = np.zeros(states.sun_B.shape[:-1])
+        no_error = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:
-            return none, none
+            return no_error, no_error
         law, limit = self.law(u), FAR_TIME * self.time_s
         gain, tilt = self.gain(u)[:, None], self.tilt(u)
 
@@ -232,53 +237,54 @@ class PanelPowers(Term):
             moves = cross(sun, states.omega)[..., None, :]
             return value, np.sum(slopes.to_sun * moves, axis=-1) * by_power[..., 0]
 
-        best, curvature, least = none, none, np.full(none.shape, np.inf)
-        for trusting in (False, True):
-            late_s = none
-            for number in range(TIME_STEPS):
+        best, curvature, least = no_error, no_error, np.full(no_error.shape, np.inf)
+        for full_weights in (False, True):
+            late_s = no_error
+            for step in range(TIME_STEPS):
                 value, by_time = differences_at(late_s)
-                weight = np.ones_like(value) if trusting and number == 0 else law(value)[1]
-                hold = np.sum(weight * by_time**2, axis=-1)
-                pull = hold * late_s - np.sum(weight * by_time * value, axis=-1)
-                late_s = np.clip(pull / (hold + self.time_s**-2), -limit, limit)
+                weight = np.ones_like(value) if full_weights and step == 0 else law(value)[1]
+                information = np.sum(weight * by_time**2, axis=-1)
+                pull = information * late_s - np.sum(weight * by_time * value, axis=-1)
+                late_s = np.clip(pull / (information + self.time_s**-2), -limit, limit)
             value, by_time = differences_at(late_s)
             cost, weight = law(value)
-            hold = np.sum(weight * by_time**2, axis=-1)
-            # compared by the integral over the error (Laplace), not by the density, whose peak is narrow if the power changes fast
+            information = np.sum(weight * by_time**2, axis=-1)
+            # The two are compared by the integral over the error (Laplace). The density would prefer narrow peaks.
             cost = cost + 0.5 * (late_s / self.time_s) ** 2
-            cost += 0.5 * np.log1p(self.time_s**2 * hold)
+            cost += 0.5 * np.log1p(self.time_s**2 * information)
             better = cost < least
-            best, curvature = np.where(better, late_s, best), np.where(better, hold, curvature)
+            best = np.where(better, late_s, best)
+            curvature = np.where(better, information, curvature)
             least = np.minimum(cost, least)
         return best, curvature
 
     def taken_by_times(self, states: States, u: np.ndarray) -> np.ndarray:
-        """Return how many readings (K) the errors of times take up: up to one for each sample that shows its time."""
-        sharp = self.time_s**2 * self.best_times(states, u)[1]
-        return np.sum(sharp / (1.0 + sharp), axis=1)
+        """Return the degrees of freedom (K) that the errors of times use: up to one for each sample."""
+        information = self.time_s**2 * self.best_times(states, u)[1]  # over that of the prior
+        return np.sum(information / (1.0 + information), axis=1)
 
     def _throttle(
         self, light: np.ndarray, by_turn: np.ndarray, by_u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return powers (K, n, p) and their derivatives under the factors of throttled samples, which follow at their best."""
+        """Return powers (K, n, p) and their derivatives with the best factors of throttled samples, which follow the motion."""
         if not self.throttled:
             return light, by_turn, by_u
         factor, weight = self.best_factor(light)
         size = np.sum(weight * light**2, axis=-1)[..., None, None]
         along = (weight * light)[..., None]
 
-        def following(slope: np.ndarray) -> np.ndarray:
-            # Kaufman's slope: the change of the light without its part along the light itself
+        def with_factor(slope: np.ndarray) -> np.ndarray:
+            """Return Kaufman's derivative: that of the light without its part along the light, which the factor compensates."""
             part = np.sum(along * slope, axis=-2, keepdims=True)
             share = np.divide(part, size, out=np.zeros_like(part), where=size > 0)
             return factor[..., None] * (slope - light[..., None] * share)
 
-        return factor * light, following(by_turn), following(by_u)
+        return factor * light, with_factor(by_turn), with_factor(by_u)
 
     def best_factor(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the factor (K, n, 1) of each sample that fits its readings best, and the weights of these (K, n, p).
+        """Return the best factor (K, n, 1) of each sample for powers `light` (K, n, p), and the weights of its readings (K, n, p).
 
-        Readings count by their noise; one far from what is predicted hardly counts. Without readings the factor is one.
+        Weights are by the noise of a reading, and small far from the prediction. Without readings the factor is one.
         """
         read = np.maximum(self.power, 0.0)
         by_noise = self.used * (np.min(self.sigma) / self.sigma) ** 2
@@ -294,53 +300,54 @@ class PanelPowers(Term):
         return factor, weight
 
     def law(self, u: np.ndarray, noise_factor: float = 1.0) -> Law:
-        """Return the function of differences (K, n, p) to cost and weight, under `noise_factor` times the noise of u (K, m).
+        """Return the function from differences (K, n, p) to cost and weight, under `noise_factor` times the noise of u (K, m).
 
         Two per cent of readings are outliers: a difference d costs -log(0.98 N(d) + 0.02 density of outliers), and its weight is
-        the probability that it is none, over the variance. Costs (K, n) are relative to readings just as predicted under the stated
-        noise. What a dark reading's prediction is above the threshold is taken for Gaussian too.
+        the probability that it is no outlier, over the variance. Costs (K, n) are relative to readings exactly as predicted under
+        the stated noise. The difference of a dark reading is treated as Gaussian too.
         """
         log_noise = (self.log_noise(u) + np.log(noise_factor))[:, None, None]
         noise = np.exp(log_noise)
-        as_stated = np.log1p(-SPOILT) - np.where(self.lit, np.log(self.sigma) + LOG_2PI / 2, 0.0)
-        largest = np.logaddexp(as_stated, self._spoilt)
+        as_stated = np.log1p(-OUTLIER) - np.where(self.lit, np.log(self.sigma) + LOG_2PI / 2, 0.0)
+        largest = np.logaddexp(as_stated, self._log_outlier_density)
 
         def weigh(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return costs (K, n) of samples and weights (K, n, p) of readings."""
             good = as_stated - np.where(self.lit, log_noise, 0.0) - 0.5 * (value / noise) ** 2
-            total = np.logaddexp(good, self._spoilt)
+            total = np.logaddexp(good, self._log_outlier_density)
             cost = np.where(self.used, largest - total, 0.0).sum(axis=-1)
             weight = np.where(self.used, np.exp(good - total) / noise**2, 0.0)
-            return cost - self.free_factors * log_noise[..., 0], weight
+            return cost - self.has_factor * log_noise[..., 0], weight
 
         return weigh
 
     @cached_property
-    def _spoilt(self) -> np.ndarray:
+    def _log_outlier_density(self) -> np.ndarray:
         """Return the log (n, p) of each reading's density as an outlier, times the prior probability of being one."""
-        density = (1 - SPOILT_DARK) / (SPOILT_LARGEST * self.largest)
-        return np.log(SPOILT * np.where(self.lit, density, SPOILT_DARK))
+        density = (1 - OUTLIER_DARK) / (OUTLIER_LARGEST * self.largest)
+        return np.log(OUTLIER * np.where(self.lit, density, OUTLIER_DARK))
 
     def best_noise(
         self, value: np.ndarray, u: np.ndarray, answered: np.ndarray, least: float
     ) -> np.ndarray:
-        """Return unknowns (K, m) with the noise at its best for differences `value` (K, n, p), by Newton steps in its logarithm.
+        """Return unknowns (K, m) with the best noise for differences `value` (K, n, p), by Newton steps in its logarithm.
 
-        `answered` (K): how many readings the fitted numbers take up; `least` (sigmas): the noise is not sought below.
+        `answered` (K): degrees of freedom that the fit has used; `least`: lower limit of the log noise in sigmas of its prior.
         """
         places = self.places("noise")
         if not places:
             return u
         at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
-        spent = answered + self.free_factors.sum()
+        used = answered + self.has_factor.sum()
         for _ in range(NOISE_STEPS):
-            # of lit readings: weighted squares, and the number that are no outliers less what was fitted; where these are equal
-            # the noise is at its best but for its prior
+            # Without the prior, the best noise makes the weighted squares of lit readings equal to their degrees of freedom: the
+            # expected number of those that are no outliers, less what was fitted.
             weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
             squares = np.sum(weight * value**2, axis=(1, 2))
             good = np.sum(weight, axis=(1, 2)) * np.exp(2 * self.log_noise(u))
-            count = np.maximum(good - spent, 0.0)
-            slope = sigma * (count - squares) + u[:, at]
-            curvature = 2 * sigma**2 * np.maximum(squares, 0.3 * count) + 1
+            freedom = np.maximum(good - used, 0.0)
+            slope = sigma * (freedom - squares) + u[:, at]
+            curvature = 2 * sigma**2 * np.maximum(squares, 0.3 * freedom) + 1
             step = np.clip(slope / curvature, -1, 1)
             u[:, at] = np.clip(u[:, at] - step, least, LARGEST_LOG_NOISE)
         return u
@@ -354,24 +361,25 @@ class PanelPowers(Term):
     def log_density(self, states: States, u: np.ndarray) -> np.ndarray:
         """Return the log density (K) of all readings, dark ones by the probability that noise keeps them below the threshold.
 
-        That is relative to no power at all, so that panels turned away say nothing.
+        That probability is over the one without any power, so that panels which face away contribute nothing.
         """
         if self.time_s:
-            return self._over_times(states, u).sum(axis=1)
-        none = np.zeros(states.sun_B.shape[:-1])
-        each = self._sample_densities(self.predicted(states, u, none), u)
-        return each.sum(axis=1) + self.free_factors.sum(axis=-1) * self.log_noise(u)
+            return self._densities_over_times(states, u).sum(axis=1)
+        no_error = np.zeros(states.sun_B.shape[:-1])
+        of_samples = self._sample_densities(self.predicted(states, u, no_error), u)
+        return of_samples.sum(axis=1) + self.has_factor.sum(axis=-1) * self.log_noise(u)
 
-    def _over_times(self, states: States, u: np.ndarray) -> np.ndarray:
+    def _densities_over_times(self, states: States, u: np.ndarray) -> np.ndarray:
         """Return the log density (K, n) of the readings of each sample, summed over the errors of its time.
 
-        Laplace's method about the best error is off where a panel lights up within it: there the density has two peaks, and which
-        one is higher changes with the motion. Draws were then unevenly weighed (2 to 5 effective ones of 100).
+        Laplace's method about the best error is wrong where a panel becomes lit within the error: there the density has two peaks,
+        and which one is higher changes with the motion. With it 100 draws had an effective sample size of 2 to 5.
         """
         steepest = np.linalg.norm(self._full_power(u) / self.sigma, axis=1)
         steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
         narrow = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
-        # the number of times is doubled as often as that asks for: so many motions share their times, and none depends on others
+        # The number of times is a power of two times the least one: most motions share their times, and no result depends on which
+        # motions are computed together.
         doubled = np.ceil(np.log2(np.maximum(narrow / FEWEST_TIMES, 1.0))).astype(int)
         total = np.empty(states.sun_B.shape[:-1])
         for times_doubled in np.unique(doubled):
@@ -379,13 +387,14 @@ class PanelPowers(Term):
             panels = replace(self, power=self.power[rows]) if self.power.ndim == 3 else self
             some = SunStates.of(states.sun_B[rows], states.omega[rows])
             count = int(2 * FAR_TIME * FEWEST_TIMES) << times_doubled
-            times, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)
-            whole = np.full(some.sun_B.shape[:-1], -np.inf)
-            for late in times:
-                later = np.full(whole.shape, late * self.time_s)
-                each = panels._sample_densities(panels.predicted(some, u[rows], later), u[rows])
-                whole = np.logaddexp(whole, each - 0.5 * late**2)
-            total[rows] = whole + np.log(step) - 0.5 * LOG_2PI
+            errors, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)  # in sigmas
+            log_sum = np.full(some.sun_B.shape[:-1], -np.inf)
+            for error in errors:
+                late_s = np.full(log_sum.shape, error * self.time_s)
+                power = panels.predicted(some, u[rows], late_s)
+                log_density = panels._sample_densities(power, u[rows])
+                log_sum = np.logaddexp(log_sum, log_density - 0.5 * error**2)
+            total[rows] = log_sum + np.log(step) - 0.5 * LOG_2PI
         return total
 
     def _full_power(self, u: np.ndarray) -> np.ndarray:
@@ -402,8 +411,8 @@ class PanelPowers(Term):
         sigma = self.sigma * np.exp(self.log_noise(u))[:, None, None]
         lit = -0.5 * ((self.power - power) / sigma) ** 2 - np.log(sigma) - LOG_2PI / 2
         dark = log_ndtr((self.threshold - power) / sigma) - log_ndtr(self.threshold / sigma)
-        good = np.where(self.lit, lit, dark) + np.log1p(-SPOILT)
-        return np.logaddexp(good, self._spoilt)
+        good = np.where(self.lit, lit, dark) + np.log1p(-OUTLIER)
+        return np.logaddexp(good, self._log_outlier_density)
 
     def predicted(self, states: States, u: np.ndarray, late_s: np.ndarray) -> np.ndarray:
         """Return powers (K, n, p) of motions in samples taken late (K, n), with the best factors of throttled ones."""
@@ -411,52 +420,50 @@ class PanelPowers(Term):
         power = self.response.power(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
         return self.best_factor(power)[0] * power if self.throttled else power
 
-    # ---- what a check of the draws asks ------------------------------------------------------------------------------------
+    # ---- for checks of the draws -------------------------------------------------------------------------------------------
 
     def outlier_probability(self, states: States, u: np.ndarray) -> np.ndarray:
-        """Return the probability (n, p), in the mean of motions, that a reading is not of the Sun; zero for those not used."""
+        """Return the mean probability (n, p) over motions that each reading is an outlier; zero for those not used."""
         power = self.predicted(states, u, self.best_times(states, u)[0])
-        spoilt = np.exp(self._spoilt - self._log_densities(power, u))
-        return np.where(self.used, np.minimum(spoilt.mean(axis=0), 1.0), 0.0)
+        probability = np.exp(self._log_outlier_density - self._log_densities(power, u))
+        return np.where(self.used, np.minimum(probability.mean(axis=0), 1.0), 0.0)
 
     def replicated(self, states: States, u: np.ndarray, rng: np.random.Generator) -> PanelPowers:
-        """Return panels with readings (K, n, p) drawn for each motion, as the model makes them: noise, and outliers."""
+        """Return panels with simulated readings (K, n, p) of each motion by this model: noise, errors of times, outliers."""
         late_s = self.time_s * rng.standard_normal(states.sun_B.shape[:-1])
         power = self.predicted(states, u, late_s)
         noise = self.sigma * np.exp(self.log_noise(u))[:, None, None]
         value = np.where(power > 0, power + noise * rng.standard_normal(power.shape), 0.0)
-        is_dark = rng.random(power.shape) < SPOILT_DARK
-        anything = rng.random(power.shape) * SPOILT_LARGEST * self.largest
-        outlier = rng.random(power.shape) < SPOILT
+        is_dark = rng.random(power.shape) < OUTLIER_DARK
+        anything = rng.random(power.shape) * OUTLIER_LARGEST * self.largest
+        outlier = rng.random(power.shape) < OUTLIER
         value = np.where(outlier, np.where(is_dark, 0.0, anything), value)
         return replace(self, power=value)
 
-    # ---- what a search asks ------------------------------------------------------------------------------------------------
+    # ---- for the search ----------------------------------------------------------------------------------------------------
 
     def with_tilts_as_noise(self) -> PanelPowers:
-        """Return the readings with what each panel's own tilt adds to their noise, for a search that leaves these tilts alone.
+        """Return the readings with a larger noise that stands for the tilts of single panels, for a search that does not fit these.
 
-        It is the same for all: the root mean square over panels, and over directions of the Sun in front of them.
+        The added noise is the same for all: the root mean square over panels, and over directions of the Sun in front of them.
         """
         own = self.places(TILT)
         if not own:
             return self
         assert self.turns is not None
         across = cross(self.turns[own], self.response.normals_B)
-        square = (across**2).sum(axis=(0, 2)) / 2  # to either side
+        square = (across**2).sum(
+            axis=(0, 2)
+        ) / 2  # a direction sees one of the two angles of a tilt
         size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_LIT_SINE)
         return replace(self, sigma=np.hypot(self.sigma, size * self.brightness))
 
 
 def sun_later(states: States, late_s: np.ndarray) -> np.ndarray:
-    """Return directions to the Sun (K, n, 3) in body axes some time (K, n, s) after the samples, at the rates of then."""
+    """Return directions to the Sun (K, n, 3) in body axes `late_s` (K, n) after the samples, at constant rates."""
     if not late_s.any():
         return states.sun_B
     return components_after_rotation(states.sun_B, states.omega * late_s[..., None])
-
-
-TILT, COMMON_TILT = "tilt", "tilt_common"
-"""Kinds of unknowns: two angles of a panel about axes across its normal, and one rotation of all panels."""
 
 
 def tilt_unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> tuple[Unknown, ...]:

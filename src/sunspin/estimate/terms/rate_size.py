@@ -16,7 +16,7 @@ from sunspin.vehicle.sensors import VARIABLES
 
 
 @dataclass(frozen=True)
-class RateSize(Term):
+class RateMagnitudes(Term):
     """Sizes of the rate (n) in rad/s, NaN where not read, with one `sigma` (rad/s) and a relative `scale_sigma`.
 
     It parts aliases, which differ in size by whole turns between samples, and says nothing of the axis.

@@ -222,7 +222,7 @@ class StatedDipole(Term):
 
 
 @dataclass(frozen=True)
-class GravityGradient(Term):
+class GravityTorque(Term):
     """The torque 3 n^2 nadir x (I nadir) of the Earth's attraction, equation (gravity_gradient) of docs/model.md.
 
     `nadir_N` (n, 3); `strength` (n): 3 n^2 in 1/s2; `inertia` (3, 3) in mean moments.

@@ -9,10 +9,10 @@ import xarray as xr
 
 from sunspin.environment.elements import nearest
 from sunspin.environment.ephemeris import OrbitFile
-from sunspin.estimate.orbit.calibration import along_orbit
+from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.invariants import FEWEST
-from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.estimate.orbit.judged import clock_words, drift_words, judged_orbit, orbit_of
 from sunspin.output.check.findings import Findings
 from sunspin.output.check.samples import noise_lines
 from sunspin.output.text import with_sigma
@@ -70,7 +70,9 @@ def choose_orbit(
         return ChosenOrbit(None, None, {}, [])
     used, check, words = judged_orbit(orbit, craft, assessment)
     summary: dict[str, Any] = _summary(orbit, samples, check) | {"used": used is not None}
-    calibration = None if used is None else along_orbit(used, assessment, check.made)
+    calibration = (
+        None if used is None else calibrate_magnetometer(used, assessment, check.fitted_sensors)
+    )
     lines = [f"{words}; {_satellite_text(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
         lines += noise_lines(assessment)
@@ -130,7 +132,7 @@ def _lines(summary: dict[str, Any], check: Any) -> list[str]:
     """
     lines = [f"Orbit of {_satellite_text(summary)}: {check.verdict.value}"]
     lines += [f"  {note}" for note in summary["notes"]]
-    lines += [f"  {text}" for text in (str(check.sun_in_shadow), clock_off(check)) if text]
+    lines += [f"  {text}" for text in (str(check.sun_in_shadow), clock_words(check)) if text]
     if check.sign_turned:
         remedy = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
         lines.append(f"  {remedy}")
@@ -151,7 +153,7 @@ def _lines(summary: dict[str, Any], check: Any) -> list[str]:
     # an orbit 1 s late and a clock 1 s early look the same
     clock = " (includes any clock error)"
     shift = with_sigma(check.shift_s, check.shift_sigma_s, "s")
-    lines.append(f"  along-track offset {shift}{drifting(check)}{clock}{border}")
+    lines.append(f"  along-track offset {shift}{drift_words(check)}{clock}{border}")
     if np.isfinite(check.strength_residual_T):
         angle, n = np.degrees(check.angle_residual_rad), check.samples.get("field and Sun", 0)
         remark = f" (too few samples to judge: {n})" if n < FEWEST else ""

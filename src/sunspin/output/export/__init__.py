@@ -74,7 +74,7 @@ SOURCES = ("rates.nc", "trajectory.nc")
 """Files of a results folder that hold an attitude; the first one that exists is exported."""
 
 
-class Attitude(NamedTuple):
+class AttitudeHistory(NamedTuple):
     """An attitude history to export, with what a file says of its object and frame.
 
     Attributes
@@ -147,7 +147,7 @@ def build_attitude(
     epoch_utc: str | None = None,
     step_s: float | None = None,
     dense: bool = False,
-) -> Attitude:
+) -> AttitudeHistory:
     """Return the attitude history of a result of `rates` or `propagate` as it is exported.
 
     Parameters
@@ -181,7 +181,7 @@ def build_attitude(
             samples = _fill_between(motion)
     number, name = (str(data.attrs.get(key, "")) for key in ("orbit", "orbit_name"))
     synthetic = ", synthetic telemetry" if data.attrs.get("synthetic", 0) else ""
-    return Attitude(
+    return AttitudeHistory(
         t_s=samples.t_s,
         epoch=epoch,
         quaternion=samples.quaternion,
@@ -282,7 +282,7 @@ def _parse_epoch(epoch: str) -> np.datetime64:
 
 
 class AttitudeSamples(NamedTuple):
-    """Attitudes and rates at instants of a motion: the arrays of :class:`Attitude`."""
+    """Attitudes and rates at instants of a motion: the arrays of :class:`AttitudeHistory`."""
 
     t_s: np.ndarray
     quaternion: np.ndarray
@@ -492,7 +492,7 @@ def _resample(motion: AttitudeSamples, step_s: float, dense: bool) -> AttitudeSa
     return grid
 
 
-def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
+def write_cf(target: Path, data: xr.Dataset, attitude: AttitudeHistory) -> Path:
     """Write a result with its attitude as exported to NetCDF with CF attributes, and return the path."""
     # attitudes at other times than the samples: the other variables over time hold at samples only
     if not np.array_equal(data["time"].values, attitude.t_s):
@@ -511,7 +511,7 @@ def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
     return write_netcdf(target, data.assign_attrs(conventions | origin))
 
 
-def write_parquet(target: Path, attitude: Attitude) -> Path:
+def write_parquet(target: Path, attitude: AttitudeHistory) -> Path:
     """Write an attitude as Parquet, a row for each instant, and return the path.
 
     Frame, object and source are in the metadata of the file. Raises `OutputError` if pyarrow is not installed.

@@ -15,14 +15,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sunspin.environment.frames import J2000
-from sunspin.output.export import Attitude
+from sunspin.output.export import AttitudeHistory
 from sunspin.output.folder import write_whole
 
 IN_VERSION_1_ALONE = ("ATTITUDE_DIR", "QUATERNION_TYPE")
 """Keys that version 2.0, and so the XML, lacks: it has one direction only, A to B, and one order of the components."""
 
 
-def write_aem(target: Path, attitude: Attitude, form: str = "1.0") -> Path:
+def write_aem(target: Path, attitude: AttitudeHistory, form: str = "1.0") -> Path:
     """Write an attitude ephemeris message with a segment for each pass, and return its path.
 
     `form`: "1.0" or "2.0", the version of a KVN file, or "xml".

@@ -15,7 +15,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError, OutputError
 from sunspin.environment.earth import TT_AHEAD_OF_TAI_S
-from sunspin.output.export import Attitude
+from sunspin.output.export import AttitudeHistory
 from sunspin.output.folder import write_whole
 
 SPACECRAFT = -999_001
@@ -57,7 +57,7 @@ def import_spice() -> Any:
     return spiceypy
 
 
-def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
+def write_ck(folder: Path, attitude: AttitudeHistory) -> list[Path]:
     """Write the C-kernel sunspin.bc (type 3, with rates), its clock sunspin.tsc and frames sunspin.tf, and return their paths.
 
     Each pass is an interpolation interval. Between two records SPICE interpolates along the shorter rotation, so `attitude` must be

@@ -35,7 +35,7 @@ PLATE_HALF_EDGE_M = 0.45
 """Half the edge (m) of such a plate; plates of a cube leave gaps between them."""
 
 
-class Shape(NamedTuple):
+class Mesh(NamedTuple):
     """The body as triangles.
 
     `vertices` (n, 3): in body axes, m; `faces` (m, 3): indices of the vertices of each triangle; `owner` (m): index of the panel of
@@ -148,7 +148,7 @@ def _choose_instants(motion: xr.Dataset) -> np.ndarray | None:
 
 
 def _pose(
-    shape: Shape, leg_lines: np.ndarray, to_scene: Rotation, light: np.ndarray
+    shape: Mesh, leg_lines: np.ndarray, to_scene: Rotation, light: np.ndarray
 ) -> list[dict[str, Any]]:
     """Return the coordinates of body and legs in one frame, and the colours of the body's triangles.
 
@@ -219,17 +219,17 @@ def _inertial_to_scene(attitude: Rotation, sun_B: np.ndarray, up_B: np.ndarray) 
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
 
 
-def _shape(vehicle: Vehicle) -> Shape:
+def _shape(vehicle: Vehicle) -> Mesh:
     """Return the shape of the vehicle: its hull, or plates for its panels if it has none."""
     hull = _hull(vehicle) if vehicle.hull else None
     vertices, faces, owner = hull or _plates(vehicle)
     size = float(np.linalg.norm(vertices, axis=1).max()) if len(vertices) else 1.0
     size = max([size, *(float(np.linalg.norm(leg.tip_B_m)) for leg in vehicle.legs)])
-    return Shape(vertices, np.array(faces).reshape(-1, 3), np.array(owner, int), size)
+    return Mesh(vertices, np.array(faces).reshape(-1, 3), np.array(owner, int), size)
 
 
 def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]] | None:
-    """Return the convex hull of the corners in the vehicle file as in `Shape`, without size; None if they lie in a plane."""
+    """Return the convex hull of the corners in the vehicle file as in `Mesh`, without size; None if they lie in a plane."""
     points = np.unique(np.concatenate([part.points_B_m for part in vehicle.hull]).round(9), axis=0)
     try:
         hull = ConvexHull(points)
@@ -250,7 +250,7 @@ def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]] | None:
 
 
 def _plates(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]]:
-    """Return vertices, faces and owner as in `Shape`: a square plate of two triangles for each panel."""
+    """Return vertices, faces and owner as in `Mesh`: a square plate of two triangles for each panel."""
     vertices, faces, owner = [], [], []
     for k, normal in enumerate(vehicle.panel_normals_B):
         # unit vectors along the edges; the first is across the axis that is farthest from the normal

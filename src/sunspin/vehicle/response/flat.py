@@ -31,7 +31,7 @@ from sunspin.vehicle.response.planes import (
 )
 
 MAX_NUMBERS = 10_000_000
-"""Candidates times panels times samples in one batch: some 200 MB."""
+"""Trial directions times panels times samples in one batch: some 200 MB."""
 
 RANK_TOLERANCE = 1e-6
 """A matrix of normals with a singular value below this is singular: the normals are in one plane or on one line."""
@@ -96,7 +96,7 @@ def components_along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.nd
     return np.einsum("...i,...pi->...p", vector_B, normals)
 
 
-class Candidates(NamedTuple):
+class TrialDirections(NamedTuple):
     """Directions among which the smallest Delta is found.
 
     `maps` (n_map, 3, n_panel) convert readings to directions; `fixed` (n, 3) do not depend on the readings.
@@ -111,7 +111,7 @@ class Candidates(NamedTuple):
         within: Iterable[np.ndarray],
         between: Iterable[tuple[np.ndarray, np.ndarray]],
         fixed: np.ndarray,
-    ) -> Candidates:
+    ) -> TrialDirections:
         """Return the candidates of cells, arcs and fixed directions.
 
         `within`: a matrix (n_panel, 3) for each cell, by which the signal is linear in the direction. `between`: for each arc
@@ -281,7 +281,7 @@ class PanelResponse:
         )
 
     @cached_property
-    def _candidates(self) -> Candidates:
+    def _candidates(self) -> TrialDirections:
         """Candidates for the direction with the smallest Delta: of each cell, arc and vertex; dark cells and arcs have none."""
         cells, rows = self._cells, self._rows
         cell_maps = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
@@ -290,7 +290,7 @@ class PanelResponse:
             for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
             if lit.any()
         ]
-        return Candidates.from_cells(
+        return TrialDirections.from_cells(
             # inside a cell with fewer than three lit panels many directions fit equally well: its `cell_B` is one of them
             cell_maps,
             arc_maps_and_normals,

@@ -19,10 +19,10 @@ from sunspin.base.errors import VehicleError
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
-    Candidates,
     PanelResponse,
     Regions,
     Slopes,
+    TrialDirections,
     misfit,
     normalise_readings,
     unweighted_covariance,
@@ -245,7 +245,7 @@ class JoinedResponse(PanelResponse):
         return DirectionSet(self._planes, minimal_clauses(sides[is_good], sides[~is_good]))
 
     @cached_property
-    def _candidates(self) -> Candidates:
+    def _candidates(self) -> TrialDirections:
         cells = self._cells
         # arcs in one plane with the same contributing panels give the same candidate
         contributing_and_plane = np.unique(
@@ -256,7 +256,7 @@ class JoinedResponse(PanelResponse):
             matrix = self._matrix(np.array(contributing))
             if matrix.any():
                 between.append((matrix, self._planes[plane]))
-        return Candidates.from_cells(
+        return TrialDirections.from_cells(
             self._cell_matrices, between, np.concatenate([cells.vertex_B, cells.cell_B])
         )
 

@@ -7,7 +7,7 @@ of the measured directions along the axis, a, and across it as complex numbers, 
     E = (1 - sqrt(mean(a)^2 + |mean(w exp(i Theta))|^2)) / 2.
 
 So only the rate has to be searched. With sparse samples E has a minimum at each alias of the mean rate. E is scanned over all
-aliases, with a drift of the rate as a second dimension, and each deep minimum is refined.
+aliases, and over linear drifts of the rate. Each deep minimum is refined.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sunspin.base.errors import InputError
-from sunspin.solve.rotations import components_after_rotation
 
 PHASE_STEP = 0.7
 """Step of the scan, rad: the phases of neighbours differ by at most half of this at either end of the window."""
 
 DRIFT_PHASE = 6.0
-"""Largest deviation from a linear phase, halfway through the window, that a scanned drift of the rate makes, rad."""
+"""Largest deviation from a linear phase, halfway through the window, by the drifts of the rate that are scanned, rad."""
 
 REFINED = 12
-"""Largest number of minima of the scan that are refined. At least two are, and no others of less than half the largest depth."""
+"""Largest number of minima of the scan that are refined: the deepest two, and others of at least half the largest depth."""
 
 DISTINCT = 1.0
 """Fits are the same if their mean rates differ by less than this divided by the length of the window, rad."""
@@ -105,9 +104,9 @@ def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
 
 def rotated_sun(sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, angle: np.ndarray) -> np.ndarray:
     """Return the Sun directions (n, 3) in body axes after the body has rotated by each angle (n), rad, about the axis."""
-    return components_after_rotation(
-        np.asarray(sun_B, dtype=np.float64), np.asarray(angle)[:, None] * np.asarray(axis_B)
-    )
+    along, across, basis = _split(np.asarray(sun_B, dtype=np.float64), axis_B)
+    rotated = across * np.exp(-1j * np.asarray(angle))
+    return along * np.asarray(axis_B) + np.stack([rotated.real, rotated.imag], axis=-1) @ basis.T
 
 
 def error_of_rate(
@@ -181,15 +180,18 @@ def fit_spin(
     middle, half = (t[0] + t[-1]) / 2, (t[-1] - t[0]) / 2
     samples = _Samples((t - t[0]) / half - 1, half, along, across)
     scan_rate, scan_E, drift = _scan(samples, low, high)
-    fits = [
+    refined = [
         _refine(samples, degree, float(scan_rate[i]), float(drift[i]), tolerance)
         for i in _deepest(scan_E)
     ]
-    kept = _distinct(fits, DISTINCT / (2 * half))
-    error, legendre = kept[0]
-    # variance (rad2) of one tangent component: the squares of the chords add up to 4 E n
+    aliases = _distinct(refined, DISTINCT / (2 * half))  # pairs of E and Legendre coefficients
+    error, legendre = aliases[0]
+    # Variance (rad2) of one tangent component: the squares of the chords add up to 4 E n. Fitted are the coefficients of the rate
+    # and two angles of the start.
     variance = 4 * t.size * error / max(2 * t.size - degree - 3, 1)
-    gap = 4 * t.size * (kept[1][0] - error) / max(variance, 1e-300) if len(kept) > 1 else np.inf
+    gap = np.inf
+    if len(aliases) > 1:
+        gap = 4 * t.size * (aliases[1][0] - error) / max(variance, 1e-300)
     to_power = _legendre_to_power(degree, middle, half)
     coefficients = to_power @ legendre
     mean = np.mean(across * np.exp(1j * phase(coefficients, t)))
@@ -200,7 +202,7 @@ def fit_spin(
         E=error,
         sun_B=start / np.linalg.norm(start),
         axis_B=axis,
-        aliases=np.array([(legendre[0], error) for error, legendre in kept]),
+        aliases=np.array([(legendre[0], error) for error, legendre in aliases]),
         alias_gap=float(gap),
         scan_rate=scan_rate,
         scan_E=scan_E,
@@ -229,7 +231,10 @@ def _checked(
 
 
 def _split(sun_B: np.ndarray, axis_B: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return components along the axis (n), across it as complex numbers (n), and the right-handed basis (3, 2) across it."""
+    """Return the components of directions (n, 3) along the axis (n) and across it (n; complex), and the basis (3, 2) across it.
+
+    The real and imaginary parts are components along the two vectors of the basis, which with the axis is right-handed.
+    """
     axis = np.asarray(axis_B, dtype=np.float64)
     first = np.eye(3)[np.argmin(np.abs(axis))]
     first = first - (first @ axis) * axis
@@ -251,9 +256,10 @@ def _scan(samples: _Samples, low: float, high: float) -> tuple[np.ndarray, ...]:
     x, half = samples.x, samples.half_s
     rates = np.linspace(low, high, max(int(np.ceil((high - low) * half / PHASE_STEP)) + 1, 2))
     bends = np.arange(-DRIFT_PHASE, DRIFT_PHASE + 1e-9, PHASE_STEP)  # rad, as of DRIFT_PHASE
+    # the phase of a rate with a drift is linear in x plus a parabola; |mean(w exp(i Theta))| of all drifts (rows) and rates
     linear = np.exp(1j * np.outer(rates, half * x))
-    bent = (samples.across * np.exp(1j * bend * (x**2 - 1)) for bend in bends)
-    means = np.stack([np.abs(linear @ each) for each in bent]) / x.size
+    with_parabola = (samples.across * np.exp(1j * bend * (x**2 - 1)) for bend in bends)
+    means = np.stack([np.abs(linear @ w) for w in with_parabola]) / x.size
     best = np.argmax(means, axis=0)
     return rates, _error(samples.along, means[best, np.arange(rates.size)]), 2 * bends[best] / half
 
@@ -270,7 +276,7 @@ def _deepest(scan_E: np.ndarray) -> np.ndarray:
 def _legendre_phases(samples: _Samples, degree: int) -> np.ndarray:
     """Return the phase (n, degree + 1) from the middle of the window per unit of each Legendre coefficient of the rate."""
     integrals = [np.polynomial.legendre.legint(unit, lbnd=0) for unit in np.eye(degree + 1)]
-    values = [np.polynomial.legendre.legval(samples.x, each) for each in integrals]
+    values = [np.polynomial.legendre.legval(samples.x, integral) for integral in integrals]
     return samples.half_s * np.stack(values, axis=1)
 
 
@@ -286,31 +292,32 @@ def _refine(
     scale = np.abs(design).max(axis=0)  # unknowns in radians at the end of the window
     start = np.zeros(degree + 1)
     start[: min(2, degree + 1)] = [rate, drift][: degree + 1]
-    across, height = samples.across, samples.along.mean()
+    across, mean_along = samples.across, samples.along.mean()
+
+    def at_start(unknown: np.ndarray) -> tuple[np.ndarray, complex, float]:
+        """Return the directions rotated back to the start (n), their mean, and the length of that with the part along the axis."""
+        rotated = across * np.exp(1j * design @ (unknown / scale))
+        mean = rotated.mean()
+        return rotated, mean, np.hypot(abs(mean), mean_along)
 
     def chords(unknown: np.ndarray) -> np.ndarray:
-        # measured directions rotated back to the start, minus their mean direction
-        at_start = across * np.exp(1j * design @ (unknown / scale))
-        mean = at_start.mean()
-        chord = at_start - mean / np.hypot(abs(mean), height)
+        """Return the differences (2 n) of the directions to their mean direction."""
+        rotated, mean, length = at_start(unknown)
+        chord = rotated - mean / length
         return np.concatenate([chord.real, chord.imag])
 
-    def slopes(unknown: np.ndarray) -> np.ndarray:
-        at_start = across * np.exp(1j * design @ (unknown / scale))
-        mean = at_start.mean()
-        slope = 1j * (design / scale) * at_start[:, None]
-        of_mean = slope.mean(axis=0)
-        length = np.hypot(abs(mean), height)
-        of_chord = (
-            slope
-            - of_mean / length
-            + mean * (mean.real * of_mean.real + mean.imag * of_mean.imag) / length**3
-        )
+    def jacobian(unknown: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2 n, degree + 1) of the chords: d(mean / length) with the length^2 = |mean|^2 + constant."""
+        rotated, mean, length = at_start(unknown)
+        by_unknown = 1j * (design / scale) * rotated[:, None]
+        of_mean = by_unknown.mean(axis=0)
+        half_of_square = mean.real * of_mean.real + mean.imag * of_mean.imag
+        of_chord = by_unknown - of_mean / length + mean * half_of_square / length**3
         return np.concatenate([of_chord.real, of_chord.imag])
 
-    jacobian: Any = slopes  # SciPy has no type for it, and its default is a string
+    derivative: Any = jacobian  # SciPy has no type for it, and its default is a string
     fit = least_squares(
-        chords, start * scale, jacobian, xtol=tolerance, ftol=tolerance, gtol=tolerance
+        chords, start * scale, derivative, xtol=tolerance, ftol=tolerance, gtol=tolerance
     )
     legendre = fit.x / scale
     error = _error(samples.along, np.mean(across * np.exp(1j * design @ legendre)))
@@ -319,11 +326,11 @@ def _refine(
 
 def _distinct(fits: list[tuple[float, np.ndarray]], apart: float) -> list[tuple[float, np.ndarray]]:
     """Return fits (E, Legendre coefficients), best first, without those whose mean rate is within `apart` of a better one's."""
-    kept: list[tuple[float, np.ndarray]] = []
+    distinct: list[tuple[float, np.ndarray]] = []
     for error, legendre in sorted(fits, key=lambda fit: fit[0]):
-        if all(abs(legendre[0] - better[0]) > apart for _, better in kept):
-            kept.append((error, legendre))
-    return kept
+        if all(abs(legendre[0] - better[0]) > apart for _, better in distinct):
+            distinct.append((error, legendre))
+    return distinct
 
 
 def _covariance(samples: _Samples, legendre: np.ndarray, variance: float) -> np.ndarray:

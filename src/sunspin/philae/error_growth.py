@@ -7,7 +7,7 @@ radian E no longer depends on the distance to the truth. So the width of its val
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -17,10 +17,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, MotionError
 from sunspin.compute.rows import ensemble
+from sunspin.dynamics.batch import OUTCOME_TEXT, Outcome, Rows, run
 from sunspin.dynamics.bodies import Bodies
-from sunspin.dynamics.propagate import propagate, wheel_speeds
+from sunspin.dynamics.propagate import wheel_speeds
 from sunspin.estimate.scan.directions import reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error, emd
 from sunspin.estimate.scan.rows import ScanRows, Start, track_rows
@@ -44,8 +45,10 @@ WHEEL_PARAMETERS = (*FRICTION, "J")
 """Parameters of every wheel: friction, and axial inertia J (kg m2)."""
 
 SMALL_CHANGE = 1e-6
-"""Relative change of an input for a derivative: it changes phases by far less than a radian, and far more than the propagator's
-error of 1e-12."""
+"""Relative change of an input for a derivative: it changes phases by far less than a radian, and far more than `TRACK_ERROR`."""
+
+TRACK_ERROR = 1e-11
+"""Largest error (rad) of the last direction of a track."""
 
 ONE_PERCENT = 0.01
 """Relative change of an input in `one_percent`."""
@@ -172,10 +175,23 @@ class ReferenceMotion:
         value = nominal_value(self.vehicle, name) * (1 + relative)
         return replace(self, vehicle=with_parameter(self.vehicle, name, value))
 
-    def track(self, t_s: np.ndarray) -> np.ndarray:
-        """Return the directions to the Sun (n, 3) in body axes at t_s (n)."""
-        run = propagate(self.vehicle, self.omega_B, self.sun_B, self.wheel_speed_rad_s, t_s)
-        return run["sun_B"].values
+    def tracks(self, t_s: np.ndarray, changes: Sequence[tuple[str, float]] = ()) -> np.ndarray:
+        """Return the directions to the Sun (1 + m, n, 3) in body axes at t_s (n), of this motion and of `changes` (m) of it.
+
+        A change is a pair of an input's name and its relative change. The first of t_s is zero.
+        """
+        motions = [self, *(self.with_change(*change) for change in changes)]
+        start = Rows(
+            np.array([motion.omega_B for motion in motions]),
+            np.tile(self.sun_B, (len(motions), 1)),
+            np.array([motion.wheel_speed_rad_s for motion in motions]),
+            Bodies.stack([motion.vehicle for motion in motions]),
+        )
+        later = run(self.vehicle, start, t_s[1:], error=TRACK_ERROR)
+        if later.outcome.any():
+            why = OUTCOME_TEXT[Outcome(int(later.outcome.max()))]
+            raise MotionError("a motion could not be followed", got=why)
+        return np.concatenate([start.sun_B[:, None], later.sun_B], axis=1)
 
 
 def growth(motion: ReferenceMotion) -> xr.Dataset:
@@ -189,14 +205,10 @@ def growth(motion: ReferenceMotion) -> xr.Dataset:
         nine tenths of the window.
     """
     t = np.arange(0.0, motion.duration_s + STEP_S / 2, STEP_S)
-    unchanged = motion.track(t)
-    error = []
-    for name in motion.inputs:
-        track = motion.with_change(name, SMALL_CHANGE).track(t)
-        chord = np.linalg.norm(track - unchanged, axis=1)
-        angle = 2 * np.arcsin(np.minimum(chord / 2, 1.0))  # exact for small angles, unlike arccos
-        error.append(np.maximum.accumulate(angle) / SMALL_CHANGE)
-    values = np.array(error)
+    unchanged, *changed = motion.tracks(t, [(name, SMALL_CHANGE) for name in motion.inputs])
+    chord = np.linalg.norm(changed - unchanged, axis=2)
+    angle = 2 * np.arcsin(np.minimum(chord / 2, 1.0))  # exact for small angles, unlike arccos
+    values = np.maximum.accumulate(angle, axis=1) / SMALL_CHANGE
     late = t >= FIT_FROM * motion.duration_s
     power = [
         float(np.polyfit(np.log(t[late]), np.log(np.maximum(row[late], 1e-12)), 1)[0])
@@ -232,19 +244,19 @@ def one_percent(motion: ReferenceMotion, sample_step_s: float) -> xr.Dataset:
     t = np.arange(0.0, motion.duration_s + STEP_S / 2, STEP_S)
     every = max(round(sample_step_s / STEP_S), 1)
     mask = reconstructible_mask(motion.vehicle)
-    unchanged = motion.track(t)
+    changes = [(name, sign * ONE_PERCENT) for name in motion.inputs for sign in (1, -1)]
+    unchanged, *changed = motion.tracks(t, changes)
     seen = unchanged[mask.contains(unchanged), 2]
     if seen.size == 0:
         raise InputError(
             "none of this motion's directions could be reconstructed", do="choose another motion"
         )
     table = np.zeros((len(motion.inputs), 2))
-    for i, name in enumerate(motion.inputs):
-        for sign in (1, -1):
-            track = motion.with_change(name, sign * ONE_PERCENT).track(t)
-            z = track[mask.contains(track), 2]
-            error = direction_error(track[::every], unchanged[::every])
-            table[i] = np.maximum(table[i], (error, emd(z, seen) if z.size else 1.0))
+    for k, track in enumerate(changed):
+        z = track[mask.contains(track), 2]
+        error = direction_error(track[::every], unchanged[::every])
+        of_input = table[k // 2]
+        of_input[:] = np.maximum(of_input, (error, emd(z, seen) if z.size else 1.0))
     return xr.Dataset(
         {
             "E": ("input", table[:, 0], {"units": "1"}),
@@ -269,7 +281,7 @@ def valleys(
     E = []
     for window in windows:
         times = np.arange(0.0, window + sample_step_s / 2, sample_step_s)
-        rows = ScanRows(motion.vehicle, start, times, "E", motion.track(times))
+        rows = ScanRows(motion.vehicle, start, times, "E", motion.tracks(times)[0])
         E.append(ensemble(rows, workers=workers)["E"])
     return xr.DataArray(
         np.array(E),
