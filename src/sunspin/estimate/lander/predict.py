@@ -1,4 +1,4 @@
-"""What the body did at other times: draws of a posterior carried there, each with its own inertia, friction and wheel speed."""
+"""Predictions for other times: draws of a posterior propagated, each with its own inertia, friction and wheel speed."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
 DIRECTION_ERROR = 1e-4
-"""Error of directions (rad): far below what any posterior leaves open."""
+"""Error of directions (rad) in runs of draws, far below the uncertainty of any posterior."""
 
 LONGEST_S = 7 * 86400.0
-"""Times further than this from the first sample are refused: phases are lost long before."""
+"""Times further than this from the first sample are an error: phases are unknown long before."""
 
 MOST_MOTIONS = 4
 """Solutions of the largest probability whose best motion is computed."""
 
 TURN_RAD, FEWEST_INSTANTS, MOST_INSTANTS = 0.3, 200, 6000
-"""Rotation between two instants of a best motion, and between which numbers of instants that is met."""
+"""Rotation (rad) between two instants of a best motion, and limits of their number."""
 
 BEST_RTOL = 1e-9
 """Relative error of a best motion."""
