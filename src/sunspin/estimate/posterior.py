@@ -292,7 +292,7 @@ def draw_all_models(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
     with ThreadPoolExecutor(nominal.carrier.workers) as pool:
-        fits = [nominal.fit, *pool.map(lambda other: refit(other, nominal), torques)]
+        fits = [nominal.fit, *pool.map(lambda torque: refit(torque, nominal), torques)]
     drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
     if not (torques and nominal.carrier.complete) or nominal_explains(
@@ -305,7 +305,7 @@ def draw_all_models(
     if nominal.carrier.fitted > settings.long_search or budget.exhausted():
         return [*drawn.doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
-    under_torques = [search_and_refit(other, nominal) for other in torques]
+    under_torques = [search_and_refit(torque, nominal) for torque in torques]
     again = draw_models(
         [nominal.fit, *under_torques], nominal, streams[3:6], budget, drawn.draws[0]
     )

@@ -67,13 +67,13 @@ class PanelTable(NamedTuple):
         count = len(response.gains)
         members, largest = [np.array([k]) for k in range(count)], [False] * count
         if isinstance(response, JoinedResponse):
-            members = [np.array(each.panels) for each in response.inputs]
-            largest = [each.largest for each in response.inputs]
+            members = [np.array(joined.panels) for joined in response.inputs]
+            largest = [joined.largest for joined in response.inputs]
         order = np.concatenate(members)
         rows = panels.brightness * response.gains[order, None] * response.normals_B[order]
         full = panels.brightness * response.power(response.facing_B).diagonal()
         return cls(
-            np.cumsum([0, *(len(each) for each in members)]),
+            np.cumsum([0, *(len(panels_of) for panels_of in members)]),
             np.ascontiguousarray(rows),
             np.array(largest),
             np.ascontiguousarray(response.facing_B),

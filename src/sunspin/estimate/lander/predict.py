@@ -80,8 +80,9 @@ class DrawnMotions:
         per core; the result does not depend on it.
         """
         after_s = np.asarray(times_s, dtype=np.float64) - self.start_s
-        known = (getattr(self.rows, name) for name in Carried._fields)
-        carried = Carried(*(np.repeat(one[:, None], len(after_s), axis=1) for one in known))
+        # at the start itself the motions are known
+        starts = (getattr(self.rows, name) for name in Carried._fields)
+        carried = Carried(*(np.repeat(value[:, None], len(after_s), axis=1) for value in starts))
         for side in (after_s < 0, after_s > 0):
             if side.any():
                 # each time once, in the order in which a run comes to them
@@ -197,11 +198,11 @@ def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) ->
     )
     to_momentum = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
     rate = np.linalg.norm(omega, axis=-1)
-    each = (*EACH, "predicted_s")
+    dims_of_all = (*EACH, "predicted_s")
 
     def variable(values: np.ndarray, units: str, about: str, *dims: str) -> Any:
-        """Return a variable of the one chain."""
-        return (*each, *dims), values[None], {"units": units, "long_name": about}
+        """Return a variable over the one chain, draws, times and further `dims`."""
+        return (*dims_of_all, *dims), values[None], {"units": units, "long_name": about}
 
     z_to_sun, z_to_momentum = (
         np.arccos(np.clip(cosine, -1.0, 1.0)) for cosine in (carried.sun_B[..., 2], to_momentum)

@@ -177,7 +177,7 @@ class RidgePoints(NamedTuple):
         return RidgePoints(
             np.concatenate([part.y for part in parts]),
             np.concatenate([part.best for part in parts]),
-            MotionSlopes(*(np.concatenate(every) for every in slopes)),
+            MotionSlopes(*(np.concatenate(arrays) for arrays in slopes)),
         )
 
     def slopes_near(self, y: np.ndarray, law: OuterLaw) -> MotionSlopes:
@@ -303,12 +303,12 @@ def _ridge_about(
     """Return a straight ridge about a motion with the covariance (D, D), before any draw."""
     chart = Chart.about(target, centre, covariance, s)
     d, promise = chart.dimensions, max(peak.log_mass for peak in peaks)
-    whole = chart.covariance(covariance)
+    joint = chart.covariance(covariance)  # of y and z
     of_y, of_z, linear = slice(0, d), slice(d, None), slice(1, 1 + d)
     # z depends on y by the regression of the covariance; terms with products of y are zero until points are known
     coefficients = np.zeros((monomials(np.zeros((1, d)), chart.curved).shape[1], chart.stiff))
-    coefficients[linear] = np.linalg.solve(whole[of_y, of_y], whole[of_y, of_z])
-    scatter = whole[of_z, of_z] - whole[of_z, of_y] @ coefficients[linear]
+    coefficients[linear] = np.linalg.solve(joint[of_y, of_y], joint[of_y, of_z])
+    scatter = joint[of_z, of_z] - joint[of_z, of_y] @ coefficients[linear]
     law = _components(chart, peaks, np.zeros(d), promise)
     law = law._replace(covariance=s.widened * law.covariance)
     return Ridge(
@@ -414,14 +414,14 @@ def fit_stiff(
         """Return the equations of the target in these coordinates, by the chain rule."""
         y, z, u, *slopes = state
         shots = chart.motions(y, z, u)
-        of = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
+        motion = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
         change = np.zeros((len(y), STATE_SIZE + len(reading), q + len(reading)))
         change[:, :STATE_SIZE, :q] = chart.stiff_steps(shots, y, z)
         change[:, STATE_SIZE:, q:] = np.eye(len(reading))
-        slope = np.einsum("kij,ki->kj", change, of.slope)
-        matrix = np.swapaxes(change, 1, 2) @ of.matrix @ change
+        slope = np.einsum("kij,ki->kj", change, motion.slope)
+        matrix = np.swapaxes(change, 1, 2) @ motion.matrix @ change
         matrix[:, range(q), range(q)] += LOOSEST_RAD**-2
-        return DenseSystem(of.cost, matrix, slope, extras=tuple(of.slopes))
+        return DenseSystem(motion.cost, matrix, slope, extras=tuple(motion.slopes))
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
         y, z, u, *slopes = state
@@ -508,20 +508,20 @@ def complete_motions(
     log_mass[np.setdiff1d(np.arange(len(y)), rows)] = -np.inf
     if not len(rows):
         return shots, log_mass
-    some, white = shots.take(rows), white[rows]
-    seen = target.run(some)
+    possible, white = shots.take(rows), white[rows]
+    seen = target.run(possible)
 
     # draw from a normal law: with the Cholesky factor R of its precision a draw is the best plus R^-T times white numbers
-    best, root = reading_law(target, seen, some.u, s)
+    best, root = reading_law(target, seen, possible.u, s)
     step = np.linalg.solve(np.swapaxes(root, 1, 2), np.swapaxes(white, 1, 2))
     drawn = best[:, None] + np.swapaxes(step, 1, 2)  # (rows, count, unknowns)
     log_volume = np.log(np.einsum("kii->ki", root)).sum(axis=1)[:, None]
     log_law = log_volume - np.sum(white**2 + np.log(2 * np.pi), axis=2) / 2
 
     # weigh each draw by likelihood and prior over that law; `log_mass` has the normal prior at u, that of a draw follows
-    before = some.u[:, None, places]
+    before = possible.u[:, None, places]
     prior_change = (np.sum(before**2, axis=2) - np.sum(drawn**2, axis=2)) / 2
-    u_drawn = np.repeat(some.u, count, axis=0)
+    u_drawn = np.repeat(possible.u, count, axis=0)
     u_drawn[:, places] = drawn.reshape(len(u_drawn), len(places))
     log_likelihood = target.log_likelihood(np.repeat(seen, count, axis=0), u_drawn)
     log_weight = log_likelihood.reshape(len(rows), count) + prior_change - log_law
@@ -529,10 +529,10 @@ def complete_motions(
     total = logsumexp(log_weight, axis=1, keepdims=True)
     log_mass[rows] += total[:, 0] - np.log(count)
 
-    # keep the draw at which the sum of the weights passes a random part of the whole
+    # choose the draw at which the cumulative weight passes a random part of the total
     share = np.cumsum(np.exp(log_weight - np.where(np.isfinite(total), total, 0.0)), axis=1)
-    kept = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
-    shots.u[rows[:, None], places] = drawn[np.arange(len(rows)), kept]
+    chosen = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
+    shots.u[rows[:, None], places] = drawn[np.arange(len(rows)), chosen]
     return shots, log_mass
 
 
@@ -581,8 +581,13 @@ def propose(
         log_inner = student_log_density(white, s.freedom) - volume
         parts.append(Proposals(y, z, log_inner, log_mass, shots))
         points.append(RidgePoints(y, stiff.best, stiff.slopes))
-    every = (np.concatenate([getattr(p, name) for p in parts]) for name in Proposals._fields[:4])
-    ridge.proposals = Proposals(*every, Shots.joined([p.shots for p in parts]))
+    ridge.proposals = Proposals(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in Proposals._fields[:4]
+        ),
+        Shots.joined([part.shots for part in parts]),
+    )
     ridge.points = RidgePoints.joined(points)
     ridge.laws += drawn
 
