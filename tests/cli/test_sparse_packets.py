@@ -143,3 +143,40 @@ def test_table_summary_and_netcdf_agree_on_a_body_at_rest(tmp_path):
     assert table["why_not_decided"] == numbers["why_not_decided"]
     assert "(95 %)" in done.output
     assert "0 of 1 passes decided" in done.output and "decided, coarse" not in done.output
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_rows_of_columns_that_are_not_used_are_no_samples(place, first):
+    """Temperatures at times of their own: they neither shorten the sampling interval nor count as samples with lost readings."""
+    whole = pd.read_csv(place / "telemetry.csv", comment="#")
+    moment = pd.to_datetime(whole["time_utc"]) + pd.Timedelta(-5 if first else 5, "s")
+    hot = pd.DataFrame({"time_utc": moment.dt.strftime("%FT%TZ"), "temp": 21.0})
+    lost = pd.DataFrame({"time_utc": ["2026-01-01T00:20:00Z"]})  # no reading of anything
+    pd.concat([whole, hot, lost]).to_csv(place / "hot.csv", index=False)
+    vehicle = load_vehicle(place / "vehicle.toml")
+    samples = read_telemetry(place / "hot.csv", vehicle)
+    plain = read_telemetry(place / "telemetry.csv", vehicle)
+    assert samples.attrs["rows_of_others"] == len(hot)
+    assert samples.attrs["epoch_utc"] == plain.attrs["epoch_utc"]
+    np.testing.assert_allclose(samples["time"][:-1], plain["time"], atol=1e-6)
+    np.testing.assert_allclose(samples["power_W"][:-1], plain["power_W"])
+    assert samples["flag"].values[-1] != 0 and "temp" in samples.attrs["unused_columns"]
+    output = printed(place, "hot.csv")
+    assert f"{len(hot)}  rows left out: only columns that are not used have a value" in output
+    assert "1  flagged" in output
+
+
+def test_rows_with_readings_of_any_sensor_are_samples(place):
+    """A packet of the gyro that the vehicle file names is kept, and joins the panels with a span."""
+    whole = pd.read_csv(place / "telemetry.csv", comment="#")
+    moment = pd.to_datetime(whole["time_utc"]) + pd.Timedelta(1, "s")
+    rate = dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), 1.0)
+    packets = pd.DataFrame({"time_utc": moment.dt.strftime("%FT%TZ"), **rate})
+    pd.concat([whole, packets]).to_csv(place / "gyro.csv", index=False)
+    text = (place / "vehicle.toml").read_text()
+    gyro = f"[gyro]\ncolumns = {list(rate)}\nscale_rad_s = 0.0174533\nnoise_rad_s = 8e-4\n"
+    text = text.replace("[disturbance]", f"{gyro}[disturbance]")
+    (place / "gyro.toml").write_text(text)
+    samples = read_telemetry(place / "gyro.csv", load_vehicle(place / "gyro.toml"))
+    assert "rows_of_others" not in samples.attrs
+    assert samples.sizes["time"] == len(whole) + len(packets)

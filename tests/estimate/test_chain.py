@@ -26,7 +26,7 @@ from sunspin.estimate.terms.term import facing
 from sunspin.solve.linear import solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
-from tests.support.chains import T_S, problem
+from tests.support.chains import ERRORS, INERTIA, T_S, problem
 from tests.support.orbit_cases import sparse_pass
 from tests.support.passes import estimate, slope_of, stated_model, tumbling_pass
 from tests.support.simulate import CUBE
@@ -103,6 +103,17 @@ def test_shooting_and_chain_find_the_same_motion_if_torques_are_weak():
     assert np.abs(by_chain.omega - by_shooting.omega).max() < 1e-5
     # the prior of the rate stands at the first sample in a chain, and at the sample that is shot
     assert np.isclose(by_chain.cost[0], by_shooting.cost[0], atol=0.02)
+
+
+def test_motions_of_several_bodies_are_those_of_each_alone():
+    inertia = np.stack([INERTIA, np.eye(3), np.diag([0.8, 1.0, 1.2])])
+    omega = np.random.default_rng(4).normal(size=(3, 4, 3)) * 0.05
+    dt, momenta = np.array([3.0, 5.0, 8.0, 20.0]), (np.zeros((4, 3)), np.full((4, 3), 0.02))
+    together = step(inertia, omega, dt, momenta, True, ERRORS)
+    for k in range(3):
+        alone = step(inertia[k], omega[k : k + 1], dt, momenta, True, ERRORS)
+        for one, other in zip(together, alone, strict=True):
+            assert np.array_equal(one[k], other[0])
 
 
 def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -142,6 +143,32 @@ def test_motions_that_are_known_have_the_evidence_of_a_search():
     spared = Budget.of(1.0)
     assert abs(quick_evidence(model, RATES, spared, known) - searched) < 0.05
     assert spared.used == 0
+
+
+def test_a_body_of_uncertain_inertia_that_wants_strong_torques_is_searched_under_them(monkeypatch):
+    """A search with the inertia held lost the truth, and three samples between two steps of the rate were decided for it."""
+    module = import_module("sunspin.estimate.one_pass")
+    search, strengths = module.search_motions, []
+
+    def lose_truth(model, noise, *rest):
+        strengths.append(noise)
+        found = search(model, noise, *rest)
+        if noise == RATES.ladder.strong:
+            return found
+        return [replace(track.take([0]), omega=-1.5 * track.omega[:1]) for track in found]
+
+    monkeypatch.setattr(module, "search_motions", lose_truth)
+    monkeypatch.setattr(module, "best_cost", lambda fits: 0.0)  # as if every motion fitted
+    truth = tumbling_pass(CUBE, 12, 12.0, seed=4)[1]
+    model = stated_model(CUBE, tumbling_pass(CUBE, 12, 12.0, seed=4)[0])
+    best = best_motions(one_pass(model, RATES, Budget.of(1.0)).fits, 1, RATES.search)
+    assert strengths == [RATES.search.noise, RATES.ladder.strong]
+    assert np.abs(best.omega[0] - truth["omega_B"].values).max() < 0.01
+    # an inertia without errors is not doubted
+    strengths.clear()
+    exact = replace(model, body=replace(model.body, errors=model.body.errors[:0]))
+    one_pass(exact, RATES, Budget.of(1.0))
+    assert strengths == [RATES.search.noise]
 
 
 def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():

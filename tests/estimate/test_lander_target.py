@@ -8,7 +8,7 @@ import pytest
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.dynamics.torques import Steady
-from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, Fitting
+from sunspin.estimate.lander.fit import FINAL_ERROR, SEARCH_ERROR, FitProblem, Fitting
 from sunspin.estimate.lander.mixture import at_first_sample
 from sunspin.estimate.lander.motions import Shots
 from sunspin.estimate.lander.priors import constant_torques, with_priors
@@ -65,8 +65,8 @@ def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_p
 def test_likelihood_is_that_of_the_model():
     model = lander_model()
     target, shots = LanderTarget(model), near(model)
-    expected = model.log_likelihood(model.carried(shots, 1e-5), shots.u)
-    assert target.log_likelihood(target.run(shots), shots.u) == pytest.approx(expected, abs=1e-3)
+    expected = model.log_likelihood(model.carried(shots, SEARCH_ERROR), shots.u)
+    assert target.log_likelihood(target.run(shots), shots.u) == pytest.approx(expected, abs=1e-9)
 
 
 def test_simulated_readings_fit_their_motion_as_well_as_real_ones():

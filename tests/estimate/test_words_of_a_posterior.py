@@ -31,6 +31,7 @@ GOOD = PosteriorFindings(
     dark="",
     complete=True,
 )
+NONE_FITS = replace(GOOD, p=0.001, complete=False)
 
 
 def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
@@ -54,22 +55,14 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (replace(GOOD, p=0.001), "not explained", "residuals as large as these"),
         (replace(GOOD, noise_sigmas=4.0), "not explained", "far more than assumed (+4.0 sigma)"),
         (replace(GOOD, noise_sigmas=-4.0), "not explained", "far less than assumed"),
-        (
-            replace(GOOD, p=0.001, complete=False, doubts=["a doubt"]),
-            "not sure",
-            "a doubt; none of the solutions searched fits",
-        ),
+        (replace(NONE_FITS, doubts=["doubt"]), "not sure", "doubt; none of the solutions searched"),
         (replace(GOOD, doubts=["a doubt"]), "not sure", "a doubt; result so far: unique"),
         (replace(GOOD, tail=0.6), "not sure", "approximate"),
         (replace(GOOD, effective=600.0), "not sure", "effective sample size only 600"),
         (replace(GOOD, accused=["panel a: bad"]), "unique", "; panel a: bad"),
         (replace(GOOD, p=0.0, dark="no panel lit"), "not explained", "If this is an eclipse"),
         (replace(GOOD, tail=0.6, dark="no panel lit"), "not sure", "If this is an eclipse"),
-        (
-            replace(GOOD, p=0.0, complete=False, dark="no panel lit"),
-            "not sure",
-            "If this is an eclipse",
-        ),
+        (replace(NONE_FITS, dark="no panel lit"), "not sure", "If this is an eclipse"),
     ],
 )
 def test_word_and_sentence_follow_from_the_findings(findings, word, text):

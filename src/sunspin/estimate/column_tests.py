@@ -122,7 +122,7 @@ class Better:
 
 
 def _line(named: Named) -> str:
-    """Return a change of several in words, with its rate."""
+    """Return a change that is named among several in words, with the rate that it gives."""
     do = f" ({named.change.do})" if named.change.axes or named.change.reversed_wheels else ""
     if named.omega is None:
         return f"{named.change.what}{do}"
@@ -190,11 +190,11 @@ class CostsOfSamples:
 def what_fits_better(
     observed: Observed, telemetry: xr.Dataset, trials: Trials
 ) -> Better | Culprit | None:
-    """Return the changes that fit the telemetry of a pass which does not fit as written; else the sensor in the way; else None.
+    """Return changes with which a pass fits that does not fit as written; else the sensor that contradicts the others; else None.
 
     If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
     such sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of the others. If
-    the pass fits without none, columns of panels and wheels are tried.
+    leaving out one sensor does not help, columns of panels and wheels are tried.
     """
     first_cause: Better | Culprit | None = None
     fits_without_one = False
@@ -226,8 +226,8 @@ def what_fits_better(
 def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> Better | None:
     """Return changes of columns, panels and wheels that fit.
 
-    The samples, each by itself, sort out most changes at once. First those of one mistake are tried, then a mistake of the columns
-    together with reversed wheels.
+    The samples, each by itself, exclude most changes without a search. First those of one mistake are tried, then a mistake of the
+    columns together with reversed wheels.
     """
     vehicle = observed.vehicle
     evidence_as_written = trials.evidence(vehicle, telemetry)
@@ -236,9 +236,10 @@ def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> 
     wheels = wheel_changes(vehicle) if len(observed.momenta) else []
     changes = [AS_WRITTEN, *column_changes(vehicle, telemetry), *wheels]
     cost = sample_costs(vehicle, telemetry, changes)
+    # number 0 is the file as it is written; the others, the best first, that are not far worse than the best of them
     order = np.argsort(cost, kind="stable")
-    near = [int(k) for k in order if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
-    of_one_mistake = [(changes[k], float(cost[k])) for k in near]
+    allowed = [int(k) for k in order if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
+    of_one_mistake = [(changes[k], float(cost[k])) for k in allowed]
     names = [wheel.name for wheel in vehicle.wheels]
     of_two_mistakes = [
         (change.with_wheels(wheel.reversed_wheels, names), cost_of_samples)
@@ -261,17 +262,18 @@ def _best_of(
     as_written: tuple[float, float],
     trials: Trials,
 ) -> Better | None:
-    """Return the best of some changes, and all that look the same, if they fit.
+    """Return the candidate that fits best, with all that look the same in the telemetry; None if none fits.
 
     `candidates`: changes, each with its cost by :func:`sample_costs`; `as_written`: cost and log evidence of the file as it is
     written. Of changes that look the same one is tried: by a quick search, and the best few by the whole estimate.
     """
     cost_as_written, evidence_as_written = as_written
+    # one change of each class that looks the same, the file as it is written first
     distinct = [(AS_WRITTEN, cost_as_written)]
     for change, cost in candidates:
-        # what looks the same has the same dark panels, and so the same cost: others need not be compared
-        near = (other for other, of_other in distinct if abs(cost - of_other) < CLEARLY)
-        if not any(len(equivalence(observed, other, change)) for other in near):
+        # what looks the same costs the same, as its panels show the same: changes of another cost need not be compared
+        of_same_cost = (other for other, of_other in distinct if abs(cost - of_other) < CLEARLY)
+        if not any(len(equivalence(observed, other, change)) for other in of_same_cost):
             distinct.append((change, cost))
     classes = [change for change, _ in distinct[1:]]
     others = [change for change, _ in candidates]
@@ -295,7 +297,7 @@ def better_rivals(
     vehicle, changes = observed.vehicle, costs.changes
     allowed = costs.of_changes <= costs.as_written + AS_GOOD
     # a change that looks the same as reversed wheels was tested with the signs of the wheels
-    known = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
+    tested = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
     light = vehicle.response_in().power(observed.sun_B) / noise
     read = np.nan_to_num(signals(telemetry)) / noise
 
@@ -303,9 +305,9 @@ def better_rivals(
     # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma. Any other leaves readings and motion as they are.
     dark, rivals = [], []
     for change, is_allowed in zip(changes, allowed, strict=True):
-        moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
         if not is_allowed:
             continue
+        moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
         if len(moved) == 2 and not observed.lit[moved].any():
             differ = max(
                 (np.diff(of_samples[:, moved], axis=1) ** 2).sum() / 2
@@ -313,7 +315,7 @@ def better_rivals(
             )
             if differ > CLEARLY:
                 dark.append(change)
-        elif not any(len(equivalence(observed, tested, change)) for tested in known):
+        elif not any(len(equivalence(observed, other, change)) for other in tested):
             rivals.append(change)
     # a panel without a signal is left out: evidences are compared only if as many panels, of the same gains, are
     silent = gains_of_silent(vehicle, telemetry, AS_WRITTEN) if dark or rivals else []
@@ -327,26 +329,26 @@ def better_rivals(
     if not np.isfinite(evidence_as_written):
         return None
     # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
-    found = [
+    betters = [
         _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
         for classes, others in ((dark, []), (rivals, changes))
     ]
     return max(
-        (better for better in found if better is not None),
+        (better for better in betters if better is not None),
         key=lambda better: better.gain,
         default=None,
     )
 
 
 def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange) -> list[float]:
-    """Return the gains, in order, of the inputs that are left out under a change, as their panels never show a signal."""
+    """Return the sorted gains of the inputs that are left out under a change, since their panels never show a signal."""
     return sorted(
         vehicle.input_gains[silent_inputs(assess(*change.applied(vehicle, telemetry)))].tolist()
     )
 
 
 def silent_inputs(assessment: Assessment) -> np.ndarray:
-    """Return which inputs (n_input) count in no sample, as they never show a signal."""
+    """Return which inputs (n_input) count in no sample: they are dead, or never show a signal."""
     quality = assessment.quality
     return ~(quality["reading"].values & ~quality["dead"].values).any(axis=0)
 
@@ -359,7 +361,7 @@ def _best_of_classes(
     trials: Trials,
     evidence_as_written: float,
 ) -> Better | None:
-    """Return the best of some changes, none of which look the same, with all `others` that look the same, if they fit.
+    """Return the best of some changes, one of each class, with those of the `others` that look the same; None if none fits.
 
     `evidence_as_written`: log evidence of the file as it is written.
     """
@@ -374,7 +376,7 @@ def _best_of_classes(
     named: list[Named] = []
     best, at_s, cost = -np.inf, np.nan, np.nan
     for k in ranked[:MOST_RUNS]:
-        if gains[k] < best - CLEARLY:
+        if gains[k] < best - CLEARLY:  # clearly worse than one that fits
             break
         result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
         if result is not None:
@@ -424,7 +426,8 @@ def sample_costs(
         changed, data = change.applied(vehicle, telemetry.isel(time=lit))
         read = np.nan_to_num(signals(data)) / gains  # (n, p)
         light = changed.response_in().power(sun) / gains  # (d, p), of d directions
-        # the square is a^2 - 2 b c + b^2 e, with a = |read|, brightness b, c = read . light (n, d) and e = |light|^2 (d)
+        # The square is a^2 - 2 b c + b^2 e, with a = |read|, the brightness b, c = read . light (n, d) and e = |light|^2 (d). It is
+        # least at b = c / e, if that is positive.
         along, light_square = read @ light.T, np.maximum((light**2).sum(axis=1), 1e-12)
         read_square = (read**2).sum(axis=1)[:, None]
         best_brightness = np.maximum(along, 0.0) / light_square
@@ -437,12 +440,13 @@ def sample_costs(
         brightness = np.minimum(best_brightness, BRIGHTEST * full)
         square = read_square + brightness * (brightness * light_square - 2 * along)
         squares.append(square.min(axis=1) / error**2)
-    each = np.array(squares)  # (m, n)
-    if not each.size:
+    by_sample = np.array(squares)  # (m, n)
+    if not by_sample.size:
         return np.zeros(len(changes))
-    # the Earth's light may be more than that error: then even the best change costs more in most samples, and all count less
-    each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))
-    return np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
+    # The Earth's light may be more than the error. Then even under the best change most samples have a square above the number of
+    # panels: all squares are made smaller by the same factor.
+    by_sample /= max(1.0, float(np.median(by_sample, axis=1).min()) / len(gains))
+    return np.minimum(by_sample, MOST_SQUARE).sum(axis=1) / 2
 
 
 # ------------------------------------------------------------------------------------------------------------------ other sensors
@@ -508,9 +512,9 @@ def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray,
 def _other_axes(
     observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
 ) -> Better | None:
-    """Return other axes of the sensor `name` that fit, with exchanged columns that look the same.
+    """Return other axes of the sensor `name` with which the pass fits, and exchanged columns that look the same; else None.
 
-    `estimate`: without that sensor. Its readings under each way to read its axes are compared with that motion.
+    `estimate`: the motion without that sensor. The readings are compared with it under each way to read the axes.
     """
     vehicle = observed.vehicle
     changes = changes_of_sensor(vehicle, name)  # the first is what the file states
@@ -597,7 +601,7 @@ def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, estimate: x
 
 
 def _cost(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:
-    """Return what readings (n, 3 or 4) of a sensor cost along a motion: half of their squares, each of them bounded."""
+    """Return the cost of readings (n, 3 or 4) of a sensor along a motion: half the sum of squares of `MOST_SQUARE` at most."""
     return float(np.minimum(_squares(estimate, value, name, vehicle), MOST_SQUARE).sum() / 2)
 
 
@@ -614,7 +618,7 @@ def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicl
     known = np.asarray(np.isfinite(value).all(axis=1))
     inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
     pairs = inside & known[1:] & known[:-1]
-    spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)
+    spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)  # variances of the rate
     if name == "gyro_B" and sensors.gyro is not None:
         gyro = sensors.gyro
         zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
@@ -622,9 +626,8 @@ def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicl
         return ((value - estimate["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
     turned = Rotation.from_quat(estimate["B_from_N"].values)
     interval_s = np.diff(estimate["time"].values)
-    of_turn = (
-        spread[:-1].sum(axis=1) * interval_s**2
-    )  # variance of the rotation between two samples, rad^2
+    # variance of the rotation between two samples, rad^2
+    of_turn = spread[:-1].sum(axis=1) * interval_s**2
     magnetometer = sensors.magnetometer
     if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
         in_space = turned.inv().apply(np.where(known[:, None], value, 0.0))

@@ -94,9 +94,9 @@ def check_columns(
     observed = what_was_observed(vehicle, telemetry, result.attrs)
     result = _with_unseen_changes(result, observed, telemetry)
     result = _with_symmetric_motions(result, observed, telemetry)
-    tests = replace(budget, most=COLUMN_SHARE * budget.most)
+    of_tests = replace(budget, most=COLUMN_SHARE * budget.most)
     fits = bool(result["fits"].values.all())
-    # of panels alone: with a second sensor a file of wrong columns does not fit
+    # only of panels without another sensor: with one a file of wrong columns does not fit
     costs = None
     if fits and observed.panels and not observed.sensors:
         costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
@@ -104,7 +104,7 @@ def check_columns(
     # a file with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged
     suspected = denied or (costs is not None and doubt is not None)
     others_tried = again is not None and (not fits or suspected)
-    trials = None if again is None else trials_of(result, again, settings, tests)
+    trials = None if again is None else trials_of(result, again, settings, of_tests)
     if trials is not None and others_tried:
         result = _with_other_columns(result, observed, telemetry, trials)
     if trials is not None and costs is not None and "columns_doubt" not in result.attrs:
@@ -114,8 +114,8 @@ def check_columns(
         how = "" if again is not None else f": {TRY_COLUMNS}"
         result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
     # both kinds of tests share a budget
-    if others_tried or tests.cut:
-        result = result.assign_attrs(column_tests_cut=int(tests.cut))
+    if others_tried or of_tests.cut:
+        result = result.assign_attrs(column_tests_cut=int(of_tests.cut))
     return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
 
 
@@ -157,7 +157,7 @@ def _with_symmetric_motions(
 ) -> xr.Dataset:
     """Return the result with no pass unique whose panels read the same in a motion that is not listed.
 
-    The file is then equivalent to itself by a rotation or mirror of the body, as if the lit panels lie in a plane.
+    A rotation or mirror of the body then maps the file onto itself; a mirror does if all lit panels lie in a plane.
     """
     if not observed.panels or "noise" not in result.attrs:
         return result
@@ -192,10 +192,10 @@ def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:
 def has_unlisted_motion(
     observed: Observed, omega: np.ndarray, sigma: np.ndarray, noise: np.ndarray | float
 ) -> bool:
-    """Return whether the first of some motions has a symmetric one with the same readings that is none of them.
+    """Return whether a motion has a symmetric one with the same readings that is not among the solutions.
 
-    `omega`, `sigma` (K, 3) in rad/s: their rates at one time, NaN if there are fewer; `observed.sun_B`: the Sun along the first;
-    `noise`: of the readings, in W or A, or in gains.
+    `omega`, `sigma` (K, 3) in rad/s: the rates of all solutions at one time, the motion first, NaN if there are fewer;
+    `observed.sun_B`: the Sun along it; `noise`: of the readings, in W or A, or in gains.
     """
     power = observed.vehicle.response_in().power
     read = power(observed.sun_B)
@@ -219,8 +219,8 @@ def _with_other_columns(
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
-    here = what_was_observed(observed.vehicle, part, result.attrs)
-    better = what_fits_better(here, part, trials)
+    of_part = what_was_observed(observed.vehicle, part, result.attrs)
+    better = what_fits_better(of_part, part, trials)
     if better is None:
         return result
     if isinstance(better, Better):
@@ -244,22 +244,22 @@ def _with_rivals(
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
         return result
-    place = _longest(result, decided)
-    part = samples_of(result, telemetry, place)
-    here = what_was_observed(observed.vehicle, part, result.attrs)
-    here = replace(here, sun_B=result["sun_B"].values[result["pass_of"].values == place])
-    if place != _longest(result):
+    k = _longest(result, decided)
+    part = samples_of(result, telemetry, k)
+    of_part = what_was_observed(observed.vehicle, part, result.attrs)
+    of_part = replace(of_part, sun_B=result["sun_B"].values[result["pass_of"].values == k])
+    if k != _longest(result):
         costs = CostsOfSamples.of(observed.vehicle, part)
     trials = replace(trials, least=AS_GOOD)
-    better = better_rivals(here, part, costs, noise_of(result, observed.vehicle), trials)
+    better = better_rivals(of_part, part, costs, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
-    # Too little to accuse the file, but the pass is not decided with it. Evidence alone is too little too: of a slow body that was
-    # searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
-    falls = float(result["cost"].values[place, 0]) - better.cost
-    if better.gain <= CLEARLY or falls < CLEARLY:
+    # A small gain does not accuse the file, but the pass is not decided with it. Nor does evidence alone accuse it: of a slow body
+    # that was searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
+    decrease = float(result["cost"].values[k, 0]) - better.cost
+    if better.gain <= CLEARLY or decrease < CLEARLY:
         omega, sigma = (
-            np.array([result[f"{name}_{axis}"].values[place, 0] for axis in "xyz"])
+            np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
             for name in ("omega", "sigma")
         )
         rates_of_changes = [named.omega for named in better.named if named.omega is not None]
@@ -290,24 +290,24 @@ def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget:
         try:
             assessment = assess(changed, data)
             readings = observe(assessment, source)
-            (one, *_) = split_passes(readings, np.inf, settings.passes)
+            (whole, *_) = split_passes(readings, np.inf, settings.passes)
         except InputError:
             return -np.inf
         noise = Noise(settings.search.noise)
         nominal = Model(readings.obs, Body.of(changed), noise, rate_max / 2)
         momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
         nominal = nominal.with_momentum(momentum)
-        silent = cost_of_silent_panels(assessment, one.kept) if source == "panels" else 0.0
-        return quick_evidence(nominal.seeing(one.kept), settings, budget) - silent
+        silent = cost_of_silent_panels(assessment, whole.kept) if source == "panels" else 0.0
+        return quick_evidence(nominal.seeing(whole.kept), settings, budget) - silent
 
     def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
         """Return the whole estimate of the pass, if there is one."""
         try:
-            made = again(changed, data)
+            estimate = again(changed, data)
         except InputError:
             return None
-        budget.spend(made.attrs["effort"] * USUAL * made.sizes["pass_id"])
-        return made
+        budget.spend(estimate.attrs["effort"] * USUAL * estimate.sizes["pass_id"])
+        return estimate
 
     return Trials(evidence, run, budget)
 
@@ -381,7 +381,7 @@ def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
 
 
 def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
-    """Return the result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
+    """Return the result with no pass decided, since `what` is in doubt for the whole file."""
     why = [join_reasons(reason, what) for reason in result["why_not_decided"].values]
     count = result.sizes["pass_id"]
     return result.assign(
@@ -405,7 +405,7 @@ def clock_time(epoch_utc: str | None, t_s: float) -> str:
 
 
 def _longest(result: xr.Dataset, which: np.ndarray | None = None) -> int:
-    """Return the number of the pass with the most samples, of all or of those in `which`."""
+    """Return the index of the pass with the most samples, of all or of those in `which`."""
     which = np.arange(result.sizes["pass_id"]) if which is None else which
     return int(which[np.argmax(result["samples"].values[which])])
 

@@ -215,7 +215,7 @@ def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -
         return np.zeros((0, 3, 3))
     distinct: list[tuple[float, np.ndarray]] = []
     for m, panels_cost in _panel_maps(observed, first, second):
-        # the quick refusals first
+        # the refusals that are computed fastest come first
         if not (_sensors_agree(observed, first, second, m) and _stays_dark(observed, second, m)):
             continue
         cost = panels_cost + _inertia_cost(observed.vehicle, m)
@@ -235,17 +235,17 @@ def rate_under(matrix: np.ndarray, omega: np.ndarray) -> np.ndarray:
 def alike(
     observed: Observed, first: ColumnChange, others: Sequence[ColumnChange]
 ) -> list[tuple[ColumnChange, np.ndarray]]:
-    """Return those of the changes that look the same as the first, with the best M (3, 3) of each."""
+    """Return those of the changes that look the same as the first, with the best M (3, 3) of each (:func:`equivalence`)."""
     maps = [(other, equivalence(observed, first, other)) for other in others]
-    return [(other, each[0]) for other, each in maps if len(each)]
+    return [(other, matrices[0]) for other, matrices in maps if len(matrices)]
 
 
 def unseen_changes(
     observed: Observed, telemetry: xr.Dataset
 ) -> list[tuple[ColumnChange, np.ndarray]]:
-    """Return changes of columns and panels that look the same as the file as it is written but show another motion.
+    """Return changes of columns and panels, with their M (3, 3), that look the same as the file but show another motion.
 
-    With the M (3, 3) of each; those of one mistake, else those with the fewest exchanges.
+    They are those of one mistake; if there are none, those with the fewest exchanges.
     """
     of_one_mistake = column_changes(observed.vehicle, telemetry)
     if not of_one_mistake:
@@ -254,7 +254,7 @@ def unseen_changes(
         same = [
             (change, m)
             for change, m in alike(observed, AS_WRITTEN, changes)
-            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE  # rates change
+            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE  # det(M) M maps rates
         ]
         if same:
             fewest = min(change.errors for change, _ in same)
@@ -345,8 +345,9 @@ def _panel_maps(
 ) -> Iterator[tuple[np.ndarray, float]]:
     """Yield orthogonal matrices that may map the panels of lit columns under the first change onto those under the second.
 
-    Each with the log evidence that gains and normals cost, at most :data:`CLEARLY`. A column shows one panel, or the sum or the
-    largest of several on a shared input: then every assignment of these panels to those of the other change is tried.
+    With each comes the log evidence that it costs the stated errors of gains and normals, at most :data:`CLEARLY`. A column shows
+    one panel, or the sum or the largest of several on a shared input. Then every assignment of these panels to those of the other
+    change is tried.
     """
     vehicle = observed.vehicle
     if not observed.panels:
@@ -374,6 +375,7 @@ def _panel_maps(
     assignments = product(*(permutations(second_panels[column]) for column in lit))
     for assigned in islice(assignments, MOST_ASSIGNMENTS):
         b = [k for panels in assigned for k in panels]  # panel a[i] is mapped onto panel b[i]
+        # logs of gains, each with its sigma; a common factor costs nothing if only ratios of gains are known
         gain_off = log_gain[a] - log_gain[b]
         weight = 1 / (gain_sigma[a] ** 2 + gain_sigma[b] ** 2)
         if observed.free_scale:
@@ -391,9 +393,9 @@ def _panel_maps(
 def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     """Yield orthogonal matrices that map unit vectors `start` (n, 3) best onto `end` (n, 3) in least squares (Procrustes).
 
-    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. It is one if the vectors span space;
-    in a plane its side is open, which makes two; on a line the turn about the line is open: those that map axes of the body onto
-    each other are tried, made to map the line.
+    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. There is one if the vectors span
+    space. In a plane a mirror across it is open, which makes two. On a line the turn about the line is open. Then the matrices that
+    map axes of the body onto each other are tried, after they are made to map the line.
     """
     u, size, v_T = np.linalg.svd(end.T @ start)
     if size[2] > FLAT * size[0]:
@@ -422,7 +424,7 @@ def _maps_of_axes(observed: Observed) -> Iterator[np.ndarray]:
 
 
 def _stays_dark(observed: Observed, second: ColumnChange, m: np.ndarray) -> bool:
-    """Return whether panels whose columns were never lit face away from the Sun under the second change too."""
+    """Return whether panels whose columns were never lit face away from the Sun under the second change too, mapped by m."""
     dark = np.flatnonzero(~observed.lit)
     if not observed.panels or not len(dark) or not len(observed.sun_B):
         return True
@@ -447,7 +449,7 @@ def _inertia_cost(vehicle: Vehicle, m: np.ndarray) -> float:
 def _wheel_cost(
     observed: Observed, first: ColumnChange, second: ColumnChange, m: np.ndarray
 ) -> float:
-    """Return the log evidence that wheels cost: their momentum, det(M) M times, must be that under the second change."""
+    """Return the log evidence that wheels cost: the momentum must be det(M) M times that under the first change."""
     if not len(observed.momenta) or observed.vehicle.inertia_kg_m2 is None:
         return 0.0
     totals = []
@@ -456,7 +458,7 @@ def _wheel_cost(
         sign[list(change.reversed_wheels)] = -1
         totals.append(np.einsum("w,wni->ni", sign, observed.momenta))
     off = float(np.linalg.norm(rate_under(m, totals[0]) - totals[1], axis=1).max(initial=0.0))
-    # momenta are over the mean moment: a momentum turns the rate by about as much per s
+    # momenta are over the mean moment of inertia, so that a momentum of 1 rad/s turns the rate of the body by about 1 rad/s
     if off / 2 * observed.span_s < WEAK_RAD:
         return 0.0
     size = float(np.linalg.norm(observed.momenta, axis=2).max(initial=0.0))
@@ -469,13 +471,13 @@ def _sensors_agree(
     """Return whether the other sensors that were read fit both changes.
 
     A sensor does if its axes (3, 3) under the second change are those under the first, mapped by m as its readings are: directions
-    by m, rates by det(m) m. `mapped`: the axes that would do.
+    by m, rates by det(m) m.
     """
-    side = float(np.linalg.det(m))
+    side = float(np.linalg.det(m))  # -1 for a mirror
     dipole = observed.vehicle.sensors.disturbance.dipole
     for name in observed.sensors:
         axes, second_axes = (change.axes.get(name, np.eye(3)) for change in (first, second))
-        mapped: list[np.ndarray] = []
+        mapped: list[np.ndarray] = []  # axes that fit
         if name == "attitude_B_from_N":  # shows how the body itself turns: no other body will do
             mapped = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
         elif name == "gyro_B":

@@ -98,7 +98,7 @@ def observe(
     calibration: CalibratedMagnetometer | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
-    """Return terms and times of all samples, a sentence for each, and where the Sun comes from.
+    """Return what all samples of a file show: terms, a sentence for each sample, and where the Sun comes from.
 
     `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
     `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
@@ -107,11 +107,11 @@ def observe(
     has_field = calibration is not None or reads_directions(vehicle, telemetry)
     source = _source(telemetry, source, has_field)
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
-    here = None if local is None else local.at(t_s)
+    surroundings = None if local is None else local.at(t_s)
     sun: Term | None = None
     if source == "panels":
         sun, why = Panels.read(assessment)
-        sun = sun if here is None else sun.placed(here)
+        sun = sun if surroundings is None else sun.placed(surroundings)
     elif source != FIELD:
         sun, why = SunDirections.read(sensors, source)
     elif calibration is None and vehicle.sensors.magnetometer is not None:
@@ -119,12 +119,13 @@ def observe(
     else:
         why = np.full(len(t_s), UNREAD, dtype=object)
 
+    # A magnetometer: its directions if the field is known in space, else the change of the field between neighbours.
     fields = FieldChange.read(vehicle, sensors)
     known = None
-    in_field = here is not None and here.field_N is not None
-    if fields is not None and calibration is not None and in_field:
-        known = KnownField.of(fields, here, calibration)
-        # a sample whose only fault is that it shows no Sun has a direction of its own
+    field_is_known = surroundings is not None and surroundings.field_N is not None
+    if fields is not None and calibration is not None and field_is_known:
+        known = KnownField.of(fields, surroundings, calibration)
+        # a sample that is not used only since it shows no Sun still shows the direction of the field
         for k in np.flatnonzero(known.present() & np.isin(why, NOT_SEEN)):
             why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
     elif fields is not None:
@@ -133,13 +134,17 @@ def observe(
         why[assessment.repeats.frozen] = STALE
     why[find_late_frames(telemetry)] = LATE
 
-    compared = None if isinstance(sun, FieldDirection) else known or fields
-    rates = GyroRates.read(vehicle, sensors), RateMagnitudes.read(vehicle, sensors)
-    read = (sun, *rates, compared, AttitudeChange.read(vehicle, sensors))
-    others = _torques(vehicle, t_s, fields, here, torques)
     clock = vehicle.sensors.clock
-    terms = [term for term in (*read, *others) if term is not None]
-    terms += [Latency.of(clock)] if clock is not None else []
+    terms = (
+        sun,
+        GyroRates.read(vehicle, sensors),
+        RateMagnitudes.read(vehicle, sensors),
+        None if isinstance(sun, FieldDirection) else known or fields,
+        AttitudeChange.read(vehicle, sensors),
+        *_torques(vehicle, t_s, fields, surroundings, torques),
+        None if clock is None else Latency.of(clock),
+    )
+    terms = [term for term in terms if term is not None]
     return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
 
 
@@ -147,7 +152,7 @@ def _torques(
     vehicle: Vehicle,
     t_s: np.ndarray,
     fields: FieldChange | None,
-    here: Surroundings | None,
+    surroundings: Surroundings | None,
     torques: Acting,
 ) -> list[Term]:
     """Return the torques of a stated or an unknown dipole if the field is measured or known, and those that are named."""
@@ -156,16 +161,16 @@ def _torques(
     # one dipole: the stated one in the field as read, else an unknown one in the orbit's field, else in an unknown field
     if dipole is not None and fields is not None and np.isfinite(fields.field_B).any():
         terms.append(StatedDipole(np.asarray(dipole), np.nan_to_num(fields.field_B)))
-    elif here is not None and here.field_N is not None:
-        terms.append(MagneticTorque.in_field(here.field_N))
+    elif surroundings is not None and surroundings.field_N is not None:
+        terms.append(MagneticTorque.in_field(surroundings.field_N))
     elif fields is not None:
         terms.append(MagneticTorque.in_field(None))
     if torques.needs_attitude:
-        assert here is not None and here.nadir_N is not None
+        assert surroundings is not None and surroundings.nadir_N is not None
         inertia = vehicle.require_inertia()
         strength = np.full(len(t_s), torques.gradient_strength())
         inertia = inertia / (np.trace(inertia) / 3)
-        terms.append(GravityTorque(here.nadir_N, strength, inertia))
+        terms.append(GravityTorque(surroundings.nadir_N, strength, inertia))
     return terms
 
 
@@ -197,7 +202,7 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
 
 def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
     """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
-    use = readings.usable
+    use = readings.usable  # indices
     if len(use) < 3:
         raise InputError(
             "fewer than three samples say where the Sun is",
@@ -207,13 +212,14 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     t_s = readings.obs.t_s
     usual = float(np.median(np.diff(t_s[use])))
     gap = s.gap_intervals * usual if gap_s is None else gap_s
-    ends = np.flatnonzero(np.diff(t_s[use]) > gap)
+    ends = np.flatnonzero(np.diff(t_s[use]) > gap)  # places in `use` of the last samples of passes
     compared = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
     fields = [term for term in compared if term.present().any()]
     if fields and gap_s is None:
         read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
         ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
-    # a field of unknown direction turns unevenly over a long pass; in a known one the search must not be left with too few samples
+    # Passes are cut shorter if the field's direction is unknown, as it turns unevenly over a long pass; and in a known field if a
+    # pass would have so many samples that the search keeps too few of them.
     known = any(isinstance(term, KnownField) for term in readings.obs.terms)
     many = known and s.longest_s > s.many * usual
     longest = s.longest_field_s if fields or many else s.longest_s
@@ -259,17 +265,23 @@ def with_unused_samples(
     return replace(readings, why=why)
 
 
-def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings):
-    """Return whether a field is read on between two samples that show the Sun: a body with few panels turns them away."""
+def _goes_on(
+    read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings
+) -> bool:
+    """Return whether the field was read without a gap between two samples that show the Sun, so that the pass goes on.
+
+    A body with few panels turns them away from the Sun for a while. `read_s`: times of all readings of the field.
+    """
     between = read_s[(read_s >= start_s) & (read_s <= end_s)]
     short = end_s - start_s < s.longest_dark_s
     return short and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
 
 
 def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
-    """Return from which of the samples of a pass a search may begin, by which of them (n) show the Sun.
+    """Return the sample of a pass around which the kept samples are close together; `sees_sun` (n): which samples show the Sun.
 
-    The first if half of the next `s.dense` do, else the one whose next ones do most often: a pass may begin in the shadow.
+    It is the first sample if half of the next `s.dense` show the Sun. Else, as in a pass that begins in the shadow, it is the one
+    of whose next `s.dense` most do.
     """
     if len(sees_sun) <= s.kept:
         return 0
@@ -280,16 +292,17 @@ def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
 def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
     """Return the indices of at most `s.kept` of `count` samples, the first and the last among them.
 
-    Close together where the rate is determined first, at `dense_from`, then ever farther apart to both sides: each step is at most
-    `s.growth` times the one before, so that what is known of the rate always predicts the next sample. Of all ways to share the
-    samples between the two sides the one whose widest step is smallest.
+    They are close together at `dense_from`, where the rate is determined first, then ever farther apart to both sides. Each step is
+    at most `s.growth` times the one before, so that what is known of the rate always predicts the next sample. Of all ways to share
+    the samples between the two sides the one whose widest step is smallest is taken.
     """
     if count <= s.kept:
         return np.arange(count)
     after, before = np.arange(dense_from, count), np.arange(dense_from, -1, -1)
-    least, best = np.inf, _growing(np.arange(count), s.kept, s.growth)
-    for n in range(2, s.kept) if dense_from else ():
-        sides = _growing(after, s.kept + 1 - n, s.growth), _growing(before, n, s.growth)
+    least, best = np.inf, _growing(np.arange(count), s.kept, s.growth)  # from the first sample on
+    for kept_before in range(2, s.kept) if dense_from else ():
+        kept_after = s.kept + 1 - kept_before  # `dense_from` is on both sides
+        sides = _growing(after, kept_after, s.growth), _growing(before, kept_before, s.growth)
         # steps that grow to both sides do not reach the ends of a very long pass
         if sides[0][-1] == count - 1 and sides[1][-1] == 0:
             widest = max(np.abs(np.diff(side)).max(initial=0) for side in sides)
@@ -299,16 +312,19 @@ def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
 
 
 def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
-    """Return at most so many of some indices, in steps of 1, growth, growth^2, ... up to even ones; the first among them."""
+    """Return at most `most` of some indices, the first among them, in steps of 1, growth, growth^2, ... up to a bound.
+
+    The bound is the smallest with which the steps reach the last index; with none that does, they end before it.
+    """
     if len(indices) <= most:
         return indices
     growing = growth ** np.arange(most - 1)
     low, high = 1.0, float(len(indices))
     # bisection for the smallest bound of the steps with which they reach the end
     for _ in range(60):
-        widest = (low + high) / 2
-        reached = np.minimum(growing, widest).sum() >= len(indices) - 1
-        low, high = (low, widest) if reached else (widest, high)
+        bound = (low + high) / 2
+        reaches = np.minimum(growing, bound).sum() >= len(indices) - 1
+        low, high = (low, bound) if reaches else (bound, high)
     taken = np.concatenate([[0.0], np.cumsum(np.minimum(growing, high))])
     return indices[np.unique(np.minimum(np.round(taken), len(indices) - 1).astype(int))]
 

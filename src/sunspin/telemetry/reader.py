@@ -87,7 +87,8 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
 
         With ``bad_rows = "flag"`` or "sort" rows are sorted by time. Rows of one instant without contradictions are merged, for
         example if several ground stations received a frame. Rows with dates years from all others are left out. attrs
-        `rows_sorted`, `rows_merged` and `rows_misdated` count these rows.
+        `rows_sorted`, `rows_merged` and `rows_misdated` count these rows. Rows are also left out if only unused columns have a
+        value, such as temperatures at times of their own; `rows_of_others` counts them.
 
     Raises
     ------
@@ -127,7 +128,9 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
     reading_columns = header - {*_clock_columns(form), *unused}
     times, counts = read_times(form, table, reading_columns), {}
     if form.bad_rows != "refuse":
+        table, times, n_others = _leave_out_others(form, table, times, reading_columns)
         table, times, counts = _sort_and_merge(form, table, times, reading_columns)
+        counts |= {"rows_of_others": n_others} if n_others else {}
         if counts:  # the rows of the table have changed
             sensors = read_sensors(vehicle, table)
     if form.sample_span_s is not None:
@@ -364,6 +367,35 @@ def _require_clock(form: TelemetryForm, table: TextTable) -> None:
         require_column(table, form.week_column, "the GPS week")
     if form.receive_time_column is not None:
         require_column(table, form.receive_time_column, "the time of reception")
+
+
+def _leave_out_others(
+    form: TelemetryForm, table: TextTable, times: Times, reading_columns: set[str]
+) -> tuple[TextTable, Times, int]:
+    """Return table and times without rows in which only columns that are not used have a value, and the number of these rows.
+
+    Such rows are no samples: temperatures at times of their own, or packets of another instrument. A row without any value is a
+    sample whose readings were lost, and is kept. So is a file of nothing but such rows, for the error messages. Without a stated
+    epoch, times of dates count from the first row of the result.
+    """
+
+    def any_value(names: set[str]) -> np.ndarray:
+        columns = [table.cells[name].str.strip().ne("").to_numpy(bool) for name in sorted(names)]
+        return np.any(columns, axis=0) if columns else np.zeros(len(table.cells), bool)
+
+    header = set(table.header)
+    empty = ~any_value(reading_columns & header)
+    if not empty.any():
+        return table, times, 0
+    of_others = empty & any_value(header - reading_columns - {*_clock_columns(form), "phase"})
+    if of_others.all() or not of_others.any():
+        return table, times, 0
+    table, times = table._replace(cells=table.cells[~of_others]), times.take(~of_others)
+    if form.epoch_utc is None and form.time_format != "elapsed":
+        first_s = float(times.time[0])
+        epoch = times.epoch + timedelta(seconds=first_s)
+        times = times._replace(time=times.time - first_s, epoch=epoch)
+    return table, times, int(of_others.sum())
 
 
 def _sort_and_merge(

@@ -36,7 +36,7 @@ CORNERS = np.array(list(product((0, 1), repeat=3)))
 SPACINGS, TRIED_CELLS = (4, 3, 2), 100
 """How many steps of the grid may lie between two runs, and on how many cells of such a size that is tried."""
 
-FIRST_RATES, BEYOND = 1000, 1.02
+FIRST_RATES, BEYOND = 400, 1.02
 """Directions of the fastest rates at the first sample that are followed to the reference, and how much farther rates are searched
 than these lead: between the directions they may lead a little farther."""
 

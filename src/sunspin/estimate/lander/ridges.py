@@ -541,7 +541,7 @@ def trace_ridge(
 ) -> None:
     """Fit the curve of a ridge to `count` points at each of several widths about its motion.
 
-    Narrow widths come first, so that their curve predicts good starts for the wider ones.
+    Narrow widths come first, so that their curve and their derivatives give good starts for the wider ones.
     """
     for width in s.trace_widths:
         law = ridge.first
@@ -550,10 +550,9 @@ def trace_ridge(
         white = rng.standard_normal((count, law.mean.shape[1]))
         y = law.mean[which] + width * np.einsum("nij,nj->ni", root, white)
         before = [] if ridge.points is None else [ridge.points]
-        u = np.tile(ridge.chart.centre.u, (count, 1))
-        if before:
-            u = before[0].slopes_near(y, ridge.first).u
-        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, None)
+        near = before[0].slopes_near(y, law) if before else None
+        u = np.tile(ridge.chart.centre.u, (count, 1)) if near is None else near.u
+        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, near)
         ridge.points = RidgePoints.joined([*before, RidgePoints(y, stiff.best, stiff.slopes)])
         fit_ridge_curve(ridge, s)
 

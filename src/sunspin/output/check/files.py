@@ -141,6 +141,7 @@ def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFin
         "rows_sorted": "rows sorted by time",
         "rows_merged": "duplicate rows merged",
         "rows_misdated": "rows left out: dated years from the others",
+        "rows_of_others": "rows left out: only columns that are not used have a value",
     }
     for key, text in changed_rows.items():
         if key in samples.attrs:

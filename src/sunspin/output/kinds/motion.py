@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.output.curves import along_curve
 from sunspin.output.figures import (
     ABOVE,
     BLACK,
@@ -62,8 +63,10 @@ def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
 def trajectory_figure(run: Any) -> Any:
     """Draw the body rate (deg/s) against time, and below it the wheel speeds if the vehicle has wheels.
 
-    The components of the rate have the first three colours and different dashes, its size is black.
+    The components of the rate have the first three colours and different dashes, its size is black. The curves pass through the
+    instants between output times, if the result has them.
     """
+    run = along_curve(run)
     wheels = run.sizes.get("wheel", 0)
     rows, height = (2, 5.85) if wheels else (1, 3.6)
     layout: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": (3, 2)[:rows]}

@@ -21,7 +21,10 @@ from sunspin.output.kinds.outcomes import (
     runs_drawings,
     strategy_name,
 )
-from sunspin.output.text import capitalize_first, with_sigma
+from sunspin.output.text import capitalize_first, count_text, with_sigma
+
+COMPARED = ("rest_leg", "touch_leg")
+"""Quantities that the first line compares, the first one that all strategies have: what a lander is for."""
 
 
 def strategies_summary(table: Any) -> Summary:
@@ -169,12 +172,31 @@ def landing_summary(tree: Any) -> Summary:
     """Return the summary of a landing: the strategies, runs that could not be computed, and the collision if simulated."""
     strategies = strategies_summary(tree["strategies"].to_dataset())
     numbers, lines = dict(strategies), []
+    if len(numbers["strategies"]) > 1:
+        lines.append(_comparison_line(numbers["strategies"], numbers["runs"]))
     for name, runs in read_runs(tree).items():
         lines += run_lines(runs, numbers["strategies"][name])
     if "collision" in tree:
         numbers["collision"] = collision = collision_summary(tree["collision"].to_dataset())
         lines += collision.lines
     return Summary(numbers, lines, strategies.notes)
+
+
+def _comparison_line(estimates: dict[str, dict[str, Any]], runs: int) -> str:
+    """Return the line that compares strategies in one quantity of `COMPARED`.
+
+    `estimates`: strategy -> quantity -> "value" and "error" as stored.
+    """
+    head = f"{len(estimates)} commands to the wheel, {count_text(runs, 'run')} each"
+    for name in COMPARED:
+        if all(name in of_strategy for of_strategy in estimates.values()):
+            text, unit, scale = quantity(name)
+            values = (
+                f"{strategy} {with_sigma(*(scale * each[name][key] for key in ('value', 'error')), unit)}"
+                for strategy, each in estimates.items()
+            )
+            return f"{head}; {text}: {', '.join(values)}"
+    return head
 
 
 def read_runs(tree: Any) -> dict[str, Any]:

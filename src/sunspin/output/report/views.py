@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 import xarray as xr
 
-from sunspin.output.curves import pass_motions, with_wheel_speeds
+from sunspin.output.curves import along_curve, pass_motions, with_wheel_speeds
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
 from sunspin.vehicle import Vehicle
@@ -58,7 +58,7 @@ def read_motions(results: Results) -> Motions:
     motions, telemetry, total = [], results.data.get("telemetry"), 0
     for name, data in results.with_variables("B_from_N", "sun_B", "omega_B"):
         if "pass_of" not in data:
-            motions.append((str(data.attrs.get("title", name)), data))
+            motions.append((str(data.attrs.get("title", name)), along_curve(data)))
             total += 1
             continue
         total += data.sizes["pass_id"]
