@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.dynamics.curve import with_curve
-from sunspin.output.curves import along_curve
+from sunspin.dynamics.curve import along_curve, with_curve
 from sunspin.output.kinds.motion import trajectory_figure
 from sunspin.output.report.body import body_in_motion
 from sunspin.output.report.read import Results

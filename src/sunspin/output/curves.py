@@ -1,4 +1,4 @@
-"""Motions as figures and pages show them: at the times between samples or output times that the results hold."""
+"""Motions of `sunspin rates` as the page shows them: at the times between samples that the results hold."""
 
 from __future__ import annotations
 
@@ -35,40 +35,6 @@ def pass_motions(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     longest = sorted(duration_s, key=lambda k: -duration_s[k])[:MOST_PASSES]
     pass_id = rates["pass_id"].values
     return [(f"Pass {int(pass_id[k])}", _pass_motion(rates, k)) for k in sorted(longest)]
-
-
-def along_curve(run: xr.Dataset) -> xr.Dataset:
-    """Return a motion of `propagate` on the times of its curve instead of its output times; `run` itself without a curve.
-
-    A line between output times would take short cuts if the body rotates far in a step. The Sun is fixed in N. The angular
-    momentum in N is that of the output time before. Wheel speeds are interpolated between output times.
-    """
-    if "curve_omega_B" not in run:
-        return run
-    order = (
-        1 if run["time"].values[-1] >= run["time"].values[0] else -1
-    )  # a motion backward in time
-    t, curve_t = order * run["time"].values, order * run["curve_time"].values
-    to_N = matrix_from_quaternion(run["B_from_N"].values).swapaxes(1, 2)  # (n, 3, 3)
-    attitude = matrix_from_quaternion(run["curve_B_from_N"].values)
-    variables = {
-        "omega_B": (("time", "axis"), run["curve_omega_B"].values),
-        "B_from_N": (("time", "quaternion"), run["curve_B_from_N"].values),
-        "sun_B": (("time", "axis"), attitude @ to_N[0] @ run["sun_B"].values[0]),
-    }
-    if "momentum_B" in run:
-        before = np.searchsorted(t, curve_t, side="right") - 1
-        momentum_N = np.einsum("nij,nj->ni", to_N, run["momentum_B"].values)[before]
-        momentum_B = np.einsum("nij,nj->ni", attitude, momentum_N)
-        variables["momentum_B"] = (("time", "axis"), momentum_B)
-    if run.sizes.get("wheel", 0):
-        speeds = run["wheel_speed_rad_s"].values.T
-        speeds = np.stack([np.interp(curve_t, t, speed) for speed in speeds], axis=1)
-        variables["wheel_speed_rad_s"] = (("time", "wheel"), speeds)
-    coords = {"time": run["curve_time"].values, "axis": run["axis"].values}
-    if "wheel" in run.coords:
-        coords["wheel"] = run["wheel"].values
-    return xr.Dataset(variables, coords=coords, attrs=run.attrs)
 
 
 def with_wheel_speeds(

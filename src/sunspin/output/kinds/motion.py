@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.curves import along_curve
+from sunspin.dynamics.curve import along_curve
 from sunspin.output.figures import (
     ABOVE,
     BLACK,

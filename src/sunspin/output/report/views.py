@@ -9,7 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 import xarray as xr
 
-from sunspin.output.curves import along_curve, pass_motions, with_wheel_speeds
+from sunspin.dynamics.curve import along_curve
+from sunspin.output.curves import pass_motions, with_wheel_speeds
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
 from sunspin.vehicle import Vehicle
