@@ -55,7 +55,7 @@ def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_p
     model = lander_model(tilt=0.02)
     target, shots = LanderTarget(model), near(model)
     of = target.linearised(shots)
-    slope, curvature = target.reading_slopes(of.slopes.seen, shots.u, 1.0)
+    slope, curvature = target.reading_slopes(of.slopes.seen, shots.u)
     prior = shots.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
     own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))

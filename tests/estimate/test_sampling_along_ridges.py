@@ -75,9 +75,9 @@ class Bananas:
         facing = np.any(shots.sun @ self.sun.T > 0, axis=1)
         return np.where(facing & (shots.u[:, 0] >= self.lowest), normal, -np.inf)
 
-    def reading_slopes(self, seen, u, noise_factor):
-        pull = -self._bright(u) / READ / noise_factor**2
-        return pull[:, None], np.full((len(u), 1, 1), (READ * noise_factor) ** -2)
+    def reading_slopes(self, seen, u):
+        pull = -self._bright(u) / READ
+        return pull[:, None], np.full((len(u), 1, 1), READ**-2)
 
     def linearised(
         self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0

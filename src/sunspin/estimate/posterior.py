@@ -286,12 +286,13 @@ def draw_all_models(
 
     # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
     # of a few degrees over the samples, since inertia and friction compensate it. So these models are always in the draws.
-    torques = torque_carriers(nominal, priors)
+    carrier = nominal.carrier
+    torques = [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
     say(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
     with ThreadPoolExecutor(nominal.carrier.workers) as pool:
-        fits = [nominal.fit, *pool.map(lambda other: refit(other, nominal), torques)]
+        fits = [nominal.fit, *pool.map(lambda torque: refit(torque, nominal), torques)]
     drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
     if not (torques and nominal.carrier.complete) or nominal_explains(
@@ -304,17 +305,11 @@ def draw_all_models(
     if nominal.carrier.fitted > settings.long_search or budget.exhausted():
         return [*drawn.doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
-    under_torques = [search_and_refit(other, nominal) for other in torques]
+    under_torques = [search_and_refit(torque, nominal) for torque in torques]
     again = draw_models(
         [nominal.fit, *under_torques], nominal, streams[3:6], budget, drawn.draws[0]
     )
     return again.doubts, again.mixture(reach_s, settings)
-
-
-def torque_carriers(nominal: NominalSearch, priors: Mapping[str, Any] | None) -> list[Shooting]:
-    """Return carriers of the same readings under models with a constant torque, in body axes and in space."""
-    carrier = nominal.carrier
-    return [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
 
 
 def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:

@@ -143,9 +143,10 @@ class FitProblem:
 
         Rates are included if times of samples have errors, or if there are other readings than those of panels.
         """
-        seen, fine = self.model.carried(shots, error_rad)
-        every = np.concatenate([seen.sun_B, seen.omega], axis=2)
-        return (every if self.model.given or self.model.panels.time_s else seen.sun_B), fine
+        states, fine = self.model.carried(shots, error_rad)
+        if not (self.model.given or self.model.panels.time_s):
+            return states.sun_B, fine
+        return np.concatenate([states.sun_B, states.omega], axis=2), fine
 
     @property
     def difference_error(self) -> float:
@@ -393,8 +394,8 @@ class Fitting:
         """Return motions within the limits of the prior; derivatives are not corrected by a step that was cut off."""
         model = self.problem.model
         omega, u = limit_length(point.omega, model.max_rate), model.limited(point.u, INSIDE)
-        whole = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
-        return point._replace(omega=omega, u=u, step=np.where(whole[:, None], point.step, 0.0))
+        is_within = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
+        return point._replace(omega=omega, u=u, step=np.where(is_within[:, None], point.step, 0.0))
 
     def fit_noise(self, few: bool = False, held: bool = False) -> None:
         """Set the noise to its best value for the present residuals.
@@ -424,28 +425,26 @@ class Fitting:
         prior[:, UNKNOWNS] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
             :, self.problem.fitted
         ]
-        size = np.sqrt(
-            np.einsum("kff->kf", read) + prior + 1e-12
-        )  # units of a well-conditioned matrix
+        # in units of the root of each diagonal element the matrices are well conditioned
+        size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)
         read /= size[:, :, None] * size[:, None, :]
-        whole = read + np.eye(read.shape[1]) * (prior / size**2 + 1e-9)[:, :, None]
-        return np.trace(np.linalg.solve(whole, read), axis1=1, axis2=2)
+        total = read + np.eye(read.shape[1]) * (prior / size**2 + 1e-9)[:, :, None]
+        return np.trace(np.linalg.solve(total, read), axis1=1, axis2=2)
 
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss-Newton; for unknowns that are not free, those of the prior."""
         problem, linear, u = self.problem, self.linear, self.shots.u
         weight = problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
-        whole = np.zeros((len(u), problem.model.dimension, problem.model.dimension))
-        whole[:, problem.coordinates[:, None], problem.coordinates] = read
-        every = np.arange(STATE_SIZE, problem.model.dimension)
-        whole[:, every, every] += problem.model.prior_cost(u, problem.sizes)[1]
-        for i in problem.model.places("noise"):
-            own, value = u[:, problem.model.of_panels], problem.of_panels(linear.value)
-            whole[:, STATE_SIZE + i, STATE_SIZE + i] += problem.model.panels.noise_curvature(
-                value, own
-            )
-        return whole
+        model = problem.model
+        curvature = np.zeros((len(u), model.dimension, model.dimension))
+        curvature[:, problem.coordinates[:, None], problem.coordinates] = read
+        unknowns = np.arange(STATE_SIZE, model.dimension)
+        curvature[:, unknowns, unknowns] += model.prior_cost(u, problem.sizes)[1]
+        for i in model.places("noise"):
+            value, at = problem.of_panels(linear.value), STATE_SIZE + i
+            curvature[:, at, at] += model.panels.noise_curvature(value, u[:, model.of_panels])
+        return curvature
 
 
 Levels = Sequence[tuple[float, int]]

@@ -375,7 +375,9 @@ class PanelPowers(Term):
         Laplace's method about the best error is wrong where a panel becomes lit within the error: there the density has two peaks,
         and which one is higher changes with the motion. With it 100 draws had an effective sample size of 2 to 5.
         """
-        steepest = np.linalg.norm(self._full_power(u) / self.sigma, axis=1)
+        facing = self.response.power(self.response.facing_B).diagonal()
+        full_power = self.gain(u) * facing  # (K, p)
+        steepest = np.linalg.norm(full_power / self.sigma, axis=1)
         steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
         narrow = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
         # The number of times is a power of two times the least one: most motions share their times, and no result depends on which
@@ -396,11 +398,6 @@ class PanelPowers(Term):
                 log_sum = np.logaddexp(log_sum, log_density - 0.5 * error**2)
             total[rows] = log_sum + np.log(step) - 0.5 * LOG_2PI
         return total
-
-    def _full_power(self, u: np.ndarray) -> np.ndarray:
-        """Return the power (K, p) of each input with the Sun along its normal."""
-        facing = self.response.power(self.response.facing_B).diagonal()
-        return self.gain(u) * facing
 
     def _sample_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the log density (K, n) of the readings of each sample if these powers (K, n, p) are predicted."""
