@@ -19,7 +19,7 @@ from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import Model, Noise, Observations, States, Track
 from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.clock import Latency
-from sunspin.estimate.terms.term import Residual, Term
+from sunspin.estimate.terms.term import Residual, Term, at_sample_before
 from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
 from sunspin.solve.linear import (
     BorderedSystem,
@@ -280,8 +280,7 @@ class Earlier(NamedTuple):
             by_turn = by_turn @ self.turned
         if previous is not None:
             by_late[:, 1:] -= np.einsum("knri,kni->knr", previous[:, 1:], self.states.omega[:, :-1])
-            turned = np.concatenate([self.turned[:, :1], self.turned[:, :-1]], axis=1)
-            previous = previous @ turned
+            previous = previous @ at_sample_before(self.turned, axis=1)
         return residual._replace(by_turn=by_turn, by_rate=by_rate, by_previous=previous), by_late
 
 
@@ -569,7 +568,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
             track.omega[:, end] = stepped.omega
             assert stepped.by_start is not None
             by_state[:, end] = stepped.by_start @ by_state[:, start]
-        previous_by_state = np.concatenate([by_state[:, :1], by_state[:, :-1]], axis=1)
+        previous_by_state = at_sample_before(by_state, axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:
             for residual in term.residuals(track, track.u):

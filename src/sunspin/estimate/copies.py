@@ -47,9 +47,10 @@ class Outline(NamedTuple):
     def copies(self, k: int, others: Outline, apart_rad: float, sigmas: float) -> np.ndarray:
         """Return which of other motions (K), fitted under one model, are copies of motion `k`.
 
-        They are if they turn alike from sample to sample, to `apart_rad`, and over the whole window too. If they turn alike from
-        sample to sample only, they are if both lie in one valley: each within so many sigmas of the other's rates. Both must allow
-        it, as the sigmas of a broad minimum reach over narrow ones, which are none of its copies.
+        A copy turns like it from sample to sample, to `apart_rad`, and also over the whole window. A motion that turns alike only
+        from sample to sample is a copy if both lie in one valley of the cost: if its rates are within `sigmas` of those of `k`, by
+        the covariance of each. One covariance alone is too little: a broad minimum may reach over narrow ones, which are no copies
+        of it.
         """
         steps_alike = self._steps_alike(k, others, apart_rad)
         whole_alike = _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
@@ -61,8 +62,8 @@ class Outline(NamedTuple):
     ) -> np.ndarray:
         """Return which of other motions (K) are one solution with motion `k` for a user.
 
-        They turn alike to `apart_rad`, or see the Sun alike, turn alike between neighbours to `near_rad`, and have rates within so
-        many joint sigmas: minima so near to each other make one motion with a larger error.
+        They turn alike to `apart_rad`. Or they see the Sun alike and turn alike between neighbours to `near_rad`, and their rates
+        are within `sigmas` of the difference: minima so near to each other are one motion with a larger error.
         """
         alike = self._steps_alike(k, others, apart_rad)
         alike &= _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
@@ -78,27 +79,30 @@ class Outline(NamedTuple):
     def _within(
         self, k: int, others: Outline, asked: np.ndarray, sigmas: float, joint: bool
     ) -> np.ndarray:
-        """Return which of the motions `asked` for (K) have rates within so many sigmas of motion `k` at every sample.
+        """Return which of the motions `asked` for (K, bool) have rates within `sigmas` of those of motion `k` at every sample.
 
-        `joint`: sigmas are those of the difference; else of each motion, and both must allow it.
+        `joint`: by the covariance of the difference; else by that of each motion.
         """
         within, which = np.zeros(len(asked), dtype=bool), np.flatnonzero(asked)
         if len(which) and len(self.covariance) and len(others.covariance):
             own, theirs = self.covariance[k], others.covariance[which]
             off = others.omega[which] - self.omega[k]
-            spreads = [own + theirs] if joint else [np.broadcast_to(own, theirs.shape), theirs]
-            far = np.max([_squared_sigmas(off, spread) for spread in spreads], axis=0)
-            within[which] = far <= sigmas**2
+            covariances = [own + theirs] if joint else [np.broadcast_to(own, theirs.shape), theirs]
+            square = np.max([_squared_sigmas(off, part) for part in covariances], axis=0)
+            within[which] = square <= sigmas**2
         return within
 
 
 def _nowhere_farther(own: np.ndarray, others: np.ndarray, apart: float) -> np.ndarray:
-    """Return which rows of vectors (K, n, 3) are nowhere farther than this from one row (n, 3)."""
+    """Return which of K rows of vectors `others` (K, n, 3) are at none of n samples farther than `apart` from `own` (n, 3)."""
     return ((others - own) ** 2).sum(axis=-1).max(axis=-1, initial=0.0) <= apart**2
 
 
 def _squared_sigmas(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the largest squared distance (K) over samples of `off` (K, n, 3) in sigmas; infinite where a covariance is none."""
+    """Return the largest squared size (K) over samples of differences `off` (K, n, 3), in sigmas of their covariance.
+
+    It is infinite where the covariance (K, n, 3, 3) has a variance that is not positive, or NaN.
+    """
     variance, axes = np.linalg.eigh(np.nan_to_num(covariance))
     along = np.einsum("knij,kni->knj", axes, off)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -116,8 +120,8 @@ def distinct(
 ) -> np.ndarray:
     """Return the indices of motions (K) without the improbable ones and without copies, best first.
 
-    At most `most`; `order_by` (K): minus the log of their probabilities, by default their cost; those that exceed the least by
-    `drop` are dropped. What the settings of the search say is the default.
+    `order_by` (K): minus the logs of their probabilities; default: their costs. Those that exceed the least by `drop` are
+    improbable. At most `most` are returned. `drop` and `most` are by default those of the settings.
     """
     most, drop = s.most if most is None else most, s.drop if drop is None else drop
     cost = motions.cost if order_by is None else order_by

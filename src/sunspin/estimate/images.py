@@ -33,7 +33,7 @@ def images_of(model: Model) -> np.ndarray:
 def imaged(motions: Track, image: np.ndarray) -> Track:
     """Return motions as a mirror or rotation of the body (3, 3) shows them, without cost and covariance.
 
-    Rates are axial vectors: a mirror reverses their sign. It makes of attitudes no rotations, unless an axis of N is mirrored too:
+    Rates are axial vectors, whose sign a mirror reverses. A mirrored attitude is a rotation only if an axis of N is mirrored too:
     x, which is across the Sun.
     """
     side = np.sign(np.linalg.det(image))
@@ -46,7 +46,7 @@ def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
     images = images_of(model)
     if len(images) == 1 or not len(motions):
         return motions
-    # a family: a motion with all its images; outlines of families tell whether a further motion belongs to one
+    # A family is a motion with all its images. A further motion that is a copy of one of a family makes no new family.
     t_s, outlines, new = model.obs.t_s, [], []
     for k in range(len(motions)):
         motion = motions.take(slice(k, k + 1))

@@ -66,11 +66,11 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Body:
-    """What moves.
+    """The rigid body that moves.
 
     `inertia` (3, 3) in units of its mean moment, which a torque-free motion does not determine; `errors` (e, 3, 3): one sigma of
-    each independent error of it; `sphere`: no inertia is known. `wander`: in a search the inertia is held, and the body leaves a
-    motion by this part of its turn, one sigma.
+    each independent error of it; `sphere`: no inertia is known. `wander`: one sigma of how far the body leaves a motion as the
+    inertia is held in a search, as a part of the angle that it turns.
     """
 
     inertia: np.ndarray
@@ -80,9 +80,10 @@ class Body:
 
     @classmethod
     def of(cls, vehicle: Vehicle, torques_stated: bool = False) -> Body:
-        """Return the body of a vehicle; without an inertia a sphere, give or take much.
+        """Return the body of a vehicle; without an inertia a sphere with large errors.
 
-        `torques_stated`: the strength of unknown torques is stated, and stands for what the body is not a sphere too.
+        `torques_stated`: the strength of unknown torques is stated, and also stands for what a body that is no sphere does. Then a
+        body without an inertia has no errors.
         """
         if vehicle.inertia_kg_m2 is None:
             sigma = np.where(np.eye(3, dtype=bool), UNKNOWN_MOMENT, UNKNOWN_PRODUCT)
@@ -100,8 +101,8 @@ class Body:
     def for_search(self) -> Body:
         """Return the body with its inertia held.
 
-        An error of a moment, in mean moments, changes the rate of the nutation by about this part of the rate of the body. A sphere
-        stays one: other bodies are tried when its motions are found.
+        An error of a moment, in mean moments, changes the rate of the nutation by about this part of the rate of the body: that is
+        its `wander`. A body without an inertia stays a sphere: other shapes are tried after the search (`starts.other_bodies`).
         """
         wander = 0.0 if self.sphere else float(np.abs(self.errors).max(initial=0.0))
         return replace(self, errors=self.errors[:0], wander=wander)
@@ -113,21 +114,22 @@ class Body:
         return self.inertia + np.einsum("ke,eij->kij", u, self.errors)
 
     def possible(self, u: np.ndarray) -> np.ndarray:
-        """Return errors (K, e) in sigmas, smaller where their tensor belongs to no body, else as they are.
+        """Return errors (K, e) in sigmas of bodies that are possible: made smaller where no body has the inertia, else as they are.
 
         A principal moment is positive and at most the sum of the other two. Equivalently the second moments of the masses, trace(I)
-        / 2 - I, are positive. A little less is allowed, as a stated tensor has errors.
+        / 2 - I, are positive. Slightly negative ones are allowed, as a stated tensor has errors.
         """
         u = u.copy()
         for _ in range(MOST_SHRINKS if u.size else 0):
             inertia = self.inertia_at(u)
             masses = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
-            wrong = (np.linalg.eigvalsh(masses)[:, 0] < -THINNEST) | (
-                np.linalg.eigvalsh(inertia)[:, 0] < THINNEST
+            least_mass, least_moment = (
+                np.linalg.eigvalsh(tensor)[:, 0] for tensor in (masses, inertia)
             )
-            if not wrong.any():
+            impossible = (least_mass < -THINNEST) | (least_moment < THINNEST)
+            if not impossible.any():
                 return u
-            u[wrong] *= SHRINK
+            u[impossible] *= SHRINK
         return u
 
     @property
@@ -155,7 +157,7 @@ def _element_errors(sigma: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Noise:
-    """What the equations of motion leave out: white angular acceleration of this strength, rad/s^1.5.
+    """What the equations of motion leave out: white angular acceleration of the strength `acceleration`, rad/s^1.5.
 
     `rate` (rad/s^0.5): white noise of the rate, a swing too quick for the samples: the attitude wanders, the mean rate does not.
     `steps`: intervals between samples in which the rate changes at once, each with one sigma of the change (rad/s).
@@ -166,7 +168,10 @@ class Noise:
     steps: tuple[tuple[int, float], ...] = ()
 
     def in_intervals(self, dt: np.ndarray) -> np.ndarray:
-        """Return the strength (n - 1) in each interval dt (n - 1): a step counts as strong torques in its interval."""
+        """Return the strength (n - 1) in each interval dt (n - 1).
+
+        A step of the rate with the sigma s counts as torques there: in the time dt the strength q changes the rate by q sqrt(dt).
+        """
         square = np.full(len(dt), self.acceleration**2)
         for interval, sigma in self.steps:
             square[interval] += sigma**2 / dt[interval]
@@ -178,15 +183,14 @@ class Noise:
         A rate that forgets itself in the time T (Ornstein and Uhlenbeck) and makes the attitude wander by `rate` has the variance
         rate^2 / (2 T). In the mean over T, log-uniform, as often per interval dt as :data:`SWINGS_PER_INTERVAL` says.
         """
-        quickest, slowest = SWINGS_PER_INTERVAL
-        # of forgetting times in an interval
-        mean_count = (quickest - slowest) / np.log(quickest / slowest)
+        most, least = SWINGS_PER_INTERVAL
+        mean_count = (most - least) / np.log(most / least)  # the mean of dt / T
         return float(self.rate**2 / (2 * np.median(dt)) * mean_count)
 
 
 @dataclass(frozen=True)
 class Observations:
-    """What n samples show: times (n) in s, the momentum of the wheels (n, 3) in mean moments times rad/s, and terms."""
+    """What n samples show: times `t_s` (n), `momentum` (n, 3) of the wheels in mean moments times rad/s, and terms of sensors."""
 
     t_s: np.ndarray
     momentum: np.ndarray
@@ -202,9 +206,9 @@ class Observations:
         return Observations(self.t_s[samples], self.momentum[samples], terms)
 
     def of_pass(self, samples: Any) -> Observations:
-        """Return some of the samples, as those of one pass: what is estimated of the terms is constant over it."""
-        some = self.take(samples)
-        return replace(some, terms=tuple(term.of_pass(some.t_s) for term in some.terms))
+        """Return some of the samples, those of one pass, in which the unknowns of the terms are constant."""
+        taken = self.take(samples)
+        return replace(taken, terms=tuple(term.of_pass(taken.t_s) for term in taken.terms))
 
     @cached_property
     def sees_sun(self) -> np.ndarray:
@@ -226,7 +230,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Model:
-    """What a fit believes.
+    """What a fit believes: readings, body, what the equations of motion leave out, and the prior of the rate.
 
     `rate_sigma` (rad/s): sigma of each component of the rate before the data. `log_prior`: relative to that of the nominal model;
     `what` it changes, in words.
@@ -251,7 +255,7 @@ class Model:
 
     @property
     def inertia_slice(self) -> slice:
-        """Return where the errors of the inertia stand among the unknowns."""
+        """Return where the errors of the inertia stand among the unknowns: they come first."""
         return slice(0, len(self.body.errors))
 
     @cached_property
@@ -283,15 +287,15 @@ class Model:
         return replace(self, obs=replace(self.obs, terms=(*self.obs.terms, term)), what=what)
 
     def for_search(self, noise: Noise) -> list[Model]:
-        """Return the model without unknowns, each term trusted no further than its errors in common allow.
+        """Return the model without unknowns, whose errors are added to the noise of the readings; `noise`: unknown torques.
 
-        There are several if readings may mean several things.
+        There are several models if readings may mean several things (`Term.for_search`).
         """
         body = self.body.for_search()
-        ways = product(*(term.for_search() for term in self.obs.terms))
+        meanings = product(*(term.for_search() for term in self.obs.terms))
         return [
             replace(self, obs=replace(self.obs, terms=terms), body=body, noise=noise)
-            for terms in ways
+            for terms in meanings
         ]
 
 
@@ -337,8 +341,8 @@ class Track(States):
     @staticmethod
     def joined(tracks: Sequence[Track]) -> Track:
         """Return the motions of several tracks at the same samples; costs and covariances only if all have them."""
-        fitted = all(len(track.cost) == len(track) for track in tracks)
-        parts = [(t.attitude, t.omega, t.u, t.cost, t.covariance) for t in tracks]
-        return Track(
-            *(np.concatenate(part) for part in list(zip(*parts, strict=True))[: 5 if fitted else 3])
-        )
+        names = ["attitude", "omega", "u"]
+        if all(len(track.cost) == len(track) for track in tracks):
+            names += ["cost", "covariance"]
+        parts = {name: [getattr(track, name) for track in tracks] for name in names}
+        return Track(**{name: np.concatenate(part) for name, part in parts.items()})

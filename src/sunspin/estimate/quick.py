@@ -27,10 +27,11 @@ MOTIONS = 8
 def quick_evidence(
     nominal: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
 ) -> float:
-    """Return the log of the probability of a pass, up to a constant that only the number of readings decides.
+    """Return the log of the probability of a pass, up to a constant that depends only on the number of readings.
 
-    Minus infinity if no motion is possible. Inertia and gains are those of the file, the search begins at one pair of samples, and
-    the better one of two strengths of torques counts. `known`: the motions of the pass, if a search has found them already.
+    It is minus infinity if no motion is possible. Inertia and gains are those of the file, the search begins at one pair of
+    samples, and the better one of two strengths of torques counts. `known`: motions of the pass that a search has found already; no
+    search is made then.
     """
     s = replace(settings.search, more_places=0)
     few = replace(settings.ladder, rungs=RUNGS)
@@ -53,9 +54,10 @@ def quick_evidence(
 
 
 def log_size(panels: Panels) -> float:
-    """Return the sum of the logs of all sigmas, which follow the order of the columns.
+    """Return the sum of the logs of all sigmas of readings and of brightness: the norm of their likelihood.
 
-    A reading that is left out counts as if it might be anything up to full light. Those of panels without any signal count nothing.
+    The sigmas depend on the order of the columns, which the evidence is to compare. A reading that is left out counts with full Sun
+    as its sigma. Readings of panels without any signal do not count.
     """
     sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full_sun)
     sigma = sigma[:, panels.ever_shown]

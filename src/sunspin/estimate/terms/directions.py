@@ -37,8 +37,8 @@ UNREAD = "no Sun direction: bridged by the dynamics and other sensors"
 class SunDirections(Term):
     """Unit vectors (n, 3) in B with covariances (n, 3, 3), NaN where not read.
 
-    `other_B`, `other_covariance`: the direction that a reading means as well, as likely before the motion is known, NaN if it means
-    one thing; the one that a motion fits better counts.
+    `other_B`, `other_covariance`: a second direction that a reading may mean, equally likely before the motion is known; NaN if
+    there is none. The one that a motion fits better counts.
     """
 
     name: ClassVar[str] = "sun"
@@ -58,7 +58,7 @@ class SunDirections(Term):
 
     @classmethod
     def of(cls, direction_B: np.ndarray, covariance: np.ndarray) -> Self:
-        """Return directions that mean one thing each."""
+        """Return directions without a second meaning."""
         nothing = np.full_like(direction_B, np.nan), np.full_like(covariance, np.nan)
         return cls(direction_B, covariance, *nothing)
 

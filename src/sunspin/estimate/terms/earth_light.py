@@ -83,7 +83,7 @@ class EarthLight:
         return slice(0, self.light_N.shape[1])
 
     def unknowns(self, panels: tuple[str, ...]) -> tuple[Unknown, ...]:
-        """Return those of the vector and the zero of each panel."""
+        """Return the unknowns of the light: those of the vector, then the zero of each panel."""
         sizes = np.linalg.norm(self.light_N, axis=2).max(axis=0)
         names = [f"earth_light_{i}" for i in range(len(sizes))]
         limits = np.full(len(sizes), np.inf)
@@ -152,8 +152,8 @@ class EarthLight:
         """
         if self.known_N is not None:
             # the light is known in N; if the turn about the Sun is not, several are tried
-            both = SUN_N + self.known_N.mean(axis=0)
-            back = _rotation_by_sine(np.cross(both / np.linalg.norm(both), SUN_N))
+            total = SUN_N + self.known_N.mean(axis=0)
+            back = _rotation_by_sine(np.cross(total / np.linalg.norm(total), SUN_N))
             for angle in 2 * np.pi / AZIMUTHS * np.arange(1 if about_sun else AZIMUTHS):
                 yield rotate_attitude(back, -angle * SUN_N), np.zeros(m)
             return
@@ -185,9 +185,9 @@ def pairs_differing(
     share, error = readings[0] / full, readings[1] / full
     power, sigma = readings[0].copy(), sigma_light_noise.copy()
     for i, j in np.argwhere(opposite_panels(facing_B)):  # each pair twice, as (i, j) and (j, i)
-        both = np.isfinite(error[:, i]) & np.isfinite(error[:, j])
-        power[both, i] = full[i] * np.maximum(share[both, i] - share[both, j], 0.0)
-        sigma[both, i] = full[i] * np.hypot(error[both, i], error[both, j])
+        read = np.isfinite(error[:, i]) & np.isfinite(error[:, j])  # samples in which both were
+        power[read, i] = full[i] * np.maximum(share[read, i] - share[read, j], 0.0)
+        sigma[read, i] = full[i] * np.hypot(error[read, i], error[read, j])
     return power, sigma
 
 

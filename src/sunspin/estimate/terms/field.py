@@ -19,7 +19,7 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.model import SUN_N, States, Unknown
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.terms.directions import SunDirections
-from sunspin.estimate.terms.term import Residual, Term, drifting, facing, gaussian
+from sunspin.estimate.terms.term import Residual, Term, at_sample_before, drifting, facing, gaussian
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotate_by_smallest
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
@@ -131,12 +131,15 @@ class FieldChange(Term):
         read = np.isfinite(self.field_B).all(axis=1)
         slopes, values = [], []
         for k in np.unique(window):
-            here = np.flatnonzero((window == k) & read)
-            if len(here) < FEWEST_IN_WINDOW:
+            inside = np.flatnonzero((window == k) & read)
+            if len(inside) < FEWEST_IN_WINDOW:
                 continue
-            parabola = np.linalg.qr(np.vander((t_s[here] - t_s[here].mean()) / WINDOW_S, 3))[0]
-            # columns 0 to 2: slope of the condition by the zero; column 3: its value
-            rows = np.column_stack([2 * self.field_B[here], (self.field_B[here] ** 2).sum(axis=1)])
+            # orthonormal columns that span the parabolas of the window
+            time = (t_s[inside] - t_s[inside].mean()) / WINDOW_S
+            parabola = np.linalg.qr(np.vander(time, 3))[0]
+            # columns 0 to 2: slope 2 b of the condition by the zero; column 3: its value |b|^2
+            fields = self.field_B[inside]
+            rows = np.column_stack([2 * fields, (fields**2).sum(axis=1)])
             rows = rows - parabola @ (parabola.T @ rows)
             slopes.append(rows[:, :3])
             values.append(rows[:, 3])
@@ -199,7 +202,7 @@ class FieldChange(Term):
             return
         inverse = self._inverse_sigma()[:, None]
         read = np.nan_to_num(self.field_B)
-        relative = states.attitude @ np.swapaxes(_before(states.attitude, axis=1), -1, -2)
+        relative = states.attitude @ np.swapaxes(at_sample_before(states.attitude, axis=1), -1, -2)
         errors, by_u = np.zeros((len(u), *read.shape)), None
         drift = np.zeros_like(errors)
         if u.size:
@@ -210,14 +213,18 @@ class FieldChange(Term):
                 by_error = np.concatenate([by_error, self.matrix_sigma * rows], axis=-1)
             # and to the field (K, n, 3, d) since the sample before
             dt = np.diff(self.t_s, prepend=self.t_s[0])[:, None, None]
-            by_drift = np.einsum("knij,nmj->knim", states.attitude, _before(self.drift_N) * dt)
+            by_drift = np.einsum(
+                "knij,nmj->knim", states.attitude, at_sample_before(self.drift_N) * dt
+            )
             of_drift = slice(0, by_drift.shape[-1])
             of_errors = slice(of_drift.stop, None)
             drift = np.einsum("knim,km->kni", by_drift, u[:, of_drift])
             errors = np.einsum("nim,km->kni", by_error, u[:, of_errors])
-            by_u = np.concatenate([by_drift, by_error - relative @ _before(by_error)], axis=-1)
+            by_u = np.concatenate(
+                [by_drift, by_error - relative @ at_sample_before(by_error)], axis=-1
+            )
             by_u = by_u * inverse[..., None]
-        true_before = _before(read) - _before(errors, axis=1)
+        true_before = at_sample_before(read) - at_sample_before(errors, axis=1)
         expected = (relative @ true_before[..., None])[..., 0] + drift
         value = (expected - (read - errors)) * inverse
         # a turn t moves a vector v of space by v x t
@@ -285,10 +292,13 @@ class KnownField(Term):
 
     @classmethod
     def of(
-        cls, fields: FieldChange, here: Surroundings, calibration: CalibratedMagnetometer
+        cls,
+        fields: FieldChange,
+        surroundings: Surroundings,
+        calibration: CalibratedMagnetometer,
     ) -> Self:
-        """Return readings calibrated along an orbit; noise and the zero's error are then those of the calibration."""
-        field_N, along_N = here.field_N, here.field_along_N
+        """Return readings calibrated along an orbit; their errors are those of the calibration."""
+        field_N, along_N = surroundings.field_N, surroundings.field_along_N
         assert field_N is not None and along_N is not None
         read = fields.field_B
         return cls(
@@ -437,10 +447,3 @@ def _without_rotation(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:
     left = errors.copy()
     left[read] -= np.cross(rotation, field_B[:, None])
     return left
-
-
-def _before(values: np.ndarray, axis: int = 0) -> np.ndarray:
-    """Return values with those of the sample before in place of each, and the first twice; `axis`: that of the samples, 0 or 1."""
-    if axis == 0:
-        return np.concatenate([values[:1], values[:-1]])
-    return np.concatenate([values[:, :1], values[:, :-1]], axis=1)

@@ -11,7 +11,7 @@ import xarray as xr
 
 from sunspin.estimate.model import States, Unknown
 from sunspin.estimate.settings import GYRO_ZEROS
-from sunspin.estimate.terms.term import Residual, Starts, Term, gaussian
+from sunspin.estimate.terms.term import Residual, Starts, Term, at_sample_before, gaussian
 from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
@@ -95,7 +95,7 @@ class GyroRates(Term):
         return (*zeros, *([scale] if self.scale_sigma else []))
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the rate and the errors in common less the reading (K, n, 3), in sigmas."""
+        """Yield the predicted reading, the rate with the errors of zero and scale, less the reading (K, n, 3), in sigmas."""
         was_read = self.present()[:, None]
         if not was_read.any():
             return
@@ -112,7 +112,8 @@ class GyroRates(Term):
     def for_search(self) -> list[Self]:
         """Return the gyro without unknowns, whose errors are added to the noise.
 
-        A zero whose sigma the file does not state is left out: 3 deg/s, the largest it may be, would be no gyro.
+        A zero whose sigma the file does not state is taken for none: with an error of 3 deg/s, the largest it may be, the gyro
+        would say nothing.
         """
         columns = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._columns
         common = np.sqrt((columns**2).sum(axis=(1, 2)).mean() / 3) if columns.size else 0.0
@@ -124,7 +125,7 @@ class GyroRates(Term):
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
     def starts(self, sample: int) -> Starts:
-        """Return the rates that it reads at a sample and the next; their sigma is known only if both were read."""
+        """Return the rates that were read at a sample and the next one; their sigma counts only if both were read."""
         rates = self.rate_B[sample : sample + 2]
         rates = rates[np.isfinite(rates).all(axis=1)]
         return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)
@@ -134,7 +135,7 @@ class GyroRates(Term):
 class AttitudeChange(Term):
     """Attitudes B_from_N (n, 3, 3) of some inertial frame at times `t_s` (n), NaN where not read, with one sigma (rad).
 
-    Only the turn between neighbours is used: which frame it is does not matter.
+    Only the turn between neighbouring samples is used, so that it does not matter which frame it is.
     """
 
     name: ClassVar[str] = "attitude"
@@ -166,16 +167,16 @@ class AttitudeChange(Term):
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the turn (K, n, 3) of the body since the sample before less the one read, in sigmas.
 
-        Both are nearly alike, so that small turns add as vectors: that gives the derivatives.
+        The value is the rotation vector from the turn that was read to that of the motion. Both are nearly alike, so that small
+        turns add to it as vectors: that gives the derivatives.
         """
         was_read = self.present()
         if not was_read.any():
             return
-        before = np.concatenate([self.B_from_N[:1], self.B_from_N[:-1]])
-        turn_read = self.B_from_N @ np.swapaxes(before, -1, -2)
+        turn_read = self.B_from_N @ np.swapaxes(at_sample_before(self.B_from_N), -1, -2)
         turn_read = np.where(was_read[:, None, None], turn_read, np.eye(3))
-        previous = np.concatenate([states.attitude[:, :1], states.attitude[:, :-1]], axis=1)
-        relative = states.attitude @ np.swapaxes(previous, -1, -2)
+        before = at_sample_before(states.attitude, axis=1)
+        relative = states.attitude @ np.swapaxes(before, -1, -2)
         inverse = np.where(was_read, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         turn_read = np.broadcast_to(turn_read, relative.shape)
         value = rotation_between(turn_read, relative) * inverse
@@ -188,7 +189,7 @@ class AttitudeChange(Term):
         return replace(self, sigma_rad=float(np.hypot(self.sigma_rad, drift_rad.max())))
 
     def starts(self, sample: int) -> Starts:
-        """Return the rates of the turn from a sample to the next, with whole turns more and less."""
+        """Return constant rates (r, 3) that make the turn from a sample to the next, with whole turns more and less."""
         pair = self.B_from_N[sample : sample + 2]
         if len(pair) < 2 or not np.isfinite(pair).all():
             return Starts()

@@ -67,10 +67,10 @@ class ReadingTimes(NamedTuple):
 
     def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
         """Yield each instant, s after the time of the row, with the weights (n_input) that it has in the readings."""
-        whole = np.zeros(1), 2 * np.ones(1)
+        at_once = np.zeros(1), 2 * np.ones(1)
         for offset in np.unique(self.offset_s):
-            for place, weight in zip(*(AVERAGED if self.averaged_s else whole), strict=True):
-                shift = float(offset + place * self.averaged_s / 2)
+            for node, weight in zip(*(AVERAGED if self.averaged_s else at_once), strict=True):
+                shift = float(offset + node * self.averaged_s / 2)
                 yield shift, weight / 2 * (self.offset_s == offset)
 
 
@@ -155,22 +155,23 @@ class Panels(Term):
         silent = np.flatnonzero(~self.ever_shown)
         return tuple(self.names[k] for k in silent) if len(silent) < len(self.names) else ()
 
-    def placed(self, here: Surroundings) -> Self:
-        """Return the panels with the Sun up or down, and the Earth's light where an orbit knows it.
+    def placed(self, surroundings: Surroundings) -> Self:
+        """Return the panels with what an orbit says of their surroundings: whether the Sun is up, and the Earth's light.
 
-        In the shadow panels must be dark, and say no more. Where the shift of the orbit leaves open whether the Sun is up, the
-        brightness of the sample is free.
+        In the shadow panels must be dark, and say no more. Where the along-track offset of the orbit leaves open whether the Sun is
+        up, the brightness of the sample is free.
         """
         placed = self
-        if here.albedo_light_N is not None:
+        if surroundings.albedo_light_N is not None:
             # without opposite panels the file does not say how much light there is
             share = self.earth_share or UNKNOWN_SHARE
-            placed = replace(self, known_N=here.albedo_light_N, earth_share=share)
-        if here.lit is None or here.lit_sigma is None:
+            placed = replace(self, known_N=surroundings.albedo_light_N, earth_share=share)
+        lit, lit_sigma = surroundings.lit, surroundings.lit_sigma
+        if lit is None or lit_sigma is None:
             return placed
-        dark = here.lit + here.lit_sigma < LEAST_LIT
+        dark = lit + lit_sigma < LEAST_LIT
         # neither surely in the shadow nor surely in the Sun
-        at_edge = ~dark & (here.lit - here.lit_sigma < 1 - LEAST_LIT)
+        at_edge = ~dark & (lit - lit_sigma < 1 - LEAST_LIT)
         free = np.maximum(self.scale_sigma, LIMITED_SCALE)
         return replace(
             placed,
@@ -288,9 +289,9 @@ class Panels(Term):
         return known if self.earth is None else known.for_search()[0]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the panels with the most that drifts (n) of a start, in rad, change added to their errors.
+        """Return the panels with their errors enlarged by the most that a start that is off by drifts (n), rad, changes a reading.
 
-        A reading changes by at most full Sun for each radian, as the cosine of the angle to the Sun does.
+        That is full Sun for each radian, as the cosine of the angle to the Sun changes.
         """
         drift = drift_rad[:, None] * self.full_sun * self.scale[:, None]
         return replace(self, sigma=np.hypot(self.sigma, drift))
@@ -341,8 +342,8 @@ class Panels(Term):
         predicted = predicted + zero
         slopes = np.concatenate([by_turn, by_gain, *by_earth], axis=-1)
 
-        # All that follows is in sigmas, with the factor's prior as row p + 1: difference = factor * shape - target, which is least
-        # at factor = shape . target / shape . shape. No factor is negative.
+        # All that follows is in sigmas, with the prior of the factor as row p + 1: difference = factor * shape - target. Its square
+        # is least at factor = shape . target / shape . shape. No factor is negative.
         inverse = np.where(np.isfinite(self.sigma), 1 / self.sigma, 0.0)
         size = inverse * self.scale[:, None]
         prior = np.broadcast_to((1 / self.scale_sigma)[:, None], (*predicted.shape[:2], 1))

@@ -17,9 +17,9 @@ from sunspin.vehicle.sensors import VARIABLES
 
 @dataclass(frozen=True)
 class RateMagnitudes(Term):
-    """Sizes of the rate (n) in rad/s, NaN where not read, with one `sigma` (rad/s) and a relative `scale_sigma`.
+    """Magnitudes of the rate (n) in rad/s, NaN where not read, with one `sigma` (rad/s) and a relative `scale_sigma`.
 
-    It parts aliases, which differ in size by whole turns between samples, and says nothing of the axis.
+    They distinguish aliases, whose speeds differ by whole turns between samples, and say nothing of the axis.
     """
 
     name: ClassVar[str] = "rate_size"
@@ -54,9 +54,10 @@ class RateMagnitudes(Term):
         return (Unknown("rate_size_scale", "rate_size_scale", "1", 0.0, self.scale_sigma),)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the size of the rate and the error in common less the reading.
+        """Yield the predicted reading, the size of the rate with the error of the scale, less the reading (K, n, 1), in sigmas.
 
-        The size grows along the axis of the rate. At rest it grows along every axis alike, so that the derivative is zero there.
+        The derivative of the size by the rate is the axis of the rate. At rest the size grows alike along every axis; the
+        derivative is taken as zero.
         """
         was_read = self.present()
         if not was_read.any():
@@ -75,7 +76,7 @@ class RateMagnitudes(Term):
         yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(column, (*value.shape, 1)))
 
     def for_search(self) -> list[Self]:
-        """Return the sizes without the error in common, as uncertain as it makes them."""
+        """Return the sizes without an unknown scale, whose error is added to their noise."""
         common = self.scale_sigma * np.sqrt(np.nanmean(self.size**2)) if self.unknowns() else 0.0
         return [replace(self, sigma=float(np.hypot(self.sigma, common)), scale_sigma=0.0)]
 

@@ -27,9 +27,10 @@ Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return cost and weight (...) of the readings at a sample (..., r) under Student's law, which they share.
+    """Return cost and weight (...) of the readings at a sample (..., r) under one Student's law for all of them.
 
-    What makes one reading of a sample bad mostly makes all of them bad. The constant (FREEDOM + 2) / 2 is that of two numbers.
+    They share it since what makes one reading of a sample bad mostly makes all of them bad. The factor (FREEDOM + 2) / 2 is that of
+    a law of two numbers.
     """
     square = np.einsum("...r,...r->...", value, value)
     return (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM), (FREEDOM + 2) / (FREEDOM + square)
@@ -70,7 +71,7 @@ class Starts(NamedTuple):
 
 @dataclass(frozen=True)
 class Term:
-    """What every term can be asked; n are its samples. By default it has no readings and no unknowns."""
+    """What one sensor reads of a motion, or a torque does to it, at n samples. By default there are no readings and no unknowns."""
 
     name: ClassVar[str]
     """Its name in files."""
@@ -86,7 +87,7 @@ class Term:
     """How fast the axes of N turn in space, at most, if they follow what this term reads."""
 
     def of_pass(self, t_s: np.ndarray) -> Self:
-        """Return the term at the times (n) of one pass, with what is estimated of it there."""
+        """Return the term of one pass with samples at times (n), with the unknowns that are constant in it."""
         return self
 
     def take(self, samples: Any) -> Self:
@@ -102,7 +103,7 @@ class Term:
         return 3 * self.present()
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return what is estimated of it with the motion."""
+        """Return the numbers of the sensor or torque that are estimated with the motion."""
         return ()
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
@@ -128,7 +129,7 @@ class Term:
         return states.attitude, np.zeros((len(states.omega), len(self.unknowns())))
 
     def for_search(self) -> Sequence[Term]:
-        """Return the term without unknowns, trusted no further than they allow; several if its readings may mean several things."""
+        """Return the term without unknowns, whose errors are added to the noise; several if readings may mean several things."""
         return [self]
 
     def held(self, u: np.ndarray) -> Self:
@@ -136,11 +137,11 @@ class Term:
         return self
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the term with larger sigmas, for a start that may be off by turns (n) in rad and by this rate (rad/s)."""
+        """Return the term with larger sigmas, for a start that is off by `drift_rad` (n) in attitude and `drift_rad_s` in rate."""
         return self
 
     def starts(self, sample: int) -> Starts:
-        """Return what it knows at a sample and the next one."""
+        """Return what its readings at a sample and the next one say of where a search may start."""
         return Starts()
 
 
@@ -153,6 +154,13 @@ def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
     # (n, 2): of the mean, and of the drift
     sigmas = sigma * np.stack([np.ones(len(t_s)), away], axis=1)
     return (sigmas[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
+
+
+def at_sample_before(values: np.ndarray, axis: int = 0) -> np.ndarray:
+    """Return values with those of the sample before in place of each, and the first twice; `axis`: that of the samples, 0 or 1."""
+    if axis == 0:
+        return np.concatenate([values[:1], values[:-1]])
+    return np.concatenate([values[:, :1], values[:, :-1]], axis=1)
 
 
 def facing(sun_B: np.ndarray) -> np.ndarray:

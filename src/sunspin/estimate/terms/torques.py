@@ -29,8 +29,8 @@ SERIES = 12
 class ConstantTorque(Term):
     """A torque that is constant over a pass, in the body (a leak, a thruster) or in space (drag, gravity).
 
-    A torque that changes the rate by dw over the time T turns the body by dw T / 2: that angle, and not the acceleration, says how
-    much the data see of it. `sigma` (rad/s2): that of the largest of the `shares`; `inertia` (3, 3) and `momentum` (n, 3) as in a
+    A torque that changes the rate by dw over the time T turns the body by dw T / 2. This angle, not the acceleration, decides how
+    well the data show it. `sigma` (rad/s2): that of the largest of the `shares`; `inertia` (3, 3) and `momentum` (n, 3) as in a
     model.
     """
 
@@ -122,7 +122,7 @@ class MagneticTorque(Term):
         return self if self.field_N is None else replace(self, field_N=self.field_N[samples])
 
     def for_search(self) -> list[MagneticTorque]:
-        """Return none: a search has strong unknown torques."""
+        """Return the torque with a dipole of zero: a search has strong unknown torques."""
         return [replace(self, sigma=0.0)]
 
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -150,8 +150,9 @@ class MagneticTorque(Term):
         """
         if not self.sigma:
             return None
-        # An acceleration a(s) adds the rate dt <a> and the turn dt^2 / 2 <a>_early: a mean with the weight 2 (dt - s) / dt, as what
-        # acts early turns the body longer. Of a field that is linear in s these means are at a half and at a third of the interval.
+        # An acceleration a(s) adds the rate dt <a> and the turn dt^2 / 2 <a>_early. The second mean has the weight 2 (dt - s) / dt,
+        # as what acts early turns the body longer. Of a field that is linear in s these means are at a half and at a third of the
+        # interval.
         even, early = averaged_attitudes(states, dt)
         if self.field_N is None:
             size = self.sigma / np.sqrt(6)
