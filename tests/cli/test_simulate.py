@@ -1,6 +1,7 @@
 """Commands that compute a motion, and so compile kernels: their results, the last time, folders and caches."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -45,3 +46,13 @@ def test_export_writes_to_a_folder_whose_name_is_not_utf8(form, tmp_path, undraw
     epoch = "--epoch=2026-01-01T00:00:00Z"
     done = sunspin("export", tmp_path / "run", "--format", form, epoch, "--out", place)
     assert done.err == "" and len(list(place.glob("[a-z]*"))) == 1
+
+
+def test_the_direction_to_the_sun_may_have_any_length():
+    """A direction rounded to two digits was refused once: its length was 0.998."""
+    motion = "simulate", "philae", "--omega-deg-s=6,0,0", "--duration=60", "--json"
+    rounded, doubled = (
+        json.loads(sunspin(*motion, f"--sun={sun}").out) for sun in ("0.2,0.57,0.8", "0.4,1.14,1.6")
+    )
+    assert rounded["sun_B"] == pytest.approx(doubled["sun_B"], abs=1e-9)
+    assert math.hypot(*rounded["sun_B"]) == pytest.approx(1.0, abs=1e-9)

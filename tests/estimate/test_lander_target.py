@@ -55,7 +55,7 @@ def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_p
     model = lander_model(tilt=0.02)
     target, shots = LanderTarget(model), near(model)
     of = target.linearised(shots)
-    slope, curvature = target.reading_slopes(of.slopes.seen, shots.u, 1.0)
+    slope, curvature = target.reading_slopes(of.slopes.seen, shots.u)
     prior = shots.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
     own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
@@ -176,7 +176,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     model = late_model(2.0)
     free = np.ones(len(model.unknowns), dtype=bool)
     fitting = Fitting(FitProblem(model, free, FINAL_ERROR), nominal(model))
-    fitting.go(1.0, 8)
+    fitting.fit_under(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.shots.u[0, model.places("noise")[0]]
     value = fitting.problem.of_panels(fitting.linear.value)

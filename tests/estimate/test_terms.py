@@ -159,6 +159,14 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
         assert np.allclose(by_u, system.border_slope[:, j], rtol=1e-3, atol=atol)
 
 
+def test_neighbours_fit_the_field_that_they_read():
+    seen = motions(np.random.default_rng(5), count=1)
+    term = FieldChange(T_S, seen.attitude[0] @ [0.3, -0.2, 0.9], 0.01)
+    (residual,) = term.residuals(seen, np.zeros((1, 0)))
+    assert np.abs(residual.value).max() < 1e-12
+    assert not term.present()[0] and term.present()[1:].all()
+
+
 def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
     seen = motions(np.random.default_rng(6), count=1)
     drift = 1e-3 * np.array([0.4, -0.7, 0.2])  # of a field of size one, a second

@@ -6,7 +6,7 @@ import click
 
 from sunspin.cli.changes import TELEMETRY_KEYS, Command, load_inputs, set_options
 from sunspin.cli.common import PATH, shared
-from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, parse_vertical
+from sunspin.cli.values import BODY_RATE, DIRECTION, Parsed, parse_vertical
 
 
 @click.command(cls=Command)
@@ -33,7 +33,12 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, parse_vertical
     multiple=True,
     help="Candidate: a possible body rate, deg/s, at --lead. Each run draws one candidate. Repeatable.",
 )
-@click.option("--sun", "sun_B", type=VECTOR, help="Unit vector to the Sun at --lead, body axes.")
+@click.option(
+    "--sun",
+    "sun_B",
+    type=DIRECTION,
+    help="Direction to the Sun at --lead, body axes, of any length.",
+)
 @click.option("--lead", type=float, help="Time after touchdown at which candidate rates hold, s.")
 @click.option("--before", "before_s", type=float, help="Time from --lead to the collision, s.")
 @click.option(

@@ -91,6 +91,7 @@ def posterior(
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --out posterior
     """
+    output.draw_in_background("posterior", workers)
     from sunspin.cases import case_telemetry_path, read_timeline
     from sunspin.estimate.posterior import posterior as sample_posterior
     from sunspin.landing.predictions import add_predictions

@@ -6,7 +6,7 @@ import click
 
 from sunspin.cli.changes import LANDING_KEYS, PANEL_KEYS, Command, load_inputs, set_options
 from sunspin.cli.common import POSITIVE, shared
-from sunspin.cli.values import BODY_RATE, VECTOR
+from sunspin.cli.values import BODY_RATE, DIRECTION
 
 
 @click.command(cls=Command)
@@ -15,7 +15,11 @@ from sunspin.cli.values import BODY_RATE, VECTOR
     "--omega-deg-s", "omega_B", type=BODY_RATE, required=True, help="Initial body rate, deg/s."
 )
 @click.option(
-    "--sun", "sun_B", type=VECTOR, required=True, help="Initial unit vector to the Sun, body axes."
+    "--sun",
+    "sun_B",
+    type=DIRECTION,
+    required=True,
+    help="Initial direction to the Sun, body axes, of any length.",
 )
 @click.option("--duration", type=float, required=True, help="Duration in s; negative: backward.")
 @click.option("--step", type=POSITIVE, default=1.0, help="Output step in s.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -102,7 +101,16 @@ def parse_rate(text: str, name: str) -> list[float]:
     return [math.radians(number) for number in parse_numbers(text, name, 3)]
 
 
-VECTOR, BODY_RATE = Parsed(partial(parse_numbers, count=3), "X,Y,Z"), Parsed(parse_rate, "X,Y,Z")
+def parse_direction(text: str, name: str) -> list[float]:
+    """Return the unit vector (3) along a direction of any length, such as one that was rounded to two digits."""
+    direction = parse_numbers(text, name, 3)
+    length = math.hypot(*direction)
+    if not length:
+        raise InputError(f"{name} takes a direction, not zeros", got=text)
+    return [component / length for component in direction]
+
+
+DIRECTION, BODY_RATE = Parsed(parse_direction, "X,Y,Z"), Parsed(parse_rate, "X,Y,Z")
 
 
 def parse_effort(text: str, name: str) -> float:

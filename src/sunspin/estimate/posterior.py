@@ -286,12 +286,13 @@ def draw_all_models(
 
     # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
     # of a few degrees over the samples, since inertia and friction compensate it. So these models are always in the draws.
-    torques = torque_carriers(nominal, priors)
+    carrier = nominal.carrier
+    torques = [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
     say(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
     with ThreadPoolExecutor(nominal.carrier.workers) as pool:
-        fits = [nominal.fit, *pool.map(lambda other: refit(other, nominal), torques)]
+        fits = [nominal.fit, *pool.map(lambda torque: refit(torque, nominal), torques)]
     drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
     if not (torques and nominal.carrier.complete) or nominal_explains(
@@ -304,17 +305,11 @@ def draw_all_models(
     if nominal.carrier.fitted > settings.long_search or budget.exhausted():
         return [*drawn.doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
-    under_torques = [search_and_refit(other, nominal) for other in torques]
+    under_torques = [search_and_refit(torque, nominal) for torque in torques]
     again = draw_models(
         [nominal.fit, *under_torques], nominal, streams[3:6], budget, drawn.draws[0]
     )
     return again.doubts, again.mixture(reach_s, settings)
-
-
-def torque_carriers(nominal: NominalSearch, priors: Mapping[str, Any] | None) -> list[Shooting]:
-    """Return carriers of the same readings under models with a constant torque, in body axes and in space."""
-    carrier = nominal.carrier
-    return [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
 
 
 def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
@@ -366,9 +361,9 @@ def draw_models(
 
     def draws_of(h: int) -> tuple[Draws, Budget]:
         """Return the draws of a model and the budget that they used, in motions over the whole stretch."""
-        fit, s, own = fits[h], settings.sampling, Budget(most)
+        fit, s, spent = fits[h], settings.sampling, Budget(most)
         if h == 0 and before is not None:
-            return before, own
+            return before, spent
         part = 1.0 if evidence[h] == evidence.max() else settings.others_draws
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
@@ -380,16 +375,16 @@ def draw_models(
         # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one,
         # over `Unknown.sigma`.
         fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-        return sample(LanderTarget(fit.model), fit, streams[h], s, own, fitted_share), own
+        return sample(LanderTarget(fit.model), fit, streams[h], s, spent, fitted_share), spent
 
     drawn = Drawn([], [], [])
     # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two
     with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
         results = list(pool.map(draws_of, chosen))
-    for h, (draws, own) in zip(chosen, results, strict=True):
+    for h, (draws, spent) in zip(chosen, results, strict=True):
         fit = fits[h]
-        budget.spend(own.used * count)
-        budget.cut |= own.cut
+        budget.spend(spent.used * count)
+        budget.cut |= spent.cut
         if np.isfinite(draws.evidence):
             drawn.fits.append(fit)
             drawn.draws.append(draws)

@@ -304,14 +304,12 @@ class SamplingSettings:
     inner_width: float = 1.1
     """Factor on the sigmas of the stiff coordinates given the others."""
 
-    reading_noise: tuple[float, ...] = (1.0,)
-    """Factors on the noise in the steps to the best gains, brightness and misalignments given a motion."""
-
     reading_draws: int = 8
-    """Sets of these that are drawn for each motion. With one, a set far out in its law once left 416 effective draws of 16,000."""
+    """Sets of gains, brightness and misalignments that are drawn for each motion. With one, a set far out in its law once left 416
+    effective draws of 16,000."""
 
     reading_step: float = 2.0
-    """Such a step is no longer than this, in sigmas of the prior."""
+    """Longest step to their best values, in sigmas of the prior."""
 
     defence: float = 0.15
     """Part of the outer law that stays with Laplace's method, with twice its covariance."""

@@ -196,12 +196,14 @@ class Shooting:
         for sample in (window.start - 1, window.stop):
             if wider.start <= sample < wider.stop:
                 allowed[allowed] = self._allowed(motions.shots.take(allowed), sample)
-        going = motions.take(allowed) if allowed.any() else motions
-        count = wider.stop - wider.start
-        left = max(s.most_search - self.fitted, s.least_work) // 3
-        most = min(s.most_work, left) // count
-        self._announce(len(going), most, count)
-        return self._at_most(going, most, f"({count} samples)")
+        if allowed.any():
+            motions = motions.take(allowed)
+        # a third of the remaining work, which is counted in motions times samples
+        samples = wider.stop - wider.start
+        work = max(s.most_search - self.fitted, s.least_work) // 3
+        most = min(s.most_work, work) // samples
+        self._announce(len(motions), most, samples)
+        return self._at_most(motions, most, f"({samples} samples)")
 
     def _allowed(self, shots: Shots, sample: int) -> np.ndarray:
         """Return which motions (K) a sample allows.
@@ -309,24 +311,24 @@ class Shooting:
         parts, curvatures = [], []
         for sizes in begins:
             problem = FitProblem(self.model, free, FINAL_ERROR, sizes)
-            fit = partial(fit_finally, problem, levels=self.s.last_levels)
-            fitted, curvature = in_pieces(fit, shots, problem.rows_at_once, self.workers)
+            fit_part = partial(fit_finally, problem, levels=self.s.last_levels)
+            fitted, curvature = in_pieces(fit_part, shots, problem.rows_at_once, self.workers)
             if sizes:
                 # now under the prior with all sizes
-                weighed = replace(problem, sizes=ALL_SIZES)
-                fit = partial(fit_finally, weighed, levels=((1.0, 4),))
-                fitted, curvature = in_pieces(fit, fitted, problem.rows_at_once, self.workers)
+                problem = replace(problem, sizes=ALL_SIZES)
+                fit_part = partial(fit_finally, problem, levels=((1.0, 4),))
+                fitted, curvature = in_pieces(fit_part, fitted, problem.rows_at_once, self.workers)
             parts.append(fitted)
             curvatures.append(curvature)
-        every, curvature = Shots.joined(parts), np.concatenate(curvatures)
-        evidence = log_evidence(self.model, every.cost, curvature)
-        whole = ShotFit(self.model, every, curvature, evidence, np.tile(starts, len(begins)))
-        kept = distinct_fits(whole, self.s)
-        if len(kept) > self.s.most_fitted:
+        fitted, curvature = Shots.joined(parts), np.concatenate(curvatures)
+        evidence = log_evidence(self.model, fitted.cost, curvature)
+        fit = ShotFit(self.model, fitted, curvature, evidence, np.tile(starts, len(begins)))
+        fit = distinct_fits(fit, self.s)
+        if len(fit) > self.s.most_fitted:
             self._note(f"more than {self.s.most_fitted} solutions", complete=True)
-            kept = kept.take(slice(self.s.most_fitted))
-        starts = -(-kept.starts // len(begins))  # each start was fitted from each size
-        return replace(kept, starts=starts, complete=self.complete, notes=tuple(self.notes))
+            fit = fit.take(slice(self.s.most_fitted))
+        starts = -(-fit.starts // len(begins))  # each start was fitted from each size
+        return replace(fit, starts=starts, complete=self.complete, notes=tuple(self.notes))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:

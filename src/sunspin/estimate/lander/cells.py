@@ -1,8 +1,8 @@
-"""The compiled part of the search for starts: cells of a grid of rates are looked through, and starts in them settled.
+"""The compiled search for starts in the cells of a grid of rates: comparison with the readings, and least squares.
 
-A cell is a cube of rates at the reference, at whose eight corners the attitudes at m other samples are known; between them
-quaternions are interpolated. A start is a rate, by its place x (3) in a cell in parts of the edge, and a direction to the Sun at
-the reference, by one of a list and a step (2) from it in the plane of its tangents. Read :func:`search_cells` at the end first.
+A cell is a cube of rates at the reference. At its eight corners the attitudes at m other samples are known, and in it quaternions
+are interpolated. A start is a rate, by its place x (3) in a cell in parts of the edge, and a direction to the Sun at the reference,
+by the index of a direction and a step (2) from it in its tangent plane. Begin to read at :func:`search_cells`, the last function.
 `tests/estimate/plain_cells.py` does the same in NumPy.
 """
 
@@ -17,24 +17,25 @@ from sunspin.estimate.terms.powers import HALF_WEIGHT, ROUNDS, PanelPowers
 from sunspin.vehicle.response.joined import JoinedResponse
 
 DARK_SLOPE = 0.1
-"""A dark panel has a slope up to this cosine beyond its edge, so that a start finds into the light."""
+"""A panel that was read as lit gets a derivative up to this cosine beyond its edge, so that least squares moves it into the
+light."""
 
 SOFT_SIGMAS = 5.0
-"""Differences far beyond this many sigmas hardly pull while a start settles: the reading may be an outlier."""
+"""A residual far beyond this many sigmas has little weight in least squares: the reading may be an outlier."""
 
 DAMPING, LEAST_DAMPING = 1e-2, 1e-3
 """Part of the curvature that damps a step by which a start settles, and the least damping."""
 
 LONGEST_PLACE, LONGEST_TURN = 0.25, 0.3
-"""A step is no longer than this part of the edge, and than this turn (rad) of the direction."""
+"""Longest step of a place, in parts of the edge, and of a direction, rad."""
 
 FARTHEST_PLACE, KEPT_PLACE = 0.2, 0.5
-"""A place goes no farther than this out of its cell. A start is kept no farther than this from the middle of its eighth: beyond,
-that of a neighbour ends at the same motion. Both in parts of the edge."""
+"""Limits in parts of the edge: of a place outside its cell, and of a settled start from the middle of its eighth. Farther starts
+are dropped, as the start of a neighbouring eighth ends at the same motion."""
 
 START_SIZE = 8
 OF_CELL, OF_SUN, OF_PLACE, OF_STEP, OF_MISFIT = 0, 1, slice(2, 5), slice(5, 7), 7
-"""Where the numbers of a start stand: index of its cell, index of its direction, place (3), step (2), misfit."""
+"""Columns of a start: index of its cell, index of its direction, place (3), step (2), misfit."""
 
 COORDINATES = 5
 """Of a start in least squares: place (3), then step (2)."""
@@ -66,13 +67,13 @@ class PanelTable(NamedTuple):
         count = len(response.gains)
         members, largest = [np.array([k]) for k in range(count)], [False] * count
         if isinstance(response, JoinedResponse):
-            members = [np.array(each.panels) for each in response.inputs]
-            largest = [each.largest for each in response.inputs]
+            members = [np.array(joined.panels) for joined in response.inputs]
+            largest = [joined.largest for joined in response.inputs]
         order = np.concatenate(members)
         rows = panels.brightness * response.gains[order, None] * response.normals_B[order]
         full = panels.brightness * response.power(response.facing_B).diagonal()
         return cls(
-            np.cumsum([0, *(len(each) for each in members)]),
+            np.cumsum([0, *(len(panels_of) for panels_of in members)]),
             np.ascontiguousarray(rows),
             np.array(largest),
             np.ascontiguousarray(response.facing_B),
@@ -85,10 +86,10 @@ class PanelTable(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What the readings of m samples say of each of n directions, the nodes (float32, (m, n)), so that no reading is asked again.
+    """Comparison of the readings of m samples with n directions, the nodes: arrays (m, n) of float32, computed once.
 
-    `near`, `far`: by how much they contradict all directions within `near_rad` or `far_rad` (:class:`GridSettings`) of the node;
-    `misfit`: how badly the node itself fits.
+    `near`, `far`: by how much the readings contradict all directions within `near_rad` or `far_rad` (:class:`GridSettings`) of the
+    node; `misfit`: sum of squares of the node itself.
     """
 
     near: np.ndarray
@@ -109,7 +110,7 @@ class Limits(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Cells that are looked through.
+    """Cells in which starts are sought.
 
     `lowest` (c): index of the lowest corner of each in the cube of a :class:`RateGrid`, `away` (8): what is added for each corner;
     `row_of`, `turn` as there. `suns` (s, 3, 3): directions at the reference, each with two tangents. `middles` (8, 3), `points` (8,
@@ -126,7 +127,7 @@ class Cells(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays that compiled code fills again for each start.
+    """Arrays that compiled code overwrites for each start.
 
     `q` (4, 4): quaternion of the attitude at a sample and its changes by the place. `here` (3, 3): direction at the reference and
     its changes by the step; `sun` (3), `slope` (5, 3): direction at a sample and its changes by place and step. `light` (p),
@@ -238,7 +239,7 @@ def nearest_node(size, x, y, z):
 def contradiction(turns, sun, short, limits, out):
     """Return by how much the worst sample contradicts all directions near `sun` rotated by the quaternions `turns` (m, 4).
 
-    `short`: `near` or `far` of the tables. Samples after one beyond the limit are not asked.
+    `short`: `near` or `far` of the tables. It ends at the first sample beyond the limit.
     """
     worst = 0.0
     for m in range(len(turns)):

@@ -143,9 +143,10 @@ class FitProblem:
 
         Rates are included if times of samples have errors, or if there are other readings than those of panels.
         """
-        seen, fine = self.model.carried(shots, error_rad)
-        every = np.concatenate([seen.sun_B, seen.omega], axis=2)
-        return (every if self.model.given or self.model.panels.time_s else seen.sun_B), fine
+        states, fine = self.model.carried(shots, error_rad)
+        if not (self.model.given or self.model.panels.time_s):
+            return states.sun_B, fine
+        return np.concatenate([states.sun_B, states.omega], axis=2), fine
 
     @property
     def difference_error(self) -> float:
@@ -319,7 +320,7 @@ class Fitting:
         """Return the cost (K) under the present noise."""
         return self.system.cost
 
-    def go(self, noise_factor: float, steps: int) -> None:
+    def fit_under(self, noise_factor: float, steps: int) -> None:
         """Take steps under `noise_factor` times the noise."""
         self.noise_factor = noise_factor
         self._weigh_again()
@@ -393,8 +394,8 @@ class Fitting:
         """Return motions within the limits of the prior; derivatives are not corrected by a step that was cut off."""
         model = self.problem.model
         omega, u = limit_length(point.omega, model.max_rate), model.limited(point.u, INSIDE)
-        whole = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
-        return point._replace(omega=omega, u=u, step=np.where(whole[:, None], point.step, 0.0))
+        is_within = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
+        return point._replace(omega=omega, u=u, step=np.where(is_within[:, None], point.step, 0.0))
 
     def fit_noise(self, few: bool = False, held: bool = False) -> None:
         """Set the noise to its best value for the present residuals.
@@ -404,18 +405,20 @@ class Fitting:
         known to a tenth of the family's width.
         """
         panels, own = self.problem.model.panels, self.problem.model.of_panels
-        answered = self._answered() if few else np.zeros(len(self.shots))
+        fitted_freedom = self._fitted_freedom() if few else np.zeros(len(self.shots))
         least = 0.0 if few and held else -LARGEST_LOG_NOISE
         u = self.shots.u.copy()
         value = self.problem.of_panels(self.linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            answered = answered + panels.taken_by_times(states_of(self.linear.seen), u[:, own])
-        u[:, own] = panels.best_noise(value, u[:, own], answered, least)
+            fitted_freedom = fitted_freedom + panels.taken_by_times(
+                states_of(self.linear.seen), u[:, own]
+            )
+        u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
         self.shots = replace(self.shots, u=u)
         self._weigh_again()
 
-    def _answered(self) -> np.ndarray:
+    def _fitted_freedom(self) -> np.ndarray:
         """Return the degrees of freedom (K) that the fit uses: the trace of the readings' part in the curvature."""
         linear, u = self.linear, self.shots.u
         weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
@@ -424,28 +427,26 @@ class Fitting:
         prior[:, UNKNOWNS] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
             :, self.problem.fitted
         ]
-        size = np.sqrt(
-            np.einsum("kff->kf", read) + prior + 1e-12
-        )  # units of a well-conditioned matrix
+        # in units of the root of each diagonal element the matrices are well conditioned
+        size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)
         read /= size[:, :, None] * size[:, None, :]
-        whole = read + np.eye(read.shape[1]) * (prior / size**2 + 1e-9)[:, :, None]
-        return np.trace(np.linalg.solve(whole, read), axis1=1, axis2=2)
+        total = read + np.eye(read.shape[1]) * (prior / size**2 + 1e-9)[:, :, None]
+        return np.trace(np.linalg.solve(total, read), axis1=1, axis2=2)
 
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss-Newton; for unknowns that are not free, those of the prior."""
         problem, linear, u = self.problem, self.linear, self.shots.u
         weight = problem.weigh(linear.value, u, self.noise_factor)[1]
         read, _ = _normal(linear.value, linear.jacobian, weight)
-        whole = np.zeros((len(u), problem.model.dimension, problem.model.dimension))
-        whole[:, problem.coordinates[:, None], problem.coordinates] = read
-        every = np.arange(STATE_SIZE, problem.model.dimension)
-        whole[:, every, every] += problem.model.prior_cost(u, problem.sizes)[1]
-        for i in problem.model.places("noise"):
-            own, value = u[:, problem.model.of_panels], problem.of_panels(linear.value)
-            whole[:, STATE_SIZE + i, STATE_SIZE + i] += problem.model.panels.noise_curvature(
-                value, own
-            )
-        return whole
+        model = problem.model
+        curvature = np.zeros((len(u), model.dimension, model.dimension))
+        curvature[:, problem.coordinates[:, None], problem.coordinates] = read
+        unknowns = np.arange(STATE_SIZE, model.dimension)
+        curvature[:, unknowns, unknowns] += model.prior_cost(u, problem.sizes)[1]
+        for i in model.places("noise"):
+            value, at = problem.of_panels(linear.value), STATE_SIZE + i
+            curvature[:, at, at] += model.panels.noise_curvature(value, u[:, model.of_panels])
+        return curvature
 
 
 Levels = Sequence[tuple[float, int]]
@@ -462,7 +463,7 @@ def fit_first(
     """
     fitting = Fitting(problem, shots)
     (noise_factor, steps), *others = levels
-    fitting.go(noise_factor, steps)
+    fitting.fit_under(noise_factor, steps)
     result = replace(fitting.shots, cost=fitting.cost.copy())
     normal = np.zeros((len(shots), problem.model.dimension, problem.model.dimension))
     going = np.flatnonzero(fitting.cost <= hopeless)
@@ -470,7 +471,7 @@ def fit_first(
         return result, normal
     fitting.take(going)
     for noise_factor, steps in others:
-        fitting.go(noise_factor, steps)
+        fitting.fit_under(noise_factor, steps)
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
         getattr(result, name)[going] = getattr(fitting.shots, name)
@@ -484,7 +485,7 @@ def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shot
     for k, (noise_factor, steps) in enumerate(levels):
         if k:
             fitting.refresh()
-        fitting.go(noise_factor, steps)
+        fitting.fit_under(noise_factor, steps)
     fitting.fit_noise()
     for _ in range(2):
         fitting.refresh()

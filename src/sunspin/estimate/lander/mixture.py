@@ -76,7 +76,7 @@ class Mixture:
         """Return the draws of models together."""
         log_priors = [fit.model.log_prior for fit in fits]
         draws = mixed(drawn, log_priors, reach_s, s)
-        log_mass = np.array([one.evidence for one in drawn]) + np.array(log_priors)
+        log_mass = np.array([of_model.evidence for of_model in drawn]) + np.array(log_priors)
         probability = np.exp(log_mass - logsumexp(log_mass))
         return cls(tuple(fits), draws, probability, _starts(fits, draws, reach_s))
 
@@ -111,16 +111,16 @@ class Mixture:
     def each_once(
         self, index: np.ndarray, evaluate: Callable[[LanderModel, Shots], Sequence[np.ndarray]]
     ) -> list[np.ndarray]:
-        """Return the arrays (n, ...) that a function of a model and its motions gives for draws, which may be there repeatedly.
+        """Return the arrays (n, ...) of a function of a model and its motions for the draws `index` (n), which may be repeated.
 
-        Each draw is evaluated once, and models side by side if there are several workers.
+        Each draw is evaluated once, and models at the same time if there are several workers.
         """
         once, place = np.unique(index, return_inverse=True)
         parts = list(self.by_model(once))
         with ThreadPoolExecutor(min(self.workers, len(parts))) as pool:
             values = list(pool.map(lambda part: evaluate(part[0], part[2]), parts))
         place = np.argsort(np.concatenate([places for _, places, _ in parts]))[place]
-        return [np.concatenate(each)[place] for each in zip(*values, strict=True)]
+        return [np.concatenate(arrays)[place] for arrays in zip(*values, strict=True)]
 
     def first(self, index: np.ndarray) -> First:
         """Return draws at the first sample."""
@@ -165,12 +165,12 @@ def _starts(fits: list[ShotFit], draws: Draws, reach_s: float) -> np.ndarray:
     """
     most = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
     for h in np.unique(draws.of_model):
-        own, motions = np.flatnonzero(draws.of_model == h), fits[h].motions
-        known, fitted = (
+        of_model = np.flatnonzero(draws.of_model == h)
+        drawn, fitted = (
             np.concatenate([reach_s * shots.omega, shots.sun], axis=1)
-            for shots in (draws.shots.take(own), motions)
+            for shots in (draws.shots.take(of_model), fits[h].motions)
         )
-        nearest = own[KDTree(known).query(fitted)[1]]
-        led = np.bincount(draws.region[nearest], weights=fits[h].starts, minlength=len(most))
-        most = np.maximum(most, led.astype(np.int64))
+        nearest = of_model[KDTree(drawn).query(fitted)[1]]
+        starts = np.bincount(draws.region[nearest], weights=fits[h].starts, minlength=len(most))
+        most = np.maximum(most, starts.astype(np.int64))
     return most

@@ -1,4 +1,4 @@
-"""Laws of the outer coordinates of a ridge: mixtures of Student laws about a quadratic, on which thin sets of draws lie."""
+"""Proposal densities of the outer coordinates of a ridge: mixtures of Student laws, straight or bent by a quadratic transform."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ def monomials(y: np.ndarray, curved: np.ndarray) -> np.ndarray:
 
 
 class Bend(NamedTuple):
-    """How a thin, curved cloud of points y (d) is made straight: its t thin directions follow the f others by a quadratic.
+    """A quadratic transform that makes a thin, curved cloud of points y (d) straight.
 
-    `along` (f, d): coordinates of y - `centre` (d) along the cloud, each of variance one; `across` (d, t): the thin directions;
-    `coefficients` (M, t): by how much these follow, for the :func:`monomials` of the coordinates along. Straight points are y less
-    what follows. Both have the same volume, since `along` times `across` is zero.
+    The offset of y along t thin directions is a quadratic function of its coordinates along the f others; the straight point is y
+    less this offset. `along` (f, d): gives the f coordinates of y - `centre` (d), each of variance one; `across` (d, t): the thin
+    directions; `coefficients` (M, t): offsets per :func:`monomials` of the f coordinates. The transform keeps volumes, since
+    `along` times `across` is zero.
     """
 
     centre: np.ndarray
@@ -37,23 +38,23 @@ class Bend(NamedTuple):
 
     def straight(self, y: np.ndarray) -> np.ndarray:
         """Return the straight points (n, d) of points y (n, d)."""
-        return y - self._followed(y)
+        return y - self._offset(y)
 
     def bent(self, straight: np.ndarray) -> np.ndarray:
         """Return the points y (n, d) of straight points (n, d)."""
-        return straight + self._followed(straight)
+        return straight + self._offset(straight)
 
-    def _followed(self, y: np.ndarray) -> np.ndarray:
-        """Return by how much (n, d) the thin directions follow; it is the same for y and for its straight point."""
+    def _offset(self, y: np.ndarray) -> np.ndarray:
+        """Return the offset (n, d) of points along the thin directions; it is the same for y and for its straight point."""
         free = (y - self.centre) @ self.along.T
         return monomials(free, np.arange(free.shape[1])) @ self.coefficients @ self.across.T
 
     @classmethod
     def of(cls, y: np.ndarray, weight: np.ndarray, s: SamplingSettings) -> Bend | None:
-        """Return how the weighted draws y (n, d) are bent; None if no direction follows the others, or the draws are too few.
+        """Return the transform of weighted draws y (n, d); None if no thin direction is bent, or if the draws are too few.
 
-        Directions are thin if their variance in the correlation matrix is small. One that the regression hardly
-        narrows follows nothing: it is counted with the others, and the regression is made again.
+        Directions are thin if their variance in the correlation matrix is small. If the regression on the others hardly reduces
+        that variance, a direction is not bent: it is moved to the others, and the regression is repeated.
         """
         centre, count = weight @ y, effective_draws(weight)
         off = y - centre
@@ -112,7 +113,7 @@ class OuterLaw(NamedTuple):
     def log_densities(self, y: np.ndarray, freedom: float) -> np.ndarray:
         """Return the log density (n, C) of each component times its weight at y (n, d)."""
         root, y = np.linalg.cholesky(self.covariance), self.straight(y)
-        # all draws so far pass here in each round: a product with the inverse takes a sixth of the time of a solution
+        # This is called for all draws in each round. A product with the inverse takes a sixth of the time of solving equations.
         parts = [
             student_log_density((y - mean) @ whitening.T, freedom)
             + np.log(np.diag(whitening)).sum()

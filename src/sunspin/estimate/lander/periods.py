@@ -39,7 +39,7 @@ def draws_by_periods(
     draws, count = group(tree, "posterior"), group(tree, "solutions").sizes["solution"]
     motions = DrawnMotions.of(vehicle, tree)
     even = np.full(len(motions.rows), 1 / len(motions.rows))
-    weighed = weigh_draws(seen, [periods_of(motions, one, workers) for one in seen], even)
+    weighed = weigh_draws(seen, [periods_of(motions, period, workers) for period in seen], even)
     solution_id = draws["solution_id"].values.ravel()
     speed = np.linalg.norm(draws["omega_B"].values.reshape(-1, 3), axis=1)
     order = np.argsort(speed)
@@ -58,9 +58,9 @@ def draws_by_periods(
         "effective_draws": weighed.effective,
         "told": int(decides),
         "nearest_sigmas": weighed.nearest_sigmas,
-        "seen_s": [one.t_s for one in seen],
-        "period_s": [one.period_s for one in seen],
-        "sigma_s": [one.sigma_s for one in seen],
+        "seen_s": [period.t_s for period in seen],
+        "period_s": [period.period_s for period in seen],
+        "sigma_s": [period.sigma_s for period in seen],
     }
     coords = {"reading": list(READINGS), "level": np.array(LEVELS)}
     return xr.DataTree(xr.Dataset(variables, coords, attrs))

@@ -1,4 +1,4 @@
-"""What the body did at other times: draws of a posterior carried there, each with its own inertia, friction and wheel speed."""
+"""Predictions for other times: draws of a posterior propagated, each with its own inertia, friction and wheel speed."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
 DIRECTION_ERROR = 1e-4
-"""Error of directions (rad): far below what any posterior leaves open."""
+"""Error of directions (rad) in runs of draws, far below the uncertainty of any posterior."""
 
 LONGEST_S = 7 * 86400.0
-"""Times further than this from the first sample are refused: phases are lost long before."""
+"""Times further than this from the first sample are an error: phases are unknown long before."""
 
 MOST_MOTIONS = 4
 """Solutions of the largest probability whose best motion is computed."""
 
 TURN_RAD, FEWEST_INSTANTS, MOST_INSTANTS = 0.3, 200, 6000
-"""Rotation between two instants of a best motion, and between which numbers of instants that is met."""
+"""Rotation (rad) between two instants of a best motion, and limits of their number."""
 
 BEST_RTOL = 1e-9
 """Relative error of a best motion."""
@@ -80,8 +80,9 @@ class DrawnMotions:
         per core; the result does not depend on it.
         """
         after_s = np.asarray(times_s, dtype=np.float64) - self.start_s
-        known = (getattr(self.rows, name) for name in Carried._fields)
-        carried = Carried(*(np.repeat(one[:, None], len(after_s), axis=1) for one in known))
+        # at the start itself the motions are known
+        starts = (getattr(self.rows, name) for name in Carried._fields)
+        carried = Carried(*(np.repeat(value[:, None], len(after_s), axis=1) for value in starts))
         for side in (after_s < 0, after_s > 0):
             if side.any():
                 # each time once, in the order in which a run comes to them
@@ -197,11 +198,11 @@ def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) ->
     )
     to_momentum = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
     rate = np.linalg.norm(omega, axis=-1)
-    each = (*EACH, "predicted_s")
+    dims_of_all = (*EACH, "predicted_s")
 
     def variable(values: np.ndarray, units: str, about: str, *dims: str) -> Any:
-        """Return a variable of the one chain."""
-        return (*each, *dims), values[None], {"units": units, "long_name": about}
+        """Return a variable over the one chain, draws, times and further `dims`."""
+        return (*dims_of_all, *dims), values[None], {"units": units, "long_name": about}
 
     z_to_sun, z_to_momentum = (
         np.arccos(np.clip(cosine, -1.0, 1.0)) for cosine in (carried.sun_B[..., 2], to_momentum)

@@ -1,4 +1,4 @@
-"""What is believed of a lander before the data: its unknowns, how well each is known, and who says so."""
+"""Priors of a lander: its unknowns, the sigma of each, and its source."""
 
 from __future__ import annotations
 
@@ -45,15 +45,18 @@ KEYS = {
     "tilt",
     "tilt_common",
 }
-"""What a caller may state."""
+"""Priors that a caller may give."""
 
 ASSUMED, STATED, GIVEN = "assumed", "vehicle file", "given"
-"""Who says how well a number is known."""
+"""Sources of a sigma."""
 
 
 @dataclass
 class Sources:
-    """Sigmas of a caller's priors, else of the vehicle file, else assumed; `said`: each in words, as it is asked for."""
+    """Sigmas of a caller's priors, else of the vehicle file, else assumed.
+
+    `said`: value and source of each in words, added when it is read.
+    """
 
     priors: Mapping[str, Any]
     said: dict[str, str] = field(default_factory=dict)
@@ -74,7 +77,7 @@ def with_priors(
     priors: Mapping[str, Any] | None,
     wheel_mode: Any = "coast",
 ) -> tuple[LanderModel, dict[str, str]]:
-    """Return the model of a lander with all that is unknown of it, and for each prior its size and source in words.
+    """Return the model of a lander with all its unknowns, and size and source of each prior in words.
 
     `priors` as in :func:`sunspin.posterior`. The reference of the model is the first sample; wheels turn as measured then.
     """
@@ -156,14 +159,14 @@ def largest_torque_deg(priors: Mapping[str, Any]) -> float:
 
 
 def require_not_negative(value: Any, said: str) -> None:
-    """Refuse, as it is `said`, what is no finite number or a negative one."""
+    """Raise InputError with the words `said` unless the value is a finite number that is not negative."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (number and np.isfinite(value) and value >= 0):
         raise InputError(said, got=value)
 
 
 def _as_measured(assessment: Assessment, at_s: float) -> Vehicle:
-    """Return the vehicle whose wheels turn as the telemetry says at a time (s from the epoch), if it has their speeds.
+    """Return the vehicle with the wheel speeds of the telemetry at a time (s from the epoch), if there are any.
 
     Gaps are bridged linearly; a wheel that was never read keeps its nominal speed.
     """

@@ -163,18 +163,18 @@ class RateGrid:
     def cells(self) -> np.ndarray:
         """Return the indices of the lowest corners of cells all of whose corners are on the grid."""
         exists = (self.row_of >= 0).reshape((self.side,) * 3)
-        whole = np.zeros_like(exists)
+        is_cell = np.zeros_like(exists)
         last = self.side - 1
-        whole[:-1, :-1, :-1] = True
+        is_cell[:-1, :-1, :-1] = True
         for a, b, c in CORNERS:
-            whole[:-1, :-1, :-1] &= exists[a : last + a, b : last + b, c : last + c]
-        return np.flatnonzero(whole)
+            is_cell[:-1, :-1, :-1] &= exists[a : last + a, b : last + b, c : last + c]
+        return np.flatnonzero(is_cell)
 
 
 def lattice(reached: Reached, margin: float, edge: float) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return a cubic grid about rest: points along a side, those that are reached give or take a margin (rad/s), and their rows.
+    """Return a cubic grid about rest: number of points along a side, points within a margin (rad/s) of reached rates, and rows.
 
-    Points (n) are indices in the cube (side^3); the row of each is its place among them, -1 for others.
+    Points (n) are indices in the cube (side^3). Rows (side^3): position of each point of the cube among these, -1 for others.
     """
     half = int(np.ceil((reached.limit + margin) / edge))
     side = 2 * half + 1
@@ -184,9 +184,9 @@ def lattice(reached: Reached, margin: float, edge: float) -> tuple[int, np.ndarr
         y, z = np.meshgrid(axis, axis, indexing="ij")
         omega = np.stack([np.full(side**2, x), y.ravel(), z.ravel()], axis=1)
         points.append(np.flatnonzero(reached.within(omega, margin)) + i * side**2)
-    every = np.concatenate(points)
-    row_of[every] = np.arange(len(every))
-    return side, every, row_of
+    index = np.concatenate(points)
+    row_of[index] = np.arange(len(index))
+    return side, index, row_of
 
 
 def coarsest_spacing(model: LanderModel, grid: RateGrid, limit: float, s: GridSettings) -> int:

@@ -1,15 +1,17 @@
-"""A ridge of the posterior: its coordinates, the laws from which motions on it are proposed, and what was proposed.
+"""Curved ridges of the posterior, and proposals of motions on them for importance sampling.
 
-Uncertain moments, friction and wheel speeds turn the posterior about a motion into a thin curved ridge. A proposal has three steps:
+Uncertain moments, friction and wheel speeds make the posterior near a motion a thin curved ridge. A proposal has three steps:
 
-1. *Outer* coordinates y come from a mixture of Student laws, which learns from the draws. They are the unknowns on which the motion
-   depends, the noise, and those directions of rate and Sun that are weakly constrained even if the unknowns are held.
-2. For each y least squares finds the best *stiff* coordinates z*(y), the other directions of rate and Sun. They are drawn about
-   z*(y), with their own curvature there. A quadratic regression on earlier points predicts z*(y), and derivatives come from the
-   nearest point, so that a draw takes three runs of its motion.
-3. Unknowns that change the readings only (brightness, gains, misalignments) are drawn given the motion, several times.
+1. *Outer* coordinates y are drawn from a mixture of Student laws that is adapted to earlier draws. They are the unknowns on which
+   the motion depends, the noise, and the directions of rate and Sun that are weakly constrained even at fixed unknowns.
+2. Least squares finds the best *stiff* coordinates z*(y), the other directions of rate and Sun. These are drawn about z*(y) with
+the
+   curvature there. A quadratic regression on earlier points predicts z*(y), and derivatives are those of the nearest point, so that
+   a draw takes three runs of its motion.
+3. Unknowns that change the readings only (brightness, gains, misalignments) are drawn several times for the given motion.
 
-The density of each step is known, so that the weights are exact. An approximation in a proposal costs draws, but changes no result.
+The density of each step is known, so that the weights are exact. A poor approximation in a proposal makes draws less effective, but
+biases no result.
 """
 
 from __future__ import annotations
@@ -35,21 +37,22 @@ from sunspin.solve.least_squares import least_squares, replace_problems, take_pr
 from sunspin.solve.linear import DenseSystem, solve_dense
 
 LOOSEST_RAD = 3.0
-"""No stiff direction is drawn wider than with this sigma (rad): beyond it a direction has come round."""
+"""Largest sigma (rad) of a stiff direction: a full circle has no more directions."""
 
 LONGEST_SIGMAS = 3.0
-"""A last step of least squares longer than this, in its own sigmas, is not taken: there the equations are not linear."""
+"""A last step of least squares that is longer than this, in its own sigmas, is not taken, as the equations are not linear so
+far."""
 
 COLD, WARM = ((3.0, 2), (1.0, 4)), ((1.0, 3),)
 """(factor on the noise, steps) of least squares from a start far from the ridge, and from one that is predicted."""
 
 RIDGE_FLOOR = 1e-13
-"""Part of the trace of the normal equations of a ridge's curve that is added to their diagonal: terms that no point shows are
+"""Part of the trace that is added to the diagonal of the normal equations of a ridge's curve. Terms without points are then
 zero."""
 
 SETTLED_GAIN = 4.0
-"""Gain in cost that a step must promise to be tried, and for another to follow: 2.8 sigma of the stiff coordinates. What is left is
-taken by a last step that is not tried. With 1.0 a draw of Philae takes 3.5 runs instead of 2.8, and draws are not better."""
+"""A step is tried if it promises at least this gain in cost: 2.8 sigma of the stiff coordinates. The rest is done by a last step
+whose cost is not computed. With 1.0 a draw of Philae takes 3.5 runs instead of 2.8, and draws are not better."""
 
 
 @dataclass(frozen=True)
@@ -73,21 +76,19 @@ class Chart:
     ) -> Chart:
         """Return the coordinates about a motion with the covariance (D, D).
 
-        The combinations are principal directions of the covariance while the outer unknowns are held, rates being counted as the
-        turn within the window. One that is then known well is stiff, however wide it is when the unknowns vary: as an outer
-        coordinate it would make the law of y as thin and as curved as the ridge itself.
+        The combinations are principal directions of the covariance at fixed outer unknowns; rates count as the rotation within the
+        window. A direction that is well known at fixed unknowns is stiff, however wide it is otherwise: as an outer coordinate it
+        would make the law of y as thin and as curved as the ridge itself.
         """
         outer = np.setdiff1d(np.arange(len(target.unknowns)), target.reading_unknowns)
         size = np.diag([target.reach_s] * 3 + [1.0] * 2)
-        own, cross = (
-            covariance[:STATE_SIZE, :STATE_SIZE],
-            covariance[:STATE_SIZE, STATE_SIZE + outer],
-        )
-        of_u = covariance[np.ix_(STATE_SIZE + outer, STATE_SIZE + outer)]
-        # covariance given the unknowns (Schur complement)
-        held = own - cross @ np.linalg.solve(of_u, cross.T) if len(outer) else own
-        held = size @ held @ size
-        variance, vectors = np.linalg.eigh((held + held.T) / 2)
+        given = covariance[:STATE_SIZE, :STATE_SIZE]
+        if len(outer):  # covariance given the unknowns (Schur complement)
+            cross = covariance[:STATE_SIZE, STATE_SIZE + outer]
+            of_u = covariance[np.ix_(STATE_SIZE + outer, STATE_SIZE + outer)]
+            given = given - cross @ np.linalg.solve(of_u, cross.T)
+        given = size @ given @ size
+        variance, vectors = np.linalg.eigh((given + given.T) / 2)
         softs = int(np.clip(np.sum(variance > s.soft_rad**2), len(outer) == 0, s.most_softs))
         curved = np.append(np.arange(softs), softs + np.searchsorted(outer, target.motion_unknowns))
         return cls(centre, vectors[:, ::-1].T @ size, softs, outer, curved)
@@ -152,7 +153,7 @@ class Proposals(NamedTuple):
     """All N proposals from one ridge so far: y (N, d), z (N, q) and the whole motions, `shots`.
 
     `log_inner` (N): log of the density with which z was drawn given y; `log_mass` (N): log of the posterior density over y and z,
-    estimated by one draw of the reading unknowns: the density of all, less that of the draw.
+    with the reading unknowns integrated out by :func:`complete_motions`.
     """
 
     y: np.ndarray
@@ -176,7 +177,7 @@ class RidgePoints(NamedTuple):
         return RidgePoints(
             np.concatenate([part.y for part in parts]),
             np.concatenate([part.best for part in parts]),
-            MotionSlopes(*(np.concatenate(every) for every in slopes)),
+            MotionSlopes(*(np.concatenate(arrays) for arrays in slopes)),
         )
 
     def slopes_near(self, y: np.ndarray, law: OuterLaw) -> MotionSlopes:
@@ -188,12 +189,12 @@ class RidgePoints(NamedTuple):
 
 @dataclass
 class Ridge:
-    """A ridge of the posterior and what was drawn from it.
+    """A ridge of the posterior and the draws from it.
 
     `coefficients` (M, q): the best stiff coordinates z*(y) as polynomials of y; `scatter` (q, q): covariance of z about these.
-    Outer laws: `first` from the curvature at the motions; `learnt` from the draws; `proposing`: those from which is drawn now, with
-    their shares; `laws`: those of all rounds, with the number of draws from each. `log_promise`: log probability, up to a constant
-    of all ridges, by Laplace's method.
+    Laws of y: `first` from the curvature at the motions; `learnt` from the draws; `proposing`: those of the next round, with their
+    shares; `laws`: those of all rounds so far, with the number of draws from each. `log_promise`: log probability by Laplace's
+    method, up to a constant that all ridges share.
     """
 
     chart: Chart
@@ -231,9 +232,10 @@ class Ridge:
         return proposals.log_mass - proposals.log_inner - self.log_outer(proposals.y, freedom)
 
     def log_share(self, shots: Shots, freedom: float) -> np.ndarray:
-        """Return the log of about how densely this ridge has proposed motions (n), in rate, solid angle and unknowns.
+        """Return the log of the approximate number density of this ridge's proposals at motions (n).
 
-        It only divides motions between ridges that overlap: the weights stay exact as long as the divisions add to one.
+        The density is over rate, solid angle and unknowns. It divides motions between overlapping ridges; for that it may be
+        approximate, as the weights are exact whenever the parts of a motion add to one.
         """
         y, z = self.chart.coordinates(shots)
         root = np.linalg.cholesky(self.scatter)
@@ -244,9 +246,10 @@ class Ridge:
 
 
 class Peak(NamedTuple):
-    """The posterior about a fitted motion as a normal density: log of its integral, and where its mean and covariance are.
+    """Normal approximation of the posterior about a fitted motion.
 
-    `step` (D): from the fitted motion to the mean; `covariance` (D, D), of rate, direction and unknowns.
+    `log_mass`: log of its integral; `step` (D): from the fitted motion to the mean; `covariance` (D, D) of rate, direction and
+    unknowns.
     """
 
     log_mass: float
@@ -259,8 +262,8 @@ def ridges_of(
 ) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
-    A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): the part of its sigma
-    with which the prior held each unknown in the fit, if it has several (:attr:`Unknown.shares`); default: one.
+    A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): prior sigma of each
+    unknown in the fit, over `Unknown.sigma`, if it has several (:attr:`Unknown.shares`); default: one.
     """
     least = np.diag([target.rate_max**-2] * 3 + [1.0] * 2 + [0.0] * len(target.unknowns))
     covariance = np.linalg.inv(fit.curvature + least)
@@ -286,26 +289,26 @@ def ridges_of(
                 ridge.proposing, ridge.learnt = [(1.0, ridge.first)], ridge.first
                 break
         else:
-            ridges.append(_begun(target, motion, covariance[i], peaks, s))
+            ridges.append(_ridge_about(target, motion, covariance[i], peaks, s))
     return ridges
 
 
-def _begun(
+def _ridge_about(
     target: LanderTarget,
     centre: Shots,
     covariance: np.ndarray,
     peaks: list[Peak],
     s: SamplingSettings,
 ) -> Ridge:
-    """Return a ridge about a motion, straight as its covariance (D, D) has it."""
+    """Return a straight ridge about a motion with the covariance (D, D), before any draw."""
     chart = Chart.about(target, centre, covariance, s)
     d, promise = chart.dimensions, max(peak.log_mass for peak in peaks)
-    whole = chart.covariance(covariance)
+    joint = chart.covariance(covariance)  # of y and z
     of_y, of_z, linear = slice(0, d), slice(d, None), slice(1, 1 + d)
-    # z follows y by the regression that the covariance says; products of y come when points are known
+    # z depends on y by the regression of the covariance; terms with products of y are zero until points are known
     coefficients = np.zeros((monomials(np.zeros((1, d)), chart.curved).shape[1], chart.stiff))
-    coefficients[linear] = np.linalg.solve(whole[of_y, of_y], whole[of_y, of_z])
-    scatter = whole[of_z, of_z] - whole[of_z, of_y] @ coefficients[linear]
+    coefficients[linear] = np.linalg.solve(joint[of_y, of_y], joint[of_y, of_z])
+    scatter = joint[of_z, of_z] - joint[of_z, of_y] @ coefficients[linear]
     law = _components(chart, peaks, np.zeros(d), promise)
     law = law._replace(covariance=s.widened * law.covariance)
     return Ridge(
@@ -321,31 +324,30 @@ def _begun(
 
 
 def _components(chart: Chart, peaks: list[Peak], y: np.ndarray, log_promise: float) -> OuterLaw:
-    """Return the components of an outer law for a motion at y (d), weighed relative to the mass of their ridge."""
-    log_mass, step, covariance = (np.array(every) for every in zip(*peaks, strict=True))
+    """Return an outer law with a component for each peak of a motion at y (d), weighed relative to the mass of their ridge."""
+    log_mass, step, covariance = (np.array(values) for values in zip(*peaks, strict=True))
     along = step[:, :STATE_SIZE] @ chart.basis.T
     steps = np.concatenate([along[:, : chart.softs], step[:, STATE_SIZE + chart.outer]], axis=1)
     of_y = slice(0, len(y))
-    every = np.array([chart.covariance(one)[of_y, of_y] for one in covariance])
-    # less unequal than the masses: Laplace's method may be wrong by a few units
+    covariance_y = np.array([chart.covariance(matrix)[of_y, of_y] for matrix in covariance])
+    # weights are less unequal than the masses, as Laplace's method may be wrong by a few units of the log
     weight = np.exp(np.clip(0.7 * (log_mass - log_promise), -8.0, 8.0))
-    return OuterLaw(weight, y + steps, every)
+    return OuterLaw(weight, y + steps, covariance_y)
 
 
 def over_sizes(
     target: LanderTarget, u: np.ndarray, fitted: Peak, fitted_share: np.ndarray, s: SamplingSettings
 ) -> list[Peak]:
-    """Return the peak of a motion with unknowns u (m) for each combination of the shares that sigmas of unknowns may have.
+    """Return the peaks of a motion with unknowns u (m), one for each combination of prior sigmas that its unknowns may have.
 
-    By linear theory from the fit under `fitted_share` (m). Far beyond the fitted size it does not hold: a torque that turns the
-    momentum about the Sun is hardly seen, and would be put whole turns away. Such combinations are left out.
+    They follow by linear theory from the peak `fitted` with prior sigmas `fitted_share` (m), over `Unknown.sigma`. Peaks that move
+    too far are left out, as linear theory does not hold there: a torque that rotates the momentum about the Sun hardly changes
+    readings, and would be placed whole revolutions away.
     """
     peaks = [fitted]
-    several = [one for one in target.unknowns if len(one.shares) > 1]
-    for kind in dict.fromkeys(
-        one.kind for one in several
-    ):  # all unknowns of a kind have the same share
-        places = np.array([i for i, one in enumerate(target.unknowns) if one.kind == kind])
+    kinds = dict.fromkeys(unknown.kind for unknown in target.unknowns if len(unknown.shares) > 1)
+    for kind in kinds:  # all unknowns of a kind have the same share
+        places = np.array([i for i, x in enumerate(target.unknowns) if x.kind == kind])
         before = float(fitted_share[places[0]])
         shares = target.unknowns[places[0]].shares
         resized = (
@@ -358,28 +360,32 @@ def over_sizes(
 def _resized(
     peak: Peak, u: np.ndarray, places: np.ndarray, before: float, share: float, s: SamplingSettings
 ) -> Peak | None:
-    """Return the peak if the sigmas of the unknowns at `places` have a share other than `before`; None if it moves too far.
+    """Return the peak if the prior sigmas of unknowns change from `before` to `share`; None if it moves too far.
 
-    The prior's part of the curvature changes by 1 / share^2 - 1 / before^2: a step of Newton leads to the new mean.
+    The curvature by the prior changes by 1 / share^2 - 1 / before^2 for the unknowns with the indices `places`. A Newton step leads
+    to the new mean.
     """
     at, added = STATE_SIZE + places, share**-2 - before**-2
-    precision, pull = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
+    precision, gradient = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
     precision[at, at] += added
-    size = u[places] + peak.step[at]
-    pull[at] = -added * size
+    value = u[places] + peak.step[at]  # of the unknowns at the old mean
+    gradient[at] = -added * value
     covariance = np.linalg.inv(precision)
-    step = covariance @ pull
-    if share > before and np.linalg.norm(size + step[at]) > s.far_torque * share:
+    step = covariance @ gradient
+    if share > before and np.linalg.norm(value + step[at]) > s.far_torque * share:
         return None
-    gain = (pull @ step - added * size @ size) / 2
+    gain = (gradient @ step - added * value @ value) / 2
     volume = (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(peak.covariance)[1]) / 2
     log_mass = peak.log_mass + gain + volume - len(places) * np.log(share / before)
     return Peak(float(log_mass), peak.step + step, covariance)
 
 
 class StiffFit(NamedTuple):
-    """Best stiff coordinates (n, q), Cholesky factors `root` (n, q, q) of their covariance, and u (n, m) with the best reading
-    unknowns; `slopes`: derivatives there."""
+    """Best stiff coordinates of motions at fixed outer coordinates.
+
+    `best` (n, q), Cholesky factors `root` (n, q, q) of their covariance, and u (n, m) with the best reading unknowns; `slopes`:
+    derivatives there.
+    """
 
     best: np.ndarray
     root: np.ndarray
@@ -395,27 +401,27 @@ def fit_stiff(
     u: np.ndarray,
     near: MotionSlopes | None,
 ) -> StiffFit:
-    """Return the stiff coordinates and reading unknowns of largest posterior density while the outer coordinates y (n, d) are held.
+    """Return the stiff coordinates and reading unknowns of largest posterior density at fixed outer coordinates y (n, d).
 
-    Starts are z (n, q) and u (n, m). With the derivatives of motions `near` few steps are enough: most often one, and another that
-    is not tried.
+    The fit starts at z (n, q) and u (n, m). With the derivatives of motions `near` few steps are enough, mostly one and the last
+    one, whose cost is not computed.
     """
     reading, q = target.reading_unknowns, chart.stiff
 
-    # The state of a fit: y, z, u, and, once there are derivatives, the fields of `MotionSlopes`. A step: q of z, then the reading
-    # unknowns.
+    # The state of the fit is y, z, u and, after the first system, the fields of `MotionSlopes`. A step has q components of z, then
+    # those of the reading unknowns.
     def equations(noise_factor: float, state: tuple[Any, ...]) -> DenseSystem:
         """Return the equations of the target in these coordinates, by the chain rule."""
         y, z, u, *slopes = state
         shots = chart.motions(y, z, u)
-        of = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
+        motion = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
         change = np.zeros((len(y), STATE_SIZE + len(reading), q + len(reading)))
         change[:, :STATE_SIZE, :q] = chart.stiff_steps(shots, y, z)
         change[:, STATE_SIZE:, q:] = np.eye(len(reading))
-        slope = np.einsum("kij,ki->kj", change, of.slope)
-        matrix = np.swapaxes(change, 1, 2) @ of.matrix @ change
+        slope = np.einsum("kij,ki->kj", change, motion.slope)
+        matrix = np.swapaxes(change, 1, 2) @ motion.matrix @ change
         matrix[:, range(q), range(q)] += LOOSEST_RAD**-2
-        return DenseSystem(of.cost, matrix, slope, extras=tuple(of.slopes))
+        return DenseSystem(motion.cost, matrix, slope, extras=tuple(motion.slopes))
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
         y, z, u, *slopes = state
@@ -429,11 +435,11 @@ def fit_stiff(
 
     state: tuple[Any, ...] = (y, z, u, *(near or ()))
     system: DenseSystem | None = None
-    # from afar under a larger noise first, so that no reading counts as an outlier because the start is off
+    # a far start is first fitted under a larger noise, so that no reading counts as an outlier because of the start
     for noise_factor, steps in WARM if near is not None else COLD:
         system = equations(noise_factor, state)
         state = with_slopes(state, system)
-        # most predicted starts are so near that a step need not be tried
+        # most predicted starts are so near that the last step is enough
         far = np.flatnonzero(~(solve_dense(system, np.zeros(len(y)))[1] < SETTLED_GAIN))
         if len(far):
             solution = least_squares(
@@ -449,13 +455,13 @@ def fit_stiff(
             state = replace_problems(state, far, solution.state)
             system = replace_problems(system, far, solution.system)
     assert system is not None
-    # a last step, not tried, if it is short enough for the equations to be linear
+    # the last step, if it is short enough for the equations to be linear
     covariance = np.linalg.inv(system.matrix)
     step = -np.einsum("kij,kj->ki", covariance, system.slope)
     length = -np.sum(system.slope * step, axis=1)
     fine = np.isfinite(step).all(axis=1) & (length < LONGEST_SIGMAS**2)
     _, z, u, *slopes = moved(state, np.where(fine[:, None], step, 0.0))
-    # of z with the reading unknowns free, as they are drawn too
+    # covariance of z with free reading unknowns, which are drawn too
     of_z = covariance[:, :q, :q]
     root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
     return StiffFit(z, root, u, MotionSlopes(*slopes))
@@ -466,16 +472,15 @@ def reading_law(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the best reading unknowns (n, s) given the motions, and the Cholesky factors (n, s, s) of their precision.
 
-    Readings hardly bend with these, so that given motion and noise they are all but normal. Steps begin at u (n, m).
+    Readings are nearly linear in these unknowns, so that their density given motion and noise is nearly normal: one Newton step
+    from u (n, m) finds it.
     """
-    places, u = target.reading_unknowns, np.array(u)
-    curvature = np.tile(np.eye(len(places)), (len(u), 1, 1))
-    for noise_factor in s.reading_noise:
-        slope, of_readings = target.reading_slopes(seen, u, noise_factor)
-        curvature = of_readings + np.eye(len(places))
-        step = np.linalg.solve(curvature, (slope - u[:, places])[:, :, None])[:, :, 0]
-        u[:, places] += np.clip(step, -s.reading_step, s.reading_step)
-    return u[:, places], np.linalg.cholesky(curvature)
+    before = u[:, target.reading_unknowns]
+    slope, curvature = target.reading_slopes(seen, u)
+    curvature = curvature + np.eye(before.shape[1])  # of the prior
+    step = np.linalg.solve(curvature, (slope - before)[:, :, None])[:, :, 0]
+    best = before + np.clip(step, -s.reading_step, s.reading_step)
+    return best, np.linalg.cholesky(curvature)
 
 
 def complete_motions(
@@ -489,9 +494,9 @@ def complete_motions(
 ) -> tuple[Shots, np.ndarray]:
     """Return the motions at y and z with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
 
-    For each motion several sets of these unknowns are drawn, for which it need not run again. Its mass is the mean over all, and
-    one is kept, by its weight. A single draw would not do: the normal law has too light tails, and one may outweigh all others.
-    u (n, m): where the search for the best reading unknowns begins.
+    Several sets of these unknowns are drawn for each motion, which need not run again for them. The mass is the mean of their
+    weights, and one set is chosen with a probability in proportion to its weight. With one set only, a draw in the tails of the
+    normal law might outweigh all others. u (n, m): where the step to the best reading unknowns begins.
     """
     shots, places = chart.motions(y, z, u), target.reading_unknowns
     count = s.reading_draws if len(places) else 1
@@ -503,20 +508,20 @@ def complete_motions(
     log_mass[np.setdiff1d(np.arange(len(y)), rows)] = -np.inf
     if not len(rows):
         return shots, log_mass
-    some, white = shots.take(rows), white[rows]
-    seen = target.run(some)
+    possible, white = shots.take(rows), white[rows]
+    seen = target.run(possible)
 
     # draw from a normal law: with the Cholesky factor R of its precision a draw is the best plus R^-T times white numbers
-    best, root = reading_law(target, seen, some.u, s)
+    best, root = reading_law(target, seen, possible.u, s)
     step = np.linalg.solve(np.swapaxes(root, 1, 2), np.swapaxes(white, 1, 2))
     drawn = best[:, None] + np.swapaxes(step, 1, 2)  # (rows, count, unknowns)
     log_volume = np.log(np.einsum("kii->ki", root)).sum(axis=1)[:, None]
     log_law = log_volume - np.sum(white**2 + np.log(2 * np.pi), axis=2) / 2
 
     # weigh each draw by likelihood and prior over that law; `log_mass` has the normal prior at u, that of a draw follows
-    before = some.u[:, None, places]
+    before = possible.u[:, None, places]
     prior_change = (np.sum(before**2, axis=2) - np.sum(drawn**2, axis=2)) / 2
-    u_drawn = np.repeat(some.u, count, axis=0)
+    u_drawn = np.repeat(possible.u, count, axis=0)
     u_drawn[:, places] = drawn.reshape(len(u_drawn), len(places))
     log_likelihood = target.log_likelihood(np.repeat(seen, count, axis=0), u_drawn)
     log_weight = log_likelihood.reshape(len(rows), count) + prior_change - log_law
@@ -524,19 +529,19 @@ def complete_motions(
     total = logsumexp(log_weight, axis=1, keepdims=True)
     log_mass[rows] += total[:, 0] - np.log(count)
 
-    # keep the draw at which the sum of the weights passes a random part of the whole
+    # choose the draw at which the cumulative weight passes a random part of the total
     share = np.cumsum(np.exp(log_weight - np.where(np.isfinite(total), total, 0.0)), axis=1)
-    kept = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
-    shots.u[rows[:, None], places] = drawn[np.arange(len(rows)), kept]
+    chosen = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
+    shots.u[rows[:, None], places] = drawn[np.arange(len(rows)), chosen]
     return shots, log_mass
 
 
 def trace_ridge(
     target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Learn where a ridge runs, from `count` points at each of several widths about its motion.
+    """Fit the curve of a ridge to `count` points at each of several widths about its motion.
 
-    A narrow part comes first: its curve takes the starts of the wider ones near the ridge, where derivatives are known.
+    Narrow widths come first, so that their curve and their derivatives give good starts for the wider ones.
     """
     for width in s.trace_widths:
         law = ridge.first
@@ -555,11 +560,11 @@ def trace_ridge(
 def propose(
     target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Draw `count` motions from the present outer laws of a ridge and add them to its proposals: the three steps of this module."""
+    """Draw `count` motions from the present laws of a ridge, by the three steps of this module, and add them to its proposals."""
     chart, before = ridge.chart, ridge.points
     assert before is not None
     parts, points = [ridge.proposals] if ridge.proposals is not None else [], [before]
-    # the draws are divided among the laws by their shares, to whole numbers
+    # divide the draws among the laws by their shares, rounded to whole numbers
     ends = np.round(count * np.cumsum([share for share, _ in ridge.proposing])).astype(int)
     counts = np.diff(np.minimum(ends, count), prepend=0)
     counts[-1] += count - counts.sum()
@@ -575,8 +580,13 @@ def propose(
         log_inner = student_log_density(white, s.freedom) - volume
         parts.append(Proposals(y, z, log_inner, log_mass, shots))
         points.append(RidgePoints(y, stiff.best, stiff.slopes))
-    every = (np.concatenate([getattr(p, name) for p in parts]) for name in Proposals._fields[:4])
-    ridge.proposals = Proposals(*every, Shots.joined([p.shots for p in parts]))
+    ridge.proposals = Proposals(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in Proposals._fields[:4]
+        ),
+        Shots.joined([part.shots for part in parts]),
+    )
     ridge.points = RidgePoints.joined(points)
     ridge.laws += drawn
 
@@ -596,13 +606,15 @@ def fit_ridge_curve(ridge: Ridge, s: SamplingSettings) -> None:
     off = law.straight(points.y) - mean
     far = np.sum(np.linalg.solve(root, off.T) ** 2, axis=0) / len(mean)
     coefficients = ridge.coefficients
-    for _ in range(3):  # points that least squares has led to another ridge are left out
+    for _ in range(
+        3
+    ):  # each time without points that are far off: least squares has led them to another ridge
         if good.sum() < least:
             return
         weight = 1 / (1 + far[good])[:, None]
         size = np.abs(terms[good]).max(axis=0)
         scaled = weight * terms[good] / size
-        # normal equations take a tenth of the time of a singular value decomposition, and predictions need no more
+        # normal equations take a tenth of the time of a singular value decomposition, and are accurate enough for predictions
         normal = scaled.T @ scaled
         normal[np.diag_indices(len(normal))] += RIDGE_FLOOR * np.trace(normal)
         coefficients = np.linalg.solve(normal, scaled.T @ (weight * points.best[good]))

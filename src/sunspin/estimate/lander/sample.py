@@ -94,9 +94,10 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     (multiple importance sampling, Veach 1995).
     """
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
-    shots = Shots.joined([one.proposals.shots for one in drawn if one.proposals is not None])
+    shots = Shots.joined([ridge.proposals.shots for ridge in drawn if ridge.proposals is not None])
     ridge_of = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])  # of each draw
-    log_weight = np.concatenate([one.log_weights(s.freedom) - np.log(one.drawn) for one in drawn])
+    weights = [ridge.log_weights(s.freedom) - np.log(ridge.drawn) for ridge in drawn]
+    log_weight = np.concatenate(weights)
     # part of each ridge (r) in the density with which all ridges propose each draw (n)
     log_part = np.zeros((len(ridge_of), 1))
     if len(drawn) > 1:
@@ -182,12 +183,12 @@ def predictive_check(
     target: LanderTarget, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
 ) -> Checked:
     """Return how often readings simulated from these motions, draws of equal weight, fit worse than the real ones."""
-    some = shots.take(slice(0, s.checked))
-    seen = target.run(some)
-    real = target.log_likelihood(seen, some.u)
-    worse = [target.log_replicated(seen, some.u, rng) <= real for _ in range(s.copies)]
-    noise = [i for i, one in enumerate(target.unknowns) if one.kind == "noise"]
-    return Checked(float(np.mean(worse)), float(some.u[:, noise].mean()) if noise else 0.0)
+    shots = shots.take(slice(0, s.checked))
+    seen = target.run(shots)
+    real = target.log_likelihood(seen, shots.u)
+    worse = [target.log_replicated(seen, shots.u, rng) <= real for _ in range(s.copies)]
+    noise = [i for i, unknown in enumerate(target.unknowns) if unknown.kind == "noise"]
+    return Checked(float(np.mean(worse)), float(shots.u[:, noise].mean()) if noise else 0.0)
 
 
 def mixed(
@@ -201,7 +202,7 @@ def mixed(
     `log_priors`: relative to the nominal model, which is the first. Other models of negligible probability are left out. Regions of
     two models become one if the alternative model may have moved the one to the other.
     """
-    evidence = np.array([one.evidence for one in drawn]) + np.array(log_priors)
+    evidence = np.array([draws.evidence for draws in drawn]) + np.array(log_priors)
     probability = np.exp(evidence - logsumexp(evidence))  # of each model
     models = [m for m in range(len(drawn)) if m == 0 or probability[m] > s.no_weight]
     count = max(drawn[m].shots.u.shape[1] for m in models)
@@ -224,7 +225,7 @@ def mixed(
         effective=effective_draws(share),
         tail=pareto_tail(log_weight),
         evidence=float(logsumexp(log_weight)),
-        rounds=np.concatenate([one.rounds for one in drawn]),
+        rounds=np.concatenate([draws.rounds for draws in drawn]),
     )
 
 

@@ -129,15 +129,13 @@ class LanderTarget:
         seen, fine = self._problem.seen(shots, SEARCH_ERROR)
         return np.where(fine[:, None, None], seen, np.nan)
 
-    def reading_slopes(
-        self, seen: np.ndarray, u: np.ndarray, noise_factor: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def reading_slopes(self, seen: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
         problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
         # differences of readings do not use rate and direction at the reference
         unused = np.zeros((len(u), 3))
         linear = problem.differences(Shots(unused, unused, u), seen, still)
-        _, weight = problem.weigh(linear.value, u, noise_factor)
+        _, weight = problem.weigh(linear.value, u, 1.0)
         jacobian = linear.jacobian
         weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
         return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian

@@ -328,17 +328,18 @@ class PanelPowers(Term):
         return np.log(OUTLIER * np.where(self.lit, density, OUTLIER_DARK))
 
     def best_noise(
-        self, value: np.ndarray, u: np.ndarray, answered: np.ndarray, least: float
+        self, value: np.ndarray, u: np.ndarray, fitted_freedom: np.ndarray, least: float
     ) -> np.ndarray:
         """Return unknowns (K, m) with the best noise for differences `value` (K, n, p), by Newton steps in its logarithm.
 
-        `answered` (K): degrees of freedom that the fit has used; `least`: lower limit of the log noise in sigmas of its prior.
+        `fitted_freedom` (K): degrees of freedom that the fit has used; `least`: lower limit of the log noise in sigmas of its
+        prior.
         """
         places = self.places("noise")
         if not places:
             return u
         at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
-        used = answered + self.has_factor.sum()
+        used = fitted_freedom + self.has_factor.sum()
         for _ in range(NOISE_STEPS):
             # Without the prior, the best noise makes the weighted squares of lit readings equal to their degrees of freedom: the
             # expected number of those that are no outliers, less what was fitted.
@@ -375,7 +376,9 @@ class PanelPowers(Term):
         Laplace's method about the best error is wrong where a panel becomes lit within the error: there the density has two peaks,
         and which one is higher changes with the motion. With it 100 draws had an effective sample size of 2 to 5.
         """
-        steepest = np.linalg.norm(self._full_power(u) / self.sigma, axis=1)
+        facing = self.response.power(self.response.facing_B).diagonal()
+        full_power = self.gain(u) * facing  # (K, p)
+        steepest = np.linalg.norm(full_power / self.sigma, axis=1)
         steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
         narrow = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
         # The number of times is a power of two times the least one: most motions share their times, and no result depends on which
@@ -396,11 +399,6 @@ class PanelPowers(Term):
                 log_sum = np.logaddexp(log_sum, log_density - 0.5 * error**2)
             total[rows] = log_sum + np.log(step) - 0.5 * LOG_2PI
         return total
-
-    def _full_power(self, u: np.ndarray) -> np.ndarray:
-        """Return the power (K, p) of each input with the Sun along its normal."""
-        facing = self.response.power(self.response.facing_B).diagonal()
-        return self.gain(u) * facing
 
     def _sample_densities(self, power: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the log density (K, n) of the readings of each sample if these powers (K, n, p) are predicted."""
