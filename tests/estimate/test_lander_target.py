@@ -176,7 +176,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     model = late_model(2.0)
     free = np.ones(len(model.unknowns), dtype=bool)
     fitting = Fitting(FitProblem(model, free, FINAL_ERROR), nominal(model))
-    fitting.go(1.0, 8)
+    fitting.fit_under(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.shots.u[0, model.places("noise")[0]]
     value = fitting.problem.of_panels(fitting.linear.value)

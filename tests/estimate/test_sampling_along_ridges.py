@@ -1,12 +1,15 @@
 """Draws along ridges against densities whose integral, weights and moments are known in closed form."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import logsumexp
 
+from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
 from sunspin.estimate.lander.outer_law import Bend, OuterLaw
 from sunspin.estimate.lander.ridges import Chart, ridges_of
@@ -379,6 +382,27 @@ def test_resampled_draws_are_proportional_to_the_weights():
     draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
     picked = resampled(draws.log_weight, 800, np.random.default_rng(0))
     assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
+
+
+def test_draws_of_two_models_are_evaluated_once_each_and_keep_their_places():
+    shots = Shots(np.arange(15.0).reshape(5, 3), np.tile([0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 1)))
+    of_model, region, none = np.array([1, 0, 0, 1, 1]), np.zeros(5, dtype=int), np.zeros(5)
+    draws = Draws(shots, none, of_model, region, effective=5.0, tail=0.0, evidence=0.0)
+    fits: list[Any] = [
+        SimpleNamespace(model=SimpleNamespace(unknowns=("brightness",), offset=offset))
+        for offset in (0.0, 100.0)
+    ]
+    mix = Mixture(tuple(fits), draws, np.full(2, 0.5), np.ones(1), workers=2)
+    evaluated: list[int] = []
+
+    def of_one(model: Any, motions: Shots) -> tuple[np.ndarray]:
+        evaluated.append(len(motions))
+        return (model.offset + motions.omega,)
+
+    index = np.array([4, 0, 4, 2, 1, 0])
+    (value,) = mix.each_once(index, of_one)
+    np.testing.assert_array_equal(value, shots.omega[index] + 100.0 * of_model[index][:, None])
+    assert sorted(evaluated) == [2, 2]
 
 
 def test_readings_that_no_motion_explains_have_no_chance():

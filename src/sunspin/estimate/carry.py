@@ -86,7 +86,7 @@ def step(
     derivatives: bool = False,
     errors: np.ndarray | None = None,
 ) -> Step:
-    """Carry K motions over n intervals each.
+    """Return K motions after n intervals each, by the equations of motion, with derivatives if asked.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def step(
     sphere = inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
     if bare and sphere and not (momenta[0].any() or momenta[1].any()):
         return _turn_evenly(omega, dt, derivatives)
-    bodies = inertia[None] if inertia.ndim == 2 else inertia  # one for all motions, or one of each
+    bodies = inertia[None] if inertia.ndim == 2 else inertia  # (1 or K, 3, 3)
     angle = angle_turned(bodies, omega, dt, momenta)
     counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
     if not derivatives:
@@ -117,6 +117,7 @@ def step(
     # the first axis are runs: the motion itself, three with another rate, and one with each error of the inertia
     errors = np.zeros((0, 3, 3)) if errors is None else errors
     of_rates, of_errors = slice(1, 4), slice(4, None)
+    # a rate is changed by what turns the body by DIFFERENCE in the interval
     size = np.where(dt == 0, 1.0, dt)[:, None]
     rates = np.repeat(omega[None], 4 + len(errors), axis=0)
     rates[of_rates] += np.eye(3)[:, None, None] * (DIFFERENCE / size)

@@ -77,7 +77,7 @@ def filled(
     mean_map[..., RATE] = np.eye(3)
 
     inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
-    carried: list[Step] = []
+    propagated: list[Step] = []
     spread = _bridge(share, span, noise[before])
     # forward from the sample before, backward from the one after; covariances are blended as if both were the same motion
     for start, weight in ((before, 1 - blend), (before + 1, blend)):
@@ -86,14 +86,15 @@ def filled(
         stepped = step(inertia, motions.omega[:, start], dt, momenta, derivatives=True)
         by_start = stepped.by_start
         assert by_start is not None
-        carried.append(stepped._replace(turned=stepped.turned @ motions.attitude[:, start]))
-        propagated = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
-        spread = spread + weight[:, None, None] * propagated
+        propagated.append(stepped._replace(turned=stepped.turned @ motions.attitude[:, start]))
+        covariance_there = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
+        spread = spread + weight[:, None, None] * covariance_there
+        # a rate at time t contributes weight times its derivative by the state of the kept sample i that it came from
         for i in range(n):
             from_i = start == i
             of_rate = by_start[:, from_i, RATE]
             mean_map[:, i] += np.einsum("m,kmij->kij", weight[from_i], of_rate)
-    forward, backward = carried
+    forward, backward = propagated
     weight = blend[:, None]
     turn = rotation_between(forward.turned, backward.turned)
     attitude[:, others] = rotate_attitude(forward.turned, weight * turn)
@@ -118,7 +119,7 @@ def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarra
 
 
 def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]:
-    """Return even instants (m) in s, and one motion there: so close that straight lines between them will do.
+    """Return even instants (m) in s, and one motion there: so close that a figure may connect them by straight lines.
 
     `model`: of all samples of the pass, at which the motion (K = 1) is known; `noise`: strength of unknown torques, rad/s^1.5.
     """
@@ -127,16 +128,16 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
     angle = angle_turned(
         model.body.inertia[None], motion.omega[:, :-1], spans, (momentum[:-1], momentum[1:])
     )
-    # if it turned as fast as it ever does
+    # how far it would turn if it always were as fast as in its fastest interval
     turned = float((t_s[-1] - t_s[0]) * np.max(angle / spans))
     most = max(MOST_INSTANTS, min(np.ceil(turned / COARSE_RAD), MOST_COARSE))
     count = int(np.clip(np.ceil(turned / CURVE_RAD), LEAST_INSTANTS, most)) + 1
     instants = np.linspace(t_s[0], t_s[-1], count)
     near = (instants[1] - instants[0]) * TOGETHER
-    # samples and instants in one order; an instant next to a sample is left out, and read off there
+    # The motion is filled in at all samples and instants in one order. Of an instant next to a sample only the sample is taken.
     next_instant = np.minimum(np.searchsorted(instants, t_s - near), count - 1)
-    met = np.abs(instants[next_instant] - t_s) <= near
-    times = np.union1d(np.delete(instants, next_instant[met]), t_s)
+    is_sample = np.abs(instants[next_instant] - t_s) <= near
+    times = np.union1d(np.delete(instants, next_instant[is_sample]), t_s)
     wheels = np.stack([np.interp(times, t_s, part) for part in momentum.T], axis=1)
     track = filled(model, motion, times, wheels, np.full(len(spans), noise)).track
     at = np.searchsorted(times, instants - near)

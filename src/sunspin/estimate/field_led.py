@@ -1,4 +1,4 @@
-"""If too few samples see the Sun, a field that is known in space leads the search; the turn about the Sun follows."""
+"""A search by the magnetic field, if it is known in space and too few samples see the Sun; and how a fit then begins."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ def models_to_search(nominal: Model, noise: Noise) -> list[Model]:
     known = leading_field(nominal)
     if known is None:
         return nominal.for_search(noise)
-    (loose,) = nominal.for_search(noise)[:1]
+    loose = nominal.for_search(noise)[0]
     pairs = zip(nominal.obs.terms, loose.obs.terms, strict=True)
-    others = (found for term, found in pairs if not term.of_sun and term is not known)
+    others = (of_search for term, of_search in pairs if not term.of_sun and term is not known)
     return [replace(loose, obs=replace(loose.obs, terms=(known.directions(), *others)))]
 
 
 def leading_field(nominal: Model) -> KnownField | None:
-    """Return the field that leads the search; None if the Sun does."""
+    """Return the known field whose directions the search uses in place of the Sun's; None if it uses the Sun's."""
     known = [term for term in nominal.obs.terms if isinstance(term, KnownField)]
     return known[0] if known and nominal.obs.sees_sun.sum() < FEWEST_SUNS else None
 
 
 def to_nominal_axes(nominal: Model, loose: Model, motions: Track, s: SearchSettings) -> Track:
-    """Return motions of a search in the axes N of the model.
+    """Return motions of a search in the axes N of the nominal model; `loose`: the model that was searched.
 
-    A search by the field finds them in axes that follow the field, as one by the Sun finds them in axes that follow the Sun: they
-    are fitted with the field as it is known, from several turns about it, of which the field's turning in space leaves few. A
-    search by the Sun leaves the turn about the Sun open: if nothing but a torque shows it, several are tried.
+    A search by the field finds motions in axes whose z follows the field, and leaves the turn about it open. They are fitted with
+    the field as it is known in N, from several such turns; the field's turning in space leaves few of them. A search by the Sun
+    leaves the turn about the Sun open: if nothing but the gravity gradient shows it, several are tried.
     """
     known = leading_field(nominal)
     if known is not None:
         turns, frames = FIELD_TURNS, known.frames()
-        (plain,) = nominal.for_search(loose.noise)[:1]
+        plain = nominal.for_search(loose.noise)[0]
         terms = tuple(
-            known.without_errors() if term is known else found
-            for term, found in zip(nominal.obs.terms, plain.obs.terms, strict=True)
+            known.without_errors() if term is known else of_search
+            for term, of_search in zip(nominal.obs.terms, plain.obs.terms, strict=True)
         )
         model = replace(plain, obs=replace(plain.obs, terms=terms))
     elif any(isinstance(term, GravityTorque) for term in nominal.obs.terms):
@@ -79,7 +79,7 @@ def prepare_fit(model: Model, motions: Track) -> Track:
     attitude, u = motions.attitude, np.zeros((len(motions), len(model.unknowns)))
     about_sun = False
     if len(motions):
-        # what shows the turn about the Sun first
+        # terms that show the turn about the Sun come first: the others begin from the attitudes that they determine
         for term, own in sorted(model.terms_with_slices, key=lambda pair: not pair[0].about_sun):
             attitude, u[:, own] = term.begin(States(attitude, motions.omega), about_sun)
             about_sun |= term.about_sun

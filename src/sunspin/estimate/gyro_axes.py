@@ -46,8 +46,9 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     directions = assessment.still_directions
     ways = list(signed_axes())  # the stated one first
     read = [rate[:, order] * sign for _, order, sign in ways]
+    # turns between samples by each way to read the gyro: of a rate that changes evenly, and of a body with wheels (if needed)
     even = [rotations_between_samples(time, rates) for rates in read]
-    nutating: list[np.ndarray] | None = None  # computed if needed
+    nutating: list[np.ndarray] | None = None
     for lag in LAGS:
         at_rest = np.zeros_like(even[0])
         stated, without_turn = median_direction_errors(time, directions, [even[0], at_rest], lag)

@@ -109,21 +109,16 @@ def weigh_by_periods(
     of the solution that is the likeliest now, and of the one that was then.
     """
     # a column may have a period where there is no pass
-    seen = [
-        period
-        for period in seen
-        if not isinstance(period, FoundPeriod) or _in_a_pass(passes, period)
-    ]
-    if not seen:
+    by_pass: dict[int, list[PeriodSeen]] = {}  # indices of passes
+    for period in seen:
+        if not isinstance(period, FoundPeriod) or _in_a_pass(passes, period):
+            by_pass.setdefault(pass_of_period(passes, period), []).append(period)
+    if not by_pass:
         return list(passes), {}
-    of_pass = [pass_of_period(passes, period) for period in seen]
-    weighed, rows = (
-        [replace(of_pass, without_periods=of_pass.probability) for of_pass in passes],
-        [],
-    )
-    for k in sorted(set(of_pass)):
-        own = [period for period, at in zip(seen, of_pass, strict=True) if at == k]
-        weighed[k], decided = _weigh(weighed[k], body, own)
+    weighed = [replace(of_pass, without_periods=of_pass.probability) for of_pass in passes]
+    rows: list[dict[str, Any]] = []
+    for k in sorted(by_pass):
+        weighed[k], decided = _weigh(weighed[k], body, by_pass[k])
         rows += [{"pass": int(pass_ids[k])} | row for row in decided]
     return weighed, {"periods": json.dumps(rows)}
 
@@ -213,30 +208,30 @@ def weigh_draws(
     after = weight * density / total
     shares = []
     for part in by_reading:
-        of_draw = part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
-        shares.append((after[:, None] * of_draw).sum(axis=0))
+        share_of_draw = part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
+        shares.append((after[:, None] * share_of_draw).sum(axis=0))
     return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
 
 
 def _in_a_pass(passes: Sequence[Solutions], seen: PeriodSeen) -> bool:
-    """Return whether a period was seen in a pass, or no further from its ends than samples are from each other."""
+    """Return whether a period was seen in a pass, or no farther from its ends than the widest gap between its samples."""
     times = [of_pass.obs.t_s for of_pass in passes]
     near = [(t[0] - np.diff(t).max(), t[-1] + np.diff(t).max()) for t in times]
     return any(first <= seen.t_s <= last for first, last in near)
 
 
 def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
-    """Return the pass in which a period was seen, or from whose ends it is no further away than samples are from each other."""
+    """Return the index of the pass in which a period was seen, or from whose ends it is no farther than its widest gap."""
     times = [of_pass.obs.t_s for of_pass in passes]
     away = [max(t[0] - seen.t_s, seen.t_s - t[-1], 0.0) for t in times]
     k = int(np.argmin(away))
     if away[k] > np.diff(times[k]).max():
-        each = ", ".join(f"{t[0]:.0f} to {t[-1]:.0f}" for t in times[:6])
-        more = ", ..." if len(times) > 6 else ""
+        spans = ", ".join(f"{t[0]:.0f} to {t[-1]:.0f}" for t in times[:6])
+        rest = ", ..." if len(times) > 6 else ""
         raise InputError(
             "a period was seen at a time of no pass",
             got=f"{seen.t_s:g} s",
-            do=f"passes are at {each}{more} s",
+            do=f"passes are at {spans}{rest} s",
         )
     return k
 
@@ -276,18 +271,18 @@ def _euler_rates_of(
     `inertia` (3, 3) in mean moments, that of the draws; `momentum` (m, 3): of the wheels at those times.
     """
     axis, rates = own_axis(body.inertia), []
-    now, wheels_now = 0.0, momentum[0]
-    # the motions are carried from each time to the next
+    last, wheels_last = 0.0, momentum[0]
+    # the motions are propagated from each time to the next
     for t, wheels in zip(after_s, momentum, strict=True):
-        if t != now:
-            ends = wheels_now[None], wheels[None]
-            omega = step(inertia, omega[:, None], np.array([t - now]), ends).omega[:, 0]
+        if t != last:
+            ends = wheels_last[None], wheels[None]
+            omega = step(inertia, omega[:, None], np.array([t - last]), ends).omega[:, 0]
         if body.sphere:
             speed = np.linalg.norm(omega, axis=1)
             rates.append(np.stack([*np.full((2, len(omega)), np.nan), speed], axis=1))
         else:
             rates.append(euler_rates(omega, omega @ inertia + wheels, axis))
-        now, wheels_now = t, wheels
+        last, wheels_last = t, wheels
     return np.mean(rates, axis=0)
 
 
@@ -320,13 +315,14 @@ def drawn_inertias(body: Body, rng: np.random.Generator) -> np.ndarray:
 
     A body of unknown inertia stays a sphere.
     """
-    kept = np.zeros((0, 3, 3))
+    possible = np.zeros((0, 3, 3))
     for _ in range(MOST_TRIES):
         u = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.sphere)
         drawn = np.broadcast_to(body.inertia_at(u), (INERTIAS, 3, 3))
-        # errors that are possible come back as they are
+        # `Body.possible` returns errors of a possible body unchanged
         is_possible = (body.possible(u) == u).all(axis=1)
-        kept = np.concatenate([kept, drawn[is_possible]])
-        if len(kept) >= INERTIAS:
+        possible = np.concatenate([possible, drawn[is_possible]])
+        if len(possible) >= INERTIAS:
             break
-    return np.concatenate([kept, np.tile(body.inertia, (INERTIAS, 1, 1))])[:INERTIAS]
+    # if there are too few, the nominal inertia stands for the rest
+    return np.concatenate([possible, np.tile(body.inertia, (INERTIAS, 1, 1))])[:INERTIAS]

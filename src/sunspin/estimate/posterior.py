@@ -361,9 +361,9 @@ def draw_models(
 
     def draws_of(h: int) -> tuple[Draws, Budget]:
         """Return the draws of a model and the budget that they used, in motions over the whole stretch."""
-        fit, s, own = fits[h], settings.sampling, Budget(most)
+        fit, s, spent = fits[h], settings.sampling, Budget(most)
         if h == 0 and before is not None:
-            return before, own
+            return before, spent
         part = 1.0 if evidence[h] == evidence.max() else settings.others_draws
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
@@ -375,16 +375,16 @@ def draw_models(
         # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one,
         # over `Unknown.sigma`.
         fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-        return sample(LanderTarget(fit.model), fit, streams[h], s, own, fitted_share), own
+        return sample(LanderTarget(fit.model), fit, streams[h], s, spent, fitted_share), spent
 
     drawn = Drawn([], [], [])
     # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two
     with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
         results = list(pool.map(draws_of, chosen))
-    for h, (draws, own) in zip(chosen, results, strict=True):
+    for h, (draws, spent) in zip(chosen, results, strict=True):
         fit = fits[h]
-        budget.spend(own.used * count)
-        budget.cut |= own.cut
+        budget.spend(spent.used * count)
+        budget.cut |= spent.cut
         if np.isfinite(draws.evidence):
             drawn.fits.append(fit)
             drawn.draws.append(draws)

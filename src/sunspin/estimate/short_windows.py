@@ -101,10 +101,11 @@ def rates_in_windows(
         f"{text}; {sentences[k]}" if k in sentences else text
         for k, text in enumerate(result["why_not_decided"].values.astype(str))
     ]
-    said = [f"pass {result['pass_id'].values[k]}: {words}" for k, words in sentences.items()]
-    attrs = {"controlled": "\n".join(said)} if said else {}
-    if said:
-        attrs["verdict"] = "\n".join([str(result.attrs["verdict"]), *said])
+    notes = [f"pass {result['pass_id'].values[k]}: {words}" for k, words in sentences.items()]
+    attrs = {}
+    if notes:
+        attrs["controlled"] = "\n".join(notes)
+        attrs["verdict"] = "\n".join([str(result.attrs["verdict"]), *notes])
     return (
         result.assign(windows.data_vars)
         .assign(why_not_decided=("pass_id", why))
@@ -180,9 +181,10 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     extremes = None
     # wheels without a measured speed may be held or coast: none of that may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
-        momentum = omega @ body.inertia + wheels[at]
+        momentum = omega @ body.inertia + wheels[at]  # H = I w + h, in mean moments times rad/s
         size = np.linalg.norm(momentum, axis=1)
         along = momentum / np.maximum(size, 1e-12)[:, None]
+        # |H| changes by H/|H| . (I dw) with the rate, and by H/|H| . (dI w) with one sigma of each error of the inertia
         by_inertia = np.einsum("ki,eij,kj->ke", along, body.errors, omega)
         error = np.sqrt(((along @ body.inertia * sigma[use]) ** 2).sum(1) + (by_inertia**2).sum(1))
         apart = (size[:, None] - size) / np.hypot(error[:, None], error)

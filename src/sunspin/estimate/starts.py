@@ -425,6 +425,7 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
     away = np.abs(obs.t_s - obs.t_s[sample])
     off_rad_s = BLUR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
     off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
+    # torques of the strength q turn the body by q T^1.5 / sqrt(3) in the time T, and change its rate by q T^0.5
     drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
     drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))
     terms = tuple(term.loosened(drift, drift_rad_s) for term in obs.terms)

@@ -1,8 +1,9 @@
-"""A body that swings at random about rest between the samples: all its ways are counted, not only the most probable ones.
+"""A body that oscillates at random about rest between the samples: all its motions are counted, not only the most probable ones.
 
-A fit counts the ways of the body that it has found. If readings are coarse and the body swings, there are so many ways that each
-has hardly any probability. Then some body that turns evenly fits better than each of them by chance. Over the sphere all are
-summed: the density of the Sun's direction in the body spreads as heat does, by spherical harmonics, and each reading weighs it.
+A fit counts the motions near the one that it has found. If readings are coarse and the body oscillates, there are so many motions
+that each has hardly any probability. Then some body that turns evenly fits better than each of them by chance. Here all are summed:
+the density of the Sun's direction in the body spreads over the sphere as heat does, by spherical harmonics, and each reading weighs
+it.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ def swings_by_all_ways(
 ) -> list[Fit]:
     """Return fits of a body that swings about rest, by each angle of the settings between two samples, under weak torques.
 
-    `fits`: those of the other models; a size of swing that cannot be as probable as the best of them is left out. Only the Sun is
-    seen. The log evidence of a size is the log of the mean likelihood over all ways on the sphere, in the measure of the other
-    fits; its motion is at rest.
+    `fits`: those of the other models; a size of the oscillation that cannot be as probable as the best of them is left out. Only
+    the Sun is seen. The log evidence of a size is the log of the mean likelihood over all motions on the sphere, with the same
+    constants as that of the other fits. The motion that stands for it is at rest.
     """
     best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
     obs = nominal.obs
@@ -58,9 +59,9 @@ def swings_by_all_ways(
     # The best motion's evidence from all other readings, less the price of their unknowns, counts for the swing too. By the cost
     # alone a true rotation once stood 12 below a swing: its gains, lights and zeros had cost it 28, and the swing nothing.
     others = float(best.log_evidence.max() - alone.log_evidence[0])
-    measure = others + log_left_out(nominal) + nominal.log_prior
+    common = others + log_left_out(nominal) + nominal.log_prior
     # what the log of the mean likelihood must be at least
-    least = max(float(fitted.log_evidence.max()) for fitted in fits) - s.hopeless - measure
+    least = max(float(fitted.log_evidence.max()) for fitted in fits) - s.hopeless - common
     if _bound(alone.model, alone.motions, wanders).max() + ROUGHLY * len(obs) < least:
         return []
     still = _still(motion)
@@ -73,17 +74,19 @@ def swings_by_all_ways(
         for rung in weak or [min(ladder_settings.rungs)]:
             model = replace(nominal, noise=Noise(rung, rate=float(wander)), what=SWINGS)
             fitted = fit(model, still, 8)
-            # about rest: how slow the body is in the mean the readings tell to this, a share of the rates before them
+            # The mean rate is near rest: the readings leave this share of the rates that were possible before, the ratio of the
+            # roots of the determinants of both covariances.
             of_rate = np.linalg.slogdet(fitted.motions.covariance[:, 0, RATE, RATE])[1] / 2
             share = of_rate - 3 * np.log(nominal.rate_sigma)
-            swinging.append(replace(fitted, log_evidence=log + share + measure))
+            swinging.append(replace(fitted, log_evidence=log + share + common))
     return swinging
 
 
 def _of_known(model: Model, motion: Track, known: Observations, s: LadderSettings) -> Fit:
     """Return the fit of a motion (K = 1) of a model to readings of which the unknowns are held.
 
-    Unknowns of the body, and of terms that hold none, stay; so does what the sizes of their sigmas add.
+    The unknowns of the body stay free, and so do those of terms that have some even if held. Their evidence is summed over the
+    sizes of their sigmas, as that of the fit is.
     """
     slices = zip(known.terms, model.term_slices, strict=True)
     kept = [motion.u[:, own] for term, own in slices if term.unknowns()]
@@ -108,10 +111,11 @@ def harmonics() -> tuple[np.ndarray, np.ndarray]:
 
 
 def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
-    """Return the log (s) of the mean likelihood of the Sun's readings over all ways of a body that wanders about each axis.
+    """Return the log (s) of the mean likelihood of the Sun's readings over all motions of a body that wanders about each axis.
 
-    By `wander` (s) in rad s^-0.5; its first attitude may be any. Likelihoods are exp(-cost). A filter over samples: `density` is
-    that of the Sun's direction given the readings so far, and the product of its means is the likelihood of all of them.
+    `wander` (s): it turns by this times the root of the time about each axis, rad s^-0.5. Its first attitude may be any.
+    Likelihoods are exp(-cost). This is a filter over the samples: `density` is that of the Sun's direction given the readings so
+    far, and the product of its means is the likelihood of all of them.
     """
     everywhere = np.repeat(facing(sphere(EVERYWHERE))[:, None], len(obs), axis=1)
     cost = costs(obs, Track.free(everywhere, np.zeros((EVERYWHERE, len(obs), 3))))
@@ -147,7 +151,7 @@ def _bound(model: Model, motion: Track, wander: np.ndarray) -> np.ndarray:
 
 
 def _still(motion: Track) -> Track:
-    """Return a motion that sees the Sun as this one (K = 1) does, turns least between the samples, and has no rate."""
+    """Return a motion without a rate that sees the Sun as this one (K = 1) does, and turns least from sample to sample."""
     attitude, sun = motion.attitude.copy(), motion.sun_B
     for i in range(attitude.shape[1] - 1):
         x, y = (

@@ -320,7 +320,7 @@ class Fitting:
         """Return the cost (K) under the present noise."""
         return self.system.cost
 
-    def go(self, noise_factor: float, steps: int) -> None:
+    def fit_under(self, noise_factor: float, steps: int) -> None:
         """Take steps under `noise_factor` times the noise."""
         self.noise_factor = noise_factor
         self._weigh_again()
@@ -405,18 +405,20 @@ class Fitting:
         known to a tenth of the family's width.
         """
         panels, own = self.problem.model.panels, self.problem.model.of_panels
-        answered = self._answered() if few else np.zeros(len(self.shots))
+        fitted_freedom = self._fitted_freedom() if few else np.zeros(len(self.shots))
         least = 0.0 if few and held else -LARGEST_LOG_NOISE
         u = self.shots.u.copy()
         value = self.problem.of_panels(self.linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            answered = answered + panels.taken_by_times(states_of(self.linear.seen), u[:, own])
-        u[:, own] = panels.best_noise(value, u[:, own], answered, least)
+            fitted_freedom = fitted_freedom + panels.taken_by_times(
+                states_of(self.linear.seen), u[:, own]
+            )
+        u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
         self.shots = replace(self.shots, u=u)
         self._weigh_again()
 
-    def _answered(self) -> np.ndarray:
+    def _fitted_freedom(self) -> np.ndarray:
         """Return the degrees of freedom (K) that the fit uses: the trace of the readings' part in the curvature."""
         linear, u = self.linear, self.shots.u
         weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
@@ -461,7 +463,7 @@ def fit_first(
     """
     fitting = Fitting(problem, shots)
     (noise_factor, steps), *others = levels
-    fitting.go(noise_factor, steps)
+    fitting.fit_under(noise_factor, steps)
     result = replace(fitting.shots, cost=fitting.cost.copy())
     normal = np.zeros((len(shots), problem.model.dimension, problem.model.dimension))
     going = np.flatnonzero(fitting.cost <= hopeless)
@@ -469,7 +471,7 @@ def fit_first(
         return result, normal
     fitting.take(going)
     for noise_factor, steps in others:
-        fitting.go(noise_factor, steps)
+        fitting.fit_under(noise_factor, steps)
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
         getattr(result, name)[going] = getattr(fitting.shots, name)
@@ -483,7 +485,7 @@ def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shot
     for k, (noise_factor, steps) in enumerate(levels):
         if k:
             fitting.refresh()
-        fitting.go(noise_factor, steps)
+        fitting.fit_under(noise_factor, steps)
     fitting.fit_noise()
     for _ in range(2):
         fitting.refresh()

@@ -248,8 +248,8 @@ class LanderModel:
         """Return unknowns (K, m) of bodies that can exist.
 
         Deviations of inertias are shortened, to the part `inside` of the longest ones with which the body can exist. All shorter
-        ones are possible too: the conditions are convex in the tensor, and the inertia of a wheel, by its log, grows at most
-        linearly on the way.
+        ones are possible too: the conditions are convex in the tensor, and with a shortened log the inertia of a wheel is at most
+        that of linear interpolation.
         """
         mass = self.places(*MASS)
         if not mass or not len(u):
@@ -257,14 +257,14 @@ class LanderModel:
         wrong = np.flatnonzero(~self._exists(self._bodies_of(u)))
         if not len(wrong):
             return u
-        low, high, drawn_in = np.zeros(len(wrong)), np.ones(len(wrong)), u.copy()
+        low, high, shortened = np.zeros(len(wrong)), np.ones(len(wrong)), u.copy()
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            drawn_in[wrong[:, None], mass] = middle[:, None] * u[wrong[:, None], mass]
-            fine = self._exists(self._bodies_of(drawn_in[wrong]))
+            shortened[wrong[:, None], mass] = middle[:, None] * u[wrong[:, None], mass]
+            fine = self._exists(self._bodies_of(shortened[wrong]))
             low, high = np.where(fine, middle, low), np.where(fine, high, middle)
-        drawn_in[wrong[:, None], mass] = inside * low[:, None] * u[wrong[:, None], mass]
-        return drawn_in
+        shortened[wrong[:, None], mass] = inside * low[:, None] * u[wrong[:, None], mass]
+        return shortened
 
     def limited(self, u: np.ndarray, inside: float = 1.0) -> np.ndarray:
         """Return unknowns (K, m) within the limits of a fit: :data:`FARTHEST`, and bodies that can exist."""

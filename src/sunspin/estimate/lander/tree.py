@@ -47,10 +47,8 @@ def tree_of(
     """
     likelihood = mix.log_likelihood(picked)
     trace, rounds = np.array(windows, dtype=np.int64).reshape(-1, 3), mix.draws.rounds
-    search, sampling = (
-        ("samples", "hypotheses", "kept"),
-        ("log_evidence", "effective_share", "pareto_k"),
-    )
+    search = ("samples", "hypotheses", "kept")
+    sampling = ("log_evidence", "effective_share", "pareto_k")
     return xr.DataTree.from_dict(
         {
             "posterior": _draws(mix, picked, likelihood),

@@ -328,17 +328,18 @@ class PanelPowers(Term):
         return np.log(OUTLIER * np.where(self.lit, density, OUTLIER_DARK))
 
     def best_noise(
-        self, value: np.ndarray, u: np.ndarray, answered: np.ndarray, least: float
+        self, value: np.ndarray, u: np.ndarray, fitted_freedom: np.ndarray, least: float
     ) -> np.ndarray:
         """Return unknowns (K, m) with the best noise for differences `value` (K, n, p), by Newton steps in its logarithm.
 
-        `answered` (K): degrees of freedom that the fit has used; `least`: lower limit of the log noise in sigmas of its prior.
+        `fitted_freedom` (K): degrees of freedom that the fit has used; `least`: lower limit of the log noise in sigmas of its
+        prior.
         """
         places = self.places("noise")
         if not places:
             return u
         at, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
-        used = answered + self.has_factor.sum()
+        used = fitted_freedom + self.has_factor.sum()
         for _ in range(NOISE_STEPS):
             # Without the prior, the best noise makes the weighted squares of lit readings equal to their degrees of freedom: the
             # expected number of those that are no outliers, less what was fitted.
