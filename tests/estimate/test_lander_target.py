@@ -63,10 +63,13 @@ def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_p
 
 
 def test_likelihood_is_that_of_the_model():
+    """To rounding for runs of the same error, and far below one for runs a thousand times as exact."""
     model = lander_model()
     target, shots = LanderTarget(model), near(model)
     expected = model.log_likelihood(model.carried(shots, SEARCH_ERROR), shots.u)
     assert target.log_likelihood(target.run(shots), shots.u) == pytest.approx(expected, abs=1e-9)
+    exact = model.log_likelihood(model.carried(shots, 1e-3 * SEARCH_ERROR), shots.u)
+    assert expected == pytest.approx(exact, abs=0.05)
 
 
 def test_simulated_readings_fit_their_motion_as_well_as_real_ones():
