@@ -99,7 +99,7 @@ def test_of_several_passes_the_samples_of_the_longest_decided_one_choose_the_col
     assert result["samples"].values.tolist() == [24, 16]
     asked = []
     monkeypatch.setattr(
-        "sunspin.estimate.columns.better_rivals", lambda *given: asked.append(given[1:3])
+        "sunspin.estimate.columns.better_exchanges", lambda *given: asked.append(given[1:3])
     )
     for decided in ([True, True], [False, True]):
         known = result.assign(decided=("pass_id", decided), fits=("pass_id", [True, True]))

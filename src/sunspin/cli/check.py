@@ -25,7 +25,7 @@ def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
       sunspin check vehicle.toml telemetry.csv
       sunspin check philae philae
     """
-    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.estimate.orbit.judged import orbit_sources
     from sunspin.output.check.files import describe_telemetry, describe_vehicle
     from sunspin.output.check.orbit import describe_orbit
     from sunspin.output.template import suggest_telemetry
@@ -33,7 +33,8 @@ def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    elements_of(craft, elements, shift_sigma)  # raises errors of the elements before the long work
+    # raises errors of the elements before the long work
+    orbit_sources(craft, elements, shift_sigma)
     summary, lines = describe_vehicle(craft)
     if telemetry is not None:
         try:

@@ -79,7 +79,7 @@ def plan(
       sunspin plan vehicle.toml --every 10,30,60 --bits 8 --tle my.tle --passes 30 --out beacons
     """
     from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.estimate.orbit.judged import orbit_sources
     from sunspin.output.kinds.plan import plan_summary
     from sunspin.planning import plan as plan_beacons
     from sunspin.vehicle import load_vehicle
@@ -106,7 +106,7 @@ def plan(
         max_rate_rad_s=math.radians(max_rate),
         passes=passes,
         bits=bits,
-        orbit=() if no_orbit else elements_of(craft, elements) or (),
+        orbit=() if no_orbit else orbit_sources(craft, elements) or (),
         seed=seed,
         workers=worker_count(workers),
         after_round=None if output.quiet else report,

@@ -119,7 +119,7 @@ def rates(
         output.announce(f"reading {telemetry.name}")
     output.draw_in_background("rates", workers)
     from sunspin.compute.pool import worker_count
-    from sunspin.estimate.orbit.judged import elements_of
+    from sunspin.estimate.orbit.judged import orbit_sources
     from sunspin.estimate.rates import rates as estimate_rates
     from sunspin.estimate.short_windows import rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
@@ -174,7 +174,7 @@ def rates(
     progress = output.announce if in_lines else output.progress
     chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
-        if in_lines and elements_of(craft, elements, shift_sigma) is not None:
+        if in_lines and orbit_sources(craft, elements, shift_sigma) is not None:
             output.announce(f"{samples.sizes['time']} samples; the elements are checked first")
         chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
         if chosen_orbit.orbit is None and chosen_orbit.summary and in_lines:

@@ -191,7 +191,10 @@ def _panel_keys(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Ve
 def _fit_in_orbit(
     assessment: Assessment, orbit: Orbit | None, readings: Readings, notes: list[str]
 ) -> Calibration | None:
-    """Return magnetometer and Sun sensors fitted along the orbit; None, with a note, if the data do not determine them."""
+    """Return magnetometer and Sun sensors fitted along the orbit; None, with a note, if the data do not determine them.
+
+    Raises InputError for an orbit that the telemetry contradicts.
+    """
     vehicle = assessment.vehicle
     what = "magnetometer and Sun sensors" if vehicle.sensors.sun_sensors else "magnetometer"
     if orbit is None:
@@ -370,8 +373,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     """Return zero and scale of a gyro by the passes whose rates are known without it; None if they are too few.
 
     `result`: of `rates` without the gyro. Weighted least squares of reading = scale rate + zero. Errors of the samples of a pass
-    along one axis are correlated: that of the rate is taken as common to all of them, and each reading adds its noise. Each such
-    group has Student tails, and one factor on all errors is estimated alternately with the unknowns.
+    along one axis are correlated: that of the rate is taken as common to all of them, and each reading adds its noise. The readings
+    of one axis in one pass share a weight by Student's law. One factor on all errors is estimated alternately with the unknowns.
     """
     # the gyro's reading at each sample of the result
     times, first = np.unique(telemetry["time"].values, return_index=True)
@@ -390,10 +393,10 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     usual = float(np.sqrt((reading**2).mean()))
     scale_sigma = gyro.scale_sigma / abs(gyro.scale_rad_s) or GYRO_SCALE
     prior = np.append(np.where(stated > 0, stated, usual), scale_sigma)
-    mean = np.array([0.0, 0.0, 0.0, 1.0])
-    values, covariance, factor = mean, np.diag(prior**2), 1.0
+    centre = np.array([0.0, 0.0, 0.0, 1.0])  # of the prior
+    values, covariance, factor = centre, np.diag(prior**2), 1.0
     for _ in range(GYRO_ROUNDS):
-        normal, right = np.diag(prior**-2.0), prior**-2.0 * mean
+        normal, right = np.diag(prior**-2.0), prior**-2.0 * centre
         gradients, squares, count = np.zeros((len(passes), 4)), 0.0, 0
         for k, number in enumerate(passes):
             rows = pass_of == number

@@ -261,10 +261,11 @@ class Earlier(NamedTuple):
     def derivatives_at_sample(
         self, residual: Residual, late_s: np.ndarray
     ) -> tuple[Residual, np.ndarray]:
-        """Return differences from the earlier state with derivatives by the state at the sample, and by the latency (K, n, r).
+        """Return differences computed at the earlier state, with derivatives by the state at the sample and the latency (K, n, r).
 
         Moving back by T turns the body by -omega T and changes its rate by -(acceleration) T. So by the latency the derivative is
-        -(by_turn omega + by_rate acceleration). A change of the rate at the sample also moves the earlier attitude, by -T times it.
+        -(by_turn omega + by_rate acceleration). A change of the rate at the sample also moves the earlier attitude, by -T times it,
+        and the earlier rate as much.
         """
         by_late = np.zeros(residual.value.shape)
         by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
@@ -272,9 +273,8 @@ class Earlier(NamedTuple):
             by_late -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
         if by_turn is not None:
             by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
-            if (
-                previous is None
-            ):  # a change of the rate moves both of two neighbours nearly alike, and their difference hardly
+            # a change of the rate moves both of two neighbours nearly alike, and their difference hardly
+            if previous is None:
                 by_moved = -late_s[:, None, None, None] * by_turn
                 by_rate = by_moved if by_rate is None else by_rate + by_moved
             by_turn = by_turn @ self.turned
@@ -421,18 +421,18 @@ def fit(
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
 
 
-def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) -> Track:
-    """Return motions after a step `nodes` (K, n, 6) of turns and rates, and with unknowns u (K, m), along the equations of motion.
+def bent_step(model: Model, motions: Track, change: np.ndarray, u: np.ndarray) -> Track:
+    """Return motions after a step `change` (K, n, 6) of turns and rates, and with unknowns u (K, m), along the equations of motion.
 
     A straight step, by what each state changes, violates the equations of motion; under weak torques this defect costs much, so
-    that a chain creeps along a valley of inertia and rates. Here the state of the middle sample moves
-    as the step says. All others follow from it by the equations of motion, and by the defects that linear theory predicts after
-    the step: it is the step of single shooting, of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
+    that a chain creeps along a valley of inertia and rates. Here the state of the middle sample moves as the step says. All others
+    follow from it by the equations of motion, and by the defects that linear theory predicts after the step: it is the step of
+    single shooting, of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
     """
     obs, dt = model.obs, np.diff(model.obs.t_s)
     defect = defects(model, motions)
-    predicted = defect.value + np.einsum("knij,knj->kni", defect.by_first, nodes[:, :-1])
-    predicted += np.einsum("knij,knj->kni", defect.by_second, nodes[:, 1:])
+    predicted = defect.value + np.einsum("knij,knj->kni", defect.by_first, change[:, :-1])
+    predicted += np.einsum("knij,knj->kni", defect.by_second, change[:, 1:])
     predicted += np.einsum("knij,kj->kni", defect.by_u, u - motions.u)
     # what is added to a free motion at the end of each interval: the predicted defect, and torques
     added = defect.unwhitened(predicted)
@@ -444,8 +444,8 @@ def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) ->
             added += known
 
     inertia = model.body.inertia_at(u[:, model.inertia_slice])
-    attitude = rotate_attitude(motions.attitude, nodes[..., TURN])
-    omega = motions.omega + nodes[..., RATE]
+    attitude = rotate_attitude(motions.attitude, change[..., TURN])
+    omega = motions.omega + change[..., RATE]
     middle, last = len(obs) // 2, len(obs) - 1
     for start in range(middle, last):
         end = start + 1
@@ -454,7 +454,8 @@ def bent_step(model: Model, motions: Track, nodes: np.ndarray, u: np.ndarray) ->
         attitude[:, end] = rotate_attitude(free, added[:, start, TURN])
         omega[:, end] = stepped.omega[:, 0] + added[:, start, RATE]
     for start in range(middle, 0, -1):
-        # The interval ends at `start` and has the number of `end`: what is added there is taken off before the step back.
+        # Interval k lies between the samples k and k + 1, so this one has the number of `end`. What is added where it ends, at
+        # `start`, is taken off before the step back.
         end = start - 1
         free = rotate_attitude(attitude[:, start], -added[:, end, TURN])
         before = omega[:, [start]] - added[:, [end], RATE]

@@ -280,7 +280,7 @@ def _best_of(
     return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
 
 
-def better_rivals(
+def better_exchanges(
     observed: Observed,
     telemetry: xr.Dataset,
     costs: CostsOfSamples,
@@ -292,11 +292,12 @@ def better_rivals(
     The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
     their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
     columns made up; with the right ones the log evidence was better by 24. `observed`: with the Sun's directions of the estimated
-    motion; `costs`: of the samples of the pass; `noise`: of the readings.
+    motion; `costs`: of the samples of the pass; `noise`: of the readings. Exchanges of dark columns that change nothing are left
+    out.
     """
     vehicle, changes = observed.vehicle, costs.changes
     allowed = costs.of_changes <= costs.as_written + AS_GOOD
-    # a change that looks the same as reversed wheels was tested with the signs of the wheels
+    # a change that gives the same readings as reversed wheels was tested with the signs of the wheels
     tested = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
     light = vehicle.response_in().power(observed.sun_B) / noise
     read = np.nan_to_num(signals(telemetry)) / noise

@@ -26,7 +26,7 @@ from sunspin.estimate.column_tests import (
     CostsOfSamples,
     Named,
     Trials,
-    better_rivals,
+    better_exchanges,
     silent_inputs,
     what_fits_better,
 )
@@ -251,7 +251,7 @@ def _with_rivals(
     if k != _longest(result):
         costs = CostsOfSamples.of(observed.vehicle, part)
     trials = replace(trials, least=AS_GOOD)
-    better = better_rivals(of_part, part, costs, noise_of(result, observed.vehicle), trials)
+    better = better_exchanges(of_part, part, costs, noise_of(result, observed.vehicle), trials)
     if better is None or better.gain < least:
         return result
     # A small gain does not accuse the file, but the pass is not decided with it. Nor does evidence alone accuse it: of a slow body

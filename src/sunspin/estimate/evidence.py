@@ -80,16 +80,18 @@ def ladder(
     fits = {first_rung: of_first} if first_rung in s.rungs and len(start) else {}
 
     def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
-        """Add the fits on a path, from the last one before it, to `fits`; return the last one and its rung."""
+        """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
+
+        The first begins at the motions of the fit `last`, on the rung `last_rung`.
+        """
         for rung in path:
             # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is
             steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
             for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
                 under = model.under(level)
                 begin = rescale_unknowns(last.motions, last.model, under)
-                if (
-                    level in fits
-                ):  # fitted on the way up already: the motions from there are kept too
+                # fitted on the way up already: the motions from there are kept too
+                if level in fits:
                     begin = Track.joined([begin, fits[level].to_begin_from])
                 last, shared = _fit_and_select(under, begin, s.steps, s, search_settings)
             last_rung = rung

@@ -42,7 +42,10 @@ def imaged(motions: Track, image: np.ndarray) -> Track:
 
 
 def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
-    """Return the motions, the best first, and all images of the best :data:`FAMILIES` that are not images of each other."""
+    """Return motions and all images of the first :data:`FAMILIES` of them that are not images of each other.
+
+    `motions`: the best first. They come first in the result too.
+    """
     images = images_of(model)
     if len(images) == 1 or not len(motions):
         return motions

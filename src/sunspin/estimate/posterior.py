@@ -282,7 +282,9 @@ def draw_all_models(
 
     `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows.
     """
-    settings, reach_s = nominal.carrier.settings, LanderTarget(nominal.fit.model).reach_s
+    settings = nominal.carrier.settings
+    # the longest time from the reference to a sample
+    reach_s = LanderTarget(nominal.fit.model).reach_s
 
     # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
     # of a few degrees over the samples, since inertia and friction compensate it. So these models are always in the draws.
@@ -295,9 +297,8 @@ def draw_all_models(
         fits = [nominal.fit, *pool.map(lambda torque: refit(torque, nominal), torques)]
     drawn = draw_models(fits, nominal, streams[:3], budget)
     mix = drawn.mixture(reach_s, settings)
-    if not (torques and nominal.carrier.complete) or nominal_explains(
-        drawn, mix, reach_s, settings
-    ):
+    may_search_again = bool(torques) and nominal.carrier.complete
+    if not may_search_again or nominal_explains(drawn, mix, reach_s, settings):
         return drawn.doubts, mix
 
     # If no motion of the nominal model fits, a torque may be the cause: search under each torque from the first samples on. That is

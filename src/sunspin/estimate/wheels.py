@@ -264,7 +264,8 @@ def doubted_signs(
     """Return the wheels whose sign the data doubt; None if they do not, or cannot.
 
     Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`, and if one of
-    the passes then has another motion. Most are refused sooner: by a quick search, or as soon as the passes are worse together.
+    the passes then has another motion. Most wheels are given up before that: by a quick search, or as soon as the passes are worse
+    together. Of several the ones with the largest gain are returned.
 
     `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `searches`: of the first of
     them, for what the wheels do.

@@ -99,9 +99,10 @@ class Shooting:
     # ---- the search --------------------------------------------------------------------------------------------------------
 
     def fit(self, motions: TrialMotions, window: slice) -> TrialMotions:
-        """Return motions fitted to the samples of a window; fits that are far too bad after the first level end there.
+        """Return motions fitted to the samples of a window, on several levels: a factor on the noise and steps under it.
 
-        If body and wheel are free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far
+        Fits that are far too bad after the first level end there. In windows larger than the first one in which body and wheel are
+        free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far
         along its ridge, and with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
         """
         s = self.s

@@ -252,7 +252,10 @@ def contradiction(turns, sun, short, limits, out):
 
 @compiled
 def best_point(corners, places, sun, tables, limits, work):
-    """Return the index of the best of the `places` (8, 3), and its misfit: infinite if the readings contradict all."""
+    """Return the index of the best of the `places` (8, 3) in a cell, and its misfit.
+
+    The misfit is infinite if at each place the readings of some sample contradict the motion.
+    """
     least, best = np.inf, 0
     for point in range(8):
         worst, total = 0.0, 0.0
@@ -379,7 +382,11 @@ def solve(normal, gradient, move):
 
 @compiled
 def equations(corners, x, step, frame, panels, limits, work):
-    """Write the normal equations of a start at place x, `step` off a direction with two tangents, `frame`; return its misfit."""
+    """Write the normal equations of a start, and return its misfit.
+
+    The start is at place x of its cell. Its direction of the Sun at the reference is `frame[0]`, moved by `step` (2) along the
+    tangents `frame[1:]`. The five coordinates are those of the place, then those of the step.
+    """
     for i in range(COORDINATES):
         work.gradient[i] = 0.0
         for k in range(i + 1):

@@ -248,8 +248,8 @@ class LanderModel:
         """Return unknowns (K, m) of bodies that can exist.
 
         Deviations of inertias are shortened, to the part `inside` of the longest ones with which the body can exist. All shorter
-        ones are possible too: the conditions are convex in the tensor, and with a shortened log the inertia of a wheel is at most
-        that of linear interpolation.
+        ones are possible too. The conditions are convex in the tensor of the body. The inertia of a wheel is sampled by its
+        logarithm: half the deviation of the logarithm is less than half the deviation of the inertia.
         """
         mass = self.places(*MASS)
         if not mass or not len(u):

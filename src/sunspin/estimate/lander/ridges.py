@@ -340,8 +340,8 @@ def over_sizes(
 ) -> list[Peak]:
     """Return the peaks of a motion with unknowns u (m), one for each combination of prior sigmas that its unknowns may have.
 
-    They follow by linear theory from the peak `fitted` with prior sigmas `fitted_share` (m), over `Unknown.sigma`. Peaks that move
-    too far are left out, as linear theory does not hold there: a torque that rotates the momentum about the Sun hardly changes
+    They follow by linear theory from the peak `fitted`, whose prior sigmas are `fitted_share` (m) times `Unknown.sigma`. Peaks that
+    move too far are left out, as linear theory does not hold there: a torque that rotates the momentum about the Sun hardly changes
     readings, and would be placed whole revolutions away.
     """
     peaks = [fitted]
@@ -403,8 +403,8 @@ def fit_stiff(
 ) -> StiffFit:
     """Return the stiff coordinates and reading unknowns of largest posterior density at fixed outer coordinates y (n, d).
 
-    The fit starts at z (n, q) and u (n, m). With the derivatives of motions `near` few steps are enough, mostly one and the last
-    one, whose cost is not computed.
+    The fit starts at z (n, q) and u (n, m). `near`: derivatives at motions near the starts, if they are known: then few steps are
+    enough, mostly one and the last one, whose cost is not computed. The terms are those of the head of this file.
     """
     reading, q = target.reading_unknowns, chart.stiff
 
@@ -424,12 +424,14 @@ def fit_stiff(
         return DenseSystem(motion.cost, matrix, slope, extras=tuple(motion.slopes))
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
+        """Return the state after a step of stiff coordinates and reading unknowns."""
         y, z, u, *slopes = state
         u = np.array(u)
         u[:, reading] += step[:, q:]
         return (y, z + step[:, :q], u, *slopes)
 
     def with_slopes(state: tuple[Any, ...], system: DenseSystem) -> tuple[Any, ...]:
+        """Return the state with the derivatives of its equations, for the next ones."""
         y, z, u, *_ = state
         return (y, z, u, *system.extras)
 
@@ -439,7 +441,7 @@ def fit_stiff(
     for noise_factor, steps in WARM if near is not None else COLD:
         system = equations(noise_factor, state)
         state = with_slopes(state, system)
-        # most predicted starts are so near that the last step is enough
+        # most predicted starts are so near that the last step is enough; a gain of NaN is far too
         far = np.flatnonzero(~(solve_dense(system, np.zeros(len(y)))[1] < SETTLED_GAIN))
         if len(far):
             solution = least_squares(

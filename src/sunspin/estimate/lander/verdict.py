@@ -206,7 +206,7 @@ def pass_row(
     enough = np.flatnonzero(solutions["effective_draws"].values >= TOO_FEW)
     for k in np.intersect1d(of_solution, enough):  # the draws themselves if there are enough
         quantiles[k] = np.quantile(speed[of_solution == k], SPEEDS)
-    best = of_solution == of_solution.min(initial=0)
+    best = of_solution == 0
     if not best.any():  # no draw of the result belongs to the likeliest solution
         best[:] = True
     value = float(np.linalg.norm(rate[0]))

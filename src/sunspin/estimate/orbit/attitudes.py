@@ -217,14 +217,15 @@ class OrbitModel:
         unknown = state.unknown[0]
         best = self.project_out_attitudes(unknown, state.attitude[0])
         weight = self.weights(best.value)
-        slope = self.precision @ unknown + self.gradients(best).sum(axis=0)
+        gradient = self.precision @ unknown + self.gradients(best).sum(axis=0)
+        # the prior, Student's law, and the normalisation by the scatter of each reading
         freedom, square = STUDENT + self.conditions, (best.value**2).sum(axis=1)
         cost = unknown @ self.precision @ unknown / 2
         cost += (freedom / 2 * np.log1p(square / STUDENT)).sum()
         cost += (self.was_read.sum(axis=0) * np.log(np.array(self.scatter)[self.kinds])).sum()
         matrix = self.precision + summed_information(weight, best.slope)
         return DenseSystem(
-            np.array([cost]), matrix[None], slope[None], extras=(best.attitude[None],)
+            np.array([cost]), matrix[None], gradient[None], extras=(best.attitude[None],)
         )
 
     def gradients(self, best: ProjectedResiduals) -> np.ndarray:

@@ -239,10 +239,10 @@ class Calibration:
         return SUN_TURNED_RAD**2 * rotated.T @ rotated
 
     def magnetometer(self, shift_s: float, sigma_s: float) -> FieldCalibration:
-        """Return the calibration of the magnetometer if the offset is `shift_s` with another sigma than the fit has found (s).
+        """Return the calibration of the magnetometer for another offset along the track than the fitted one.
 
-        The other unknowns follow the offset by their regression on it. Their errors are propagated from the equation of the fit,
-        reading = (1 + M) field + zero, to field = matrix reading - zero.
+        It is `shift_s` with the sigma `sigma_s`, both in s. The other unknowns follow the offset by their regression on it. Their
+        errors are propagated from the equation of the fit, reading = (1 + M) field + zero, to field = matrix reading - zero.
         """
         covariance = self.covariance[MAGNETOMETER, MAGNETOMETER]
         by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]

@@ -316,7 +316,8 @@ class MagnetometerModel:
     def residuals(self, state: MagnetometerState) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return two pairs of residuals and Jacobian: of the strength, and of the component toward the Sun of samples that show it.
 
-        They are in units of their scatter: (K, n) and (K, n, 12) of n samples, or (K, s) and (K, s, 12) of s samples with a Sun.
+        They are (K, n) and (K, n, 12) of n samples, or (K, s) and (K, s, 12) of s samples with a Sun. The strength is off in units
+        of its scatter. The component toward the Sun is off in units of strength, sigma of the Sun's direction and scatter.
         """
         matrix = np.eye(3) + state.unknown[:, MATRIX].reshape(-1, 3, 3)
         field = self.reading @ np.swapaxes(matrix, 1, 2) - state.unknown[:, None, ZERO]

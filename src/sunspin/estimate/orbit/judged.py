@@ -19,14 +19,15 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import StatedOrbit
 
 
-def elements_of(
+def orbit_sources(
     vehicle: Vehicle,
     file: OrbitFile | Path | str | None = None,
     shift_sigma_s: float | None = None,
 ) -> tuple[Source, ...] | None:
     """Return the element sets of a file (TLE, OMM), its table of positions (OEM, CSV, SPK), or else those of the vehicle file.
 
-    None without any. Raises InputError for elements that cannot be used, or for a sigma of the offset without elements.
+    None without any. `shift_sigma_s` is only checked: a sigma of the offset (s) without elements raises InputError, as do elements
+    that cannot be used.
     """
     if file is not None:
         return read_orbit(file)
@@ -44,12 +45,12 @@ def orbit_of(
     elements: OrbitFile | Path | str | None = None,
     shift_sigma_s: float | None = None,
 ) -> Orbit | None:
-    """Return the environment of a telemetry file by :func:`elements_of`; None without elements.
+    """Return the environment of a telemetry file by :func:`orbit_sources`; None without elements.
 
     `shift_sigma_s`: sigma of the along-track offset in s, in place of that of the vehicle file; without either it follows from the
     age of the elements.
     """
-    sources = elements_of(vehicle, elements, shift_sigma_s)
+    sources = orbit_sources(vehicle, elements, shift_sigma_s)
     if sources is None:
         return None
     stated = vehicle.orbit or StatedOrbit()
@@ -112,7 +113,8 @@ def judged_orbit(
             f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
         )
         return orbit, check, text
-    # The estimated offset is the sum of the error of the elements and of the clock. The variance of the clock is its part.
+    # The estimated offset is the error of the elements and that of the clock together: less the variance of the clock, its variance
+    # is that of the elements.
     elements_variance = max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)
     known = replace(
         orbit,

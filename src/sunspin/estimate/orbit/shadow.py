@@ -160,7 +160,7 @@ def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
-    """Return which samples (n) have a bright panel, and in which of them (n) only sunlight is possible."""
+    """Return which samples (n) have a bright panel, and which of them (n) are surely in sunlight."""
     vehicle, quality = assessment.vehicle, assessment.quality
     value = signals(assessment.telemetry)
     full = quality.attrs["full_sun"] * vehicle.input_gains
@@ -169,8 +169,9 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
     sound = (bright & (value <= SPIKE_FACTOR * full)).any(axis=1)
     sound &= quality["use"].values != DROPPED
     clear = np.asarray(sound & (assessment.sun["delta"].values < MISFIT))
-    if clear.any() and vehicle.gain_unit != UNITS[vehicle.telemetry.quantity]:
-        # full Sun is what the brighter samples of the file give, which may be noise
+    full_sun_is_estimated = vehicle.gain_unit != UNITS[vehicle.telemetry.quantity]
+    if clear.any() and full_sun_is_estimated:
+        # By the brighter samples of the file, which may be noise: then they scatter. From 16 to 84 % are two sigmas.
         of_sound = brightness(vehicle, np.nan_to_num(value[sound]))
         low, median, high = np.quantile(of_sound, [0.16, 0.5, 0.84])
         if clear.sum() < FITTING_SHARE * sound.sum() or high - low > 2 * SCATTER * median:

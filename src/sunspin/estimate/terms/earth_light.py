@@ -131,8 +131,9 @@ class EarthLight:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) and unknowns (K, b + p) from which a fit begins.
 
-        The z axis of the attitudes that are given is where Sun and Earth's light together were taken for the Sun. `cost`: function
-        of unknowns and attitudes to the cost (K); `about_sun`: the turn about the Sun is that of N.
+        A search knows no light of the Earth: the z axis of its attitudes (K, n, 3, 3), which it takes for the Sun, is that of the
+        sum of both lights. There are b unknowns of the light's vector, then those of p zeros. `cost`: function of unknowns and
+        attitudes to the cost (K); `about_sun`: whether the turn about the Sun is known already.
         """
         count, m = len(attitude), self.light_N.shape[1] + len(self.zeros)
         u, least, best = np.zeros((count, m)), np.full(count, np.inf), attitude
