@@ -7,6 +7,7 @@ import sys
 import time
 from contextlib import suppress
 from multiprocessing import active_children
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from threading import Lock, Thread, active_count
 
@@ -71,6 +72,21 @@ def test_a_helper_ends_with_the_block_although_it_works_and_its_parent_is_interr
         helper.start(time.sleep, 1000.0)
         raise KeyboardInterrupt
     assert time.monotonic() - begin < 60 and not set(active_children()) - before
+
+
+def test_an_interruption_while_a_helper_starts_ends_it_too(monkeypatch):
+    """It comes when the copy exists and nobody has noted it yet."""
+    before, handler = set(active_children()), signal.getsignal(signal.SIGINT)
+    start = ForkProcess.start
+
+    def interrupted_start(process):
+        start(process)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(ForkProcess, "start", interrupted_start)
+    with pytest.raises(KeyboardInterrupt), helper_process(2, prepare):
+        pass
+    assert not set(active_children()) - before and signal.getsignal(signal.SIGINT) is handler
 
 
 def be_deaf(seconds):

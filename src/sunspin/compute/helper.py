@@ -27,6 +27,11 @@ LOOK_S = 0.5
 END_S = 5.0
 """Time, in seconds, in which a helper may end itself and its pool; then it is killed, and its pool with it."""
 
+INTERRUPTIONS = {
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+}
+"""Signals of Ctrl-C, of a request to end, and of a terminal that is closed."""
+
 AGAIN_S = 0.1
 """Seconds after which a helper that has not ended is asked once more: right after it was copied Python ignores errors."""
 
@@ -74,12 +79,13 @@ def helper_process(workers: int, prepare: Callable[[], Any]) -> Generator[Helper
     fork = get_context("fork")
     ours, its = fork.Pipe()
     process = fork.Process(target=_serve, args=(ours, its, prepare))
-    with warnings.catch_warnings():
-        # the idle threads of the linear algebra library do no harm
-        warnings.filterwarnings("ignore", "This process .* is multi-threaded")
-        process.start()
-    its.close()
     try:
+        # An interruption waits until the helper is known here: else this process would end without it, or wait for it forever.
+        with _interruptions_deferred(), warnings.catch_warnings():
+            # the idle threads of the linear algebra library do no harm
+            warnings.filterwarnings("ignore", "This process .* is multi-threaded")
+            process.start()
+        its.close()
         yield Helper(ours, process, workers)
     finally:
         ours.close()  # ends it at the latest after its call, even if a library catches the error of the signal
@@ -125,6 +131,26 @@ def _end(*_: Any) -> None:
     """Handle the request to end by an error, which ends a pool of this process too; further requests do not disturb that."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit()
+
+
+@contextmanager
+def _interruptions_deferred() -> Generator[None]:
+    """Handle the signals of an interruption only at the end of the block, where Python handles them.
+
+    A signal mask would not do: the system gives a signal to any thread, also to those of the linear algebra library.
+    """
+    arrived: list[int] = []
+    handlers = {kind: signal.getsignal(kind) for kind in INTERRUPTIONS}
+    deferred = {kind: handler for kind, handler in handlers.items() if callable(handler)}
+    for kind in deferred:
+        signal.signal(kind, lambda number, _: arrived.append(number))
+    try:
+        yield
+    finally:
+        for kind, handler in deferred.items():
+            signal.signal(kind, handler)
+        for number in arrived[:1]:
+            signal.raise_signal(number)
 
 
 @contextmanager
