@@ -74,10 +74,17 @@ def test_a_helper_ends_with_the_block_although_it_works_and_its_parent_is_interr
     assert time.monotonic() - begin < 60 and not set(active_children()) - before
 
 
-def test_an_interruption_while_a_helper_starts_ends_it_too(monkeypatch):
+@pytest.fixture
+def interrupt_handler():
+    """Python's own handler of Ctrl-C, which it does not install if whoever started it ignores that signal."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+def test_an_interruption_while_a_helper_starts_ends_it_too(monkeypatch, interrupt_handler):
     """It comes when the copy exists and nobody has noted it yet."""
-    before, handler = set(active_children()), signal.getsignal(signal.SIGINT)
-    start = ForkProcess.start
+    before, start = set(active_children()), ForkProcess.start
 
     def interrupted_start(process):
         start(process)
@@ -86,7 +93,8 @@ def test_an_interruption_while_a_helper_starts_ends_it_too(monkeypatch):
     monkeypatch.setattr(ForkProcess, "start", interrupted_start)
     with pytest.raises(KeyboardInterrupt), helper_process(2, prepare):
         pass
-    assert not set(active_children()) - before and signal.getsignal(signal.SIGINT) is handler
+    assert not set(active_children()) - before
+    assert signal.getsignal(signal.SIGINT) is interrupt_handler
 
 
 def be_deaf(seconds):
