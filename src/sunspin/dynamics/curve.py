@@ -89,9 +89,8 @@ def along_curve(run: xr.Dataset) -> xr.Dataset:
     """
     if "curve_omega_B" not in run:
         return run
-    order = (
-        1 if run["time"].values[-1] >= run["time"].values[0] else -1
-    )  # a motion backward in time
+    # -1: a motion backward in time
+    order = 1 if run["time"].values[-1] >= run["time"].values[0] else -1
     t, curve_t = order * run["time"].values, order * run["curve_time"].values
     to_N = matrix_from_quaternion(run["B_from_N"].values).swapaxes(1, 2)  # (n, 3, 3)
     attitude = matrix_from_quaternion(run["curve_B_from_N"].values)

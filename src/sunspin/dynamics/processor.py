@@ -64,9 +64,8 @@ def cached(message: str) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         _announced[function] = message
         entry: Any = njit(**OPTIONS)(function)
-        with suppress(
-            RuntimeError
-        ):  # neither the package's folder nor the user's cache can be written
+        # an error says that neither the package's folder nor the user's cache can be written
+        with suppress(RuntimeError):
             entry._cache = _KeptCode(function)
         return entry
 

@@ -95,15 +95,13 @@ def one_pass(
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
     # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
+    inertia_by_sun = bool(len(nominal.body.errors) and nominal.obs.only_sun)
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
-    if strained and len(nominal.body.errors) and nominal.obs.only_sun:
+    if strained and inertia_by_sun:
         fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
     # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well. `wider`: the nominal model with a
     # larger limit, only for search and aliases.
-    taken_for_sphere = bool(
-        nominal.body.sphere and len(nominal.body.errors) and nominal.obs.only_sun
-    )
-    beyond = s.alternatives.beyond if taken_for_sphere else 1.0
+    beyond = s.alternatives.beyond if inertia_by_sun and nominal.body.sphere else 1.0
     wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
     if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
         faster = search_and_fit(wider, s.search.noise, nominal.rate_max)

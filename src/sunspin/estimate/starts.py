@@ -234,9 +234,8 @@ def constant_rates(
     # most angles near the smallest, where the axis turns fastest; beyond pi they are turns the other way about the opposite axis
     angle = apart + (np.pi - apart) * np.linspace(0.0, 1.0, FINE) ** 2
     sin_b = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
-    along = np.sqrt(1 - sin_b**2) / max(
-        np.cos(apart / 2), 1e-9
-    )  # component of the axis along the middle
+    # component of the axis along the middle
+    along = np.sqrt(1 - sin_b**2) / max(np.cos(apart / 2), 1e-9)
     families = []
     for side_of_middle in (1.0, -1.0):
         cosine = np.clip(side_of_middle * along, -1, 1)[:, None]

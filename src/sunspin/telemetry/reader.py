@@ -390,12 +390,16 @@ def _leave_out_others(
     of_others = empty & any_value(header - reading_columns - {*_clock_columns(form), "phase"})
     if of_others.all() or not of_others.any():
         return table, times, 0
-    table, times = table._replace(cells=table.cells[~of_others]), times.take(~of_others)
-    if form.epoch_utc is None and form.time_format != "elapsed":
-        first_s = float(times.time[0])
-        epoch = times.epoch + timedelta(seconds=first_s)
-        times = times._replace(time=times.time - first_s, epoch=epoch)
-    return table, times, int(of_others.sum())
+    table = table._replace(cells=table.cells[~of_others])
+    return table, _count_from_first_row(form, times.take(~of_others)), int(of_others.sum())
+
+
+def _count_from_first_row(form: TelemetryForm, times: Times) -> Times:
+    """Return times that count from the first row, as it may have changed, unless the epoch is stated or times are elapsed."""
+    if form.epoch_utc is not None or form.time_format == "elapsed":
+        return times
+    first_s = float(times.time[0])
+    return times._replace(time=times.time - first_s, epoch=times.epoch + timedelta(seconds=first_s))
 
 
 def _sort_and_merge(
@@ -429,14 +433,10 @@ def _sort_and_merge(
     }
     if not any(counts.values()):
         return table, times, {}
-    epoch, received, time = times.epoch, times.received, time[kept]
-    # the first row may now be another
-    if form.epoch_utc is None and form.time_format != "elapsed":
-        epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
     cells = pd.DataFrame(rows[kept], table.cells.index[kept], table.header)
     table = table._replace(cells=cells)
-    received = None if received is None else read_received_times(form, table)
-    times = times._replace(time=time, epoch=epoch, received=received)
+    received = None if times.received is None else read_received_times(form, table)
+    times = _count_from_first_row(form, times._replace(time=time[kept], received=received))
     return table, times, {name: n for name, n in counts.items() if n}
 
 
