@@ -409,9 +409,10 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
     """
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
-    suns = allowed_directions(model, first)
+    searched = model.for_search(model.noise)[0]
+    suns = allowed_directions(searched, first)
     if _constant_rate_holds(model, first):
-        alike = (suns @ allowed_directions(model, first + 1).T).max() > np.cos(ANY_AXIS_RAD)
+        alike = (suns @ allowed_directions(searched, first + 1).T).max() > np.cos(ANY_AXIS_RAD)
         # axes are two basins apart where those of a grid are one
         limit = 2 * COARSE_RAD * np.sqrt(MOST_AXES / (4 * np.pi)) / dt if alike else np.inf
     else:
