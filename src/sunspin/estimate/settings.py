@@ -131,8 +131,9 @@ class LadderSettings:
     """Rung under which an inertia that is wrong finds its place."""
 
     strained: float = 3e-4
-    """Rung from which a body without an inertia, of which only the Sun is measured, is searched again under `strong`, though its
-    motion fits: a body at 12.5 deg/s, sampled every 30 s, was decided as one at 0.2 deg/s."""
+    """Rung from which a body of which only the Sun is measured is searched again under `strong`, though its motion fits. Without an
+    inertia a body at 12.5 deg/s, sampled every 30 s, was decided as one at 0.2 deg/s; with one that was a sigma off, a long body
+    was decided 13 sigma off."""
 
     cooling: float = 5.5
     """Largest ratio of two neighbouring strengths: a motion that is stiffened more at once stays where it is."""
