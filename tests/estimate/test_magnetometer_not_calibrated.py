@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.alternatives import another_zero
+from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import fit
 from sunspin.estimate.dense import residuals_by_sensor
 from sunspin.estimate.evidence import best_cost, rescale_unknowns
@@ -14,7 +15,6 @@ from sunspin.estimate.field_led import prepare_fit
 from sunspin.estimate.model import Body, Model, Noise, Track
 from sunspin.estimate.observe import observe
 from sunspin.estimate.one_pass import fit_tracks, search_motions
-from sunspin.estimate.budget import Budget
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.terms.field import LARGEST_ZERO, SOFT_IRON, FieldChange

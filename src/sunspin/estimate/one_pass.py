@@ -202,31 +202,28 @@ def fit_tracks(
         begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
         fits += ladder(nominal, begin, s.ladder, s.search, noise)
     fits = merge_fits(fits, s.ladder, s.search)
-    lower = begin_again(nominal, fits, s)
-    if len(lower):
-        fits = merge_fits(
-            fits + ladder(nominal, lower, s.ladder, s.search, noise), s.ladder, s.search
-        )
-    return fits
+    again = begin_again(fits, s)
+    return merge_fits(fits + again, s.ladder, s.search) if again else fits
 
 
-def begin_again(nominal: Model, fits: Sequence[Fit], s: RatesSettings) -> Track:
-    """Return the most probable motion with unknowns that were guessed again, if a fit that begins so ends at a lower cost; or none.
+def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
+    """Return fits of the most probable motion with unknowns guessed again, if a fit that begins so ends at a lower cost; or none.
 
     The first guess of the Earth's light is made along motions of a search, which take Sun and Earth's light together for the Sun.
     It may lead to a second minimum; along the fitted motion it is better. Without this a pass was decided 7 sigma off whose true
     motion cost 11 less.
     """
-    motions = best_motions(fits, 1, s.search)
-    if not len(motions):
-        return motions
+    if not any(map(len, fits)):
+        return []
     best = best_fit(fits)
-    again = prepare_fit(best.model, Track.free(motions.attitude, motions.omega))
-    if not again.u.any():  # no term guesses its unknowns
-        return motions.take(slice(0))
-    fitted = fit(best.model, again, s.ladder.first_steps, s.ladder.tolerance).motions
-    lowest = best.to_begin_from.take(best.log_evidence.argmax()[None])
-    return fitted.take(fitted.cost < lowest.cost - s.ladder.creeping)
+    motion = best.take(np.array([np.argmax(best.log_evidence)])).to_begin_from
+    begin = prepare_fit(best.model, Track.free(motion.attitude, motion.omega))
+    if not begin.u.any():  # no term guesses its unknowns
+        return []
+    again = fit(best.model, begin, s.ladder.first_steps, s.ladder.tolerance).motions
+    if again.cost[0] >= motion.cost[0] - s.ladder.creeping:
+        return []
+    return ladder(best.model, again, s.ladder, s.search, best.model.noise.acceleration)
 
 
 def fits_of_alternative(
