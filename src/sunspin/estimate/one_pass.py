@@ -12,7 +12,7 @@ import numpy as np
 from sunspin.base.errors import InputError
 from sunspin.estimate.alternatives import alternatives
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.chain import Chain, Fit
+from sunspin.estimate.chain import Chain, Fit, fit
 from sunspin.estimate.evidence import (
     PassFits,
     best_cost,
@@ -201,7 +201,29 @@ def fit_tracks(
     for motions in tracks:
         begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
         fits += ladder(nominal, begin, s.ladder, s.search, noise)
-    return merge_fits(fits, s.ladder, s.search)
+    fits = merge_fits(fits, s.ladder, s.search)
+    again = begin_again(fits, s)
+    return merge_fits(fits + again, s.ladder, s.search) if again else fits
+
+
+def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
+    """Return fits of the most probable motion with unknowns guessed again, if a fit that begins so ends at a lower cost; or none.
+
+    The first guess of the Earth's light is made along motions of a search, which take Sun and Earth's light together for the Sun.
+    It may lead to a second minimum; along the fitted motion it is better. Without this a pass was decided 7 sigma off whose true
+    motion cost 11 less.
+    """
+    if not any(map(len, fits)):
+        return []
+    best = best_fit(fits)
+    motion = best.take(np.array([np.argmax(best.log_evidence)])).to_begin_from
+    begin = prepare_fit(best.model, Track.free(motion.attitude, motion.omega))
+    if not begin.u.any():  # no term guesses its unknowns
+        return []
+    again = fit(best.model, begin, s.ladder.first_steps, s.ladder.tolerance).motions
+    if again.cost[0] >= motion.cost[0] - s.ladder.creeping:
+        return []
+    return ladder(best.model, again, s.ladder, s.search, best.model.noise.acceleration)
 
 
 def fits_of_alternative(
