@@ -169,6 +169,9 @@ def residuals_by_sensor(
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)
+    # an error of a sample's time turns the body about its rate
+    turned = obs.time_sigma_s * track.omega
+    spread[..., TURN, TURN] += turned[..., :, None] * turned[..., None, :]
     u = track.u * np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
     residuals: dict[str, np.ndarray] = {}
     late, earlier = latency(model, u), None

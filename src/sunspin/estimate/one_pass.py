@@ -84,10 +84,13 @@ def one_pass(
         return fit_tracks(nominal, tracks, noise, s)
 
     # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
-    if begin is None:
-        fits = search_and_fit(nominal, s.search.noise)
-    else:
-        fits = fit_tracks(nominal, [begin], s.search.noise, s)
+    # How much the errors of the times change a reading is known once a motion is: then the search is made again.
+    noise = s.search.noise
+    tracks = [begin] if begin is not None else search_motions(nominal, noise, s.search, budget)
+    exact, nominal = nominal, with_time_errors(nominal, tracks, s.search.least_drift_rad)
+    if begin is None and nominal is not exact:
+        tracks = search_motions(nominal, noise, s.search, budget)
+    fits = fit_tracks(nominal, tracks, noise, s)
 
     # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
     # motion is asked, since under the strongest torques nearly everything fits.
@@ -147,6 +150,29 @@ def one_pass(
         used=budget.used,
         cut=budget.cut,
     )
+
+
+def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: float) -> Model:
+    """Return the nominal model with the errors of the samples' times among those of the readings.
+
+    How much they change a reading depends on the rate. That of the motion of least cost in `tracks` counts for every motion: with
+    errors of its own a fast alias would fit anything. Larger errors make all readings less probable, which `log_prior` holds, so
+    that two wheels or columns of a pass stay comparable. Below `least_drift_rad` the model is returned as it is.
+    """
+    obs = nominal.obs
+    best = [track.take(slice(0, 1)) for track in tracks if len(track)]
+    if not (obs.time_sigma_s and best):
+        return nominal
+    motion = min(best, key=lambda track: track.cost.sum())
+    of_sun, of_body = obs.turned_in_time_sigma(motion)
+    if max(of_sun.max(), 0.0 if obs.only_sun else of_body.max()) < least_drift_rad:
+        return nominal
+    wider = obs.with_time_errors(motion)
+    price = sum(
+        after.log_errors() - before.log_errors()
+        for before, after in zip(obs.terms, wider.terms, strict=True)
+    )
+    return replace(nominal, obs=wider, log_prior=nominal.log_prior - price)
 
 
 def search_motions(

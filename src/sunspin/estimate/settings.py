@@ -65,6 +65,10 @@ class SearchSettings:
     most_turns: int = 100
     """Whole turns between two samples, at most: where both hardly bound the Sun, more would make millions of starts."""
 
+    least_drift_rad: float = 5e-3
+    """A body that turns by less than this in the error of a sample's time is taken for read at exact times: it is half of the
+    usual error of a direction."""
+
     around: int = 2
     """Samples on either side of the first pair on which its starts are tried."""
 
