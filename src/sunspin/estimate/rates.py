@@ -22,17 +22,9 @@ from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.columns import check_columns
 from sunspin.estimate.equivalence import wheel_changes
-from sunspin.estimate.evidence import (
-    PassFits,
-    share_noise,
-)
+from sunspin.estimate.evidence import PassFits, share_noise
 from sunspin.estimate.images import images_of
-from sunspin.estimate.model import (
-    SUN_N,
-    Body,
-    Model,
-    Noise,
-)
+from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
     Pass,
     observe,
@@ -51,17 +43,9 @@ from sunspin.estimate.rates_dataset import (
     with_doubted_repeats,
     with_space_axes,
 )
-from sunspin.estimate.settings import (
-    LARGEST_RATE,
-    LARGEST_TURNS,
-    RATES,
-    RatesSettings,
-)
+from sunspin.estimate.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimate.solutions import Solutions, solutions
-from sunspin.estimate.starts import (
-    allowed_directions,
-    fine_up_to,
-)
+from sunspin.estimate.starts import allowed_directions, fine_up_to
 from sunspin.estimate.terms.field import CalibratedMagnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower

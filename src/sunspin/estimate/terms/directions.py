@@ -14,10 +14,7 @@ from sunspin.estimate.model import States
 from sunspin.estimate.terms.term import Residual, Starts, Term
 from sunspin.solve.rotations import cross_matrix
 
-COLUMNS = {
-    "sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"),
-    "directions": ("sun_B", "sun_cov_B"),
-}
+COLUMNS = {"sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"), "directions": ("sun_B", "sun_cov_B")}
 """Source of directions -> variables of the telemetry with direction and covariance."""
 
 SECOND_MEANING = {"sun_sensor": ("sun_sensor_other_B", "sun_sensor_other_cov_B")}

@@ -319,10 +319,7 @@ class KnownField(Term):
 
     @classmethod
     def of(
-        cls,
-        fields: FieldChange,
-        surroundings: Surroundings,
-        calibration: CalibratedMagnetometer,
+        cls, fields: FieldChange, surroundings: Surroundings, calibration: CalibratedMagnetometer
     ) -> Self:
         """Return readings calibrated along an orbit; their errors are those of the calibration."""
         field_N, along_N = surroundings.field_N, surroundings.field_along_N
