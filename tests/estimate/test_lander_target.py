@@ -40,22 +40,22 @@ def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
     """They are turned into the new tangents, and give what is seen after the step; another body corrects nothing."""
     model = lander_model()
     target, motions = LanderTarget(model), near(model)
-    first = target.linearised(motions).slopes
+    first = target.linearised(motions).extras
     step = np.zeros((len(motions), 5 + len(model.unknowns)))
     step[:, 3:5] = 0.02
     there = motions.moved(step)
-    then = target.linearised(there, first).slopes
+    then = target.linearised(there, first).extras
     back = np.einsum("kc,kcnw->knw", motions.from_centre(there)[:, :5], then.seen_slopes)
     assert then.seen + back == pytest.approx(first.seen, abs=3e-5)
     other = LanderMotions(motions.omega, motions.sun, motions.u + 0.5)
-    assert target.linearised(other, first).slopes.seen_slopes == pytest.approx(first.seen_slopes)
+    assert target.linearised(other, first).extras.seen_slopes == pytest.approx(first.seen_slopes)
 
 
 def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_prior():
     model = lander_model(tilt=0.02)
     target, motions = LanderTarget(model), near(model)
     of = target.linearised(motions)
-    slope, curvature = target.reading_slopes(of.slopes.seen, motions.u)
+    slope, curvature = target.reading_slopes(of.extras.seen, motions.u)
     prior = motions.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
     own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
@@ -184,7 +184,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     fitting.fit_under(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.motions.u[0, model.places("noise")[0]]
-    value = fitting.problem.of_panels(fitting.linear.value)
+    value = fitting.problem.of_panels(fitting.system.extras.value)
     own = fitting.motions.u[:, model.of_panels]
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
     assert abs(fitted) < 2.5

@@ -14,9 +14,10 @@ from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.outer_law import Bend, OuterLaw
 from sunspin.estimate.lander.ridges import Chart, ridges_of
 from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
-from sunspin.estimate.lander.target import Equations, MotionSlopes
+from sunspin.estimate.lander.target import MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
+from sunspin.solve.linear import DenseSystem
 from sunspin.solve.rotations import tangent_basis
 from tests.support.passes import slope_of
 
@@ -103,7 +104,7 @@ class Bananas:
         cost = (residual**2).sum(axis=1) / 2 + (motions.u**2).sum(axis=1) / 2
         same = np.zeros((len(motions), 5, 1))
         slopes = MotionSlopes(motions.omega, motions.sun, motions.u, same, same[:, 0])
-        return Equations(cost, slope, matrix, slopes)
+        return DenseSystem(cost, matrix, slope, extras=slopes)
 
     def log_replicated(self, seen, u, rng) -> np.ndarray:
         """Log likelihood of six normal readings about the motions."""

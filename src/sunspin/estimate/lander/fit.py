@@ -60,9 +60,10 @@ def states_of(seen: np.ndarray) -> SunStates:
 
 
 class Point(NamedTuple):
-    """Motions in a fit: states at the reference, derivatives `seen_slopes` (K, c, n, w) of `seen`, and the last step.
+    """Motions of a fit one `step` (K, c) after motions whose derivatives are known; the tangents are those of the new directions.
 
-    `before` (K, n, w): `seen` before that step; `step` (K, c), zero if derivatives are not to be corrected by it.
+    `before` (K, n, w): `seen` before the step, and `seen_slopes` (K, c, n, w): its derivatives. A step of zero does not correct
+    these.
     """
 
     omega: np.ndarray
@@ -81,7 +82,7 @@ class Point(NamedTuple):
 class Linear(NamedTuple):
     """Residuals `value` (K, R) in stated sigmas and their derivatives `jacobian` (K, R, F) by the free coordinates.
 
-    `fine` (K): the motion could be computed; `seen_slopes` and `seen` as in :class:`Point`.
+    `fine` (K): the motion could be computed; `seen` (K, n, w), and `seen_slopes` (K, c, n, w): its derivatives.
     """
 
     value: np.ndarray
@@ -148,11 +149,6 @@ class FitProblem:
             return states.sun_B, fine
         return np.concatenate([states.sun_B, states.omega], axis=2), fine
 
-    @property
-    def difference_error(self) -> float:
-        """Return the error of directions (rad) in runs that give derivatives by their differences."""
-        return self.error_rad / 10
-
     def derivatives(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
         """Return `seen` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
 
@@ -172,7 +168,8 @@ class FitProblem:
             u = motions.u.copy()
             u[:, i] += step
             runs.append(replace(motions, u=u))
-        seen, fine = self.seen(LanderMotions.joined(runs), self.difference_error)
+        # differences need more exact runs than predictions
+        seen, _ = self.seen(LanderMotions.joined(runs), self.error_rad / 10)
         seen = seen.reshape(len(runs), count, *seen.shape[1:])
         base = seen[0]
         seen_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
@@ -243,8 +240,27 @@ class FitProblem:
         cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
         return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
 
+    def read_curvature(self, u: np.ndarray, linear: Linear, noise_factor: float) -> np.ndarray:
+        """Return the part (K, F, F) of the curvature of the cost that the readings give."""
+        weight = self.weigh(linear.value, u, noise_factor)[1]
+        return _normal(linear.value, linear.jacobian, weight)[0]
+
+    def linearised(self, motions: LanderMotions, noise_factor: float) -> DenseSystem:
+        """Return the normal equations at motions, with derivatives by differences of runs."""
+        linear = self.differences(motions, *self.derivatives(motions))
+        return self.system(motions.u, linear, noise_factor)
+
+    def linearised_after(self, point: Point, noise_factor: float) -> DenseSystem:
+        """Return the normal equations after a step; the change that it has made corrects the derivatives (:func:`corrected`)."""
+        seen, fine = self.seen(point.motions, self.error_rad)
+        change = np.where(fine[:, None, None], seen - point.before, 0.0)
+        step = np.where(fine[:, None], point.step, 0.0)
+        seen_slopes = corrected(point.seen_slopes, step, change)
+        linear = self.differences(point.motions, seen, seen_slopes)
+        return self.system(point.u, linear, noise_factor)
+
     def system(self, u: np.ndarray, linear: Linear, noise_factor: float) -> DenseSystem:
-        """Return the normal equations of a step in the free coordinates (F), priors of unknowns included."""
+        """Return the normal equations of a step in the free coordinates (F), priors of unknowns included; extras are `linear`."""
         cost, weight = self.weigh(linear.value, u, noise_factor)
         prior, precision = self.model.prior_cost(u, self.sizes)
         normal, gradient = _normal(linear.value, linear.jacobian, weight)
@@ -308,29 +324,13 @@ class Fitting:
 
     def refresh(self) -> None:
         """Compute the derivatives where the motions are now."""
-        seen, seen_slopes = self.problem.derivatives(self.motions)
-        linear = self.problem.differences(self.motions, seen, seen_slopes)
-        self.system = self.problem.system(self.motions.u, linear, self.noise_factor)
-
-    @property
-    def linear(self) -> Linear:
-        """Return differences and derivatives where the motions are now."""
-        return Linear(*self.system.extras)
-
-    @property
-    def cost(self) -> np.ndarray:
-        """Return the cost (K) under the present noise."""
-        return self.system.cost
+        self.system = self.problem.linearised(self.motions, self.noise_factor)
 
     def fit_under(self, noise_factor: float, steps: int) -> None:
         """Take steps under `noise_factor` times the noise."""
         self.noise_factor = noise_factor
-        self._weigh_again()
+        self.system = self.problem.system(self.motions.u, self.system.extras, noise_factor)
         self.steps(steps)
-
-    def _weigh_again(self) -> None:
-        """Weigh the same differences under another noise."""
-        self.system = self.problem.system(self.motions.u, self.linear, self.noise_factor)
 
     def take(self, rows: np.ndarray) -> None:
         """Continue with some of the motions."""
@@ -338,36 +338,22 @@ class Fitting:
 
     def steps(self, count: int) -> None:
         """Take steps of damped least squares."""
-        begin = Point(
-            self.motions.omega, self.motions.sun, self.motions.u, *self._learnt(self.system)
-        )
+        motions, linear = self.motions, self.system.extras
+        still = np.zeros((len(motions), len(self.problem.of_motion)))
         end = least_squares(
-            self._linearised,
+            lambda point: self.problem.linearised_after(point, self.noise_factor),
             self._moved,
             solve_dense,
-            begin,
+            Point(motions.omega, motions.sun, motions.u, linear.seen_slopes, linear.seen, still),
             steps=count,
             system=self.system,
             length_ratio=self._length_ratio,
             limit=self._limited,
-            carry=lambda point, system: Point(*point[:3], *self._learnt(system)),
+            carry=lambda point, system: point._replace(
+                seen_slopes=system.extras.seen_slopes, before=system.extras.seen
+            ),
         )
         self.motions, self.system = end.state.motions, end.system
-
-    def _learnt(self, system: DenseSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the last three fields of :class:`Point` for motions at which a system was set up, before a step from there."""
-        linear = Linear(*system.extras)
-        step = np.zeros((len(linear.seen), len(self.problem.of_motion)))
-        return linear.seen_slopes, linear.seen, step
-
-    def _linearised(self, point: Point) -> DenseSystem:
-        """Return the system after a step, with derivatives corrected by it."""
-        seen, fine = self.problem.seen(point.motions, self.problem.error_rad)
-        change = np.where(fine[:, None, None], seen - point.before, 0.0)
-        step = np.where(fine[:, None], point.step, 0.0)
-        seen_slopes = corrected(point.seen_slopes, step, change)
-        linear = self.problem.differences(point.motions, seen, seen_slopes)
-        return self.problem.system(point.u, linear, self.noise_factor)
 
     def _moved(self, point: Point, step: np.ndarray) -> Point:
         """Return the motions after steps (K, F), with derivatives in the tangents of the new directions."""
@@ -411,26 +397,22 @@ class Fitting:
         panels, own = self.problem.model.panels, self.problem.model.of_panels
         fitted_freedom = self._fitted_freedom() if few else np.zeros(len(self.motions))
         least = 0.0 if few and held else -LARGEST_LOG_NOISE
-        u = self.motions.u.copy()
-        value = self.problem.of_panels(self.linear.value)
+        u, linear = self.motions.u.copy(), self.system.extras
+        value = self.problem.of_panels(linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            fitted_freedom = fitted_freedom + panels.taken_by_times(
-                states_of(self.linear.seen), u[:, own]
-            )
+            taken = panels.taken_by_times(states_of(linear.seen), u[:, own])
+            fitted_freedom = fitted_freedom + taken
         u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
         self.motions = replace(self.motions, u=u)
-        self._weigh_again()
+        self.system = self.problem.system(u, linear, self.noise_factor)
 
     def _fitted_freedom(self) -> np.ndarray:
         """Return the degrees of freedom (K) that the fit uses: the trace of the readings' part in the curvature."""
-        linear, u = self.linear, self.motions.u
-        weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
-        read, _ = _normal(linear.value, linear.jacobian, weight)
+        problem, u = self.problem, self.motions.u
+        read = problem.read_curvature(u, self.system.extras, self.noise_factor)
         prior = np.zeros(read.shape[:2])
-        prior[:, UNKNOWNS] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
-            :, self.problem.fitted
-        ]
+        prior[:, UNKNOWNS] = problem.model.prior_cost(u, problem.sizes)[1][:, problem.fitted]
         # in units of the root of each diagonal element the matrices are well conditioned
         size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)
         read /= size[:, :, None] * size[:, None, :]
@@ -439,10 +421,9 @@ class Fitting:
 
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss-Newton; for unknowns that are not free, those of the prior."""
-        problem, linear, u = self.problem, self.linear, self.motions.u
-        weight = problem.weigh(linear.value, u, self.noise_factor)[1]
-        read, _ = _normal(linear.value, linear.jacobian, weight)
-        model = problem.model
+        problem, model, u = self.problem, self.problem.model, self.motions.u
+        linear = self.system.extras
+        read = problem.read_curvature(u, linear, self.noise_factor)
         curvature = np.zeros((len(u), model.dimension, model.dimension))
         curvature[:, problem.coordinates[:, None], problem.coordinates] = read
         unknowns = np.arange(STATE_SIZE, model.dimension)
@@ -473,8 +454,8 @@ def fit_first(
     (noise_factor, steps), *others = levels
     fitting.fit_under(noise_factor, steps)
     none = np.zeros((len(motions), problem.model.dimension, problem.model.dimension))
-    fitted = replace(fitting.motions, cost=fitting.cost.copy(), curvature=none)
-    going = np.flatnonzero(fitting.cost <= hopeless)
+    fitted = replace(fitting.motions, cost=fitting.system.cost.copy(), curvature=none)
+    going = np.flatnonzero(fitting.system.cost <= hopeless)
     if not len(going):
         return fitted
     fitting.take(going)
@@ -483,7 +464,7 @@ def fit_first(
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
         getattr(fitted, name)[going] = getattr(fitting.motions, name)
-    fitted.cost[going], fitted.curvature[going] = fitting.cost, fitting.curvature()
+    fitted.cost[going], fitted.curvature[going] = fitting.system.cost, fitting.curvature()
     return fitted
 
 
@@ -499,7 +480,7 @@ def fit_finally(problem: FitProblem, motions: LanderMotions, levels: Levels) -> 
         fitting.refresh()
         fitting.fit_noise()
         fitting.steps(2)
-    return replace(fitting.motions, cost=fitting.cost, curvature=fitting.curvature())
+    return replace(fitting.motions, cost=fitting.system.cost, curvature=fitting.curvature())
 
 
 def in_pieces(

@@ -412,34 +412,33 @@ def fit_stiff(
     """
     reading, q = target.reading_unknowns, chart.stiff
 
-    # The state of the fit is y, z, u and, after the first system, the fields of `MotionSlopes`. A step has q components of z, then
-    # those of the reading unknowns.
+    # The state of the fit is y, z, u and the derivatives near by, if there are any. A step has q components of z, then those of the
+    # reading unknowns.
     def equations(noise_factor: float, state: tuple[Any, ...]) -> DenseSystem:
         """Return the equations of the target in these coordinates, by the chain rule."""
-        y, z, u, *slopes = state
+        y, z, u, slopes = state
         motions = chart.motions(y, z, u)
-        motion = target.linearised(motions, MotionSlopes(*slopes) if slopes else None, noise_factor)
+        system = target.linearised(motions, slopes, noise_factor)
         change = np.zeros((len(y), STATE_SIZE + len(reading), q + len(reading)))
         change[:, :STATE_SIZE, :q] = chart.stiff_steps(motions, y, z)
         change[:, STATE_SIZE:, q:] = np.eye(len(reading))
-        slope = np.einsum("kij,ki->kj", change, motion.slope)
-        matrix = np.swapaxes(change, 1, 2) @ motion.matrix @ change
+        slope = np.einsum("kij,ki->kj", change, system.slope)
+        matrix = np.swapaxes(change, 1, 2) @ system.matrix @ change
         matrix[:, range(q), range(q)] += LOOSEST_RAD**-2
-        return DenseSystem(motion.cost, matrix, slope, extras=tuple(motion.slopes))
+        return DenseSystem(system.cost, matrix, slope, extras=system.extras)
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
         """Return the state after a step of stiff coordinates and reading unknowns."""
-        y, z, u, *slopes = state
+        y, z, u, slopes = state
         u = np.array(u)
         u[:, reading] += step[:, q:]
-        return (y, z + step[:, :q], u, *slopes)
+        return y, z + step[:, :q], u, slopes
 
     def with_slopes(state: tuple[Any, ...], system: DenseSystem) -> tuple[Any, ...]:
         """Return the state with the derivatives of its equations, for the next ones."""
-        y, z, u, *_ = state
-        return (y, z, u, *system.extras)
+        return *state[:3], system.extras
 
-    state: tuple[Any, ...] = (y, z, u, *(near or ()))
+    state: tuple[Any, ...] = y, z, u, near
     system: DenseSystem | None = None
     # a far start is first fitted under a larger noise, so that no reading counts as an outlier because of the start
     for noise_factor, steps in WARM if near is not None else COLD:
@@ -466,11 +465,11 @@ def fit_stiff(
     step = -np.einsum("kij,kj->ki", covariance, system.slope)
     length = -np.sum(system.slope * step, axis=1)
     fine = np.isfinite(step).all(axis=1) & (length < LONGEST_SIGMAS**2)
-    _, z, u, *slopes = moved(state, np.where(fine[:, None], step, 0.0))
+    _, z, u, slopes = moved(state, np.where(fine[:, None], step, 0.0))
     # covariance of z with free reading unknowns, which are drawn too
     of_z = covariance[:, :q, :q]
     root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
-    return StiffFit(z, root, u, MotionSlopes(*slopes))
+    return StiffFit(z, root, u, slopes)
 
 
 def reading_law(

@@ -11,13 +11,14 @@ import numpy as np
 from sunspin.estimate.lander.fit import (
     SEARCH_ERROR,
     FitProblem,
-    corrected,
+    Point,
     in_tangents_at,
     states_of,
 )
 from sunspin.estimate.lander.model import CarriedStates, LanderModel
 from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, LanderMotions
 from sunspin.estimate.model import Unknown
+from sunspin.solve.linear import DenseSystem
 
 LEAST_TURN_RAD = 1e-3
 """Derivatives are not corrected by steps that rotate the body by less than this within the window: the change would be comparable
@@ -35,18 +36,6 @@ class MotionSlopes(NamedTuple):
     u: np.ndarray
     seen_slopes: np.ndarray
     seen: np.ndarray
-
-
-class Equations(NamedTuple):
-    """Normal equations of K motions in their f coordinates: five of rate and direction, then the s reading unknowns.
-
-    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, f), `matrix` (K, f, f): its derivatives.
-    """
-
-    cost: np.ndarray
-    slope: np.ndarray
-    matrix: np.ndarray
-    slopes: MotionSlopes
 
 
 @dataclass(frozen=True)
@@ -93,17 +82,17 @@ class LanderTarget:
 
     def linearised(
         self, motions: LanderMotions, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
-    ) -> Equations:
-        """Return the equations under `noise_factor` times the noise.
+    ) -> DenseSystem:
+        """Return the normal equations of K motions under `noise_factor` times the noise, with the :class:`MotionSlopes` there.
 
-        With `slopes` of motions near by no further runs give derivatives. The given ones are corrected by the change that the step
-        from there has made (Broyden), if it is a step in rate and direction alone.
+        Their coordinates are the five of rate and direction, then the s reading unknowns. With `slopes` of motions near by no
+        further runs give derivatives. The given ones are corrected by the change that the step from there has made (Broyden), if it
+        is a step in rate and direction alone.
         """
         problem = self._problem
         if slopes is None:
-            seen, seen_slopes = problem.derivatives(motions)
+            system = problem.linearised(motions, noise_factor)
         else:
-            seen, fine = problem.seen(motions, SEARCH_ERROR)
             step = motions.from_centre(LanderMotions(slopes.omega, slopes.sun, slopes.u))[
                 :, :STATE_SIZE
             ]
@@ -115,16 +104,16 @@ class LanderTarget:
             alike = np.all(
                 motions.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
             )
-            learnt = (alike & fine & (turn > LEAST_TURN_RAD))[:, None]
+            learnt = (alike & (turn > LEAST_TURN_RAD))[:, None]
             seen_slopes, step = in_tangents_at(
                 motions.sun, slopes.sun, slopes.seen_slopes, np.where(learnt, step, 0.0)
             )
-            change = np.where(fine[:, None, None], np.nan_to_num(seen - slopes.seen), 0.0)
-            seen_slopes = corrected(seen_slopes, step, change)
-        linear = problem.differences(motions, seen, seen_slopes)
-        system = problem.system(motions.u, linear, noise_factor)
-        at = MotionSlopes(motions.omega, motions.sun, motions.u, seen_slopes, linear.seen)
-        return Equations(system.cost, system.slope, system.matrix, at)
+            state = motions.omega, motions.sun, motions.u
+            point = Point(*state, seen_slopes, slopes.seen, step)
+            system = problem.linearised_after(point, noise_factor)
+        linear = system.extras
+        at = MotionSlopes(motions.omega, motions.sun, motions.u, linear.seen_slopes, linear.seen)
+        return DenseSystem(system.cost, system.matrix, system.slope, extras=at)
 
     def run(self, motions: LanderMotions) -> np.ndarray:
         """Return what sensors see (K, n, w), not a number for motions that could not be computed."""
