@@ -25,7 +25,7 @@ from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Draws, ShotFit, Shots, TrialMotions
+from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.sample import Checked, resampled, sample
@@ -80,15 +80,15 @@ class NominalSearch(NamedTuple):
     window: Window
     reference: Reference
     carrier: Shooting
-    motions: TrialMotions
-    fit: ShotFit
+    motions: LanderMotions
+    fit: ModelFit
     prior_words: dict[str, str]
 
 
 class Drawn(NamedTuple):
     """Draws of each model, the nominal one first, with the fitted motions about which they were proposed; `doubts` in words."""
 
-    fits: list[ShotFit]
+    fits: list[ModelFit]
     draws: list[Draws]
     doubts: list[str]
 
@@ -192,7 +192,7 @@ def posterior(
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
     doubts = [*likeliest.notes, *doubts]
-    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
+    speed = np.linalg.norm(mix.draws.motions.omega[picked], axis=1)
     if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
         doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
     if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
@@ -255,13 +255,13 @@ def search_nominal(
     )
 
 
-def search_under(carrier: Shooting) -> TrialMotions:
+def search_under(carrier: Shooting) -> LanderMotions:
     """Return every motion that the readings allow under the model of a carrier, by a search that begins on the grid of rates."""
     settings = carrier.settings
     carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
 
-    def watch(window: slice, kept: TrialMotions) -> None:
+    def watch(window: slice, kept: LanderMotions) -> None:
         """Record the motions that a window leaves, and pass them on to the caller's own function."""
         carrier.note_window(window, kept)
         if settings.search.watch is not None:
@@ -313,36 +313,32 @@ def draw_all_models(
     return again.doubts, again.mixture(reach_s, settings)
 
 
-def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
+def refit(carrier: Shooting, nominal: NominalSearch) -> ModelFit:
     """Return the motions of the nominal search fitted under the model of a carrier, whose further unknowns begin at their centres.
 
     Motions far worse than the best are fitted too: under another model they may fit.
     """
-    fit = carrier.fit_all_samples(
-        TrialMotions(_renamed(carrier.model, nominal), nominal.motions.starts)
-    )
+    fit = carrier.fit_all_samples(_renamed(carrier.model, nominal))
     # motions that the search left out are missing under this model too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
 
 
-def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
+def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ModelFit:
     """Return the motions of the nominal search and those of a search under the model of a carrier, all fitted under it."""
-    motions = search_under(carrier)
-    shots = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
-    starts = np.concatenate([nominal.motions.starts, motions.starts])
-    return carrier.fit_all_samples(TrialMotions(shots, starts))
+    every = [_renamed(carrier.model, nominal), search_under(carrier)]
+    return carrier.fit_all_samples(LanderMotions.joined(every))
 
 
-def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:
+def _renamed(model: LanderModel, nominal: NominalSearch) -> LanderMotions:
     """Return the motions of the nominal search as those of a model with further unknowns, which are at their centres."""
     names = [unknown.name for unknown in model.unknowns]
     places = np.array([names.index(unknown.name) for unknown in nominal.carrier.model.unknowns])
-    return nominal.motions.shots.with_unknowns(places, len(names))
+    return nominal.motions.with_unknowns(places, len(names))
 
 
 def draw_models(
-    fits: Sequence[ShotFit],
+    fits: Sequence[ModelFit],
     nominal: NominalSearch,
     streams: Sequence[np.random.Generator],
     budget: Budget,

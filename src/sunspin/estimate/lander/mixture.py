@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from sunspin.dynamics import batch
 from sunspin.estimate.lander.fit import FINAL_ERROR
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
+from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.sample import Checked, mixed, predictive_check
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.settings import SamplingSettings
@@ -35,11 +35,11 @@ class First(NamedTuple):
     steady: np.ndarray
 
 
-def at_first_sample(model: LanderModel, shots: Shots) -> First:
+def at_first_sample(model: LanderModel, motions: LanderMotions) -> First:
     """Return motions at the first sample, carried there from the reference."""
-    rows, steady = model.rows(shots), model.steady_torques(shots.u)
+    rows, steady = model.rows(motions), model.steady_torques(motions.u)
     if not model.after_s:
-        return First(shots.omega, shots.sun, rows.wheel_speed_rad_s, steady)
+        return First(motions.omega, motions.sun, rows.wheel_speed_rad_s, steady)
     back = batch.run(
         model.vehicle,
         rows,
@@ -63,7 +63,7 @@ class Mixture:
     `starts`: how many starts of the search led to each region; `workers`: threads that evaluate draws.
     """
 
-    fits: tuple[ShotFit, ...]
+    fits: tuple[ModelFit, ...]
     draws: Draws
     probability: np.ndarray
     starts: np.ndarray
@@ -71,7 +71,7 @@ class Mixture:
 
     @classmethod
     def of(
-        cls, fits: list[ShotFit], drawn: list[Draws], reach_s: float, s: SamplingSettings
+        cls, fits: list[ModelFit], drawn: list[Draws], reach_s: float, s: SamplingSettings
     ) -> Mixture:
         """Return the draws of models together."""
         log_priors = [fit.model.log_prior for fit in fits]
@@ -100,16 +100,20 @@ class Mixture:
         own = self.draws.log_weight[self.inside(region)]
         return effective_draws(np.exp(own - logsumexp(own)))
 
-    def by_model(self, index: np.ndarray) -> Iterator[tuple[LanderModel, np.ndarray, Shots]]:
+    def by_model(
+        self, index: np.ndarray
+    ) -> Iterator[tuple[LanderModel, np.ndarray, LanderMotions]]:
         """Yield each model of the draws `index` (n), with the positions of its draws in `index`, and their motions."""
         for h in np.unique(self.draws.of_model[index]):
             model = self.fits[h].model
             places = np.flatnonzero(self.draws.of_model[index] == h)
-            shots = self.draws.shots.take(index[places])
-            yield model, places, replace(shots, u=shots.u[:, : len(model.unknowns)])
+            motions = self.draws.motions.take(index[places])
+            yield model, places, replace(motions, u=motions.u[:, : len(model.unknowns)])
 
     def each_once(
-        self, index: np.ndarray, evaluate: Callable[[LanderModel, Shots], Sequence[np.ndarray]]
+        self,
+        index: np.ndarray,
+        evaluate: Callable[[LanderModel, LanderMotions], Sequence[np.ndarray]],
     ) -> list[np.ndarray]:
         """Return the arrays (n, ...) of a function of a model and its motions for the draws `index` (n), which may be repeated.
 
@@ -129,8 +133,8 @@ class Mixture:
     def values(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Return the unknowns of the nominal model, each (n) in its own unit, by name."""
         values = {unknown.name: np.zeros(len(index)) for unknown in self.nominal.unknowns}
-        for model, places, shots in self.by_model(index):
-            for unknown, value in zip(model.unknowns, model.values(shots.u).T, strict=True):
+        for model, places, motions in self.by_model(index):
+            for unknown, value in zip(model.unknowns, model.values(motions.u).T, strict=True):
                 if unknown.name in values:
                     values[unknown.name][places] = value
         return values
@@ -138,9 +142,9 @@ class Mixture:
     def log_likelihood(self, index: np.ndarray) -> np.ndarray:
         """Return the log likelihood (n) of draws."""
 
-        def of_model(model: LanderModel, shots: Shots) -> tuple[np.ndarray]:
+        def of_model(model: LanderModel, motions: LanderMotions) -> tuple[np.ndarray]:
             target = LanderTarget(model)
-            return (target.log_likelihood(target.run(shots), shots.u),)
+            return (target.log_likelihood(target.run(motions), motions.u),)
 
         return self.each_once(index, of_model)[0]
 
@@ -149,16 +153,16 @@ class Mixture:
     ) -> tuple[Checked, np.ndarray]:
         """Return the predictive check of draws of equal weight, and the probability (n, p) of readings to be outliers."""
         p, noise_sigmas, outliers = 0.0, 0.0, np.zeros(self.nominal.panels.used.shape)
-        for model, places, shots in self.by_model(picked):
+        for model, places, motions in self.by_model(picked):
             part, target = len(places) / len(picked), LanderTarget(model)
-            check = predictive_check(target, shots, rng, s)
+            check = predictive_check(target, motions, rng, s)
             p += part * check.p
             noise_sigmas += part * check.noise_sigmas
-            outliers += part * target.outlier_probability(shots.take(slice(0, s.checked)))
+            outliers += part * target.outlier_probability(motions.take(slice(0, s.checked)))
         return Checked(p, noise_sigmas), outliers
 
 
-def _starts(fits: list[ShotFit], draws: Draws, reach_s: float) -> np.ndarray:
+def _starts(fits: list[ModelFit], draws: Draws, reach_s: float) -> np.ndarray:
     """Return how many starts of the search led to each region, under the model under which most did.
 
     A fitted motion belongs to the region of the draw of its model that is nearest to it, as a turn within the window.
@@ -167,10 +171,12 @@ def _starts(fits: list[ShotFit], draws: Draws, reach_s: float) -> np.ndarray:
     for h in np.unique(draws.of_model):
         of_model = np.flatnonzero(draws.of_model == h)
         drawn, fitted = (
-            np.concatenate([reach_s * shots.omega, shots.sun], axis=1)
-            for shots in (draws.shots.take(of_model), fits[h].motions)
+            np.concatenate([reach_s * motions.omega, motions.sun], axis=1)
+            for motions in (draws.motions.take(of_model), fits[h].motions)
         )
         nearest = of_model[KDTree(drawn).query(fitted)[1]]
-        starts = np.bincount(draws.region[nearest], weights=fits[h].starts, minlength=len(most))
+        starts = np.bincount(
+            draws.region[nearest], weights=fits[h].motions.starts, minlength=len(most)
+        )
         most = np.maximum(most, starts.astype(np.int64))
     return most

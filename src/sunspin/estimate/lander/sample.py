@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
+from sunspin.estimate.lander.motions import RATE, Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.ridges import (
     Ridge,
     fit_ridge_curve,
@@ -30,7 +30,7 @@ from sunspin.solve.weights import effective_draws, pareto_tail
 
 def sample(
     target: LanderTarget,
-    fit: ShotFit,
+    fit: ModelFit,
     rng: np.random.Generator,
     s: SamplingSettings = SAMPLING,
     budget: Budget | None = None,
@@ -94,14 +94,16 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     (multiple importance sampling, Veach 1995).
     """
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
-    shots = Shots.joined([ridge.proposals.shots for ridge in drawn if ridge.proposals is not None])
+    motions = LanderMotions.joined(
+        [ridge.proposals.motions for ridge in drawn if ridge.proposals is not None]
+    )
     ridge_of = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])  # of each draw
     weights = [ridge.log_weights(s.freedom) - np.log(ridge.drawn) for ridge in drawn]
     log_weight = np.concatenate(weights)
     # part of each ridge (r) in the density with which all ridges propose each draw (n)
     log_part = np.zeros((len(ridge_of), 1))
     if len(drawn) > 1:
-        log_shares = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
+        log_shares = np.stack([ridge.log_share(motions, s.freedom) for ridge in drawn], axis=1)
         log_part = log_shares - logsumexp(log_shares, axis=1, keepdims=True)
         log_weight = log_weight + log_part[np.arange(len(ridge_of)), ridge_of]
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(ridge_of))
@@ -109,7 +111,7 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     if not np.isfinite(total):
         none = np.zeros(len(ridge_of), dtype=np.int64)
         without_weight = Draws(
-            shots=shots,
+            motions=motions,
             log_weight=log_weight,
             of_model=none,
             region=none,
@@ -120,7 +122,7 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
         return without_weight, [np.full(ridge.drawn, -np.inf) for ridge in ridges]
     share = log_weight - total
     draws = Draws(
-        shots=shots,
+        motions=motions,
         log_weight=log_weight,
         of_model=np.zeros(len(ridge_of), dtype=np.int64),
         region=regions(np.exp(share), np.exp(log_part), s),
@@ -180,15 +182,18 @@ class Checked(NamedTuple):
 
 
 def predictive_check(
-    target: LanderTarget, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+    target: LanderTarget,
+    motions: LanderMotions,
+    rng: np.random.Generator,
+    s: SamplingSettings = SAMPLING,
 ) -> Checked:
     """Return how often readings simulated from these motions, draws of equal weight, fit worse than the real ones."""
-    shots = shots.take(slice(0, s.checked))
-    seen = target.run(shots)
-    real = target.log_likelihood(seen, shots.u)
-    worse = [target.log_replicated(seen, shots.u, rng) <= real for _ in range(s.copies)]
+    motions = motions.take(slice(0, s.checked))
+    seen = target.run(motions)
+    real = target.log_likelihood(seen, motions.u)
+    worse = [target.log_replicated(seen, motions.u, rng) <= real for _ in range(s.copies)]
     noise = [i for i, unknown in enumerate(target.unknowns) if unknown.kind == "noise"]
-    return Checked(float(np.mean(worse)), float(shots.u[:, noise].mean()) if noise else 0.0)
+    return Checked(float(np.mean(worse)), float(motions.u[:, noise].mean()) if noise else 0.0)
 
 
 def mixed(
@@ -205,7 +210,7 @@ def mixed(
     evidence = np.array([draws.evidence for draws in drawn]) + np.array(log_priors)
     probability = np.exp(evidence - logsumexp(evidence))  # of each model
     models = [m for m in range(len(drawn)) if m == 0 or probability[m] > s.no_weight]
-    count = max(drawn[m].shots.u.shape[1] for m in models)
+    count = max(drawn[m].motions.u.shape[1] for m in models)
     # the weights of a model's draws add to its evidence times its prior
     parts = {m: drawn[m].log_weight - np.log(len(drawn[m])) + log_priors[m] for m in models}
     labels = _regions_of_models(drawn, probability, models, reach_s, s)
@@ -215,10 +220,11 @@ def mixed(
     # regions are numbered by falling probability, and all motions get as many unknowns as the largest model has
     rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
     wide = [
-        drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in models
+        drawn[m].motions.with_unknowns(np.arange(drawn[m].motions.u.shape[1]), count)
+        for m in models
     ]
     return Draws(
-        shots=Shots.joined(wide),
+        motions=LanderMotions.joined(wide),
         log_weight=log_weight + np.log(len(log_weight)),
         of_model=np.repeat(models, [len(drawn[m]) for m in models]),
         region=rank[label],
@@ -251,7 +257,7 @@ def _regions_of_models(
             inside = draws.region == region
             mass = share[inside].sum()
             weight = share[inside] / max(mass, 1e-300)
-            omega, sun = draws.shots.omega[inside], draws.shots.sun[inside]
+            omega, sun = draws.motions.omega[inside], draws.motions.sun[inside]
             x = np.concatenate([reach_s * omega, sun], axis=1)
             mean = weight @ x
             covariance = np.einsum("n,ni,nj->ij", weight, x - mean, x - mean) + 1e-6 * np.eye(6)
