@@ -78,9 +78,11 @@ def one_pass(
     s, limit = settings, nominal.obs.cost_limit
     budget = replace(budget)  # each pass has its own, as passes are estimated side by side
 
-    def search_and_fit(model: Model, noise: float, slowest: float = 0.0) -> list[Fit]:
+    def search_and_fit(
+        model: Model, noise: float, slowest: float = 0.0, inertia_held: bool = True
+    ) -> list[Fit]:
         """Return the fits of the motions that a search of `model` under unknown torques of this strength leaves."""
-        tracks = search_motions(model, noise, s.search, budget, slowest)
+        tracks = search_motions(model, noise, s.search, budget, slowest, inertia_held)
         return fit_tracks(nominal, tracks, noise, s)
 
     # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
@@ -97,8 +99,12 @@ def one_pass(
     under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
-    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
     inertia_by_sun = bool(len(nominal.body.errors) and nominal.obs.only_sun)
+    # A long body that turns over its middle axis leaves any motion of the stated inertia, one sigma off, within a few turns.
+    if inertia_by_sun and not nominal.body.sphere and best_cost(fits) > limit:
+        free = search_and_fit(nominal, s.ladder.strong, inertia_held=False)
+        fits = min(fits, free, key=best_cost)
+    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
     if strained and inertia_by_sun:
         fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
@@ -176,9 +182,16 @@ def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: f
 
 
 def search_motions(
-    nominal: Model, noise: float, s: SearchSettings, budget: Budget, slowest: float = 0.0
+    nominal: Model,
+    noise: float,
+    s: SearchSettings,
+    budget: Budget,
+    slowest: float = 0.0,
+    inertia_held: bool = True,
 ) -> list[Track]:
     """Return the motions that a search under unknown torques of strength `noise` leaves, a track for each meaning of the readings.
+
+    The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
 
     No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no motion raises InputError. With one,
     slower motions were searched before, and the list may be empty.
@@ -187,7 +200,14 @@ def search_motions(
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
     for loose in models_to_search(nominal, Noise(noise)):
-        chain, starts = Chain(loose, s), pair_starts(loose, s, slowest)
+        starts, body = pair_starts(loose, s, slowest), loose.body
+        if not inertia_held:
+            body = nominal.body
+            starts = (
+                (window, replace(begin, u=np.zeros((len(begin), len(body.errors)))))
+                for window, begin in starts
+            )
+        chain = Chain(replace(loose, body=body), s)
         try:
             places = 1 if slowest else pairs_to_try(loose, s)
             motions = search(chain, starts, search_settings, budget, places)
