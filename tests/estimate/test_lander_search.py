@@ -13,9 +13,11 @@ from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
 from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
+from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.solve.rotations import move_on_sphere
+from sunspin.telemetry.assess import assess
 from tests.estimate.plain_cells import (
     LookThrough,
     corner_weights,
@@ -237,7 +239,9 @@ def test_the_search_lists_the_true_motion():
     """With its rate within 4.5 sigma, as the best; an angular speed seen otherwise does not change that."""
     telemetry, priors = lander_telemetry(60.0 * np.arange(12), NOISE), {"max_rate_rad_s": 0.15}
     speed = {"kind": "rate", "t_s": 30.0, "value": np.linalg.norm(OMEGA), "sigma": 0.01}
-    result = search_nominal(noisy(), telemetry, priors, observations=[speed], workers=1)
+    assessment = assess(noisy(), telemetry)
+    window = observe_window(assessment, observations=[speed])
+    result = search_nominal(assessment, window, priors, workers=1)
     fit = result.fit
     off = fit.motions.omega[0] - true_motion(result.carrier.model.after_s)[0]
     covariance = np.linalg.inv(fit.motions.curvature[0])[:3, :3]

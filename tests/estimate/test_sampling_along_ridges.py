@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import logsumexp
 
-from sunspin.estimate.lander.mixture import Mixture
+from sunspin.estimate.lander.mixture import Mixture, mixed
 from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.outer_law import Bend, OuterLaw
 from sunspin.estimate.lander.ridges import Chart, ridges_of
-from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
+from sunspin.estimate.lander.sample import predictive_check, resampled, sample
 from sunspin.estimate.lander.target import MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
@@ -366,19 +366,19 @@ def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
     return Draws(motions, np.full(n, evidence), np.zeros(n, int), region, float(n), 0.0, evidence)
 
 
-def test_models_are_weighed_by_evidence_and_prior():
-    mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], [0.0, np.log(0.5)], REACH_S)
-    expected = 1 / (1 + 0.5 * np.exp(-1.0))
+def test_models_are_weighed_by_their_evidence():
+    mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], REACH_S)
+    expected = 1 / (1 + np.exp(-1.0))
     assert weights(mix)[mix.of_model == 0].sum() == pytest.approx(expected)
-    assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0 + np.log(0.5)))
+    assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0))
 
 
 def test_regions_of_two_models_are_one_if_they_differ_by_a_bend():
     """Half a turn in the window is a bend, whole turns are another motion."""
     bent, turned = 0.5 / REACH_S, 2 * np.pi / REACH_S
-    joined = mixed([of_model(0.0, [0.0]), of_model(0.0, [bent])], [0.0, 0.0], REACH_S)
+    joined = mixed([of_model(0.0, [0.0]), of_model(0.0, [bent])], REACH_S)
     assert shares(joined) == pytest.approx([1.0])
-    parted = mixed([of_model(0.0, [0.0]), of_model(-1.0, [turned])], [0.0, 0.0], REACH_S)
+    parted = mixed([of_model(0.0, [0.0]), of_model(-1.0, [turned])], REACH_S)
     assert shares(parted) == pytest.approx([1 / (1 + np.exp(-1)), 1 / (1 + np.e)])
 
 

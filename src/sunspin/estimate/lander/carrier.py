@@ -340,7 +340,7 @@ def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) ->
     prior = np.log(4 / 3 * np.pi * model.max_rate**3) + np.log(4 * np.pi) + model.log_possible
     # of (2 pi)^(D / 2) the unknowns' priors take (2 pi)^(m / 2)
     volume = 2.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature + least)[1]
-    return -cost + volume - prior + model.log_prior
+    return -cost + volume - prior
 
 
 def _explained(model: LanderModel) -> float:

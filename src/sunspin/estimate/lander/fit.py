@@ -126,11 +126,6 @@ class FitProblem:
         """Return the indices (c) of the free coordinates on which the motion depends."""
         return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.moving])
 
-    @cached_property
-    def reach_s(self) -> float:
-        """Return the longest time from the reference to a sample."""
-        return max(float(np.abs(self.model.obs.t_s).max()), 1e-6)
-
     @property
     def rows_at_once(self) -> int:
         """Return how many motions one thread fits at once."""
@@ -156,7 +151,7 @@ class FitProblem:
         not depend on r(0), so that one tangent is propagated like the Sun, and the other one is across both.
         """
         count = len(motions)
-        rate_step = RATE_STEP / self.reach_s
+        rate_step = RATE_STEP / self.model.reach_s
         tangent, _ = tangent_basis(motions.sun)
         # runs: the motion (0), three other rates (1 to 3), a tangent in place of the Sun (4), and each unknown changed (5 on)
         motions = motions.bare
@@ -181,12 +176,14 @@ class FitProblem:
 
     def _unknown_steps(self) -> np.ndarray:
         """Return the steps of the differences in the unknowns of the motion, in sigmas."""
-        usual = min(UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.reach_s, 1.0), LARGEST_UNKNOWN_STEP)
+        usual = min(
+            UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.model.reach_s, 1.0), LARGEST_UNKNOWN_STEP
+        )
         steps = np.full(len(self.moving), usual)
         for k, i in enumerate(self.moving):
             if self.model.unknowns[i].kind == "steady_torque":
                 # turn of the body within the window by one sigma
-                turn = max(self.model.unknowns[i].sigma * self.reach_s**2 / 2, RATE_STEP)
+                turn = max(self.model.unknowns[i].sigma * self.model.reach_s**2 / 2, RATE_STEP)
                 steps[k] = RATE_STEP / turn
         return steps
 
@@ -369,13 +366,15 @@ class Fitting:
         """Return the lengths (K) of steps (K, F) over the longest one allowed."""
         problem, fitted = self.problem, self.problem.fitted
         turn = np.maximum(
-            np.linalg.norm(step[:, RATE], axis=1) * problem.reach_s,
+            np.linalg.norm(step[:, RATE], axis=1) * problem.model.reach_s,
             np.linalg.norm(step[:, SUN], axis=1),
         )
         torque = np.isin(fitted, problem.model.places("steady_torque"))
         sigma = np.array([problem.model.unknowns[i].sigma for i in fitted[torque]])
         pushed = (
-            np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1) * problem.reach_s**2 / 2
+            np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1)
+            * problem.model.reach_s**2
+            / 2
         )
         unknowns = np.abs(step[:, UNKNOWNS]).max(axis=1, initial=0.0)
         return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, unknowns)

@@ -73,8 +73,7 @@ class LanderModel:
 
     `of_motion`: the unknowns on which the motion depends; those of the panels follow them. `max_rate` (rad/s): the ball of rates at
     the reference, which is `after_s` after the first sample; times of the observations count from there, wheel speeds are those at
-    the first sample. `frame`: in which axes a constant torque acts, if any. `what`, `log_prior`: as in
-    :class:`~sunspin.estimate.model.Model`.
+    the first sample. `frame`: in which axes a constant torque acts, if any; `what`: the model in words.
     """
 
     vehicle: Vehicle
@@ -85,7 +84,6 @@ class LanderModel:
     after_s: float = 0.0
     frame: Frame | Literal[""] = ""
     what: str = AS_STATED
-    log_prior: float = 0.0
 
     # ---- unknowns ----------------------------------------------------------------------------------------------------------
 
@@ -108,6 +106,11 @@ class LanderModel:
     def of_panels(self) -> slice:
         """Return where the unknowns of the panels stand."""
         return slice(len(self.of_motion), None)
+
+    @cached_property
+    def reach_s(self) -> float:
+        """Return the longest time from the reference to a sample."""
+        return max(float(np.abs(self.obs.t_s).max()), 1e-6)
 
     @property
     def dimension(self) -> int:

@@ -96,7 +96,7 @@ class LanderMotions:
 
 @dataclass(frozen=True)
 class ModelFit:
-    """Motions of a lander fitted to all samples under a model, best first.
+    """Motions of a lander fitted to all samples under a model, best first, and `draws` from its posterior if there are any yet.
 
     `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method and up to the constant of the
     model. `complete`: every motion that may fit was followed; `notes`: what the verdict has to say.
@@ -107,10 +107,17 @@ class ModelFit:
     log_evidence: np.ndarray
     complete: bool = True
     notes: tuple[str, ...] = ()
+    draws: Draws | None = None
 
     def __len__(self) -> int:
         """Return the number of motions."""
         return len(self.log_evidence)
+
+    @property
+    def drawn(self) -> Draws:
+        """Return the draws of a model that was drawn."""
+        assert self.draws is not None
+        return self.draws
 
     def take(self, which: Any) -> ModelFit:
         """Return some of the motions."""

@@ -66,7 +66,7 @@ class LanderTarget:
     @property
     def reach_s(self) -> float:
         """Return the longest time from the reference to a sample."""
-        return self._problem.reach_s
+        return self.model.reach_s
 
     @property
     def rate_max(self) -> float:
