@@ -34,7 +34,7 @@ from sunspin.estimate.observe import (
     with_unused_samples,
 )
 from sunspin.estimate.one_pass import PassFitter
-from sunspin.estimate.orbit.calibration import calibrate_magnetometer
+from sunspin.estimate.orbit.calibration import FieldCalibration, calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.rates_dataset import (
     latency_attributes,
@@ -46,7 +46,6 @@ from sunspin.estimate.rates_dataset import (
 from sunspin.estimate.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimate.solutions import Solutions, solutions
 from sunspin.estimate.starts import allowed_directions, fine_up_to
-from sunspin.estimate.terms.field import CalibratedMagnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
 from sunspin.estimate.wheels import (
@@ -89,7 +88,7 @@ def rates(
     gap_s: float | None = None,
     pass_id: int | None = None,
     environment: Environment | None = None,
-    calibration: CalibratedMagnetometer | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Sequence[str] = (),
     periods: Sequence[PeriodSeen] = (),
     column_tests: bool = False,
@@ -122,7 +121,7 @@ def rates(
         What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
         to the Sun (:func:`sunspin.environment.circular`). In an orbit field, shadow and Earth's light are known: a calibrated
         magnetometer gives directions, and samples without a Sun count. The orbit is believed.
-    calibration : CalibratedMagnetometer, optional
+    calibration : FieldCalibration, optional
         Of the magnetometer along the orbit, by a longer file for example; default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`).

@@ -20,9 +20,9 @@ KEYS = ("kind", "t_s", "value", "sigma")
 """What a person states of each reading; of a field also the angle between it and the Sun, `angle_rad`."""
 
 NUMBERS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
-"""Numbers of the value of each kind: the angular speed about any axis in rad/s, as a period in a radio signal or a light curve
-shows it; the rate of the body in rad/s; the direction to the Sun, seen otherwise than by panels; and a direction seen in the body at
-a known angle from the Sun, such as the magnetic field's."""
+"""How many numbers the value of each kind has. They are the angular speed about any axis in rad/s, as a period in a radio signal or
+a light curve shows it; the rate of the body in rad/s; the direction to the Sun, seen otherwise than by panels; and a direction seen
+in the body at a known angle from the Sun, such as the magnetic field's."""
 
 LEAST_SINE = 1e-3
 """Least sine of the angle between Sun and field by which its derivative is divided."""
@@ -79,7 +79,7 @@ class Given(Term):
         return float(self.present().sum() * self.value.shape[1])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the difference (K, n, r) in sigmas, with its derivative by the rate or by a turn of the body, which moves the Sun."""
+        """Yield the difference (K, n, r) in sigmas, with its derivative by the rate, or by a turn of the body."""
         by_rate = by_turn = None
         moves = cross_matrix(states.sun_B)  # a turn t of the body moves the Sun by sun x t
         if self.kind == "rate":
