@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -18,7 +19,6 @@ from sunspin.estimate.settings import PassSettings
 from sunspin.estimate.terms.clock import Latency
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
 from sunspin.estimate.terms.field import (
-    CalibratedMagnetometer,
     FieldChange,
     FieldDirection,
     KnownField,
@@ -32,6 +32,9 @@ from sunspin.estimate.terms.torques import GravityTorque, MagneticTorque, Stated
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
 from sunspin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from sunspin.estimate.orbit.calibration import FieldCalibration
 
 ALONE = "dropped: fewer than three samples between gaps (in no pass)"
 NOT_ASKED = "dropped: in another pass than the one asked for"
@@ -99,7 +102,7 @@ def observe(
     assessment: Assessment,
     source: str | None = None,
     local: Environment | None = None,
-    calibration: CalibratedMagnetometer | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
     """Return what all samples of a file show: terms, a sentence for each sample, and where the Sun comes from.
