@@ -85,13 +85,17 @@ def one_pass(
         tracks = search_motions(model, noise, s.search, budget, slowest, inertia_held)
         return fit_tracks(nominal, tracks, noise, s)
 
-    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
-    # How much the errors of the times change a reading is known once a motion is: then the search is made again.
-    noise = s.search.noise
-    tracks = [begin] if begin is not None else search_motions(nominal, noise, s.search, budget)
-    exact, nominal = nominal, with_time_errors(nominal, tracks, s.search.least_drift_rad)
-    if begin is None and nominal is not exact:
-        tracks = search_motions(nominal, noise, s.search, budget)
+    # Search with the inertia held: all motions that the readings allow.
+    exact, noise = nominal, s.search.noise
+    loose = replace(s.search, drop=s.search.drop * s.search.drop_if_rounded)
+    first_search = loose if nominal.obs.time_sigma_s else s.search
+    tracks = [begin] if begin is not None else search_motions(nominal, noise, first_search, budget)
+    # How much the errors of rounded times change a reading is known once a motion is. Motions are searched again if that is much.
+    if nominal.obs.time_sigma_s:
+        nominal = with_time_errors(nominal, tracks, s.search.least_drift_rad)
+        far = with_time_errors(exact, tracks, s.search.large_drift_rad) is not exact
+        if far and begin is None:
+            tracks = search_motions(nominal, noise, s.search, budget)
     fits = fit_tracks(nominal, tracks, noise, s)
 
     # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
@@ -149,7 +153,7 @@ def one_pass(
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(
-        nominal=nominal,
+        nominal=exact,
         fits=tuple(fits),
         rungs=s.ladder.rungs,
         log_rung=even,

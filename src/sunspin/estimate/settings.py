@@ -69,6 +69,9 @@ class SearchSettings:
     """A body that turns by less than this in the error of a sample's time is taken for read at exact times: it is half of the
     usual error of a direction."""
 
+    large_drift_rad: float = 0.03
+    """With more than this motions are searched again under the errors of the times."""
+
     around: int = 2
     """Samples on either side of the first pair on which its starts are tried."""
 
@@ -86,6 +89,9 @@ class SearchSettings:
 
     drop: float = 18.0
     """Candidates are dropped that are less probable than the best by exp(-18)."""
+
+    drop_if_rounded: float = 9.0
+    """Factor of `drop` if times were rounded, while their errors are not known: these make the others three times as large."""
 
     copies_rad: float = 0.25
     """Copies turn alike between neighbouring samples to this: half the least distance of two mirror images."""
