@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 import sunspin as ss
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.window import observe_window
 from sunspin.telemetry.assess import assess
@@ -23,7 +23,7 @@ def test_a_motion_is_that_of_propagate_from_any_reference():
     carried = model.carried(nominal(model), 1e-9)
     np.testing.assert_allclose(carried.seen.sun_B[0], run["sun_B"].values, atol=1e-7)
     later, fifth = model.after(400.0, model.max_rate), run.isel(time=[4])
-    at = Shots(fifth["omega_B"].values, fifth["sun_B"].values, nominal(model).u)
+    at = LanderMotions(fifth["omega_B"].values, fifth["sun_B"].values, nominal(model).u)
     speeds = fifth["wheel_speed_rad_s"].values
     np.testing.assert_allclose(later.wheel_speeds(at.u), speeds, rtol=2e-4)
     again = later.carried(at, 1e-9)
@@ -115,7 +115,7 @@ def test_a_constant_torque_turns_the_body_by_its_largest_angle_over_the_samples(
     rest = replace(in_body, vehicle=replace(PHILAE, wheels=()), of_motion=in_body.of_motion[-3:])
     u = np.zeros((1, len(rest.unknowns)))
     u[0, 2] = 1.0
-    carried = rest.carried(Shots(np.zeros((1, 3)), SUN[None], u), 1e-9)
+    carried = rest.carried(LanderMotions(np.zeros((1, 3)), SUN[None], u), 1e-9)
     inertia = PHILAE.require_inertia()
     rate = sigma * (np.trace(inertia) / 3) * np.linalg.solve(inertia, [0, 0, 1.0]) * 100.0
     np.testing.assert_allclose(carried.seen.omega[0, 1], rate, rtol=0.02, atol=2e-5)

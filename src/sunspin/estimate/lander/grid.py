@@ -30,7 +30,7 @@ from sunspin.estimate.lander.cells import (
     search_cells,
 )
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots, TrialMotions
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
@@ -207,7 +207,7 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
     A wheel speed in the wrong unit may be the cause. The sentence names a window that is short enough.
     """
     omega = np.full((1, 3), rate_rad_s / np.sqrt(3))
-    nominal = Shots(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
+    nominal = LanderMotions(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
     rows = model.rows(nominal)
     commands = batch.one_command(model.vehicle, model.wheel_mode)
     problem = batch.Problem(model.vehicle, rows, commands, model.acting)
@@ -231,7 +231,7 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 
 def grid_starts(
     model: LanderModel, reference: Reference, s: GridSettings, workers: int = 1
-) -> Iterator[tuple[slice, TrialMotions]]:
+) -> Iterator[tuple[slice, LanderMotions]]:
     """Yield the window about the reference with starts near all motions that its readings allow, the best first.
 
     `model` counts time from `reference`. Torques are left out, as they hardly move a body in three samples; inertia, friction and
@@ -253,12 +253,15 @@ def grid_starts(
     )
     rank = np.argsort(first)
     best = order[first[rank]]
-    shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
-    pieces = [shots.take(slice(k, k + RUNS_AT_ONCE)) for k in range(0, len(shots), RUNS_AT_ONCE)]
+    unknowns = np.zeros((len(best), len(model.unknowns)))
+    motions = LanderMotions(omega[best], sun[best], unknowns, starts=count[rank])
+    pieces = [
+        motions.take(slice(k, k + RUNS_AT_ONCE)) for k in range(0, len(motions), RUNS_AT_ONCE)
+    ]
     with ThreadPoolExecutor(workers) as pool:
         speeds = list(pool.map(lambda some: bare.first_speed(some, TRIAL_ERROR), pieces))
     slow = np.concatenate([np.zeros(0), *speeds]) <= reference.fastest
-    starts = TrialMotions(shots.take(slow), count[rank][slow])
+    starts = motions.take(slow)
     yield reference.window, starts if len(starts) else _anything(model, reference)
 
 
@@ -314,10 +317,10 @@ def settled_starts(
     return omega, sun, starts[:, OF_MISFIT]
 
 
-def _anything(model: LanderModel, reference: Reference) -> TrialMotions:
+def _anything(model: LanderModel, reference: Reference) -> LanderMotions:
     """Return starts if there is no hope: rest, and rotations about the axes."""
     axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
     sun = np.tile(reference.suns[0], (len(omega), 1))
-    shots = Shots(omega, sun, np.zeros((len(omega), len(model.unknowns))))
-    return TrialMotions(shots, np.ones(len(omega), dtype=np.int64))
+    unknowns, starts = np.zeros((len(omega), len(model.unknowns))), np.ones(len(omega), np.int64)
+    return LanderMotions(omega, sun, unknowns, starts=starts)

@@ -15,11 +15,11 @@ from scipy.special import logsumexp
 from sunspin.dynamics import batch
 from sunspin.estimate.lander.fit import FINAL_ERROR
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
-from sunspin.estimate.lander.sample import Checked, mixed, predictive_check
+from sunspin.estimate.lander.motions import RATE, Draws, LanderMotions, ModelFit
+from sunspin.estimate.lander.sample import Checked, predictive_check
 from sunspin.estimate.lander.target import LanderTarget
-from sunspin.estimate.settings import SamplingSettings
-from sunspin.solve.weights import effective_draws
+from sunspin.estimate.settings import SAMPLING, SamplingSettings
+from sunspin.solve.weights import effective_draws, pareto_tail
 
 
 class First(NamedTuple):
@@ -35,11 +35,11 @@ class First(NamedTuple):
     steady: np.ndarray
 
 
-def at_first_sample(model: LanderModel, shots: Shots) -> First:
+def at_first_sample(model: LanderModel, motions: LanderMotions) -> First:
     """Return motions at the first sample, carried there from the reference."""
-    rows, steady = model.rows(shots), model.steady_torques(shots.u)
+    rows, steady = model.rows(motions), model.steady_torques(motions.u)
     if not model.after_s:
-        return First(shots.omega, shots.sun, rows.wheel_speed_rad_s, steady)
+        return First(motions.omega, motions.sun, rows.wheel_speed_rad_s, steady)
     back = batch.run(
         model.vehicle,
         rows,
@@ -55,6 +55,93 @@ def at_first_sample(model: LanderModel, shots: Shots) -> First:
     return First(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)
 
 
+def mixed(drawn: Sequence[Draws], reach_s: float, s: SamplingSettings = SAMPLING) -> Draws:
+    """Return the draws of several models together, weighed by the evidence of each; the first is the nominal one.
+
+    Other models of negligible probability are left out. Regions of two models become one if the alternative model may have moved
+    the one to the other within `reach_s`.
+    """
+    evidence = np.array([draws.evidence for draws in drawn])
+    probability = np.exp(evidence - logsumexp(evidence))  # of each model
+    models = [m for m in range(len(drawn)) if m == 0 or probability[m] > s.no_weight]
+    count = max(drawn[m].motions.u.shape[1] for m in models)
+    labels = _regions_of_models(drawn, probability, models, reach_s, s)
+    # the weights of a model's draws add to its evidence
+    log_weight = np.concatenate([drawn[m].log_weight - np.log(len(drawn[m])) for m in models])
+    share = np.exp(log_weight - logsumexp(log_weight))
+    label = np.concatenate([labels[m] for m in models])
+    # regions are numbered by falling probability, and all motions get as many unknowns as the largest model has
+    rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
+    wide = [
+        drawn[m].motions.with_unknowns(np.arange(drawn[m].motions.u.shape[1]), count)
+        for m in models
+    ]
+    return Draws(
+        motions=LanderMotions.joined(wide),
+        log_weight=log_weight + np.log(len(log_weight)),
+        of_model=np.repeat(models, [len(drawn[m]) for m in models]),
+        region=rank[label],
+        effective=effective_draws(share),
+        tail=pareto_tail(log_weight),
+        evidence=float(logsumexp(log_weight)),
+        rounds=np.concatenate([draws.rounds for draws in drawn]),
+    )
+
+
+def _regions_of_models(
+    drawn: Sequence[Draws],
+    probability: np.ndarray,
+    models: list[int],
+    reach_s: float,
+    s: SamplingSettings,
+) -> dict[int, np.ndarray]:
+    """Return for each of some models the region of each draw, numbered over all models.
+
+    `probability`: of each model. From the most probable model on, a region is either one of those of earlier models, or a new one.
+    A region is described by mean (6) and covariance (6, 6) of its rate times `reach_s` (rad) and of its direction.
+    """
+    regions_so_far: list[tuple[np.ndarray, np.ndarray]] = []
+    labels: dict[int, np.ndarray] = {}
+    for m in sorted(models, key=lambda m: -probability[m]):
+        draws, earlier = drawn[m], len(regions_so_far)
+        share = np.exp(draws.log_weight - logsumexp(draws.log_weight))
+        label = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
+        for region in range(len(label)):
+            inside = draws.region == region
+            mass = share[inside].sum()
+            weight = share[inside] / max(mass, 1e-300)
+            omega, sun = draws.motions.omega[inside], draws.motions.sun[inside]
+            x = np.concatenate([reach_s * omega, sun], axis=1)
+            mean = weight @ x
+            covariance = np.einsum("n,ni,nj->ij", weight, x - mean, x - mean) + 1e-6 * np.eye(6)
+            distances = []
+            if probability[m] * mass > 10 * s.no_weight:
+                distances = [
+                    _distance(mean, covariance, *other, s) for other in regions_so_far[:earlier]
+                ]
+            if distances and min(distances) < s.one_region:
+                label[region] = int(np.argmin(distances))
+            else:
+                label[region] = len(regions_so_far)
+                regions_so_far.append((mean, covariance))
+        labels[m] = label[draws.region]
+    return labels
+
+
+def _distance(
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    other_mean: np.ndarray,
+    other_covariance: np.ndarray,
+    s: SamplingSettings,
+) -> float:
+    """Return the squared distance of two regions: in sigmas of the wider one, or in the largest change by another model if less."""
+    off, wider = mean - other_mean, max((covariance, other_covariance), key=np.trace)
+    turn, sun = np.linalg.norm(off[RATE]) / s.bent_rad, np.linalg.norm(off[3:]) / s.sun_rad
+    by_model = float(max(turn, sun)) ** 2 * s.one_region
+    return min(float(off @ np.linalg.solve(wider, off)), by_model)
+
+
 @dataclass(frozen=True)
 class Mixture:
     """Draws (n) of all models together, weighed by evidence.
@@ -63,21 +150,19 @@ class Mixture:
     `starts`: how many starts of the search led to each region; `workers`: threads that evaluate draws.
     """
 
-    fits: tuple[ShotFit, ...]
+    fits: tuple[ModelFit, ...]
     draws: Draws
     probability: np.ndarray
     starts: np.ndarray
     workers: int = 1
 
     @classmethod
-    def of(
-        cls, fits: list[ShotFit], drawn: list[Draws], reach_s: float, s: SamplingSettings
-    ) -> Mixture:
+    def of(cls, fits: Sequence[ModelFit], s: SamplingSettings) -> Mixture:
         """Return the draws of models together."""
-        log_priors = [fit.model.log_prior for fit in fits]
-        draws = mixed(drawn, log_priors, reach_s, s)
-        log_mass = np.array([of_model.evidence for of_model in drawn]) + np.array(log_priors)
-        probability = np.exp(log_mass - logsumexp(log_mass))
+        drawn, reach_s = [fit.drawn for fit in fits], fits[0].model.reach_s
+        draws = mixed(drawn, reach_s, s)
+        evidence = np.array([of_model.evidence for of_model in drawn])
+        probability = np.exp(evidence - logsumexp(evidence))
         return cls(tuple(fits), draws, probability, _starts(fits, draws, reach_s))
 
     @property
@@ -100,16 +185,20 @@ class Mixture:
         own = self.draws.log_weight[self.inside(region)]
         return effective_draws(np.exp(own - logsumexp(own)))
 
-    def by_model(self, index: np.ndarray) -> Iterator[tuple[LanderModel, np.ndarray, Shots]]:
+    def by_model(
+        self, index: np.ndarray
+    ) -> Iterator[tuple[LanderModel, np.ndarray, LanderMotions]]:
         """Yield each model of the draws `index` (n), with the positions of its draws in `index`, and their motions."""
         for h in np.unique(self.draws.of_model[index]):
             model = self.fits[h].model
             places = np.flatnonzero(self.draws.of_model[index] == h)
-            shots = self.draws.shots.take(index[places])
-            yield model, places, replace(shots, u=shots.u[:, : len(model.unknowns)])
+            motions = self.draws.motions.take(index[places])
+            yield model, places, replace(motions, u=motions.u[:, : len(model.unknowns)])
 
     def each_once(
-        self, index: np.ndarray, evaluate: Callable[[LanderModel, Shots], Sequence[np.ndarray]]
+        self,
+        index: np.ndarray,
+        evaluate: Callable[[LanderModel, LanderMotions], Sequence[np.ndarray]],
     ) -> list[np.ndarray]:
         """Return the arrays (n, ...) of a function of a model and its motions for the draws `index` (n), which may be repeated.
 
@@ -129,8 +218,8 @@ class Mixture:
     def values(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Return the unknowns of the nominal model, each (n) in its own unit, by name."""
         values = {unknown.name: np.zeros(len(index)) for unknown in self.nominal.unknowns}
-        for model, places, shots in self.by_model(index):
-            for unknown, value in zip(model.unknowns, model.values(shots.u).T, strict=True):
+        for model, places, motions in self.by_model(index):
+            for unknown, value in zip(model.unknowns, model.values(motions.u).T, strict=True):
                 if unknown.name in values:
                     values[unknown.name][places] = value
         return values
@@ -138,9 +227,9 @@ class Mixture:
     def log_likelihood(self, index: np.ndarray) -> np.ndarray:
         """Return the log likelihood (n) of draws."""
 
-        def of_model(model: LanderModel, shots: Shots) -> tuple[np.ndarray]:
+        def of_model(model: LanderModel, motions: LanderMotions) -> tuple[np.ndarray]:
             target = LanderTarget(model)
-            return (target.log_likelihood(target.run(shots), shots.u),)
+            return (target.log_likelihood(target.run(motions), motions.u),)
 
         return self.each_once(index, of_model)[0]
 
@@ -149,16 +238,16 @@ class Mixture:
     ) -> tuple[Checked, np.ndarray]:
         """Return the predictive check of draws of equal weight, and the probability (n, p) of readings to be outliers."""
         p, noise_sigmas, outliers = 0.0, 0.0, np.zeros(self.nominal.panels.used.shape)
-        for model, places, shots in self.by_model(picked):
+        for model, places, motions in self.by_model(picked):
             part, target = len(places) / len(picked), LanderTarget(model)
-            check = predictive_check(target, shots, rng, s)
+            check = predictive_check(target, motions, rng, s)
             p += part * check.p
             noise_sigmas += part * check.noise_sigmas
-            outliers += part * target.outlier_probability(shots.take(slice(0, s.checked)))
+            outliers += part * target.outlier_probability(motions.take(slice(0, s.checked)))
         return Checked(p, noise_sigmas), outliers
 
 
-def _starts(fits: list[ShotFit], draws: Draws, reach_s: float) -> np.ndarray:
+def _starts(fits: Sequence[ModelFit], draws: Draws, reach_s: float) -> np.ndarray:
     """Return how many starts of the search led to each region, under the model under which most did.
 
     A fitted motion belongs to the region of the draw of its model that is nearest to it, as a turn within the window.
@@ -167,10 +256,12 @@ def _starts(fits: list[ShotFit], draws: Draws, reach_s: float) -> np.ndarray:
     for h in np.unique(draws.of_model):
         of_model = np.flatnonzero(draws.of_model == h)
         drawn, fitted = (
-            np.concatenate([reach_s * shots.omega, shots.sun], axis=1)
-            for shots in (draws.shots.take(of_model), fits[h].motions)
+            np.concatenate([reach_s * motions.omega, motions.sun], axis=1)
+            for motions in (draws.motions.take(of_model), fits[h].motions)
         )
         nearest = of_model[KDTree(drawn).query(fitted)[1]]
-        starts = np.bincount(draws.region[nearest], weights=fits[h].starts, minlength=len(most))
+        starts = np.bincount(
+            draws.region[nearest], weights=fits[h].motions.starts, minlength=len(most)
+        )
         most = np.maximum(most, starts.astype(np.int64))
     return most

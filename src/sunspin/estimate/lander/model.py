@@ -19,7 +19,7 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import Acting, Steady
 from sunspin.dynamics.wheel_modes import friction_limit
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.model import AS_STATED, Observations, Unknown
 from sunspin.estimate.settings import LOOSER_CHANCE
 from sunspin.estimate.terms.given import Given
@@ -73,8 +73,7 @@ class LanderModel:
 
     `of_motion`: the unknowns on which the motion depends; those of the panels follow them. `max_rate` (rad/s): the ball of rates at
     the reference, which is `after_s` after the first sample; times of the observations count from there, wheel speeds are those at
-    the first sample. `frame`: in which axes a constant torque acts, if any. `what`, `log_prior`: as in
-    :class:`~sunspin.estimate.model.Model`.
+    the first sample. `frame`: in which axes a constant torque acts, if any; `what`: the model in words.
     """
 
     vehicle: Vehicle
@@ -85,7 +84,6 @@ class LanderModel:
     after_s: float = 0.0
     frame: Frame | Literal[""] = ""
     what: str = AS_STATED
-    log_prior: float = 0.0
 
     # ---- unknowns ----------------------------------------------------------------------------------------------------------
 
@@ -108,6 +106,11 @@ class LanderModel:
     def of_panels(self) -> slice:
         """Return where the unknowns of the panels stand."""
         return slice(len(self.of_motion), None)
+
+    @cached_property
+    def reach_s(self) -> float:
+        """Return the longest time from the reference to a sample."""
+        return max(float(np.abs(self.obs.t_s).max()), 1e-6)
 
     @property
     def dimension(self) -> int:
@@ -173,17 +176,17 @@ class LanderModel:
             weight[:, places] = (np.exp(of_sigmas - mixture[:, None]) @ shares**-2.0)[:, None]
         return total, weight
 
-    def log_prior_density(self, shots: Shots) -> np.ndarray:
+    def log_prior_density(self, motions: LanderMotions) -> np.ndarray:
         """Return the log prior density (K) over rate (rad/s), direction and u.
 
         It is minus infinity for bodies that cannot exist and rates beyond the ball, and normalised over the others.
         """
         ball = np.log(4 / 3 * np.pi * self.max_rate**3) + np.log(4 * np.pi)
-        density = -self.prior_cost(shots.u)[0] - 0.5 * len(self.unknowns) * np.log(2 * np.pi)
+        density = -self.prior_cost(motions.u)[0] - 0.5 * len(self.unknowns) * np.log(2 * np.pi)
         # a fit that ends on the largest rate may exceed it by rounding
-        allowed = np.linalg.norm(shots.omega, axis=1) <= self.max_rate * (1 + 1e-12)
+        allowed = np.linalg.norm(motions.omega, axis=1) <= self.max_rate * (1 + 1e-12)
         if self.places(*MASS):
-            allowed &= self._exists(self._bodies_of(shots.u))
+            allowed &= self._exists(self._bodies_of(motions.u))
         return np.where(allowed, density - ball - self.log_possible, -np.inf)
 
     @cached_property
@@ -310,13 +313,13 @@ class LanderModel:
         """Return what acts on the body."""
         return Acting((Steady(),) if self.frame else (), start_s=self.after_s)
 
-    def rows(self, shots: Shots) -> batch.Rows:
+    def rows(self, motions: LanderMotions) -> batch.Rows:
         """Return the states at the reference as the kernel takes them; one body for all if they differ in none."""
         bodies = None
         alike = [x.kind != "wheel_speed" for x in self.of_motion]
-        if shots.u[:, : len(alike)][:, alike].any():
-            bodies = self.bodies(shots.u)
-        return batch.Rows(shots.omega, shots.sun, self.wheel_speeds(shots.u), bodies)
+        if motions.u[:, : len(alike)][:, alike].any():
+            bodies = self.bodies(motions.u)
+        return batch.Rows(motions.omega, motions.sun, self.wheel_speeds(motions.u), bodies)
 
     def run(self, rows: batch.Rows, times_s: np.ndarray, error_rad: float) -> batch.Motion:
         """Return motions from the reference at times (n) from there, all later or all earlier."""
@@ -330,11 +333,11 @@ class LanderModel:
             leave_long=True,  # one motion with too many steps, far out in the priors, must not be an error for all
         )
 
-    def carried(self, shots: Shots, error_rad: float) -> CarriedStates:
+    def carried(self, motions: LanderMotions, error_rad: float) -> CarriedStates:
         """Return motions at all samples, forward and backward from the reference; directions err by `error_rad` at most."""
-        t_s, rows = self.obs.t_s, self.rows(shots)
-        sun, omega = (np.empty((len(shots), len(t_s), 3)) for _ in range(2))
-        fine = np.ones(len(shots), dtype=bool)
+        t_s, rows = self.obs.t_s, self.rows(motions)
+        sun, omega = (np.empty((len(motions), len(t_s), 3)) for _ in range(2))
+        fine = np.ones(len(motions), dtype=bool)
         before, after = np.flatnonzero(t_s < 0)[::-1], np.flatnonzero(t_s >= 0)
         for samples in (before, after):
             if len(samples):
@@ -345,11 +348,11 @@ class LanderModel:
         sun[~fine], omega[~fine] = np.nan, np.nan
         return CarriedStates(SunStates.of(sun, omega), fine)
 
-    def first_speed(self, shots: Shots, error_rad: float) -> np.ndarray:
+    def first_speed(self, motions: LanderMotions, error_rad: float) -> np.ndarray:
         """Return angular speeds (K) at the first sample, rad/s; infinite for motions that cannot be computed."""
-        if not (self.after_s and len(shots)):
-            return np.linalg.norm(shots.omega, axis=1)
-        back = self.run(self.rows(shots), np.array([-self.after_s]), error_rad)
+        if not (self.after_s and len(motions)):
+            return np.linalg.norm(motions.omega, axis=1)
+        back = self.run(self.rows(motions), np.array([-self.after_s]), error_rad)
         speed = np.linalg.norm(back.omega_B[:, 0], axis=1)
         return np.where(np.isfinite(speed), speed, np.inf)
 

@@ -19,7 +19,7 @@ from sunspin.dynamics import batch, gyrostat
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.processor import cached, compiled, digest
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.settings import GridSettings
 from sunspin.solve.rotations import cross, tangent_basis
 from sunspin.vehicle.response.planes import sphere as even_directions
@@ -84,7 +84,7 @@ class Reached(NamedTuple):
         """
         first, direction = replace(model, after_s=0.0), even_directions(FIRST_RATES)
         none = np.zeros((FIRST_RATES, len(model.unknowns)))
-        rows = first.rows(Shots(fastest * direction, direction, none))
+        rows = first.rows(LanderMotions(fastest * direction, direction, none))
         reached = first.run(rows, np.array([model.after_s]), TRIAL_ERROR).omega_B[:, 0]
         reached = reached[np.isfinite(reached).all(axis=1)]
         commands = batch.one_command(model.vehicle, model.wheel_mode)
@@ -235,7 +235,7 @@ def attitudes(model: LanderModel, omega: np.ndarray, times: np.ndarray) -> np.nd
     along = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
     across = tangent_basis(along)[0]
     frame = np.stack([along, across, cross(along, across)], axis=2)
-    rows = model.rows(Shots(omega, across, none))
+    rows = model.rows(LanderMotions(omega, across, none))
     turn = np.empty((len(omega), len(times), 4))
     for i, t in enumerate(times):
         moved = model.run(rows, np.array([t]), TRIAL_ERROR)

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import logsumexp
 
-from sunspin.estimate.lander.motions import STATE_SIZE, SUN, UNKNOWNS, ShotFit, Shots
+from sunspin.estimate.lander.motions import STATE_SIZE, SUN, UNKNOWNS, LanderMotions, ModelFit
 from sunspin.estimate.lander.outer_law import (
     OuterLaw,
     monomials,
@@ -64,7 +64,7 @@ class Chart:
     the ridge is curved, the others being the noise.
     """
 
-    centre: Shots
+    centre: LanderMotions
     basis: np.ndarray
     softs: int
     outer: np.ndarray
@@ -72,7 +72,11 @@ class Chart:
 
     @classmethod
     def about(
-        cls, target: LanderTarget, centre: Shots, covariance: np.ndarray, s: SamplingSettings
+        cls,
+        target: LanderTarget,
+        centre: LanderMotions,
+        covariance: np.ndarray,
+        s: SamplingSettings,
     ) -> Chart:
         """Return the coordinates about a motion with the covariance (D, D).
 
@@ -113,14 +117,14 @@ class Chart:
         order = np.concatenate([np.arange(self.softs), of_u, np.arange(self.softs, STATE_SIZE)])
         return in_chart[np.ix_(order, order)]
 
-    def coordinates(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
+    def coordinates(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
         """Return y (K, d) and z (K, q) of motions."""
-        x = shots.from_centre(self.centre)
+        x = motions.from_centre(self.centre)
         along = x[:, :STATE_SIZE] @ self.basis.T
         y = np.concatenate([along[:, : self.softs], x[:, UNKNOWNS][:, self.outer]], axis=1)
         return y, along[:, self.softs :]
 
-    def motions(self, y: np.ndarray, z: np.ndarray, u: np.ndarray) -> Shots:
+    def motions(self, y: np.ndarray, z: np.ndarray, u: np.ndarray) -> LanderMotions:
         """Return the motions at y (K, d) and z (K, q), their reading unknowns as in u (K, m)."""
         step = np.linalg.solve(self.basis, np.concatenate([y[:, : self.softs], z], axis=1).T).T
         u = np.array(u)
@@ -128,7 +132,7 @@ class Chart:
         at = self.centre.take(np.zeros(len(y), dtype=np.int64)).moved(
             np.concatenate([step, np.zeros_like(u)], axis=1)
         )
-        return Shots(at.omega, at.sun, u)
+        return LanderMotions(at.omega, at.sun, u)
 
     def log_volume(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the log (K) of the volume in rate, solid angle and unknowns per unit of volume in y, z.
@@ -140,17 +144,17 @@ class Chart:
         sphere = np.log(np.maximum(np.sinc(angle / np.pi), 1e-300))  # sin(angle) / angle
         return np.where(angle < np.pi, sphere - np.linalg.slogdet(self.basis)[1], -np.inf)
 
-    def stiff_steps(self, shots: Shots, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def stiff_steps(self, motions: LanderMotions, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the steps (K, 5, q) of rate and direction, in the motions' own tangents, per unit of z while y is held."""
         size, steps = 1e-5, []
         for direction in np.eye(self.stiff):
-            shifted = self.motions(y, z + size * direction, shots.u)
-            steps.append(shifted.from_centre(shots)[:, :STATE_SIZE] / size)
+            shifted = self.motions(y, z + size * direction, motions.u)
+            steps.append(shifted.from_centre(motions)[:, :STATE_SIZE] / size)
         return np.stack(steps, axis=2)
 
 
 class Proposals(NamedTuple):
-    """All N proposals from one ridge so far: y (N, d), z (N, q) and the whole motions, `shots`.
+    """All N proposals from one ridge so far: y (N, d), z (N, q) and the whole motions, `motions`.
 
     `log_inner` (N): log of the density with which z was drawn given y; `log_mass` (N): log of the posterior density over y and z,
     with the reading unknowns integrated out by :func:`complete_motions`.
@@ -160,7 +164,7 @@ class Proposals(NamedTuple):
     z: np.ndarray
     log_inner: np.ndarray
     log_mass: np.ndarray
-    shots: Shots
+    motions: LanderMotions
 
 
 class RidgePoints(NamedTuple):
@@ -231,13 +235,13 @@ class Ridge:
         assert proposals is not None
         return proposals.log_mass - proposals.log_inner - self.log_outer(proposals.y, freedom)
 
-    def log_share(self, shots: Shots, freedom: float) -> np.ndarray:
+    def log_share(self, motions: LanderMotions, freedom: float) -> np.ndarray:
         """Return the log of the approximate number density of this ridge's proposals at motions (n).
 
         The density is over rate, solid angle and unknowns. It divides motions between overlapping ridges; for that it may be
         approximate, as the weights are exact whenever the parts of a motion add to one.
         """
-        y, z = self.chart.coordinates(shots)
+        y, z = self.chart.coordinates(motions)
         root = np.linalg.cholesky(self.scatter)
         off = np.linalg.solve(root, (z - self.best(y)).T).T
         inner = student_log_density(off, freedom) - np.log(np.diag(root)).sum()
@@ -258,7 +262,7 @@ class Peak(NamedTuple):
 
 
 def ridges_of(
-    target: LanderTarget, fit: ShotFit, fitted_share: np.ndarray | None, s: SamplingSettings
+    target: LanderTarget, fit: ModelFit, fitted_share: np.ndarray | None, s: SamplingSettings
 ) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
@@ -266,7 +270,7 @@ def ridges_of(
     unknown in the fit, over `Unknown.sigma`, if it has several (:attr:`Unknown.shares`); default: one.
     """
     least = np.diag([target.rate_max**-2] * 3 + [1.0] * 2 + [0.0] * len(target.unknowns))
-    covariance = np.linalg.inv(fit.curvature + least)
+    covariance = np.linalg.inv(fit.motions.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
     share = np.ones_like(fit.motions.u) if fitted_share is None else fitted_share
@@ -274,7 +278,7 @@ def ridges_of(
     for i in np.argsort(-log_mass, kind="stable"):
         if log_mass[i] < log_mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
-        motion = fit.motions.take([i])
+        motion = fit.motions.bare.take([i])
         as_fitted = Peak(float(log_mass[i]), np.zeros(len(covariance[i])), covariance[i])
         peaks = over_sizes(target, motion.u[0], as_fitted, share[i], s)
         for ridge in ridges:
@@ -295,7 +299,7 @@ def ridges_of(
 
 def _ridge_about(
     target: LanderTarget,
-    centre: Shots,
+    centre: LanderMotions,
     covariance: np.ndarray,
     peaks: list[Peak],
     s: SamplingSettings,
@@ -408,34 +412,33 @@ def fit_stiff(
     """
     reading, q = target.reading_unknowns, chart.stiff
 
-    # The state of the fit is y, z, u and, after the first system, the fields of `MotionSlopes`. A step has q components of z, then
-    # those of the reading unknowns.
+    # The state of the fit is y, z, u and the derivatives near by, if there are any. A step has q components of z, then those of the
+    # reading unknowns.
     def equations(noise_factor: float, state: tuple[Any, ...]) -> DenseSystem:
         """Return the equations of the target in these coordinates, by the chain rule."""
-        y, z, u, *slopes = state
-        shots = chart.motions(y, z, u)
-        motion = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
+        y, z, u, slopes = state
+        motions = chart.motions(y, z, u)
+        system = target.linearised(motions, slopes, noise_factor)
         change = np.zeros((len(y), STATE_SIZE + len(reading), q + len(reading)))
-        change[:, :STATE_SIZE, :q] = chart.stiff_steps(shots, y, z)
+        change[:, :STATE_SIZE, :q] = chart.stiff_steps(motions, y, z)
         change[:, STATE_SIZE:, q:] = np.eye(len(reading))
-        slope = np.einsum("kij,ki->kj", change, motion.slope)
-        matrix = np.swapaxes(change, 1, 2) @ motion.matrix @ change
+        slope = np.einsum("kij,ki->kj", change, system.slope)
+        matrix = np.swapaxes(change, 1, 2) @ system.matrix @ change
         matrix[:, range(q), range(q)] += LOOSEST_RAD**-2
-        return DenseSystem(motion.cost, matrix, slope, extras=tuple(motion.slopes))
+        return DenseSystem(system.cost, matrix, slope, extras=system.extras)
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
         """Return the state after a step of stiff coordinates and reading unknowns."""
-        y, z, u, *slopes = state
+        y, z, u, slopes = state
         u = np.array(u)
         u[:, reading] += step[:, q:]
-        return (y, z + step[:, :q], u, *slopes)
+        return y, z + step[:, :q], u, slopes
 
     def with_slopes(state: tuple[Any, ...], system: DenseSystem) -> tuple[Any, ...]:
         """Return the state with the derivatives of its equations, for the next ones."""
-        y, z, u, *_ = state
-        return (y, z, u, *system.extras)
+        return *state[:3], system.extras
 
-    state: tuple[Any, ...] = (y, z, u, *(near or ()))
+    state: tuple[Any, ...] = y, z, u, near
     system: DenseSystem | None = None
     # a far start is first fitted under a larger noise, so that no reading counts as an outlier because of the start
     for noise_factor, steps in WARM if near is not None else COLD:
@@ -462,11 +465,11 @@ def fit_stiff(
     step = -np.einsum("kij,kj->ki", covariance, system.slope)
     length = -np.sum(system.slope * step, axis=1)
     fine = np.isfinite(step).all(axis=1) & (length < LONGEST_SIGMAS**2)
-    _, z, u, *slopes = moved(state, np.where(fine[:, None], step, 0.0))
+    _, z, u, slopes = moved(state, np.where(fine[:, None], step, 0.0))
     # covariance of z with free reading unknowns, which are drawn too
     of_z = covariance[:, :q, :q]
     root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
-    return StiffFit(z, root, u, MotionSlopes(*slopes))
+    return StiffFit(z, root, u, slopes)
 
 
 def reading_law(
@@ -493,24 +496,24 @@ def complete_motions(
     u: np.ndarray,
     rng: np.random.Generator,
     s: SamplingSettings,
-) -> tuple[Shots, np.ndarray]:
+) -> tuple[LanderMotions, np.ndarray]:
     """Return the motions at y and z with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
 
     Several sets of these unknowns are drawn for each motion, which need not run again for them. The mass is the mean of their
     weights, and one set is chosen with a probability in proportion to its weight. With one set only, a draw in the tails of the
     normal law might outweigh all others. u (n, m): where the step to the best reading unknowns begins.
     """
-    shots, places = chart.motions(y, z, u), target.reading_unknowns
+    motions, places = chart.motions(y, z, u), target.reading_unknowns
     count = s.reading_draws if len(places) else 1
     white = rng.standard_normal((len(y), count, len(places)))
     chance = rng.random(len(y))
-    log_mass = chart.log_volume(y, z) + target.log_prior(shots)
+    log_mass = chart.log_volume(y, z) + target.log_prior(motions)
     # a motion beyond the coordinates or the prior has no mass, and need not run
     rows = np.flatnonzero(np.isfinite(log_mass))
     log_mass[np.setdiff1d(np.arange(len(y)), rows)] = -np.inf
     if not len(rows):
-        return shots, log_mass
-    possible, white = shots.take(rows), white[rows]
+        return motions, log_mass
+    possible, white = motions.take(rows), white[rows]
     seen = target.run(possible)
 
     # draw from a normal law: with the Cholesky factor R of its precision a draw is the best plus R^-T times white numbers
@@ -534,8 +537,8 @@ def complete_motions(
     # choose the draw at which the cumulative weight passes a random part of the total
     share = np.cumsum(np.exp(log_weight - np.where(np.isfinite(total), total, 0.0)), axis=1)
     chosen = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
-    shots.u[rows[:, None], places] = drawn[np.arange(len(rows)), chosen]
-    return shots, log_mass
+    motions.u[rows[:, None], places] = drawn[np.arange(len(rows)), chosen]
+    return motions, log_mass
 
 
 def trace_ridge(
@@ -578,16 +581,16 @@ def propose(
         step, white = student_draws(s.inner_width * stiff.root, rng, s.freedom)
         volume = np.log(s.inner_width * np.einsum("kii->ki", stiff.root)).sum(axis=1)
         z = stiff.best + step
-        shots, log_mass = complete_motions(target, chart, y, z, stiff.u, rng, s)
+        motions, log_mass = complete_motions(target, chart, y, z, stiff.u, rng, s)
         log_inner = student_log_density(white, s.freedom) - volume
-        parts.append(Proposals(y, z, log_inner, log_mass, shots))
+        parts.append(Proposals(y, z, log_inner, log_mass, motions))
         points.append(RidgePoints(y, stiff.best, stiff.slopes))
     ridge.proposals = Proposals(
         *(
             np.concatenate([getattr(part, name) for part in parts])
             for name in Proposals._fields[:4]
         ),
-        Shots.joined([part.shots for part in parts]),
+        LanderMotions.joined([part.motions for part in parts]),
     )
     ridge.points = RidgePoints.joined(points)
     ridge.laws += drawn

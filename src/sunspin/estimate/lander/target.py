@@ -11,13 +11,14 @@ import numpy as np
 from sunspin.estimate.lander.fit import (
     SEARCH_ERROR,
     FitProblem,
-    corrected,
+    Point,
     in_tangents_at,
     states_of,
 )
 from sunspin.estimate.lander.model import CarriedStates, LanderModel
-from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, LanderMotions
 from sunspin.estimate.model import Unknown
+from sunspin.solve.linear import DenseSystem
 
 LEAST_TURN_RAD = 1e-3
 """Derivatives are not corrected by steps that rotate the body by less than this within the window: the change would be comparable
@@ -35,18 +36,6 @@ class MotionSlopes(NamedTuple):
     u: np.ndarray
     seen_slopes: np.ndarray
     seen: np.ndarray
-
-
-class Equations(NamedTuple):
-    """Normal equations of K motions in their f coordinates: five of rate and direction, then the s reading unknowns.
-
-    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, f), `matrix` (K, f, f): its derivatives.
-    """
-
-    cost: np.ndarray
-    slope: np.ndarray
-    matrix: np.ndarray
-    slopes: MotionSlopes
 
 
 @dataclass(frozen=True)
@@ -77,7 +66,7 @@ class LanderTarget:
     @property
     def reach_s(self) -> float:
         """Return the longest time from the reference to a sample."""
-        return self._problem.reach_s
+        return self.model.reach_s
 
     @property
     def rate_max(self) -> float:
@@ -92,41 +81,43 @@ class LanderTarget:
         return FitProblem(self.model, free)
 
     def linearised(
-        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
-    ) -> Equations:
-        """Return the equations under `noise_factor` times the noise.
+        self, motions: LanderMotions, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
+    ) -> DenseSystem:
+        """Return the normal equations of K motions under `noise_factor` times the noise, with the :class:`MotionSlopes` there.
 
-        With `slopes` of motions near by no further runs give derivatives. The given ones are corrected by the change that the step
-        from there has made (Broyden), if it is a step in rate and direction alone.
+        Their coordinates are the five of rate and direction, then the s reading unknowns. With `slopes` of motions near by no
+        further runs give derivatives. The given ones are corrected by the change that the step from there has made (Broyden), if it
+        is a step in rate and direction alone.
         """
         problem = self._problem
         if slopes is None:
-            seen, seen_slopes = problem.derivatives(shots)
+            system = problem.linearised(motions, noise_factor)
         else:
-            seen, fine = problem.seen(shots, SEARCH_ERROR)
-            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :STATE_SIZE]
+            step = motions.from_centre(LanderMotions(slopes.omega, slopes.sun, slopes.u))[
+                :, :STATE_SIZE
+            ]
             turn = np.maximum(
                 np.linalg.norm(step[:, RATE], axis=1) * self.reach_s,
                 np.linalg.norm(step[:, SUN], axis=1),
             )
             # if unknowns of the motion differ too, the change is not by the step alone
             alike = np.all(
-                shots.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
+                motions.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
             )
-            learnt = (alike & fine & (turn > LEAST_TURN_RAD))[:, None]
+            learnt = (alike & (turn > LEAST_TURN_RAD))[:, None]
             seen_slopes, step = in_tangents_at(
-                shots.sun, slopes.sun, slopes.seen_slopes, np.where(learnt, step, 0.0)
+                motions.sun, slopes.sun, slopes.seen_slopes, np.where(learnt, step, 0.0)
             )
-            change = np.where(fine[:, None, None], np.nan_to_num(seen - slopes.seen), 0.0)
-            seen_slopes = corrected(seen_slopes, step, change)
-        linear = problem.differences(shots, seen, seen_slopes)
-        system = problem.system(shots.u, linear, noise_factor)
-        at = MotionSlopes(shots.omega, shots.sun, shots.u, seen_slopes, linear.seen)
-        return Equations(system.cost, system.slope, system.matrix, at)
+            state = motions.omega, motions.sun, motions.u
+            point = Point(*state, seen_slopes, slopes.seen, step)
+            system = problem.linearised_after(point, noise_factor)
+        linear = system.extras
+        at = MotionSlopes(motions.omega, motions.sun, motions.u, linear.seen_slopes, linear.seen)
+        return DenseSystem(system.cost, system.matrix, system.slope, extras=at)
 
-    def run(self, shots: Shots) -> np.ndarray:
+    def run(self, motions: LanderMotions) -> np.ndarray:
         """Return what sensors see (K, n, w), not a number for motions that could not be computed."""
-        seen, fine = self._problem.seen(shots, SEARCH_ERROR)
+        seen, fine = self._problem.seen(motions, SEARCH_ERROR)
         return np.where(fine[:, None, None], seen, np.nan)
 
     def reading_slopes(self, seen: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -134,7 +125,7 @@ class LanderTarget:
         problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
         # differences of readings do not use rate and direction at the reference
         unused = np.zeros((len(u), 3))
-        linear = problem.differences(Shots(unused, unused, u), seen, still)
+        linear = problem.differences(LanderMotions(unused, unused, u), seen, still)
         _, weight = problem.weigh(linear.value, u, 1.0)
         jacobian = linear.jacobian
         weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
@@ -158,13 +149,13 @@ class LanderTarget:
             total = total - 0.5 * np.sum(off**2, axis=1)
         return total
 
-    def outlier_probability(self, shots: Shots) -> np.ndarray:
+    def outlier_probability(self, motions: LanderMotions) -> np.ndarray:
         """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
-        seen = self.run(shots)
+        seen = self.run(motions)
         fine = np.isfinite(seen).all(axis=(1, 2))
-        own = shots.u[fine][:, self.model.of_panels]
+        own = motions.u[fine][:, self.model.of_panels]
         return self.model.panels.outlier_probability(states_of(seen[fine]), own)
 
-    def log_prior(self, shots: Shots) -> np.ndarray:
+    def log_prior(self, motions: LanderMotions) -> np.ndarray:
         """Return the log prior density (K)."""
-        return self.model.log_prior_density(shots)
+        return self.model.log_prior_density(motions)

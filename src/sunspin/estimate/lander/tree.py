@@ -183,8 +183,10 @@ def _of_proposed(
 
 def _chi_square(mix: Mixture, best: np.ndarray) -> tuple[float, int]:
     """Return the sum of squared differences of lit readings in stated sigmas under one draw, and their number."""
-    model, _, shots = next(mix.by_model(best))
+    model, _, motions = next(mix.by_model(best))
     panels = model.panels
-    residual, *_ = panels.residuals(model.carried(shots, 1e-5).seen, shots.u[:, model.of_panels])
+    residual, *_ = panels.residuals(
+        model.carried(motions, 1e-5).seen, motions.u[:, model.of_panels]
+    )
     lit = panels.lit
     return float(np.sum(residual.value[0][lit] ** 2)), int(np.count_nonzero(lit))

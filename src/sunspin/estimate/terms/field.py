@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 import xarray as xr
@@ -23,6 +23,9 @@ from sunspin.estimate.terms.term import Residual, Term, at_sample_before, drifti
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotate_by_smallest
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
+
+if TYPE_CHECKING:
+    from sunspin.estimate.orbit.calibration import FieldCalibration
 
 FIELD_FACTOR = 5.0
 """A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
@@ -50,28 +53,6 @@ MOST_OFF = 0.2
 
 UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
 """What becomes of a sample without a field, if the field stands for the Sun."""
-
-
-class CalibratedMagnetometer(Protocol):
-    """What a magnetometer reads in a known orbit, with e errors in common; readings (n, 3), fields in T."""
-
-    @property
-    def noise_T(self) -> float:
-        """Return one sigma of a component of a reading."""
-
-    def field(self, reading: np.ndarray) -> np.ndarray:
-        """Return the fields (n, 3) of readings."""
-
-    def reading_errors(self, reading: np.ndarray) -> np.ndarray:
-        """Return the change (n, e, 3) of the fields of readings by one sigma of each error."""
-
-    def orbit_errors(self, field_along_N: np.ndarray) -> np.ndarray:
-        """Return the change (n, e, 3) of the orbit's field by one sigma of each error; (n, 3) by one sigma along the track."""
-
-    def sigma_T(
-        self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
-    ) -> np.ndarray:
-        """Return one sigma (n) of each component of readings where the field is `field_N` (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -319,10 +300,7 @@ class KnownField(Term):
 
     @classmethod
     def of(
-        cls,
-        fields: FieldChange,
-        surroundings: Surroundings,
-        calibration: CalibratedMagnetometer,
+        cls, fields: FieldChange, surroundings: Surroundings, calibration: FieldCalibration
     ) -> Self:
         """Return readings calibrated along an orbit; their errors are those of the calibration."""
         field_N, along_N = surroundings.field_N, surroundings.field_along_N
