@@ -23,7 +23,7 @@ from sunspin.estimate.evidence import (
     rescale_unknowns,
 )
 from sunspin.estimate.field_led import leading_field, models_to_search, prepare_fit, to_nominal_axes
-from sunspin.estimate.images import with_images
+from sunspin.estimate.images import images_of, with_images
 from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
@@ -76,7 +76,9 @@ def one_pass(
     differs; the fit then begins from them, without a search.
     """
     s, limit = settings, nominal.obs.cost_limit
-    budget = replace(budget)  # each pass has its own, as passes are estimated side by side
+    # each pass has its own, as passes are estimated side by side
+    flat = s.search.flat_budget if len(images_of(nominal)) > 1 else 1.0
+    budget = replace(budget, most=flat * budget.most)
 
     def search_and_fit(
         model: Model, noise: float, slowest: float = 0.0, inertia_held: bool = True
