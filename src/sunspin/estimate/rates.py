@@ -349,7 +349,7 @@ def largest_rate(
     passes: Sequence[Pass],
     settings: RatesSettings,
 ) -> tuple[float, float]:
-    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it if no inertia is known.
+    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it (`AlternativeSettings.beyond`).
 
     The rate is the given one, else the vehicle's, else so many revolutions in the shorter intervals between samples (`t_s` of the
     file, s). Whoever states it knows that no body is faster: the factor is then one.
