@@ -195,14 +195,16 @@ def search_motions(
     slowest: float = 0.0,
     inertia_held: bool = True,
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of strength `noise` leaves, a track for each meaning of the readings.
+    """Return the motions that a search under unknown torques of strength `noise` leaves.
 
+    There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
+    scale is in doubt (`Model.for_search`). No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no
+    motion raises InputError. With one, slower motions were searched before, so that one pair of samples to start from is enough,
+    and the list may be empty.
     The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
-
-    No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no motion raises InputError. With one,
-    slower motions were searched before, and the list may be empty.
     """
-    # In axes that follow the field a right motion may cost more than the limit, since they turn in space: no further places then.
+    # Axes that follow the field turn in space, so that a right motion may cost more than the limit there, and would ask for further
+    # pairs of samples.
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
     for loose in models_to_search(nominal, Noise(noise)):

@@ -352,7 +352,7 @@ def largest_rate(
     passes: Sequence[Pass],
     settings: RatesSettings,
 ) -> tuple[float, float]:
-    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it if no inertia is known.
+    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it (`AlternativeSettings.beyond`).
 
     The rate is the given one, else the vehicle's, else so many revolutions in the shorter intervals between samples (`t_s` of the
     file, s). Whoever states it knows that no body is faster: the factor is then one.
@@ -421,8 +421,8 @@ def log_evidence_of_passes(
     Up to a constant that depends only on the number of readings, so that it compares files whose columns are exchanged.
     """
     log = []
-    for model, pass_fits, a_pass in zip(fitted.models, fitted.fits, passes, strict=True):
-        terms = [term for term in model.obs.terms if isinstance(term, Panels)]
+    for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
+        terms = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
         silent = cost_of_silent_panels(assessment, a_pass.kept) if terms else 0.0
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
         log.append(float(evidence - sum(log_size(term) for term in terms) - silent))

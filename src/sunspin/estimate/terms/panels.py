@@ -107,6 +107,7 @@ class Panels(Term):
         "scale",
         "scale_sigma",
         "sun_up",
+        "known_N",
     )
 
     power: np.ndarray
@@ -130,16 +131,16 @@ class Panels(Term):
 
     @classmethod
     def read(cls, assessment: Assessment) -> tuple[Self, np.ndarray]:
-        """Return the panels of telemetry, and a sentence for each sample (n)."""
+        """Return the panels of telemetry, and what became of each sample (n), in words: used, or why it was dropped."""
         vehicle, quality = assessment.vehicle, assessment.quality
-        # the factor of Cholesky parts the errors of the gains into independent ones
+        # errors of the gains are correlated: rows of the transposed Cholesky factor of their covariance are independent ones
         errors = np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.input_gains
         shown = quality["reading"].values & ~quality["dead"].values
         zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
             power=signals(assessment.telemetry),
-            sigma=quality["sigma_beside_gains"].values,
+            sigma=quality["sigma_beside_gains"].values,  # until `of_pass` models the Earth's light
             response=vehicle.response_in(),
             gain=quality["gain"].values / vehicle.input_gains,
             gain_errors=errors,
@@ -177,7 +178,8 @@ class Panels(Term):
         if lit is None or lit_sigma is None:
             return placed
         dark = lit + lit_sigma < LEAST_LIT
-        # neither surely in the shadow nor surely in the Sun
+        # neither surely in the shadow nor surely in the Sun: taken as in the Sun, with a brightness as free as that of a sample of
+        # limited power
         at_edge = ~dark & (lit - lit_sigma < 1 - LEAST_LIT)
         free = np.maximum(self.scale_sigma, LIMITED_SCALE)
         return replace(
@@ -199,9 +201,8 @@ class Panels(Term):
 
     def take(self, samples: Any) -> Self:
         """Return the panels at some samples."""
-        known = None if self.known_N is None else self.known_N[samples]
         earth = None if self.earth is None else self.earth.take(samples)
-        return replace(super().take(samples), known_N=known, earth=earth)
+        return replace(super().take(samples), earth=earth)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading that counts, and the Sun up."""
