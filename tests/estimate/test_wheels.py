@@ -142,9 +142,8 @@ def test_reversed_wheels_are_searched_under_what_the_wheels_are_decided_to_do(
     data, _ = seen
     momentum = wheel_models(SLOWING, data)[name]
 
-    def doubted(obs, compared, searches, fitter):
-        assert searches.name == name
-        np.testing.assert_allclose(searches.momenta[0,], -momentum)
+    def doubted(obs, compared, momenta, quick_evidences, fitter):
+        np.testing.assert_allclose(momenta[0,], -momentum)
         raise InputError("no further")
 
     decided = WHEELS.DecidedWheels(name, name, momentum, {})

@@ -17,6 +17,7 @@ from sunspin.estimate.chain import RATE, Fit, defects, fit
 from sunspin.estimate.evidence import best_fit
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
+from sunspin.estimate.terms.field import FieldChange
 from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
@@ -48,15 +49,22 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
     """
     for number, term in enumerate(nominal.obs.terms):
-        if isinstance(term, GyroRates) and term.zero_stated and term.present().any():
-            terms = list(nominal.obs.terms)
-            terms[number] = term.with_any_zero()
-            yield replace(
-                nominal,
-                obs=replace(nominal.obs, terms=tuple(terms)),
-                what="another zero offset of the gyro",
-                log_prior=nominal.log_prior + s.zero_odds,
-            )
+        if not term.present().any():
+            continue
+        if isinstance(term, GyroRates) and term.zero_stated:
+            log_odds = s.zero_odds
+        elif isinstance(term, FieldChange) and not len(term.zero_B):
+            log_odds = 0.0
+        else:
+            continue
+        terms = list(nominal.obs.terms)
+        terms[number] = term.with_any_zero()
+        yield replace(
+            nominal,
+            obs=replace(nominal.obs, terms=tuple(terms)),
+            what=f"another zero offset of the {term.label}",
+            log_prior=nominal.log_prior + log_odds,
+        )
 
 
 def steps_of_the_rate(

@@ -211,56 +211,39 @@ def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarra
     Sensors other than the Sun's may be late: their readings are compared with the motion as it was that much earlier. The latency
     may be an unknown itself, which is then appended to those of the sensor.
     """
-    indices, late = np.arange(len(model.unknowns)), latency(model, motions.u)
-    earlier = None if late is None else earlier_states(model, motions, late.late_s)
+    indices, earlier = np.arange(len(model.unknowns)), earlier_states(model, model.obs, motions)
     for term, own in model.terms_with_slices:
         u = motions.u[:, own]
-        if late is None or earlier is None or term.of_sun:
+        if earlier is None or term.of_sun:
             for residual in term.residuals(motions, u):
                 yield residual, indices[own]
             continue
         for residual in term.residuals(earlier.states, u):
-            at_sample, by_late = earlier.derivatives_at_sample(residual, late.late_s)
-            if late.index is None:
+            at_sample, by_late = earlier.derivatives_at_sample(residual)
+            if earlier.index is None:
                 yield at_sample, indices[own]
                 continue
-            by_u = late.sigma_s * by_late[..., None]
+            by_u = earlier.sigma_s * by_late[..., None]
             if at_sample.by_u is not None:
                 by_u = np.concatenate([at_sample.by_u, by_u], axis=-1)
-            yield at_sample._replace(by_u=by_u), np.append(indices[own], late.index)
+            yield at_sample._replace(by_u=by_u), np.append(indices[own], earlier.index)
 
 
-class Late(NamedTuple):
-    """Latency (K) in s of the sensors other than the Sun's under K motions, with its sigma (s).
+class Earlier(NamedTuple):
+    """K motions as they were `late_s` (K), s, before their samples: what sensors other than the Sun's read there.
 
-    `index`: that of the latency among the unknowns of the model, None if it is known exactly.
+    `sigma_s` of the latency, and its `index` among the unknowns of the model, None if it is known exactly; `turned` (K, n, 3, 3):
+    since then; `acceleration` (K, n, 3) then, rad/s2.
     """
 
     late_s: np.ndarray
     sigma_s: float
     index: int | None
-
-
-def latency(model: Model, u: np.ndarray) -> Late | None:
-    """Return the latency of the sensors other than the Sun's for unknowns u (K, m); None if they are read together with it."""
-    for term, own in model.terms_with_slices:
-        if isinstance(term, Latency) and (term.late_s or term.sigma_s):
-            index = own.start if term.sigma_s else None
-            off = 0.0 if index is None else term.sigma_s * u[:, index]
-            return Late(term.late_s + off + np.zeros(len(u)), term.sigma_s, index)
-    return None
-
-
-class Earlier(NamedTuple):
-    """Motions as they were some time before their samples: `turned` (K, n, 3, 3) since then, and the `acceleration` (K, n, 3)."""
-
     states: States
     turned: np.ndarray
     acceleration: np.ndarray
 
-    def derivatives_at_sample(
-        self, residual: Residual, late_s: np.ndarray
-    ) -> tuple[Residual, np.ndarray]:
+    def derivatives_at_sample(self, residual: Residual) -> tuple[Residual, np.ndarray]:
         """Return differences computed at the earlier state, with derivatives by the state at the sample and the latency (K, n, r).
 
         Moving back by T turns the body by -omega T and changes its rate by -(acceleration) T. So by the latency the derivative is
@@ -275,7 +258,7 @@ class Earlier(NamedTuple):
             by_late -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
             # a change of the rate moves both of two neighbours nearly alike, and their difference hardly
             if previous is None:
-                by_moved = -late_s[:, None, None, None] * by_turn
+                by_moved = -self.late_s[:, None, None, None] * by_turn
                 by_rate = by_moved if by_rate is None else by_rate + by_moved
             by_turn = by_turn @ self.turned
         if previous is not None:
@@ -284,18 +267,31 @@ class Earlier(NamedTuple):
         return residual._replace(by_turn=by_turn, by_rate=by_rate, by_previous=previous), by_late
 
 
-def earlier_states(model: Model, motions: Track, late_s: np.ndarray) -> Earlier:
-    """Return motions as they were `late_s` (K) before their samples, by the equations of motion with the wheels held."""
-    momentum = model.obs.momentum
+def earlier_states(model: Model, obs: Observations, motions: Track) -> Earlier | None:
+    """Return motions as they were when sensors other than the Sun's read, by the equations of motion with the wheels held.
+
+    None if these sensors are read together with the Sun. `obs`: the samples at which the motions are given.
+    """
+    late = [
+        (term, own.start)
+        for term, own in model.terms_with_slices
+        if isinstance(term, Latency) and (term.late_s or term.sigma_s)
+    ]
+    if not late:
+        return None
+    clock, start = late[0]
+    index = start if clock.sigma_s else None
+    off = 0.0 if index is None else clock.sigma_s * motions.u[:, index]
+    late_s = clock.late_s + off + np.zeros(len(motions))
+    momentum = obs.momentum
     inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
     stepped = step(inertia, motions.omega, back, (momentum, momentum))
     # Euler's equations: I dw/dt = (I w + h) x w
     turning = np.cross(stepped.omega @ inertia + momentum, stepped.omega)
     acceleration = turning @ np.linalg.inv(inertia)
-    return Earlier(
-        States(stepped.turned @ motions.attitude, stepped.omega), stepped.turned, acceleration
-    )
+    states = States(stepped.turned @ motions.attitude, stepped.omega)
+    return Earlier(late_s, clock.sigma_s, index, states, stepped.turned, acceleration)
 
 
 class Defects(NamedTuple):

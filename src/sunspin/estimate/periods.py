@@ -108,11 +108,10 @@ def weigh_by_periods(
     the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
     of the solution that is the likeliest now, and of the one that was then.
     """
-    # a column may have a period where there is no pass
     by_pass: dict[int, list[PeriodSeen]] = {}  # indices of passes
     for period in seen:
-        if not isinstance(period, FoundPeriod) or _in_a_pass(passes, period):
-            by_pass.setdefault(pass_of_period(passes, period), []).append(period)
+        if (k := pass_of_period(passes, period)) is not None:
+            by_pass.setdefault(k, []).append(period)
     if not by_pass:
         return list(passes), {}
     weighed = [replace(of_pass, without_periods=of_pass.probability) for of_pass in passes]
@@ -213,27 +212,25 @@ def weigh_draws(
     return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
 
 
-def _in_a_pass(passes: Sequence[Solutions], seen: PeriodSeen) -> bool:
-    """Return whether a period was seen in a pass, or no farther from its ends than the widest gap between its samples."""
-    times = [of_pass.obs.t_s for of_pass in passes]
-    near = [(t[0] - np.diff(t).max(), t[-1] + np.diff(t).max()) for t in times]
-    return any(first <= seen.t_s <= last for first, last in near)
+def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int | None:
+    """Return the index of the pass in which a period was seen, or from whose ends it is no farther than its widest gap.
 
-
-def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int:
-    """Return the index of the pass in which a period was seen, or from whose ends it is no farther than its widest gap."""
+    A column may have a period where there is no pass: None. A person may not.
+    """
     times = [of_pass.obs.t_s for of_pass in passes]
     away = [max(t[0] - seen.t_s, seen.t_s - t[-1], 0.0) for t in times]
     k = int(np.argmin(away))
-    if away[k] > np.diff(times[k]).max():
-        spans = ", ".join(f"{t[0]:.0f} to {t[-1]:.0f}" for t in times[:6])
-        rest = ", ..." if len(times) > 6 else ""
-        raise InputError(
-            "a period was seen at a time of no pass",
-            got=f"{seen.t_s:g} s",
-            do=f"passes are at {spans}{rest} s",
-        )
-    return k
+    if away[k] <= np.diff(times[k]).max():
+        return k
+    if isinstance(seen, FoundPeriod):
+        return None
+    spans = ", ".join(f"{t[0]:.0f} to {t[-1]:.0f}" for t in times[:6])
+    rest = ", ..." if len(times) > 6 else ""
+    raise InputError(
+        "a period was seen at a time of no pass",
+        got=f"{seen.t_s:g} s",
+        do=f"passes are at {spans}{rest} s",
+    )
 
 
 def periods_of(solved: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:

@@ -65,6 +65,10 @@ class SearchSettings:
     most_turns: int = 100
     """Whole turns between two samples, at most: where both hardly bound the Sun, more would make millions of starts."""
 
+    least_drift_rad: float = 5e-3
+    """A body that turns by less than this in the error of a sample's time is taken for read at exact times: it is half of the
+    usual error of a direction."""
+
     around: int = 2
     """Samples on either side of the first pair on which its starts are tried."""
 
@@ -131,8 +135,9 @@ class LadderSettings:
     """Rung under which an inertia that is wrong finds its place."""
 
     strained: float = 3e-4
-    """Rung from which a body without an inertia, of which only the Sun is measured, is searched again under `strong`, though its
-    motion fits: a body at 12.5 deg/s, sampled every 30 s, was decided as one at 0.2 deg/s."""
+    """Rung from which a body of which only the Sun is measured is searched again under `strong`, though its motion fits. Without an
+    inertia a body at 12.5 deg/s, sampled every 30 s, was decided as one at 0.2 deg/s; with one that was a sigma off, a long body
+    was decided 13 sigma off."""
 
     cooling: float = 5.5
     """Largest ratio of two neighbouring strengths: a motion that is stiffened more at once stays where it is."""

@@ -4,21 +4,20 @@ Without measured speeds wheels are held at their nominal speed, or coast from it
 
 Signs of a wheel's axis and speed are conventions, so the other sign is tried. A wheel turns the rate of the body round. Half a turn
 forward and half a turn back between two samples end alike, so that a wheel of the wrong sign may fit as well, with another motion.
-A reversed wheel is named if it clearly fits better than the wheel as the file has it, and its motion is one that the file's errors
-exclude. If both signs fit alike the file is believed.
+A reversed wheel is named if it clearly fits better than the wheel as the file has it. If both signs fit alike the file is believed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.carry import RATE, nutation, require_followed
+from sunspin.estimate.carry import nutation, require_followed
 from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
-from sunspin.estimate.evidence import PassFits, best_fit, best_motions
+from sunspin.estimate.evidence import PassFits, best_motions
 from sunspin.estimate.model import Model, Observations, Track
 from sunspin.estimate.observe import Pass, wheel_models
 from sunspin.estimate.one_pass import PassFitter, one_pass
@@ -45,9 +44,6 @@ accused."""
 AS_WELL = 1.0
 """Log evidence by which reversed wheels may be worse in one pass and are still tried on the next."""
 
-OTHER_SIGMAS = 3.0
-"""A motion is another one if its rates are so many sigmas from the file's at half of the samples."""
-
 
 @dataclass(frozen=True)
 class DecidedWheels:
@@ -64,15 +60,6 @@ class DecidedWheels:
 
 
 @dataclass(frozen=True)
-class FittedPass:
-    """A pass with the nominal model of its kept samples and the fits under it."""
-
-    samples: Pass
-    model: Model
-    fits: PassFits
-
-
-@dataclass(frozen=True)
 class Reversed:
     """Wheels, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
 
@@ -86,19 +73,6 @@ class Reversed:
     t_s: np.ndarray
     omega: np.ndarray
     sun_B: np.ndarray
-
-
-@dataclass(frozen=True)
-class ReversedSearches:
-    """Quick searches of a pass with reversed wheels, if the wheels do what `name` says.
-
-    `momenta` (n, 3) of the wheels at all samples of the file, by the numbers of those that are reversed; `evidence` yields the log
-    evidence of each, as :func:`sunspin.estimate.quick.quick_evidence` does.
-    """
-
-    name: str
-    momenta: dict[tuple[int, ...], np.ndarray]
-    evidence: Iterable[float]
 
 
 def decide_wheels(
@@ -229,21 +203,14 @@ def reversed_momenta(
     return momenta
 
 
-def probable_wheel_model(assessment: Assessment) -> str:
-    """Return the name of the wheel model that will probably be decided.
-
-    It is the second, that of wheels which coast, if the vehicle file states a friction; else the first and only one.
-    """
-    names = list(wheel_models(assessment.vehicle, assessment.telemetry))
-    return names[:2][-1]
-
-
 def search_reversed(
     assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
-) -> ReversedSearches:
-    """Return the quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
+) -> tuple[dict[tuple[int, ...], np.ndarray], Iterable[float]]:
+    """Return quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
 
-    `name`: what the wheels do; `nominal`: the nominal model of the whole file.
+    First the momenta (n, 3) of the wheels at all samples of the file, by the numbers of those that are reversed; then their log
+    evidence (:func:`sunspin.estimate.quick.quick_evidence`), in this order. `name`: what the wheels do; `nominal`: the nominal
+    model of the whole file.
     """
     vehicle = assessment.vehicle
     each = momentum_of_each(vehicle, assessment.telemetry, name)
@@ -252,53 +219,51 @@ def search_reversed(
         model_of_kept(nominal.with_momentum(momentum), longest_pass)
         for momentum in momenta.values()
     ]
-    return ReversedSearches(name, momenta, fitter.quick_evidence(models))
+    return momenta, fitter.quick_evidence(models)
 
 
 def doubted_signs(
     obs: Observations,
-    compared: Sequence[FittedPass],
-    searches: ReversedSearches,
+    compared: Sequence[tuple[Pass, PassFits]],
+    momenta: Mapping[tuple[int, ...], np.ndarray],
+    quick_evidences: Iterable[float],
     fitter: PassFitter,
 ) -> Reversed | None:
     """Return the wheels whose sign the data doubt; None if they do not, or cannot.
 
-    Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`, and if one of
-    the passes then has another motion. Most wheels are given up before that: by a quick search, or as soon as the passes are worse
-    together. Of several the ones with the largest gain are returned.
+    Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`. Most wheels are
+    given up before that: by a quick search, or as soon as the passes are worse together. Of several the ones with the largest gain
+    are returned. Their motion may be that of the file within its errors, which are large under the strong torques that a wrong
+    file wants: exchanged columns that look the same as the reversed wheel then still give another one.
 
-    `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `searches`: of the first of
-    them, for what the wheels do.
+    `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `momenta` and
+    `quick_evidences`: searches of the first of them (:func:`search_reversed`).
     """
-    if not searches.momenta:
+    if not momenta:
         return None
-    settings, first = fitter.settings, compared[0]
+    settings, (longest_pass, of_longest) = fitter.settings, compared[0]
     # the fits of the file as it is written have found its motions: the quick evidence begins from them, without a search
-    known = best_motions(first.fits.fits, MOTIONS, settings.search)
-    quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
+    known = best_motions(of_longest.fits, MOTIONS, settings.search)
+    quick_as_written = quick_evidence(of_longest.nominal, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
-    for (which, momentum), quick in zip(searches.momenta.items(), searches.evidence, strict=True):
+    for (which, momentum), quick in zip(momenta.items(), quick_evidences, strict=True):
         if quick < quick_as_written - FAR:
             continue
-        models = [
-            fitted_pass.model.with_momentum(momentum[fitted_pass.samples.kept])
-            for fitted_pass in compared
-        ]
-        gain, has_another_motion, new_fits = 0.0, False, []
-        for model, as_written in zip(models, compared, strict=True):
+        gain, new_fits = 0.0, []
+        for a_pass, as_written in compared:
+            model = as_written.nominal.with_momentum(momentum[a_pass.kept])
             (fitted,) = fitter.fits_if_any([model])
             if fitted is None:
                 break
-            gain += log_evidence(fitted) - log_evidence(as_written.fits)
+            gain += log_evidence(fitted) - log_evidence(as_written)
             if gain < -AS_WELL:
                 break
-            has_another_motion |= _is_another(as_written.fits, fitted)
             new_fits.append(fitted)
-        if len(new_fits) < len(compared) or not has_another_motion or gain < CLEARLY:
+        if len(new_fits) < len(compared) or gain < CLEARLY:
             continue
         # the longest pass at all its samples
-        whole = replace(obs, momentum=momentum).of_pass(first.samples.samples)
-        kept = first.samples.kept_in_pass
+        whole = replace(obs, momentum=momentum).of_pass(longest_pass.samples)
+        kept = longest_pass.kept_in_pass
         solved = solutions(new_fits[0], whole, kept, settings.solutions, settings.search)
         agree = all(misfit(part[0]).fits for part in solved.residual.values())
         fits_well = bool(agree and solved.track.cost[0] <= solved.cost_limit)
@@ -310,17 +275,3 @@ def doubted_signs(
 def log_evidence(fits: PassFits) -> float:
     """Return the log evidence of a pass, all rungs, models and motions summed."""
     return float(np.logaddexp.reduce(fits.log_evidence_of_rungs() + fits.log_rung))
-
-
-def _is_another(first: PassFits, second: PassFits) -> bool:
-    """Return whether the most probable motion of the second is none that the first allows.
-
-    Their rates then differ by more than :data:`OTHER_SIGMAS` of the first motion at half of the samples.
-    """
-    fits = best_fit(first.fits), best_fit(second.fits)
-    numbers = [int(np.argmax(fitted.log_evidence)) for fitted in fits]
-    omega, other_omega = (fitted.motions.omega[k] for fitted, k in zip(fits, numbers, strict=True))
-    covariance = fits[0].motions.covariance[numbers[0], :, RATE, RATE]
-    sigma = np.sqrt(np.einsum("nii->ni", covariance))
-    off = np.abs(other_omega - omega) / sigma
-    return bool(np.median(off.max(axis=1)) > OTHER_SIGMAS)

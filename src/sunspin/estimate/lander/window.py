@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from sunspin.base.errors import InputError
 from sunspin.estimate.model import Observations
 from sunspin.estimate.settings import GridSettings
-from sunspin.estimate.terms.given import KINDS, require_known
+from sunspin.estimate.terms.given import Given, require_known
 from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.signals import signals
@@ -116,7 +116,7 @@ def observe_window(
         throttled=vehicle.throttled,
     )
     given = tuple(
-        KINDS[str(observation["kind"])].of(observation, int(sample), len(t_s))
+        Given.of(observation, int(sample), len(t_s))
         for observation, sample in zip(observations, at_given, strict=True)
     )
     obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (read, *given))

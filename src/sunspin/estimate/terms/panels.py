@@ -294,7 +294,18 @@ class Panels(Term):
         That is full Sun for each radian, as the cosine of the angle to the Sun changes.
         """
         drift = drift_rad[:, None] * self.full_sun * self.scale[:, None]
-        return replace(self, sigma=np.hypot(self.sigma, drift))
+        return replace(
+            self,
+            sigma=np.hypot(self.sigma, drift),
+            sigma_light_noise=np.hypot(self.sigma_light_noise, drift),
+            sigma_light_modelled=np.hypot(self.sigma_light_modelled, drift),
+        )
+
+    def log_errors(self) -> float:
+        """Return twice the sum over the samples of the mean log of the errors of their readings."""
+        counted = np.isfinite(self.sigma)
+        log = np.log(np.where(counted, self.sigma, 1.0)).sum(axis=1)
+        return float(2 * (log / np.maximum(counted.sum(axis=1), 1)).sum())
 
     def blind_axis(self) -> np.ndarray | None:
         """Return the normal (3) of the plane in which all panels with readings look, if a mirror there changes no reading.
