@@ -255,9 +255,8 @@ def grid_starts(
     best = order[first[rank]]
     unknowns = np.zeros((len(best), len(model.unknowns)))
     motions = LanderMotions(omega[best], sun[best], unknowns, starts=count[rank])
-    pieces = [
-        motions.take(slice(k, k + RUNS_AT_ONCE)) for k in range(0, len(motions), RUNS_AT_ONCE)
-    ]
+    begins = range(0, len(motions), RUNS_AT_ONCE)
+    pieces = [motions.take(slice(k, k + RUNS_AT_ONCE)) for k in begins]
     with ThreadPoolExecutor(workers) as pool:
         speeds = list(pool.map(lambda some: bare.first_speed(some, TRIAL_ERROR), pieces))
     slow = np.concatenate([np.zeros(0), *speeds]) <= reference.fastest
@@ -275,38 +274,20 @@ def settled_starts(
         shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
     )
     light = panels.brightness * others.response.power(seen)
-    light = others.best_factor(light)[0] * light if others.throttled else light
+    if others.throttled:
+        light = others.best_factor(light)[0] * light
     square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
     table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
-    limits = Limits(
-        nodes=s.nodes,
-        limit=s.limit,
-        blur=s.blur_rad,
-        cap=s.cap,
-        settled=s.settled,
-        steps=s.steps,
-        gain_left=s.gain_left,
-    )
+    limits = Limits(*(getattr(s, name) for name in Limits._fields))
     suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
-
-    def starts_in(lowest: np.ndarray) -> np.ndarray:
-        """Return the starts of some cells, given by their lowest corners."""
-        cells = Cells(
-            lowest=lowest,
-            away=grid.away,
-            row_of=grid.row_of,
-            turn=grid.turn,
-            suns=suns,
-            middles=MIDDLES,
-            points=POINTS,
-        )
-        return search_cells(cells, tables, table, limits)
-
+    every = Cells(grid.cells, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))
+    parts = [every._replace(lowest=lowest) for lowest in pieces]
     with ThreadPoolExecutor(workers) as pool:
-        starts = np.concatenate(list(pool.map(starts_in, pieces)))
+        settled = pool.map(lambda cells: search_cells(cells, tables, table, limits), parts)
+        starts = np.concatenate(list(settled))
     omega = grid.rates(starts[:, OF_CELL].astype(np.int64)) + starts[:, OF_PLACE] * grid.edge
     # the direction lies in the plane of its tangents, before it is a unit vector
     length = np.linalg.norm(starts[:, OF_STEP], axis=1, keepdims=True)
