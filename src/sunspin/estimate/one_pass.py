@@ -200,8 +200,7 @@ def search_motions(
     There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
     scale is in doubt (`Model.for_search`). No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no
     motion raises InputError. With one, slower motions were searched before, so that one pair of samples to start from is enough,
-    and the list may be empty.
-    The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
+    and the list may be empty. The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
     """
     # Axes that follow the field turn in space, so that a right motion may cost more than the limit there, and would ask for further
     # pairs of samples.

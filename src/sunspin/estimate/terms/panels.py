@@ -91,8 +91,8 @@ class Panels(Term):
     if there is none. `sigma_light_noise` (n, p): sigmas with that light as noise, which count without a model;
     `sigma_light_modelled` (n, p): those that count with it. `known_N` (n, 3): the light that an orbit predicts, None without one.
 
-    `sun_up` (n): 1 in the Sun, 0 in the Earth's shadow; `dark_sigma` (n, p): sigmas of readings in the shadow. `tilt_sigma` (rad): of
-    the angle between each panel and its stated direction, about each of two axes; zero if they are as stated.
+    `sun_up` (n): 1 in the Sun, 0 in the Earth's shadow; `dark_sigma` (n, p): sigmas of readings in the shadow. `tilt_sigma` (rad):
+    of the angle between each panel and its stated direction, about each of two axes; zero if they are as stated.
     """
 
     name: ClassVar[str] = "panels"
