@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.estimate.chain import Whitening
+from sunspin.estimate.chain import whitening
 from sunspin.estimate.dense import curve, filled, residuals_by_sensor
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.observe import HELD, thinned, wheel_models
@@ -52,7 +52,7 @@ def known(model, attitude, omega):
 
 
 def filled_from(model, kept, attitude, omega):
-    """Return the motion carried from the kept samples to all."""
+    """Return the motion carried from the kept samples to all, and the derivative of its mean rate."""
     some, noise = model.seeing(kept), np.full(len(kept) - 1, NOISE)
     motion = known(some, attitude[kept], omega[kept])
     return filled(some, motion, model.obs.t_s, model.obs.momentum, noise)
@@ -61,7 +61,7 @@ def filled_from(model, kept, attitude, omega):
 def test_the_motion_between_kept_samples_is_the_true_one(tumble):
     _, run, model, kept = tumble
     omega = run["omega_B"].values
-    track = filled_from(model, kept, attitudes(run), omega).track
+    track = filled_from(model, kept, attitudes(run), omega)[0]
     assert len(kept) <= RATES.passes.kept and np.diff(kept).max() > 5
     # a step of a fit is good to 1e-4 of a turn
     np.testing.assert_allclose(track.omega[0], omega, rtol=0, atol=5e-6)
@@ -97,10 +97,10 @@ def test_interpolated_curves_follow_the_true_motion(every, wheel, tumble):
 def test_derivatives_of_the_mean_rate_agree_with_differences(tumble):
     _, run, model, kept = tumble
     attitude, omega = attitudes(run), run["omega_B"].values
-    answer = filled_from(model, kept, attitude, omega).mean_map[0]
+    answer = filled_from(model, kept, attitude, omega)[1][0]
 
     def mean(change):
-        return filled_from(model, kept, attitude, omega + change).track.omega[0].mean(axis=0)
+        return filled_from(model, kept, attitude, omega + change)[0].omega[0].mean(axis=0)
 
     for sample, axis in ((0, 0), (7, 1), (20, 2), (len(kept) - 1, 0)):
         change = np.zeros_like(omega)
@@ -117,7 +117,7 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, 
     span, noise = 40.0, 0.03
 
     def spread(dt: float) -> np.ndarray:
-        white = Whitening.of(Noise(noise), np.array([dt])).matrix[0]
+        white = whitening(Noise(noise), np.array([dt]))[0][0]
         return np.linalg.inv(white.T @ white)
 
     rest = (1 - share) * span
@@ -129,7 +129,7 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, 
     t_s = np.array([0.0, share * span, span])
     ends = Model(Observations(t_s[::2], np.zeros((2, 3)), ()), sphere, Noise(noise), 0.05)
     still = known(ends, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
-    track = filled(ends, still, t_s, np.zeros((3, 3)), np.array([noise])).track
+    track = filled(ends, still, t_s, np.zeros((3, 3)), np.array([noise]))[0]
     np.testing.assert_allclose(np.diag(track.covariance[0, 1]), np.diag(both), rtol=1e-6)
 
 
@@ -141,7 +141,7 @@ def test_revolutions_between_kept_samples_contradict_the_magnetometer_there(tumb
     compared = FieldChange(model.obs.t_s, field, 0.02, drift_N=np.zeros((len(field), 0, 3)))
     obs = replace(model.obs, terms=(*model.obs.terms, compared.of_pass(model.obs.t_s)))
     whole = replace(model, obs=obs)
-    truth = filled_from(whole, kept, attitude, run["omega_B"].values).track
+    truth = filled_from(whole, kept, attitude, run["omega_B"].values)[0]
     # one revolution more about z between every two kept samples, and none at them
     phase = np.interp(obs.t_s, obs.t_s[kept], np.arange(len(kept))) % 1.0
     more = rotate_attitude(truth.attitude, 2 * np.pi * phase[:, None] * [0.0, 0.0, 1.0])

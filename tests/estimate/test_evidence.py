@@ -192,10 +192,10 @@ def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():
     only = Pass(every, every, 0)
     fitter = PassFitter(RATES, Budget.of(1.0), lambda _, models, *__: list(models))
     searches = wheels.search_reversed(seen, "none", model, only, fitter)
-    assert not searches.momenta and not searches.evidence
+    assert not any(searches)
     fits = PassFits(model, (), RATES.ladder.rungs, np.zeros(0))
-    compared = [wheels.FittedPass(only, model, fits)]
-    assert wheels.doubted_signs(model.obs, compared, searches, fitter) is None
+    compared = [(only, fits)]
+    assert wheels.doubted_signs(model.obs, compared, *searches, fitter) is None
 
 
 TIMES = np.arange(6) * 5400.0

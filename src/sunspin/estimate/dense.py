@@ -6,13 +6,15 @@ the two are blended. Unknown torques in between are white angular acceleration w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sunspin.estimate.carry import RATE, TURN, Step, angle_turned, step
-from sunspin.estimate.chain import earlier_states, latency
+from sunspin.estimate.chain import earlier_states
 from sunspin.estimate.model import Model, Observations, States, Track
+from sunspin.estimate.terms.field import FieldChange
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Term
 from sunspin.estimate.verdict import in_sigma
 from sunspin.solve.rotations import rotate_attitude, rotation_between
@@ -28,35 +30,14 @@ TOGETHER = 1e-4
 """An instant nearer to a sample than this part of the time between two instants is that sample."""
 
 
-@dataclass(frozen=True)
-class Filled:
-    """K motions carried from kept samples (n) to all (N).
-
-    `track`: at all samples, at the kept ones as given. `mean_map` (K, n, 3, 6): derivative of the mean rate over all samples by
-    turn and rate at each kept one.
-    """
-
-    track: Track
-    mean_map: np.ndarray
-
-
 def filled(
     model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: np.ndarray
-) -> Filled:
-    """Carry motions to all samples.
+) -> tuple[Track, np.ndarray]:
+    """Return motions carried to all samples, and the derivative (K, n, 3, 6) of their mean rate there.
 
-    Parameters
-    ----------
-    model : Model
-        Of the kept samples.
-    motions : Track
-        Motions there, with covariance.
-    t_s : (N), s
-        All times, those of the kept samples among them, the first and the last being kept.
-    momentum : (N, 3)
-        Momentum of the wheels, in mean moments times rad/s.
-    noise : (n - 1), rad/s^1.5
-        Strength of the unknown torques in the intervals between kept samples.
+    The derivative is that by turn and rate at each of the n kept samples; the motions there stay as given. `model`: of the kept
+    samples; `motions`: there, with covariance. `t_s` (N), s: all times, the first and the last being kept, with the `momentum` (N,
+    3) of the wheels in mean moments times rad/s. `noise` (n - 1), rad/s^1.5: strength of the unknown torques between kept samples.
     """
     kept = model.obs
     # indices into all samples: of the kept ones, and of the others; and which kept one is before each of the others
@@ -101,7 +82,7 @@ def filled(
     omega[:, others] = forward.omega + weight * (backward.omega - forward.omega)
     covariance[:, others] = spread
     track = replace(motions, attitude=attitude, omega=omega, covariance=covariance)
-    return Filled(track, mean_map / n_all)
+    return track, mean_map / n_all
 
 
 def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarray:
@@ -139,7 +120,7 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
     is_sample = np.abs(instants[next_instant] - t_s) <= near
     times = np.union1d(np.delete(instants, next_instant[is_sample]), t_s)
     wheels = np.stack([np.interp(times, t_s, part) for part in momentum.T], axis=1)
-    track = filled(model, motion, times, wheels, np.full(len(spans), noise)).track
+    track, _ = filled(model, motion, times, wheels, np.full(len(spans), noise))
     at = np.searchsorted(times, instants - near)
     return instants, Track(
         track.attitude[:, at], track.omega[:, at], track.u, covariance=track.covariance[:, at]
@@ -151,33 +132,29 @@ def residuals_by_sensor(
 ) -> dict[str, np.ndarray]:
     """Return for each sensor how far its readings are from motions at all samples (K, N), in sigmas; NaN where it read nothing.
 
-    Parameters
-    ----------
-    obs : Observations
-        Of all N samples.
-    model : Model
-        Of the kept samples, to which the motions were fitted.
-    track : Track
-        The motions at all samples.
-    kept : (n), int
-        Which samples were kept. At all others the covariance of the motion itself is added to the noise of a reading: there the
-        motion was not fitted to it.
-
-    Errors that the vehicle file does not state (`Unknown.doubted`) are put to zero: a sensor fits if its readings agree with what
-    the file states.
+    `obs`, `track`: readings and motions at all N samples; `model`: of the kept samples, to which the motions were fitted; `kept`
+    (n): which those are. At all others the covariance of the motion itself is added to the noise of a reading, since the motion was
+    not fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are put to zero: a sensor fits if its readings
+    agree with what the file states.
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)
+    # an error of a sample's time turns the body about its rate
+    turned = obs.time_sigma_s * track.omega
+    spread[..., TURN, TURN] += turned[..., :, None] * turned[..., None, :]
     u = track.u * np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
     residuals: dict[str, np.ndarray] = {}
-    late, earlier = latency(model, u), None
-    if late is not None:
-        earlier = earlier_states(replace(model, obs=obs), track, late.late_s).states
-    for term, own in zip(obs.terms, model.term_slices, strict=False):
+    earlier = earlier_states(model, obs, replace(track, u=u))
+    for term, fitted, own in zip(obs.terms, model.obs.terms, model.term_slices, strict=False):
+        if isinstance(term, FieldChange) and isinstance(fitted, FieldChange):
+            # an alternative model may estimate a zero that the nominal one takes for exact
+            term = term.with_errors_of(fitted)
+        elif isinstance(term, Panels) and isinstance(fitted, Panels):
+            term = replace(term, tilt_sigma=fitted.tilt_sigma)
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():
             continue
-        states = track if term.of_sun or earlier is None else earlier
+        states = track if term.of_sun or earlier is None else earlier.states
         square = _squares(term, states, u[:, own], spread, np.diff(obs.t_s))
         sigmas = np.where(freedom > 0, in_sigma(square, freedom), np.nan)
         # two terms of one sensor share a label: the second counts where it read

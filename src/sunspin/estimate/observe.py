@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -18,7 +19,6 @@ from sunspin.estimate.settings import PassSettings
 from sunspin.estimate.terms.clock import Latency
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
 from sunspin.estimate.terms.field import (
-    CalibratedMagnetometer,
     FieldChange,
     FieldDirection,
     KnownField,
@@ -32,6 +32,9 @@ from sunspin.estimate.terms.torques import GravityTorque, MagneticTorque, Stated
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
 from sunspin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from sunspin.estimate.orbit.calibration import FieldCalibration
 
 ALONE = "dropped: fewer than three samples between gaps (in no pass)"
 NOT_ASKED = "dropped: in another pass than the one asked for"
@@ -48,6 +51,10 @@ NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
 MEASURED = "measured"
 HELD = "held at the nominal speed"
 COASTING = "coasting from the nominal speed at the first sample"
+
+TIME_UNITS_S, NEAR_UNIT = (1.0, 0.1), 1e-3
+"""Units to which times may have been rounded, s, the coarsest first; and how near to a multiple times are, in units: single digits
+of milliseconds may be lost on the way."""
 
 COAST_FROM = "coast_from_s"
 """Attribute of samples that were cut out of a file: time of the file's first sample, from which its wheels may coast."""
@@ -95,10 +102,10 @@ def observe(
     assessment: Assessment,
     source: str | None = None,
     local: Environment | None = None,
-    calibration: CalibratedMagnetometer | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
-    """Return what all samples of a file show: terms, a sentence for each sample, and where the Sun comes from.
+    """Return what all samples of a file show: terms, what became of each sample in words, and where the Sun comes from.
 
     `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
     `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
@@ -145,7 +152,23 @@ def observe(
         None if clock is None else Latency.of(clock),
     )
     terms = [term for term in terms if term is not None]
-    return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
+    obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), rounded_to_s(t_s) / np.sqrt(12))
+    return FileReadings(obs, why, source)
+
+
+def rounded_to_s(t_s: np.ndarray) -> float:
+    """Return the unit (s) to which times (n) were rounded, zero if they are exact; the error is uniform over the unit.
+
+    They were if all of them are whole multiples of a unit from the first one, and no larger unit divides all intervals: a device
+    that samples every 10 s and was rounded shows 10 and 11 s. Samples at a fixed interval, also with gaps, are taken as exact.
+    """
+    intervals = np.diff(np.unique(t_s))
+    for unit in TIME_UNITS_S:
+        count = np.round(intervals / unit)
+        if len(count) and (np.abs(intervals / unit - count) < NEAR_UNIT).all():
+            uneven = np.gcd.reduce(count.astype(np.int64)) == 1 and count.min() > 1
+            return unit if uneven else 0.0
+    return 0.0
 
 
 def _torques(

@@ -23,17 +23,9 @@ from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.columns import check_columns, cost_of_silent_panels
 from sunspin.estimate.equivalence import wheel_changes
-from sunspin.estimate.evidence import (
-    PassFits,
-    share_noise,
-)
+from sunspin.estimate.evidence import PassFits, share_noise
 from sunspin.estimate.images import images_of
-from sunspin.estimate.model import (
-    SUN_N,
-    Body,
-    Model,
-    Noise,
-)
+from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
     Pass,
     observe,
@@ -43,7 +35,7 @@ from sunspin.estimate.observe import (
     with_unused_samples,
 )
 from sunspin.estimate.one_pass import PassFitter
-from sunspin.estimate.orbit.calibration import calibrate_magnetometer
+from sunspin.estimate.orbit.calibration import FieldCalibration, calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.quick import log_size
 from sunspin.estimate.rates_dataset import (
@@ -53,28 +45,17 @@ from sunspin.estimate.rates_dataset import (
     with_doubted_repeats,
     with_space_axes,
 )
-from sunspin.estimate.settings import (
-    LARGEST_RATE,
-    LARGEST_TURNS,
-    RATES,
-    RatesSettings,
-)
+from sunspin.estimate.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesSettings
 from sunspin.estimate.solutions import Solutions, solutions
-from sunspin.estimate.starts import (
-    allowed_directions,
-    fine_up_to,
-)
-from sunspin.estimate.terms.field import CalibratedMagnetometer
+from sunspin.estimate.starts import allowed_directions, fine_up_to
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
 from sunspin.estimate.wheels import (
-    FittedPass,
     Reversed,
     decide_wheels,
     doubted_signs,
     longest_passes,
     model_of_kept,
-    probable_wheel_model,
     search_reversed,
 )
 from sunspin.telemetry.assess import Assessment, assess
@@ -109,7 +90,7 @@ def rates(
     gap_s: float | None = None,
     pass_id: int | None = None,
     environment: Environment | None = None,
-    calibration: CalibratedMagnetometer | None = None,
+    calibration: FieldCalibration | None = None,
     torques: Sequence[str] = (),
     periods: Sequence[PeriodSeen] = (),
     column_tests: bool = False,
@@ -142,7 +123,7 @@ def rates(
         What surrounds the body, on the telemetry's clock: an orbit (:func:`sunspin.environment.orbit.in_orbit`), or with z of its N
         to the Sun (:func:`sunspin.environment.circular`). In an orbit field, shadow and Earth's light are known: a calibrated
         magnetometer gives directions, and samples without a Sun count. The orbit is believed.
-    calibration : CalibratedMagnetometer, optional
+    calibration : FieldCalibration, optional
         Of the magnetometer along the orbit, by a longer file for example; default: by this telemetry.
     torques : list, optional
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`).
@@ -233,7 +214,7 @@ def rates(
     # The result, and what may be believed of it.
     nominal = fitted.nominal.under(common_noise(fits))
     result = motion_dataset(assessment, readings, passes, solved, nominal, noise is not None)
-    left_open, counts = left_open_by_search(result, fitted.models, fits, solved, effort, settings)
+    left_open, counts = left_open_by_search(result, fits, solved, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(verdict_variables(passes, solved, left_open, nominal.rate_sigma, epoch))
     result = result.assign(without_periods(solved))
@@ -259,12 +240,11 @@ class FittedPasses(NamedTuple):
     """The passes of a file as they were fitted.
 
     `nominal`: the nominal model of the whole file with the momentum that the wheels have, and `wheels`: what they do, in words.
-    `models`, `fits`: the nominal model and the fits of each pass. `doubt`: wheels that may turn the other way, None if none may.
+    `fits`: of each pass. `doubt`: wheels that may turn the other way, None if none may.
     """
 
     nominal: Model
     wheels: str
-    models: list[Model]
     fits: list[PassFits]
     doubt: Reversed | None
 
@@ -281,23 +261,24 @@ def fit_passes(
     `nominal`: nominal model of the whole file, with any momentum of the wheels; `show_bar`: a bar of passes in the terminal.
     """
     first = passes[longest_passes(passes)[0]]
-    # while the wheels are decided, other processes may search what they probably do
-    searches = search_reversed(assessment, probable_wheel_model(assessment), nominal, first, fitter)
+    # While the wheels are decided, other processes may search for reversed ones that do what the wheels probably do: they
+    # coast, the second model, if the vehicle file states a friction; else the only one
+    probable = list(wheel_models(assessment.vehicle, assessment.telemetry))[:2][-1]
+    searches = search_reversed(assessment, probable, nominal, first, fitter)
     wheels = decide_wheels(assessment, nominal, passes, fitter)
-    if searches.name != wheels.name:
+    if wheels.name != probable:
         searches = search_reversed(assessment, wheels.name, nominal, first, fitter)
     nominal = nominal.with_momentum(wheels.momentum)
-    models = [model_of_kept(nominal, a_pass) for a_pass in passes]
     # the longest passes were perhaps fitted to decide the wheels
     unfitted = [k for k in range(len(passes)) if k not in wheels.fits]
-    new_fits = fitter.fits([models[k] for k in unfitted])
+    new_fits = fitter.fits([model_of_kept(nominal, passes[k]) for k in unfitted])
     if show_bar:
         new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
     fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
     fits = [fits_by_pass[k] for k in range(len(passes))]
-    compared = [FittedPass(passes[k], models[k], fits[k]) for k in longest_passes(passes)]
-    doubt = doubted_signs(nominal.obs, compared, searches, fitter)
-    return FittedPasses(nominal, wheels.words, models, fits, doubt)
+    compared = [(passes[k], fits[k]) for k in longest_passes(passes)]
+    doubt = doubted_signs(nominal.obs, compared, *searches, fitter)
+    return FittedPasses(nominal, wheels.words, fits, doubt)
 
 
 def solve_passes(
@@ -322,8 +303,8 @@ def solve_passes(
     middle_s = [float(obs.t_s[a_pass.samples].mean()) for a_pass in passes]
     solved, walk = link_passes(solved, middle_s, fitted.nominal.rate_sigma)
     solved = [
-        of_pass.listed(settings.solutions, len(images_of(model)))
-        for of_pass, model in zip(solved, fitted.models, strict=True)
+        of_pass.listed(settings.solutions, len(images_of(pass_fits.nominal)))
+        for of_pass, pass_fits in zip(solved, fits, strict=True)
     ]
     return fits, solved, period_attrs | {"walk_between_passes": walk}
 
@@ -371,7 +352,7 @@ def largest_rate(
     passes: Sequence[Pass],
     settings: RatesSettings,
 ) -> tuple[float, float]:
-    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it if no inertia is known.
+    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it (`AlternativeSettings.beyond`).
 
     The rate is the given one, else the vehicle's, else so many revolutions in the shorter intervals between samples (`t_s` of the
     file, s). Whoever states it knows that no body is faster: the factor is then one.
@@ -440,8 +421,8 @@ def log_evidence_of_passes(
     Up to a constant that depends only on the number of readings, so that it compares files whose columns are exchanged.
     """
     log = []
-    for model, pass_fits, a_pass in zip(fitted.models, fitted.fits, passes, strict=True):
-        terms = [term for term in model.obs.terms if isinstance(term, Panels)]
+    for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
+        terms = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
         silent = cost_of_silent_panels(assessment, a_pass.kept) if terms else 0.0
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
         log.append(float(evidence - sum(log_size(term) for term in terms) - silent))
@@ -450,7 +431,6 @@ def log_evidence_of_passes(
 
 def left_open_by_search(
     result: xr.Dataset,
-    models: Sequence[Model],
     fits: Sequence[PassFits],
     solved: Sequence[Solutions],
     effort: float,
@@ -466,9 +446,10 @@ def left_open_by_search(
     """
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
     strength_free = len(settings.ladder.rungs) > 1  # a stated strength of torques is the only rung
-    fine = [fine_up_to(model, settings.search) for model in models]
+    fine = [fine_up_to(pass_fits.nominal, settings.search) for pass_fits in fits]
     words, no_sphere = [], 0
-    for model, pass_fits, of_pass, limit in zip(models, fits, solved, fine, strict=True):
+    for pass_fits, of_pass, limit in zip(fits, solved, fine, strict=True):
+        model = pass_fits.nominal
         # torques of the strength q turn a body by q T^1.5 / sqrt(3) over the shortest interval T
         shortest_s = float(np.diff(model.obs.t_s).min())
         far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > UNSEEN_RAD

@@ -87,23 +87,8 @@ class Solutions:
         return self.take(order[: max(1, count)])
 
 
-@dataclass(frozen=True)
-class _Member:
-    """Motion `number` of a fit with its part of the probability of the pass, `weight`."""
-
-    fit: Fit
-    number: int
-    weight: float
-
-    @property
-    def alone(self) -> Fit:
-        """Return the fit of this motion alone (K = 1)."""
-        return self.fit.take(slice(self.number, self.number + 1))
-
-    @property
-    def motion(self) -> Track:
-        """Return the motion (K = 1)."""
-        return self.alone.motions
+Member = tuple[Fit, float]
+"""A motion as a fit of it alone (K = 1), and its part of the probability of the pass."""
 
 
 def solutions(
@@ -115,30 +100,22 @@ def solutions(
 ) -> Solutions:
     """Return the solutions of a pass: groups of motions that are alike under several models and strengths of torques.
 
-    A solution is the most probable motion of its group. By how much the others differ from it counts in its covariance.
-
-    Parameters
-    ----------
-    fits : PassFits
-        At the kept samples.
-    whole : Observations
-        Of all samples of the pass.
-    kept : (n)
-        Places of the kept samples among them.
+    A solution is the most probable motion of its group. By how much the others differ from it counts in its covariance. `whole`:
+    all samples of the pass; `kept` (n): places among them of those to which `fits` were made.
     """
     members = _members(fits, s)
     groups = _grouped(members, fits.nominal.obs.t_s, s, search_settings)
     # the probability of each model, all motions counted; an alternative is named only if the nominal one has hardly any
     shares: dict[str, float] = {AS_STATED: 0.0}
-    for member in members:
-        what = member.fit.model.what
-        shares[what] = shares.get(what, 0.0) + member.weight
+    for fitted, weight in members:
+        what = fitted.model.what
+        shares[what] = shares.get(what, 0.0) + weight
     named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
     solved = Solutions.joined([_solution(group, whole, kept) for group in groups])
     return replace(solved, model=(named, shares[named]), cost_limit=fits.nominal.obs.cost_limit)
 
 
-def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
+def _members(fits: PassFits, s: SolutionSettings) -> list[Member]:
     """Return the motions of all fits with weights that add to one, the heaviest first, without those that hardly count.
 
     The weight of each is the larger one under two priors of the rate. Under the first every rate up to the largest is equally
@@ -152,11 +129,11 @@ def _members(fits: PassFits, s: SolutionSettings) -> list[_Member]:
     under_priors = np.concatenate(log), np.concatenate(log_any_speed)
     weights = np.max([np.exp(part - logsumexp(part)) for part in under_priors], axis=0)
     weights = weights / weights.sum()
-    motions = [(fitted, k) for fitted in fits.fits for k in range(len(fitted))]
+    motions = [fitted.take(slice(k, k + 1)) for fitted in fits.fits for k in range(len(fitted))]
     order = np.argsort(-weights, kind="stable")
     order = order[weights[order] > s.counted * weights.max()]
     total = weights[order].sum()
-    return [_Member(*motions[i], float(weights[i] / total)) for i in order]
+    return [(motions[i], float(weights[i] / total)) for i in order]
 
 
 def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
@@ -185,88 +162,84 @@ def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
 
 
 def _grouped(
-    members: list[_Member], t_s: np.ndarray, s: SolutionSettings, search_settings: SearchSettings
-) -> list[list[_Member]]:
+    members: list[Member], t_s: np.ndarray, s: SolutionSettings, search_settings: SearchSettings
+) -> list[list[Member]]:
     """Return the members of each solution, the heaviest first; solutions by their weight."""
-    groups: list[tuple[Outline, list[_Member]]] = []
-    for member in members:
-        outline = Outline.of(member.motion, t_s)
+    groups: list[tuple[Outline, list[Member]]] = []
+    for fitted, weight in members:
+        outline = Outline.of(fitted.motions, t_s)
         for head, group in groups:
             # Motions of one fit are no copies of each other, so they stay two solutions unless they are nearer to each other than
             # motions of different models need be.
-            same_fit = any(member.fit is other.fit for other in group)
+            same_fit = any(fitted.model is other.model for other, _ in group)
             apart = search_settings.copies_rad if same_fit else s.bent_rad
             if outline.same(0, head, apart, s.bent_rad, search_settings.copies_sigmas)[0]:
-                group.append(member)
+                group.append((fitted, weight))
                 break
         else:
-            groups.append((outline, [member]))
+            groups.append((outline, [(fitted, weight)]))
     lists = [group for _, group in groups]
-    return sorted(lists, key=lambda group: -sum(member.weight for member in group))
+    return sorted(lists, key=lambda group: -sum(weight for _, weight in group))
 
 
-def _solution(group: list[_Member], whole: Observations, kept: np.ndarray) -> Solutions:
+def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Solutions:
     """Return the solution (K = 1) of a group of motions, the most probable one first, at all samples `whole` of a pass.
 
     `kept`: which of the samples were fitted.
     """
-    head, model = group[0], group[0].fit.model
-    weight = np.array([member.weight for member in group])
+    fits, weights = zip(*group, strict=True)
+    head, model, weight = fits[0], fits[0].model, np.array(weights)
     shares = weight / weight.sum()
 
     # At the kept samples: the covariance of the mixture of all members about the motion of the first, which their differences
     # `offs` (1, n, 6) from it in turn and rate widen; and the means of the strengths of torques, and of the variance of a swing.
     dt = np.diff(model.obs.t_s)
     offs, covariance, square, hidden = [], 0.0, 0.0, 0.0
-    for member, share in zip(group, shares, strict=True):
-        turn = rotation_between(head.motion.attitude, member.motion.attitude)
-        off = np.concatenate([turn, member.motion.omega - head.motion.omega], axis=-1)
+    for fitted, share in zip(fits, shares, strict=True):
+        motion, noise = fitted.motions, fitted.model.noise
+        turn = rotation_between(head.motions.attitude, motion.attitude)
+        off = np.concatenate([turn, motion.omega - head.motions.omega], axis=-1)
         offs.append(off)
-        own = member.motion.covariance + off[..., :, None] * off[..., None, :]
+        own = motion.covariance + off[..., :, None] * off[..., None, :]
         covariance = covariance + share * own
-        noise = member.fit.model.noise
         square = square + share * noise.in_intervals(dt) ** 2
         hidden += share * noise.hidden_variance(dt)
-    motion = replace(head.motion, covariance=np.asarray(covariance))
-    fill = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
-    residual = residuals_by_sensor(whole, model, fill.track, kept)
+    motion = replace(head.motions, covariance=np.asarray(covariance))
+    track, mean_map = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
+    residual = residuals_by_sensor(whole, model, track, kept)
     # A swing, and axes of N that follow a field and turn no one knows how, add to the rate at an instant, and hardly to its mean.
     hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
-    fill.track.covariance[..., RATE, RATE] += hidden * np.eye(3)
+    track.covariance[..., RATE, RATE] += hidden * np.eye(3)
 
     # the variance of the mean rate over the pass, in the same way
-    counted = [k for k in range(len(group)) if k == 0 or shares[k] >= MEAN_COUNTS]
-    variance = sum(
-        shares[k]
-        * (
-            variance_of(group[k].alone, fill.mean_map)
-            + np.einsum("knij,knj->ki", fill.mean_map, offs[k]) ** 2
-        )
-        for k in counted
-    )
+    counted = np.flatnonzero((shares >= MEAN_COUNTS) | (np.arange(len(group)) == 0))
+    variance = 0.0
+    for k in counted:
+        off = np.einsum("knij,knj->ki", mean_map, offs[k])  # of the mean rate
+        variance = variance + shares[k] * (variance_of(fits[k], mean_map) + off**2)
     return Solutions(
         obs=whole,
         kept=kept,
-        track=replace(fill.track, u=motion.u[:, model.inertia_slice]),
+        track=replace(track, u=motion.u[:, model.inertia_slice]),
         probability=weight.sum(keepdims=True),
-        mean=fill.track.omega.mean(axis=1),
+        mean=track.omega.mean(axis=1),
         mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
         residual=residual,
         model=(model.what, 1.0),
         noise=np.sqrt(np.median(square, keepdims=True)),
-        estimates=(estimates(head.fit, head.number),),
+        estimates=(estimates(head),),
         cost_limit=np.inf,
     )
 
 
-def estimates(fitted: Fit, number: int) -> dict[str, tuple[str, float, float]]:
-    """Return what was estimated with motion `number` of a fit: name -> unit, value, one sigma.
+def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
+    """Return what was estimated with the motion of a fit (K = 1): name -> unit, value, one sigma.
 
     Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
     the pass in axes of N.
     """
     model: Model = fitted.model
-    u, covariance = fitted.motions.u[number], fitted.u_covariance[number]
+    u, covariance = fitted.motions.u[0], fitted.u_covariance[0]
     # of each number: unit, value a before the data, and its derivative g (m) by the unknowns, so that it is a + g . u
     rows: dict[str, tuple[str, float, np.ndarray]] = {}
     every = np.eye(len(u))  # row i: the derivative of unknown i itself

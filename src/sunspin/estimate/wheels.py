@@ -9,7 +9,7 @@ A reversed wheel is named if it clearly fits better than the wheel as the file h
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,15 +60,6 @@ class DecidedWheels:
 
 
 @dataclass(frozen=True)
-class FittedPass:
-    """A pass with the nominal model of its kept samples and the fits under it."""
-
-    samples: Pass
-    model: Model
-    fits: PassFits
-
-
-@dataclass(frozen=True)
 class Reversed:
     """Wheels, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
 
@@ -82,19 +73,6 @@ class Reversed:
     t_s: np.ndarray
     omega: np.ndarray
     sun_B: np.ndarray
-
-
-@dataclass(frozen=True)
-class ReversedSearches:
-    """Quick searches of a pass with reversed wheels, if the wheels do what `name` says.
-
-    `momenta` (n, 3) of the wheels at all samples of the file, by the numbers of those that are reversed; `evidence` yields the log
-    evidence of each, as :func:`sunspin.estimate.quick.quick_evidence` does.
-    """
-
-    name: str
-    momenta: dict[tuple[int, ...], np.ndarray]
-    evidence: Iterable[float]
 
 
 def decide_wheels(
@@ -225,21 +203,14 @@ def reversed_momenta(
     return momenta
 
 
-def probable_wheel_model(assessment: Assessment) -> str:
-    """Return the name of the wheel model that will probably be decided.
-
-    It is the second, that of wheels which coast, if the vehicle file states a friction; else the first and only one.
-    """
-    names = list(wheel_models(assessment.vehicle, assessment.telemetry))
-    return names[:2][-1]
-
-
 def search_reversed(
     assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
-) -> ReversedSearches:
-    """Return the quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
+) -> tuple[dict[tuple[int, ...], np.ndarray], Iterable[float]]:
+    """Return quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
 
-    `name`: what the wheels do; `nominal`: the nominal model of the whole file.
+    First the momenta (n, 3) of the wheels at all samples of the file, by the numbers of those that are reversed; then their log
+    evidence (:func:`sunspin.estimate.quick.quick_evidence`), in this order. `name`: what the wheels do; `nominal`: the nominal
+    model of the whole file.
     """
     vehicle = assessment.vehicle
     each = momentum_of_each(vehicle, assessment.telemetry, name)
@@ -248,13 +219,14 @@ def search_reversed(
         model_of_kept(nominal.with_momentum(momentum), longest_pass)
         for momentum in momenta.values()
     ]
-    return ReversedSearches(name, momenta, fitter.quick_evidence(models))
+    return momenta, fitter.quick_evidence(models)
 
 
 def doubted_signs(
     obs: Observations,
-    compared: Sequence[FittedPass],
-    searches: ReversedSearches,
+    compared: Sequence[tuple[Pass, PassFits]],
+    momenta: Mapping[tuple[int, ...], np.ndarray],
+    quick_evidences: Iterable[float],
     fitter: PassFitter,
 ) -> Reversed | None:
     """Return the wheels whose sign the data doubt; None if they do not, or cannot.
@@ -264,37 +236,34 @@ def doubted_signs(
     are returned. Their motion may be that of the file within its errors, which are large under the strong torques that a wrong
     file wants: exchanged columns that look the same as the reversed wheel then still give another one.
 
-    `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `searches`: of the first of
-    them, for what the wheels do.
+    `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `momenta` and
+    `quick_evidences`: searches of the first of them (:func:`search_reversed`).
     """
-    if not searches.momenta:
+    if not momenta:
         return None
-    settings, first = fitter.settings, compared[0]
+    settings, (longest_pass, of_longest) = fitter.settings, compared[0]
     # the fits of the file as it is written have found its motions: the quick evidence begins from them, without a search
-    known = best_motions(first.fits.fits, MOTIONS, settings.search)
-    quick_as_written = quick_evidence(first.model, settings, replace(fitter.budget), known)
+    known = best_motions(of_longest.fits, MOTIONS, settings.search)
+    quick_as_written = quick_evidence(of_longest.nominal, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
-    for (which, momentum), quick in zip(searches.momenta.items(), searches.evidence, strict=True):
+    for (which, momentum), quick in zip(momenta.items(), quick_evidences, strict=True):
         if quick < quick_as_written - FAR:
             continue
-        models = [
-            fitted_pass.model.with_momentum(momentum[fitted_pass.samples.kept])
-            for fitted_pass in compared
-        ]
         gain, new_fits = 0.0, []
-        for model, as_written in zip(models, compared, strict=True):
+        for a_pass, as_written in compared:
+            model = as_written.nominal.with_momentum(momentum[a_pass.kept])
             (fitted,) = fitter.fits_if_any([model])
             if fitted is None:
                 break
-            gain += log_evidence(fitted) - log_evidence(as_written.fits)
+            gain += log_evidence(fitted) - log_evidence(as_written)
             if gain < -AS_WELL:
                 break
             new_fits.append(fitted)
         if len(new_fits) < len(compared) or gain < CLEARLY:
             continue
         # the longest pass at all its samples
-        whole = replace(obs, momentum=momentum).of_pass(first.samples.samples)
-        kept = first.samples.kept_in_pass
+        whole = replace(obs, momentum=momentum).of_pass(longest_pass.samples)
+        kept = longest_pass.kept_in_pass
         solved = solutions(new_fits[0], whole, kept, settings.solutions, settings.search)
         agree = all(misfit(part[0]).fits for part in solved.residual.values())
         fits_well = bool(agree and solved.track.cost[0] <= solved.cost_limit)

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from sunspin.base.errors import InputError
 from sunspin.estimate.model import Observations
 from sunspin.estimate.settings import GridSettings
-from sunspin.estimate.terms.given import KINDS, require_known
+from sunspin.estimate.terms.given import Given, require_known
 from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.signals import signals
@@ -116,7 +116,7 @@ def observe_window(
         throttled=vehicle.throttled,
     )
     given = tuple(
-        KINDS[str(observation["kind"])].of(observation, int(sample), len(t_s))
+        Given.of(observation, int(sample), len(t_s))
         for observation, sample in zip(observations, at_given, strict=True)
     )
     obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (read, *given))
@@ -201,9 +201,8 @@ def _likeliest_brightness(
     s = GridSettings()
     light = power / vehicle.input_gains
     samples = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:BRIGHTEST]
-    samples = samples[
-        light[samples].max(axis=1) > 0
-    ]  # the dark samples of an eclipse bound nothing
+    # the dark samples of an eclipse bound nothing
+    samples = samples[light[samples].max(axis=1) > 0]
     largest = light[samples].max(axis=1)
     low = max(float(np.median(largest)), DIMMEST * float(largest.max()))
     tried = np.exp(np.arange(np.log(low), np.log(WIDEST * largest.max()), BRIGHTNESS_STEP))

@@ -14,10 +14,7 @@ from sunspin.estimate.model import States
 from sunspin.estimate.terms.term import Residual, Starts, Term
 from sunspin.solve.rotations import cross_matrix
 
-COLUMNS = {
-    "sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"),
-    "directions": ("sun_B", "sun_cov_B"),
-}
+COLUMNS = {"sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"), "directions": ("sun_B", "sun_cov_B")}
 """Source of directions -> variables of the telemetry with direction and covariance."""
 
 SECOND_MEANING = {"sun_sensor": ("sun_sensor_other_B", "sun_sensor_other_cov_B")}
@@ -64,7 +61,7 @@ class SunDirections(Term):
 
     @classmethod
     def read(cls, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry from a source, and a sentence for each sample (n)."""
+        """Return the directions of telemetry from a source, and what became of each sample (n), in words."""
         direction, covariance = (telemetry[name].values for name in COLUMNS[source])
         read = cls.of(direction, _full_rank(direction, covariance))
         if source in SECOND_MEANING and SECOND_MEANING[source][0] in telemetry:
@@ -86,6 +83,10 @@ class SunDirections(Term):
         return replace(
             self, covariance=self.covariance + drift, other_covariance=self.other_covariance + drift
         )
+
+    def log_errors(self) -> float:
+        """Return the sum of the logs of the errors of all directions: two of the three numbers of each covariance."""
+        return float(np.linalg.slogdet(self.covariance[self.present()])[1].sum() / 3)
 
     def starts(self, sample: int) -> Starts:
         """Return the direction or directions that the reading of a sample may mean, if its error is small."""

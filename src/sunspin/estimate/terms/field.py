@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 import xarray as xr
@@ -23,6 +23,9 @@ from sunspin.estimate.terms.term import Residual, Term, at_sample_before, drifti
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotate_by_smallest
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
+
+if TYPE_CHECKING:
+    from sunspin.estimate.orbit.calibration import FieldCalibration
 
 FIELD_FACTOR = 5.0
 """A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
@@ -38,6 +41,10 @@ SOFT_IRON = 0.05
 """One sigma of each element of the matrix of a magnetometer that is not calibrated: iron that bends the field, axes off by three
 degrees. With 0.03 a pass of three turns was decided 8 sigma off."""
 
+LARGEST_ZERO, ZERO_SHARES = 0.3, (1.0, 0.3, 0.1)
+"""Zero of a magnetometer that nobody has calibrated, as a part of the field: one sigma of the largest, and parts of it that are as
+likely. Iron and currents of a small satellite make some thousand nT."""
+
 LEFT = 0.2
 """Part of the field's turning that does not change evenly over a pass, and stays noise."""
 
@@ -46,28 +53,6 @@ MOST_OFF = 0.2
 
 UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
 """What becomes of a sample without a field, if the field stands for the Sun."""
-
-
-class CalibratedMagnetometer(Protocol):
-    """What a magnetometer reads in a known orbit, with e errors in common; readings (n, 3), fields in T."""
-
-    @property
-    def noise_T(self) -> float:
-        """Return one sigma of a component of a reading."""
-
-    def field(self, reading: np.ndarray) -> np.ndarray:
-        """Return the fields (n, 3) of readings."""
-
-    def reading_errors(self, reading: np.ndarray) -> np.ndarray:
-        """Return the change (n, e, 3) of the fields of readings by one sigma of each error."""
-
-    def orbit_errors(self, field_along_N: np.ndarray) -> np.ndarray:
-        """Return the change (n, e, 3) of the orbit's field by one sigma of each error; (n, 3) by one sigma along the track."""
-
-    def sigma_T(
-        self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
-    ) -> np.ndarray:
-        """Return one sigma (n) of each component of readings where the field is `field_N` (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +79,7 @@ class FieldChange(Term):
     zero_B: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     matrix_sigma: float = 0.0
     drift_N: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    zero_shares: tuple[float, ...] = (1.0,)
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
@@ -116,6 +102,25 @@ class FieldChange(Term):
             # who does not know the zero has not calibrated the axes
             matrix_sigma=SOFT_IRON if stated else 0.0,
             drift_N=np.zeros((len(t_s), 0, 3)),
+        )
+
+    def with_any_zero(self) -> Self:
+        """Return the fields of a sensor that nobody has calibrated: its zero may have any of the sizes :data:`ZERO_SHARES`."""
+        size = float(np.nanmedian(np.linalg.norm(self.field_B, axis=1)))
+        return replace(
+            self,
+            zero_B=LARGEST_ZERO * size * np.eye(3),
+            matrix_sigma=SOFT_IRON,
+            zero_shares=ZERO_SHARES,
+        )
+
+    def with_errors_of(self, other: Self) -> Self:
+        """Return the fields with the unknowns of zero and matrix that another model of the same sensor has."""
+        return replace(
+            self,
+            zero_B=other.zero_B,
+            matrix_sigma=other.matrix_sigma,
+            zero_shares=other.zero_shares,
         )
 
     def with_own_zero(self) -> Self:
@@ -189,8 +194,11 @@ class FieldChange(Term):
             "field_zero": ("field", np.linalg.norm(self.zero_B, axis=1)),
             "field_matrix": ("1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0)),
         }
+        shares = {"field_zero": self.zero_shares}
         return tuple(
-            Unknown(f"{kind}_{i}", kind, unit, 0.0, float(sigma), i)
+            Unknown(
+                f"{kind}_{i}", kind, unit, 0.0, float(sigma), i, shares=shares.get(kind, (1.0,))
+            )
             for kind, (unit, of_kind) in sigmas.items()
             for i, sigma in enumerate(of_kind)
         )
@@ -292,10 +300,7 @@ class KnownField(Term):
 
     @classmethod
     def of(
-        cls,
-        fields: FieldChange,
-        surroundings: Surroundings,
-        calibration: CalibratedMagnetometer,
+        cls, fields: FieldChange, surroundings: Surroundings, calibration: FieldCalibration
     ) -> Self:
         """Return readings calibrated along an orbit; their errors are those of the calibration."""
         field_N, along_N = surroundings.field_N, surroundings.field_along_N
@@ -411,7 +416,7 @@ class FieldDirection(SunDirections):
 
     @classmethod
     def alone(cls, part: Magnetometer, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry, and a sentence for each sample (n)."""
+        """Return the directions of telemetry, and what became of each sample (n), in words."""
         values = np.asarray(telemetry[VARIABLES["magnetometer"]], dtype=np.float64)
         read = without_outliers(values)
         size = np.linalg.norm(read, axis=1, keepdims=True)

@@ -19,27 +19,55 @@ from sunspin.solve.rotations import cross_matrix
 KEYS = ("kind", "t_s", "value", "sigma")
 """What a person states of each reading; of a field also the angle between it and the Sun, `angle_rad`."""
 
+NUMBERS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
+"""How many numbers the value of each kind has. They are the angular speed about any axis in rad/s, as a period in a radio signal or
+a light curve shows it; the rate of the body in rad/s; the direction to the Sun, seen otherwise than by panels; and a direction seen
+in the body at a known angle from the Sun, such as the magnetic field's."""
+
 LEAST_SINE = 1e-3
 """Least sine of the angle between Sun and field by which its derivative is divided."""
 
 
 @dataclass(frozen=True)
 class Given(Term):
-    """Readings `value` (n, r) of one kind with one `sigma` (n) each, which is infinite at samples without a reading."""
+    """A reading of a kind at one of n samples, with one `sigma` (n), which is infinite at all others.
 
-    keys: ClassVar[tuple[str, ...]] = KEYS
-    numbers: ClassVar[int] = 3
-    per_sample: ClassVar[tuple[str, ...]] = ("value", "sigma")
+    `value` (n, r): for each sample its numbers, of a field the angle (rad) of the Sun from the direction `axis_B` (n, 3).
+    """
 
+    name: ClassVar[str] = "given"
+    label: ClassVar[str] = "stated reading"
+    per_sample: ClassVar[tuple[str, ...]] = ("value", "sigma", "axis_B")
+
+    kind: str
     value: np.ndarray
     sigma: np.ndarray
+    axis_B: np.ndarray
 
     @classmethod
     def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
-        """Return the term of one reading at sample `at` of `count` samples."""
-        value = np.zeros((count, cls.numbers))
-        value[at] = checked(observation, cls.numbers)
-        return cls(value, _only(at, count, float(observation["sigma"])))
+        """Return the term of one reading at sample `at` of `count` samples; refuse values that are none."""
+        kind, sigma = str(observation["kind"]), float(observation["sigma"])
+        numbers = NUMBERS[kind]
+        value = np.atleast_1d(np.asarray(observation["value"], dtype=np.float64))
+        right = value.shape == (numbers,) and np.all(np.isfinite(value))
+        if not (right and np.isfinite(sigma) and sigma > 0):
+            what = f"a {kind} is {numbers} finite numbers with a positive sigma"
+            raise InputError(what, got=str(dict(observation)))
+        axis = np.array([0.0, 0.0, 1.0])
+        if kind == "field":
+            length, angle = np.linalg.norm(value), float(observation["angle_rad"])
+            if not (0 <= angle <= np.pi and length > 0):
+                what = "a field is a direction and an angle from 0 to pi (rad)"
+                raise InputError(what, got=str(dict(observation)))
+            axis, value = value / length, np.array([angle])
+        is_read = np.arange(count) == at
+        return cls(
+            kind,
+            np.where(is_read[:, None], value, 0.0),
+            np.where(is_read, sigma, np.inf),
+            np.tile(axis, (count, 1)),
+        )
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading."""
@@ -50,100 +78,39 @@ class Given(Term):
         """Return how many numbers a motion must explain."""
         return float(self.present().sum() * self.value.shape[1])
 
-    def _differences(self, off: np.ndarray, **slopes: np.ndarray) -> Residual:
-        """Return differences (K, n, r) and their derivatives (K, n, r, 3) in sigmas, zero without a reading."""
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the difference (K, n, r) in sigmas, with its derivative by the rate, or by a turn of the body."""
+        by_rate = by_turn = None
+        moves = cross_matrix(states.sun_B)  # a turn t of the body moves the Sun by sun x t
+        if self.kind == "rate":
+            predicted = np.linalg.norm(states.omega, axis=-1, keepdims=True)
+            by_rate = (states.omega / np.maximum(predicted, 1e-12))[..., None, :]
+        elif self.kind == "gyro":
+            predicted, by_rate = states.omega, np.broadcast_to(np.eye(3), (*states.omega.shape, 3))
+        elif self.kind == "direction":
+            predicted, by_turn = states.sun_B, moves
+        else:
+            # the angle between Sun and field; its cosine changes by axis . (sun x turn)
+            cosine = np.clip(np.sum(states.sun_B * self.axis_B, axis=-1), -1.0, 1.0)
+            sine = np.maximum(np.sqrt(1 - cosine**2), LEAST_SINE)
+            predicted = np.arccos(cosine)[..., None]
+            by_turn = -(self.axis_B[:, None, :] @ moves) / sine[..., None, None]
         inverse = 1 / self.sigma[:, None]
-        scaled = {name: slope * inverse[..., None] for name, slope in slopes.items()}
-        return Residual(off * inverse, law=gaussian, **scaled)
-
-
-@dataclass(frozen=True)
-class GivenSpeed(Given):
-    """Angular speed in rad/s about any axis: a period seen in a radio signal or a light curve."""
-
-    name: ClassVar[str] = "rate"
-    label: ClassVar[str] = "angular speed"
-    numbers: ClassVar[int] = 1
-
-    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the difference (K, n, 1), with its derivative by the rate."""
-        speed = np.linalg.norm(states.omega, axis=-1, keepdims=True)
-        axis = states.omega / np.maximum(speed, 1e-12)
-        yield self._differences(speed - self.value, by_rate=axis[..., None, :])
-
-
-@dataclass(frozen=True)
-class GivenRate(Given):
-    """Body rate in rad/s."""
-
-    name: ClassVar[str] = "gyro"
-    label: ClassVar[str] = "body rate"
-
-    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the difference (K, n, 3), with its derivative by the rate."""
-        same = np.broadcast_to(np.eye(3), (*states.omega.shape, 3))
-        yield self._differences(states.omega - self.value, by_rate=same)
-
-
-@dataclass(frozen=True)
-class GivenDirection(Given):
-    """Direction to the Sun, seen otherwise than by panels."""
-
-    name: ClassVar[str] = "direction"
-    label: ClassVar[str] = "Sun direction"
-
-    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the difference (K, n, 3), with its derivative by a turn: the Sun moves by sun x turn."""
-        yield self._differences(states.sun_B - self.value, by_turn=cross_matrix(states.sun_B))
-
-
-@dataclass(frozen=True)
-class GivenAngle(Given):
-    """Angle (rad) of the Sun from a direction `axis_B` (n, 3) seen in the body, such as the magnetic field's."""
-
-    name: ClassVar[str] = "field"
-    label: ClassVar[str] = "field direction"
-    keys: ClassVar[tuple[str, ...]] = (*KEYS, "angle_rad")
-    per_sample: ClassVar[tuple[str, ...]] = ("value", "sigma", "axis_B")
-
-    axis_B: np.ndarray
-
-    @classmethod
-    def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
-        """Return one reading at sample `at` of `count`."""
-        direction, angle = checked(observation, 3), float(observation["angle_rad"])
-        length = np.linalg.norm(direction)
-        if not (0 <= angle <= np.pi and length > 0):
-            raise InputError(
-                "a field is a direction and an angle from 0 to pi (rad)", got=str(dict(observation))
-            )
-        axis = np.tile([0.0, 0.0, 1.0], (count, 1))
-        axis[at] = direction / length
-        return cls(np.full((count, 1), angle), _only(at, count, float(observation["sigma"])), axis)
-
-    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the difference (K, n, 1), with its derivative by a turn."""
-        cosine = np.clip(np.sum(states.sun_B * self.axis_B, axis=-1), -1.0, 1.0)
-        sine = np.maximum(np.sqrt(1 - cosine**2), LEAST_SINE)
-        # the cosine changes by axis . (sun x turn)
-        moves = self.axis_B[:, None, :] @ cross_matrix(states.sun_B)
-        off = np.arccos(cosine)[..., None] - self.value
-        yield self._differences(off, by_turn=-moves / sine[..., None, None])
-
-
-KINDS: dict[str, type[Given]] = {
-    kind.name: kind for kind in (GivenSpeed, GivenRate, GivenDirection, GivenAngle)
-}
+        by_turn, by_rate = (
+            None if slope is None else slope * inverse[..., None] for slope in (by_turn, by_rate)
+        )
+        yield Residual((predicted - self.value) * inverse, by_turn, by_rate, law=gaussian)
 
 
 def require_known(given: Sequence[Mapping[str, Any]], start_s: float, end_s: float) -> None:
     """Refuse observations of no known kind, with other keys than theirs, or outside the window."""
     for observation in given:
-        kind = KINDS.get(str(observation.get("kind")))
-        if kind is None or set(kind.keys) != set(observation):
+        kind = str(observation.get("kind"))
+        keys = {*KEYS, "angle_rad"} if kind == "field" else set(KEYS)
+        if kind not in NUMBERS or keys != set(observation):
             more = "a field also angle_rad, the Sun's from it"
             raise InputError(
-                f"an observation has kind ({', '.join(KINDS)}), t_s, value and sigma, {more}",
+                f"an observation has kind ({', '.join(NUMBERS)}), t_s, value and sigma, {more}",
                 got=str(dict(observation)),
             )
         if not start_s <= float(observation["t_s"]) <= end_s:
@@ -152,21 +119,3 @@ def require_known(given: Sequence[Mapping[str, Any]], start_s: float, end_s: flo
                 got=f"t_s {float(observation['t_s']):g}",
                 do=f"from {start_s:g} to {end_s:g}",
             )
-
-
-def checked(observation: Mapping[str, Any], numbers: int) -> np.ndarray:
-    """Return the numbers of an observation, which are finite and as many as they must be, with a positive sigma."""
-    value = np.atleast_1d(np.asarray(observation["value"], dtype=np.float64))
-    sigma = float(observation["sigma"])
-    right = value.shape == (numbers,) and np.all(np.isfinite(value))
-    if not (right and np.isfinite(sigma) and sigma > 0):
-        what = f"a {observation['kind']} is {numbers} finite numbers with a positive sigma"
-        raise InputError(what, got=str(dict(observation)))
-    return value
-
-
-def _only(at: int, count: int, sigma: float) -> np.ndarray:
-    """Return sigmas (count) that are infinite but at one sample."""
-    sigmas = np.full(count, np.inf)
-    sigmas[at] = sigma
-    return sigmas
