@@ -121,8 +121,8 @@ class SearchSettings:
     """The same if panels lie in one plane or share inputs, and bound the Sun so little."""
 
     flat_budget: float = 2.0
-    """Times the usual computing budget for such panels: twice the pairs, and each motion has its mirror image. A search of 40
-    samples with a magnetometer takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
+    """Times the usual computing budget for such panels: more pairs, and each motion has its mirror image. With a magnetometer
+    a search of 40 samples takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
 
     more_places: int = 2
     """Further pairs to start from if the best candidate does not fit."""
