@@ -22,6 +22,9 @@ from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.panels import TILT, Panels
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
+TURNED = "panels turned from their directions"
+"""Name of the model of such panels, before that of the panel that shows it most."""
+
 LEAST_STEP = 1e-3
 """Least size of a step, in sigmas of the rate before the data."""
 
@@ -95,7 +98,7 @@ def turned_panels(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -
     if max(gains, default=0.0) > s.tilt_shows:
         name = panels.names[int(np.argmax(gains))]
         terms = (replace(panels, tilt_sigma=TILT), *nominal.obs.terms[1:])
-        what = f"panels turned from their directions, {name} most"
+        what = f"{TURNED}, {name} most"
         yield replace(nominal, obs=replace(nominal.obs, terms=terms), what=what)
 
 
