@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin import rates
-from sunspin.estimate.alternatives import TURNED
+from sunspin.estimate.alternatives import MISALIGNED
 from sunspin.estimate.model import States
 from sunspin.estimate.observe import observe as observed
 from sunspin.estimate.terms.panels import TILT
@@ -41,7 +41,7 @@ def test_rates_are_within_their_errors_if_panels_are_turned_by_some_degrees(seed
     made = made_pass(seed, turns)
     result = rates(made.vehicle, made.telemetry)
     assert result["decided"].values[0] and largest_error(result, made) < 4
-    assert str(result["model"].values[0]).startswith(TURNED)
+    assert str(result["model"].values[0]).startswith(MISALIGNED)
 
 
 def test_a_pass_of_right_panels_is_as_stated():
