@@ -31,7 +31,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
 from sunspin.telemetry.assess import assess
@@ -107,7 +107,7 @@ class Coordinates:
     `root` are the mean and the Cholesky factor of the covariance of these values.
     """
 
-    def __init__(self, state: Shots) -> None:
+    def __init__(self, state: LanderMotions) -> None:
         direction = state.sun.mean(axis=0)
         direction /= np.linalg.norm(direction)
         across = np.linalg.svd(direction[None])[2][1:]  # two unit vectors at right angles to it
@@ -117,17 +117,17 @@ class Coordinates:
         # 1e-16 keeps the covariance of almost fixed values positive definite
         self.root = np.linalg.cholesky(np.cov(x.T) + 1e-16 * np.eye(x.shape[1]))
 
-    def mapped(self, state: Shots) -> np.ndarray:
+    def mapped(self, state: LanderMotions) -> np.ndarray:
         """Return rates, mapped Sun direction and nuisance parameters (n, D) of states."""
         components = state.sun @ self.frame.T
         stretch = np.sqrt(2.0 / np.maximum(1.0 + components[:, 2:], 1e-12))
         return np.concatenate([state.omega, stretch * components[:, :2], state.u], axis=1)
 
-    def sigmas(self, state: Shots) -> np.ndarray:
+    def sigmas(self, state: LanderMotions) -> np.ndarray:
         """Return the coordinates (n, D) of states."""
         return np.linalg.solve(self.root, (self.mapped(state) - self.mean).T).T
 
-    def states(self, y: np.ndarray) -> tuple[Shots, np.ndarray]:
+    def states(self, y: np.ndarray) -> tuple[LanderMotions, np.ndarray]:
         """Return the states at coordinates (n, D), and a mask (n) of those inside the map, which ends at the antipode."""
         x = self.mean + y @ self.root.T
         square = np.sum(x[:, 3:5] ** 2, axis=1)
@@ -136,7 +136,9 @@ class Coordinates:
         across = np.sqrt(1.0 - square / 4)[:, None] * x[:, 3:5]
         along = (1.0 - square / 2)[:, None]
         sun = np.concatenate([across, along], axis=1) @ self.frame
-        return Shots(x[:, :3], sun / np.linalg.norm(sun, axis=1, keepdims=True), x[:, 5:]), inside
+        return LanderMotions(
+            x[:, :3], sun / np.linalg.norm(sun, axis=1, keepdims=True), x[:, 5:]
+        ), inside
 
     @property
     def log_volume(self) -> float:
@@ -144,7 +146,7 @@ class Coordinates:
         return float(np.log(np.diag(self.root)).sum())
 
 
-def log_posterior(model: LanderModel, state: Shots, inside: np.ndarray) -> np.ndarray:
+def log_posterior(model: LanderModel, state: LanderMotions, inside: np.ndarray) -> np.ndarray:
     """Return log prior plus log likelihood (n) of states; `LOWEST` outside the support, and where the mask `inside` is false."""
     prior = model.log_prior_density(state)
     support = np.flatnonzero(np.isfinite(prior) & inside)
@@ -158,13 +160,13 @@ def log_posterior(model: LanderModel, state: Shots, inside: np.ndarray) -> np.nd
 
 def nautilus_in_box(
     model: LanderModel, coordinates: Coordinates, seed: int = 1
-) -> tuple[float, Shots, int]:
+) -> tuple[float, LanderMotions, int]:
     """Return log evidence, draws and number of calls of the likelihood by nautilus, in the box around a solution."""
     from nautilus import Sampler
 
     dimensions = len(coordinates.mean)
 
-    def states(unit_cube: np.ndarray) -> tuple[Shots, np.ndarray]:
+    def states(unit_cube: np.ndarray) -> tuple[LanderMotions, np.ndarray]:
         return coordinates.states((2 * unit_cube - 1) * HALF_WIDTH)
 
     sampler = Sampler(
@@ -186,7 +188,9 @@ def nautilus_in_box(
     return evidence, states(drawn)[0], sampler.n_like
 
 
-def emcee_from(model: LanderModel, coordinates: Coordinates, state: Shots) -> tuple[Shots, float]:
+def emcee_from(
+    model: LanderModel, coordinates: Coordinates, state: LanderMotions
+) -> tuple[LanderMotions, float]:
     """Return the states that the walkers of emcee reach from some of these draws, and the longest correlation time in steps."""
     import emcee
 
@@ -211,7 +215,7 @@ def emcee_from(model: LanderModel, coordinates: Coordinates, state: Shots) -> tu
     return coordinates.states(chain)[0], float(np.max(correlation))
 
 
-def state_of_draws(model: LanderModel, draws: xr.Dataset) -> Shots:
+def state_of_draws(model: LanderModel, draws: xr.Dataset) -> LanderMotions:
     """Return the draws of a posterior as states, their nuisance parameters (n, k) in sigmas of the prior."""
     u = np.zeros((draws.sizes["draw"], len(model.unknowns)))
     for i, unknown in enumerate(model.unknowns):
@@ -220,7 +224,7 @@ def state_of_draws(model: LanderModel, draws: xr.Dataset) -> Shots:
         else:
             value = draws[unknown.name].values[0]
         u[:, i] = (value - unknown.centre) / unknown.sigma
-    return Shots(draws["omega_B"].values[0], draws["sun_B"].values[0], u)
+    return LanderMotions(draws["omega_B"].values[0], draws["sun_B"].values[0], u)
 
 
 def summary(omega: np.ndarray) -> str:

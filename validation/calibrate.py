@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin import posterior
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
@@ -274,10 +274,10 @@ def log_density(
     """
     assessment = assess(vehicle, telemetry)
     model, _ = with_priors(assessment, observe_window(assessment), priors)
-    shots = Shots(omega_B, sun_B, _in_sigmas(model.unknowns, values))
+    motions = LanderMotions(omega_B, sun_B, _in_sigmas(model.unknowns, values))
     return model.log_likelihood(
-        model.carried(shots, DIRECTION_ERROR), shots.u
-    ) + model.log_prior_density(shots)
+        model.carried(motions, DIRECTION_ERROR), motions.u
+    ) + model.log_prior_density(motions)
 
 
 def _in_sigmas(unknowns: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:

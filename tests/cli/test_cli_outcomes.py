@@ -64,6 +64,18 @@ def test_outcomes_without_collision_hull_and_antenna_print_only_what_is_known(tm
     assert "the bare body" not in done.out
 
 
+def test_wheels_without_friction_are_named_where_a_motor_is_switched_off(tmp_path):
+    """A wheel whose friction is forgotten would make `off` look like `held`."""
+    (tmp_path / "lander.toml").write_text(LANDER.replace(f"friction = {FRICTION}", ""))
+    given = "--omega-deg-s 3,0,6 --sun 0,0,1 --after 600 --collision-speed 0 --runs 40".split()
+    words = "Without friction in the vehicle file (wheel wx, wz)"
+    for strategy, named in (("off", True), ("delay:60", True), ("held", False)):
+        done = sunspin("outcomes", tmp_path / "lander.toml", *given, "--strategy", strategy)
+        assert (words in done.out) is named
+    (tmp_path / "lander.toml").write_text(LANDER)
+    assert "friction" not in sunspin("outcomes", tmp_path / "lander.toml", *given).out
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

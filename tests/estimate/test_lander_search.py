@@ -11,11 +11,13 @@ from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
-from sunspin.estimate.lander.motions import Shots, TrialMotions
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
+from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.solve.rotations import move_on_sphere
+from sunspin.telemetry.assess import assess
 from tests.estimate.plain_cells import (
     LookThrough,
     corner_weights,
@@ -77,12 +79,12 @@ def test_interpolated_attitudes_are_those_of_the_motion():
     middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
     omega = grid.rates(cells) + 0.5 * grid.edge
     u = np.zeros((len(omega), len(model.unknowns)))
-    carried = model.carried(Shots(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).seen.sun_B
+    carried = model.carried(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).sun_B
     off = rotated(middle, SUN) - carried[:, reference.others]
     assert np.linalg.norm(off, axis=-1).max() < 0.12
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 0.05
-    corner = Shots(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
-    exact = model.carried(corner, 1e-6).seen.sun_B[:, reference.others]
+    corner = LanderMotions(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
+    exact = model.carried(corner, 1e-6).sun_B[:, reference.others]
     np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
 
 
@@ -107,7 +109,7 @@ def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
     direction[:40, :2] *= 0.02  # nearly along the wheel
     direction = units(direction)
     none = np.zeros((300, len(model.unknowns)))
-    rows = first.rows(Shots(0.6 * direction, np.tile(SUN, (300, 1)), none))
+    rows = first.rows(LanderMotions(0.6 * direction, np.tile(SUN, (300, 1)), none))
     there = first.run(rows, np.array([800.0]), 1e-5).omega_B[:, 0]
     reached = Reached.of(model, 2.0, 0.6)
     assert reached.within(there, 0.0).all()
@@ -118,7 +120,7 @@ def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
 
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
     model = lander_model()
-    sun = model.carried(Shots(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).seen.sun_B
+    sun = model.carried(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).sun_B
     rng = np.random.default_rng(2)
     near = move_on_sphere(np.tile(sun[0], (50, 1)), 0.2 * rng.standard_normal((400, 2)).clip(-1, 1))
     assert shortfall(model.panels, near.reshape(50, 8, 3), 0.35, GRID).max() == 0
@@ -156,8 +158,8 @@ def test_a_start_lies_near_the_true_motion():
     assert window == reference.window
     omega, sun = true_motion(reference.after_s)
     reach = np.abs(model.obs.t_s[reference.others]).max()
-    off = np.linalg.norm(starts.shots.omega - omega, axis=1) * reach
-    aside = np.linalg.norm(starts.shots.sun - sun, axis=1)
+    off = np.linalg.norm(starts.omega - omega, axis=1) * reach
+    aside = np.linalg.norm(starts.sun - sun, axis=1)
     assert np.min(np.maximum(off, aside)) < SHOOTING.look_rad
     assert len(starts) < 20_000
 
@@ -171,16 +173,18 @@ def test_derivatives_of_the_differences_are_those_of_runs():
     count = len(model.unknowns)
     rng = np.random.default_rng(3)
     sun = units(rng.standard_normal((3, 3)))
-    shots = Shots(0.05 * rng.standard_normal((3, 3)), sun, 0.3 * rng.standard_normal((3, count)))
+    motions = LanderMotions(
+        0.05 * rng.standard_normal((3, 3)), sun, 0.3 * rng.standard_normal((3, count))
+    )
     problem = FitProblem(model, np.ones(count, dtype=bool), FINAL_ERROR)
-    seen, seen_slopes = problem.derivatives(shots)
-    linear = problem.differences(shots, seen, seen_slopes)
-    nothing = np.zeros_like(seen_slopes)
+    track, track_slopes = problem.derivatives(motions)
+    linear = problem.differences(motions, track, track_slopes)
+    nothing = np.zeros_like(track_slopes)
 
     def moved(step):
         """Return the differences after a step."""
-        there = shots.moved(np.tile(step, (3, 1)))
-        return problem.differences(there, problem.seen(there, 1e-9)[0], nothing).value
+        there = motions.moved(np.tile(step, (3, 1)))
+        return problem.differences(there, problem.track(there, 1e-9), nothing).value
 
     for k, coordinate in enumerate(problem.coordinates):
         size = 1e-5 if coordinate < 3 else 1e-4
@@ -192,21 +196,26 @@ def test_derivatives_of_the_differences_are_those_of_runs():
 # ---- families --------------------------------------------------------------------------------------------------------------
 
 
-def family(count: int, spacing_rad_s: float, loose: float) -> TrialMotions:
+def family(count: int, spacing_rad_s: float, loose: float) -> LanderMotions:
     """Return motions in a row of rates about x, which curvature leaves free by `loose` rad/s, with one unknown."""
     omega = np.zeros((count, 3))
     omega[:, 0] = spacing_rad_s * np.arange(count)
     normal = np.diag([loose**-2, 1e8, 1e8, 1e6, 1e6, 1.0])
-    shots = Shots(omega, np.tile(SUN, (count, 1)), np.zeros((count, 1)), np.arange(count) * 0.1)
-    return TrialMotions(
-        shots, np.ones(count, dtype=int), np.tile(normal, (count, 1, 1)), np.zeros(count)
+    return LanderMotions(
+        omega,
+        np.tile(SUN, (count, 1)),
+        np.zeros((count, 1)),
+        cost=np.arange(count) * 0.1,
+        curvature=np.tile(normal, (count, 1, 1)),
+        starts=np.ones(count, dtype=int),
+        neighbours_s=np.zeros(count),
     )
 
 
 def test_a_family_gets_neighbours_along_its_loose_direction_alone():
     """At 0.65 rad at the end of the next window; a motion that is known well gets none."""
     reach, expected = 100.0, np.array([[SHOOTING.neighbour_rad, 0.0, 0.0]] * 2)
-    added = with_neighbours(family(1, 1.0, 0.02), reach, 0.6, SHOOTING).shots.omega[1:] * reach
+    added = with_neighbours(family(1, 1.0, 0.02), reach, 0.6, SHOOTING).omega[1:] * reach
     np.testing.assert_allclose(np.abs(added), expected, rtol=1e-6, atol=1e-6)
     assert len(with_neighbours(family(1, 1.0, 0.002), reach, 0.6, SHOOTING)) == 1
     # set once, they are not set again before the window has grown
@@ -230,10 +239,12 @@ def test_the_search_lists_the_true_motion():
     """With its rate within 4.5 sigma, as the best; an angular speed seen otherwise does not change that."""
     telemetry, priors = lander_telemetry(60.0 * np.arange(12), NOISE), {"max_rate_rad_s": 0.15}
     speed = {"kind": "rate", "t_s": 30.0, "value": np.linalg.norm(OMEGA), "sigma": 0.01}
-    result = search_nominal(noisy(), telemetry, priors, observations=[speed], workers=1)
+    assessment = assess(noisy(), telemetry)
+    window = observe_window(assessment, observations=[speed])
+    result = search_nominal(assessment, window, priors, workers=1)
     fit = result.fit
     off = fit.motions.omega[0] - true_motion(result.carrier.model.after_s)[0]
-    covariance = np.linalg.inv(fit.curvature[0])[:3, :3]
+    covariance = np.linalg.inv(fit.motions.curvature[0])[:3, :3]
     assert off @ np.linalg.solve(covariance, off) < 4.5**2
     assert fit.complete and fit.log_evidence[0] == fit.log_evidence.max()
 

@@ -10,7 +10,7 @@ from sunspin.base.errors import InputError
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.lander.fit import FINAL_ERROR, SEARCH_ERROR, FitProblem, Fitting
 from sunspin.estimate.lander.mixture import at_first_sample
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.lander.window import observe_window
@@ -28,7 +28,7 @@ from tests.support.landers import (
 from tests.support.passes import slope_of
 
 
-def near(model, count: int = 3, size: float = 1e-3) -> Shots:
+def near(model, count: int = 3, size: float = 1e-3) -> LanderMotions:
     """Return motions close to that of the telemetry."""
     rng = np.random.default_rng(1)
     step = size * rng.normal(size=(count, 5 + len(model.unknowns)))
@@ -37,26 +37,26 @@ def near(model, count: int = 3, size: float = 1e-3) -> Shots:
 
 
 def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
-    """They are turned into the new tangents, and give what is seen after the step; another body corrects nothing."""
+    """They are turned into the new tangents, and give the track after the step; another body corrects nothing."""
     model = lander_model()
-    target, shots = LanderTarget(model), near(model)
-    first = target.linearised(shots).slopes
-    step = np.zeros((len(shots), 5 + len(model.unknowns)))
+    target, motions = LanderTarget(model), near(model)
+    first = target.linearised(motions).extras
+    step = np.zeros((len(motions), 5 + len(model.unknowns)))
     step[:, 3:5] = 0.02
-    there = shots.moved(step)
-    then = target.linearised(there, first).slopes
-    back = np.einsum("kc,kcnw->knw", shots.from_centre(there)[:, :5], then.seen_slopes)
-    assert then.seen + back == pytest.approx(first.seen, abs=3e-5)
-    other = Shots(shots.omega, shots.sun, shots.u + 0.5)
-    assert target.linearised(other, first).slopes.seen_slopes == pytest.approx(first.seen_slopes)
+    there = motions.moved(step)
+    then = target.linearised(there, first).extras
+    back = np.einsum("kc,kcnw->knw", motions.from_centre(there)[:, :5], then.track_slopes)
+    assert then.track + back == pytest.approx(first.track, abs=3e-5)
+    other = LanderMotions(motions.omega, motions.sun, motions.u + 0.5)
+    assert target.linearised(other, first).extras.track_slopes == pytest.approx(first.track_slopes)
 
 
 def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_prior():
     model = lander_model(tilt=0.02)
-    target, shots = LanderTarget(model), near(model)
-    of = target.linearised(shots)
-    slope, curvature = target.reading_slopes(of.slopes.seen, shots.u)
-    prior = shots.u[:, target.reading_unknowns]
+    target, motions = LanderTarget(model), near(model)
+    of = target.linearised(motions)
+    slope, curvature = target.reading_slopes(of.extras.track, motions.u)
+    prior = motions.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
     own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
     assert curvature == pytest.approx(own, rel=1e-3, abs=1e-2 * np.abs(own).max())
@@ -65,34 +65,36 @@ def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_p
 def test_likelihood_is_that_of_the_model():
     """To rounding for runs of the same error, and far below one for runs a thousand times as exact."""
     model = lander_model()
-    target, shots = LanderTarget(model), near(model)
-    expected = model.log_likelihood(model.carried(shots, SEARCH_ERROR), shots.u)
-    assert target.log_likelihood(target.run(shots), shots.u) == pytest.approx(expected, abs=1e-9)
-    exact = model.log_likelihood(model.carried(shots, 1e-3 * SEARCH_ERROR), shots.u)
+    target, motions = LanderTarget(model), near(model)
+    expected = model.log_likelihood(model.carried(motions, SEARCH_ERROR), motions.u)
+    assert target.log_likelihood(target.track(motions), motions.u) == pytest.approx(
+        expected, abs=1e-9
+    )
+    exact = model.log_likelihood(model.carried(motions, 1e-3 * SEARCH_ERROR), motions.u)
     assert expected == pytest.approx(exact, abs=0.05)
 
 
 def test_simulated_readings_fit_their_motion_as_well_as_real_ones():
     """Real readings that were made by the model itself fit worse than about half of the simulated ones."""
     model = lander_model()
-    shots = nominal(model, 400)
+    motions = nominal(model, 400)
     target = LanderTarget(model)
-    seen, rng = target.run(shots), np.random.default_rng(0)
-    states = SunStates.of(seen[..., :3], seen[..., 3:])
-    own = shots.u[:, model.of_panels]
+    track, rng = target.track(motions), np.random.default_rng(0)
+    states = SunStates.of(track[..., :3], track[..., 3:])
+    own = motions.u[:, model.of_panels]
     made = model.panels.replicated(states, own, rng)
     # bright readings scatter by the stated noise about the prediction, but for outliers
-    power = model.panels.predicted(states, own, np.zeros(seen.shape[:2]))
+    power = model.panels.predicted(states, own, np.zeros(track.shape[:2]))
     bright = power > 10 * model.panels.sigma
     scatter = ((made.power - power) / model.panels.sigma)[bright]
     assert np.median(np.abs(scatter)) == pytest.approx(0.6745, rel=0.08)
     assert np.mean(np.abs(scatter) > 5) == pytest.approx(0.02, abs=0.006)
     real = made.log_density(states, own)
-    worse = target.log_replicated(seen, shots.u, rng) <= real
+    worse = target.log_replicated(track, motions.u, rng) <= real
     assert np.mean(worse) == pytest.approx(0.5, abs=0.08)
     # and far worse ones do not: all readings off by three sigmas
     off = replace(model.panels, power=model.panels.power + 3 * model.panels.sigma)
-    worse = target.log_replicated(seen, shots.u, rng) <= off.log_density(states, own)
+    worse = target.log_replicated(track, motions.u, rng) <= off.log_density(states, own)
     assert np.mean(worse) < 0.01
 
 
@@ -116,9 +118,9 @@ def test_motions_at_the_first_sample_lead_to_those_at_the_reference(frame):
     """With the torque as it is given there, whether it is constant in the body or in space."""
     model = next(one for one in constant_torques(lander_model(), {}) if one.frame == frame)
     model = model.after(300.0, model.max_rate)
-    shots = nominal(model)
-    shots.u[:, model.places("steady_torque")] = [0.02, -0.03, 0.04]
-    first = at_first_sample(model, shots)
+    motions = nominal(model)
+    motions.u[:, model.indices("steady_torque")] = [0.02, -0.03, 0.04]
+    first = at_first_sample(model, motions)
     state = first.omega[0], first.sun[0], first.wheels[0]
     torques = [Steady(np.trace(PHILAE.require_inertia()) / 3 * first.steady[0])]
     run = ss.propagate(PHILAE, *state, [0.0, 300.0], torques=torques)
@@ -145,8 +147,8 @@ def test_the_density_of_a_sample_is_the_integral_over_its_time():
     """Gauss-Hermite quadrature of the exact times' density, each sample by itself, agrees to 0.005 a sample."""
     model = late_model()
     exact = replace(model.panels, time_s=0.0)
-    shots = off(model)
-    states, own = model.carried(shots, 1e-9).seen, shots.u[:, model.of_panels]
+    motions = off(model)
+    states, own = model.carried(motions, 1e-9), motions.u[:, model.of_panels]
     nodes, weight = np.polynomial.hermite_e.hermegauss(201)
     total = 0.0
     for k in range(len(model.obs)):
@@ -168,8 +170,8 @@ def test_the_density_has_no_jumps_where_a_panel_lights_up_within_the_error_of_a_
     model, count = late_model(2.0), 161
     line = np.linspace(-6e-3, 6e-3, count)[:, None] * np.array([1.0, -0.5, 0.7])
     sun = np.tile(SUN, (count, 1))
-    shots = Shots(OMEGA + line, sun, np.zeros((count, len(model.unknowns))))
-    density = LanderTarget(model).log_likelihood(LanderTarget(model).run(shots), shots.u)
+    motions = LanderMotions(OMEGA + line, sun, np.zeros((count, len(model.unknowns))))
+    density = LanderTarget(model).log_likelihood(LanderTarget(model).track(motions), motions.u)
     assert np.ptp(density) > 20.0
     assert np.abs(np.diff(density, 2)).max() < 0.3
 
@@ -181,9 +183,9 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     fitting = Fitting(FitProblem(model, free, FINAL_ERROR), nominal(model))
     fitting.fit_under(1.0, 8)
     fitting.fit_noise()
-    fitted = fitting.shots.u[0, model.places("noise")[0]]
-    value = fitting.problem.of_panels(fitting.linear.value)
-    own = fitting.shots.u[:, model.of_panels]
+    fitted = fitting.motions.u[0, model.indices("noise")[0]]
+    value = fitting.problem.of_panels(fitting.system.extras.value)
+    own = fitting.motions.u[:, model.of_panels]
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
     assert abs(fitted) < 2.5
     assert fitted > of_all[0, model.panels.places("noise")[0]] + 0.3
@@ -191,15 +193,15 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
 
 def test_slopes_are_those_of_the_cost_with_times_at_their_best():
     model = late_model()
-    shots, target = off(model), LanderTarget(model)
-    problem, base = target._problem, target.linearised(shots)
+    motions, target = off(model), LanderTarget(model)
+    problem, base = target._problem, target.linearised(motions)
 
     def cost(change):
         """Return the cost of a motion of another rate, whose times are at their best."""
-        motion = replace(shots, omega=shots.omega + change)
-        seen, _ = problem.seen(motion, 1e-10)
-        still = np.zeros((len(motion), 5, *seen.shape[1:]))
-        linear = problem.differences(motion, seen, still)
+        motion = replace(motions, omega=motions.omega + change)
+        track = problem.track(motion, 1e-10)
+        still = np.zeros((len(motion), 5, *track.shape[1:]))
+        linear = problem.differences(motion, track, still)
         return problem.system(motion.u, linear, 1.0).cost[0]
 
     for axis, change in enumerate(1e-6 * np.eye(3)):
@@ -209,16 +211,16 @@ def test_slopes_are_those_of_the_cost_with_times_at_their_best():
 def test_curvature_is_less_by_what_the_times_take_up():
     """That of the fit is the change of the slope about a motion that fits exactly; with exact times it is far larger."""
     model = late_model(noise=0.0)
-    target, shots = LanderTarget(model), nominal(model)
-    matrix = target.linearised(shots).matrix[0, :3, :3]
+    target, motions = LanderTarget(model), nominal(model)
+    matrix = target.linearised(motions).matrix[0, :3, :3]
 
     def slopes(change):
-        return target.linearised(replace(shots, omega=shots.omega + change)).slope[0, :3]
+        return target.linearised(replace(motions, omega=motions.omega + change)).slope[0, :3]
 
     for axis, change in enumerate(2e-5 * np.eye(3)):
         expected, scale = slope_of(slopes, change, 2e-5), np.abs(matrix).max()
         assert matrix[axis] == pytest.approx(expected, rel=0.05, abs=0.03 * scale)
-    exact = LanderTarget(late_model(0.0, noise=0.0)).linearised(shots).matrix[0, :3, :3]
+    exact = LanderTarget(late_model(0.0, noise=0.0)).linearised(motions).matrix[0, :3, :3]
     assert np.linalg.eigvalsh(exact).max() > 1.2 * np.linalg.eigvalsh(matrix).max()
 
 

@@ -9,14 +9,15 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import logsumexp
 
-from sunspin.estimate.lander.mixture import Mixture
-from sunspin.estimate.lander.motions import Draws, ShotFit, Shots
+from sunspin.estimate.lander.mixture import Mixture, mixed
+from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.outer_law import Bend, OuterLaw
 from sunspin.estimate.lander.ridges import Chart, ridges_of
-from sunspin.estimate.lander.sample import mixed, predictive_check, resampled, sample
-from sunspin.estimate.lander.target import Equations, MotionSlopes
+from sunspin.estimate.lander.sample import predictive_check, resampled, sample
+from sunspin.estimate.lander.target import MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
+from sunspin.solve.linear import DenseSystem
 from sunspin.solve.rotations import tangent_basis
 from tests.support.passes import slope_of
 
@@ -43,7 +44,7 @@ class Bananas:
     straight: float = 5e-3
     curved: float = 3e-3
     lowest: float = -np.inf
-    rate_max: float = 1.0
+    max_rate: float = 1.0
     reach_s: float = REACH_S
     reading_unknowns = np.array([1])
     motion_unknowns = np.array([0])
@@ -52,46 +53,54 @@ class Bananas:
         for name, kind in (("bend", "inertia"), ("brightness", "scale"))
     )
 
-    def _off(self, shots: Shots) -> np.ndarray:
+    def _off(self, motions: LanderMotions) -> np.ndarray:
         """Differences (K, M, 5) from the ridges, in sigmas."""
-        u = shots.u[:, 0]
+        u = motions.u[:, 0]
         ridge = np.zeros((len(u), 1, 3))
         ridge[:, 0, 0] = self.straight * u + self.curved * u**2
-        rate = (shots.omega[:, None] - self.omega - ridge) / RATE
+        rate = (motions.omega[:, None] - self.omega - ridge) / RATE
         across = np.stack(tangent_basis(self.sun), axis=1)
-        side = np.einsum("mai,ki->kma", across, shots.sun) / TURN
+        side = np.einsum("mai,ki->kma", across, motions.sun) / TURN
         return np.concatenate([rate, side], axis=2)
 
     def _bright(self, u: np.ndarray) -> np.ndarray:
         return (u[:, 1] - BRIGHT) / READ
 
-    def run(self, shots: Shots) -> np.ndarray:
-        return self._off(shots)
+    @property
+    def model(self) -> "Bananas":
+        """Return what stands for the lander's model."""
+        return self
+
+    def indices(self, *kinds: str) -> list[int]:
+        return [i for i, unknown in enumerate(self.unknowns) if unknown.kind in kinds]
+
+    def track(self, motions: LanderMotions) -> np.ndarray:
+        return self._off(motions)
 
     def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
         each = np.log(self.weight) - (seen**2).sum(axis=2) / 2
         return np.asarray(logsumexp(each, axis=1)) - self._bright(u) ** 2 / 2
 
-    def log_prior(self, shots: Shots) -> np.ndarray:
-        normal = -np.sum(shots.u**2 + np.log(2 * np.pi), axis=1) / 2
+    def log_prior_density(self, motions: LanderMotions) -> np.ndarray:
+        normal = -np.sum(motions.u**2 + np.log(2 * np.pi), axis=1) / 2
         # the antipodes of the directions have the same components across
-        facing = np.any(shots.sun @ self.sun.T > 0, axis=1)
-        return np.where(facing & (shots.u[:, 0] >= self.lowest), normal, -np.inf)
+        facing = np.any(motions.sun @ self.sun.T > 0, axis=1)
+        return np.where(facing & (motions.u[:, 0] >= self.lowest), normal, -np.inf)
 
     def reading_slopes(self, seen, u):
         pull = -self._bright(u) / READ
         return pull[:, None], np.full((len(u), 1, 1), READ**-2)
 
     def linearised(
-        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
+        self, motions: LanderMotions, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
     ):
-        off = self._off(shots)
+        off = self._off(motions)
         nearest = np.argmin((off**2).sum(axis=2), axis=1)
-        every = np.arange(len(shots))
-        residual = np.column_stack([off[every, nearest], self._bright(shots.u)]) / noise_factor
-        jacobian = np.zeros((len(shots), 6, 6))
+        every = np.arange(len(motions))
+        residual = np.column_stack([off[every, nearest], self._bright(motions.u)]) / noise_factor
+        jacobian = np.zeros((len(motions), 6, 6))
         jacobian[:, range(3), range(3)] = 1 / RATE
-        own = np.stack(tangent_basis(shots.sun), axis=1)
+        own = np.stack(tangent_basis(motions.sun), axis=1)
         across = np.stack(tangent_basis(self.sun), axis=1)[nearest]
         jacobian[:, 3:5, 3:5] = np.einsum("kai,kbi->kab", across, own) / TURN
         jacobian[:, 5, 5] = 1 / READ
@@ -99,11 +108,11 @@ class Bananas:
         matrix = np.swapaxes(jacobian, 1, 2) @ jacobian
         matrix[:, 5, 5] += 1
         slope = np.einsum("kri,kr->ki", jacobian, residual)
-        slope[:, 5] += shots.u[:, 1]
-        cost = (residual**2).sum(axis=1) / 2 + (shots.u**2).sum(axis=1) / 2
-        same = np.zeros((len(shots), 5, 1))
-        slopes = MotionSlopes(shots.omega, shots.sun, shots.u, same, same[:, 0])
-        return Equations(cost, slope, matrix, slopes)
+        slope[:, 5] += motions.u[:, 1]
+        cost = (residual**2).sum(axis=1) / 2 + (motions.u**2).sum(axis=1) / 2
+        same = np.zeros((len(motions), 5, 1))
+        slopes = MotionSlopes(motions.omega, motions.sun, motions.u, same, same[:, 0])
+        return DenseSystem(cost, matrix, slope, extras=slopes)
 
     def log_replicated(self, seen, u, rng) -> np.ndarray:
         """Log likelihood of six normal readings about the motions."""
@@ -117,13 +126,13 @@ class Bananas:
         rates = (2 * np.pi) ** 1.5 * np.prod(RATE)
         return float(np.log(rates * 2 * np.pi * solid * bright))
 
-    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
+    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ModelFit:
         """The motions at a value of `bend` on the ridges, with their curvature, or one that is sharper in `bend`."""
         omega = np.array(self.omega[which])
         omega[:, 0] += self.straight * bend + self.curved * bend**2
         u = np.tile([bend, BRIGHT / (1 + READ**2)], (len(which), 1))
-        shots = Shots(omega, self.sun[which], u)
-        matrix = self.linearised(shots).matrix
+        motions = LanderMotions(omega, self.sun[which], u)
+        matrix = self.linearised(motions).matrix
         whole = np.zeros((len(which), 7, 7))
         rest = [0, 1, 2, 3, 4, 6]
         whole[np.ix_(range(len(which)), rest, rest)] = matrix
@@ -131,7 +140,9 @@ class Bananas:
         whole[:, 5, 5] = (1 + slope**2) + (sharper - 1)
         whole[:, 0, 5] = whole[:, 5, 0] = -slope / RATE[0]
         cost = -np.log(self.weight[which])
-        return ShotFit(None, replace(shots, cost=cost), whole, -cost, np.ones(len(which)))
+        starts = np.ones(len(which))
+        fitted = replace(motions, cost=cost, curvature=whole, starts=starts)
+        return ModelFit(None, fitted, -cost)
 
 
 TIED = 0.01
@@ -157,17 +168,18 @@ class Tied(Bananas):
         tied, _ = quad(lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2), -8, 8)
         return super().log_integral + float(np.log(TIED * tied / np.sqrt(2 * np.pi)))
 
-    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ShotFit:
+    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ModelFit:
         """The motion with friction on the curve."""
         assert bend == 0.0
         fit = super().fit(which, bend, sharper)
         whole = np.zeros((len(which), 8, 8))
-        whole[:, :7, :7] = fit.curvature
+        whole[:, :7, :7] = fit.motions.curvature
         whole[:, 7, 7] = 1.0
         tie = np.zeros(8)
         tie[5], tie[7] = -0.5 / TIED, 1 / TIED
         u = np.concatenate([fit.motions.u, np.zeros((len(which), 1))], axis=1)
-        return replace(fit, motions=replace(fit.motions, u=u), curvature=whole + np.outer(tie, tie))
+        whole = whole + np.outer(tie, tie)
+        return replace(fit, motions=replace(fit.motions, u=u, curvature=whole))
 
 
 def one(of=Bananas, **changes) -> Bananas:
@@ -182,7 +194,7 @@ def pair(weight: float) -> Bananas:
     return Bananas(omega, sun, np.array([weight, 1 - weight]))
 
 
-def drawn(target: Bananas, fit: ShotFit | None = None, seed: int = 0, **changes) -> Draws:
+def drawn(target: Bananas, fit: ModelFit | None = None, seed: int = 0, **changes) -> Draws:
     fit = fit or target.fit([0])
     return sample(target, fit, np.random.default_rng(seed), replace(SAMPLING, **changes))
 
@@ -198,8 +210,8 @@ def shares(draws: Draws) -> np.ndarray:
 def moments(draws: Draws) -> tuple[float, float]:
     """Mean and standard deviation of the unknown that bends the ridge."""
     weight = weights(draws)
-    mean = weight @ draws.shots.u[:, 0]
-    return float(mean), float(np.sqrt(weight @ (draws.shots.u[:, 0] - mean) ** 2))
+    mean = weight @ draws.motions.u[:, 0]
+    return float(mean), float(np.sqrt(weight @ (draws.motions.u[:, 0] - mean) ** 2))
 
 
 def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
@@ -210,10 +222,10 @@ def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
     assert draws.effective > 0.625 * len(draws) and draws.tail < 0.3
     mean, sigma = moments(draws)
     assert mean == pytest.approx(0.0, abs=0.06) and sigma == pytest.approx(1.0, abs=0.05)
-    bright = weights(draws) @ draws.shots.u[:, 1]
+    bright = weights(draws) @ draws.motions.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
     # a law that ignored the curve would propose rates ten sigmas beside the ridge
-    off = target.run(draws.shots)[:, 0]
+    off = target.track(draws.motions)[:, 0]
     assert np.sqrt(weights(draws) @ off**2) == pytest.approx(np.ones(5), abs=0.06)
 
 
@@ -291,9 +303,8 @@ def test_a_motion_fitted_twice_counts_once():
     """Two ridges that are one share their draws, and are one region."""
     target = one()
     fits = [target.fit([0], bend) for bend in (0.0, 0.3)]
-    motions = Shots.joined([fit.motions for fit in fits])
-    curvature = np.concatenate([fit.curvature for fit in fits])
-    twice = ShotFit(None, motions, curvature, np.zeros(2), np.ones(2))
+    motions = LanderMotions.joined([fit.motions for fit in fits])
+    twice = ModelFit(None, motions, np.zeros(2))
     assert len(ridges_of(target, twice, None, SAMPLING)) == 1
     apart = replace(SAMPLING, on_ridge=0.0)
     assert len(ridges_of(target, twice, None, apart)) == 2
@@ -307,13 +318,15 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     draws = drawn(target, target.fit([0], 0.3))
     assert draws.evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
     assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
-    assert weights(draws)[draws.shots.u[:, 0] < 0].sum() == 0.0
+    assert weights(draws)[draws.motions.u[:, 0] < 0].sum() == 0.0
 
 
 def charted(target):
     """Return the chart about the first motion, and that motion."""
     fit = target.fit([0])
-    return Chart.about(target, fit.motions, np.linalg.inv(fit.curvature[0]), SAMPLING), fit.motions
+    return Chart.about(
+        target, fit.motions, np.linalg.inv(fit.motions.curvature[0]), SAMPLING
+    ), fit.motions
 
 
 def test_coordinates_of_a_chart_are_inverse_to_its_motions():
@@ -321,15 +334,15 @@ def test_coordinates_of_a_chart_are_inverse_to_its_motions():
     rng = np.random.default_rng(0)
     y = rng.normal(size=(50, chart.dimensions))
     z = 0.3 * rng.normal(size=(50, chart.stiff))
-    shots = chart.motions(y, z, np.tile(first.u, (50, 1)))
-    back_y, back_z = chart.coordinates(shots)
+    motions = chart.motions(y, z, np.tile(first.u, (50, 1)))
+    back_y, back_z = chart.coordinates(motions)
     assert back_y == pytest.approx(y, abs=1e-9) and back_z == pytest.approx(z, abs=1e-9)
     # a step along a stiff coordinate, in the motion's own tangents, leads where the chart leads
     step = np.zeros((50, 5 + 2))
-    step[:, :5] = 1e-4 * chart.stiff_steps(shots, y, z)[:, :, 0]
-    moved = shots.moved(step)
+    step[:, :5] = 1e-4 * chart.stiff_steps(motions, y, z)[:, :, 0]
+    moved = motions.moved(step)
     size = 1e-4 * np.eye(chart.stiff)[0]
-    there = chart.motions(y, z + size, shots.u)
+    there = chart.motions(y, z + size, motions.u)
     assert moved.sun == pytest.approx(there.sun, abs=1e-7)
     assert moved.omega == pytest.approx(there.omega, abs=1e-9)
 
@@ -357,23 +370,23 @@ def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
     region = np.arange(n) % len(region_at)
     omega = 1e-4 * rng.normal(size=(n, 3))
     omega[:, 0] += np.array(region_at)[region]
-    shots = Shots(omega, np.tile([0.0, 0.0, 1.0], (n, 1)), rng.normal(size=(n, 2)))
-    return Draws(shots, np.full(n, evidence), np.zeros(n, int), region, float(n), 0.0, evidence)
+    motions = LanderMotions(omega, np.tile([0.0, 0.0, 1.0], (n, 1)), rng.normal(size=(n, 2)))
+    return Draws(motions, np.full(n, evidence), np.zeros(n, int), region, float(n), 0.0, evidence)
 
 
-def test_models_are_weighed_by_evidence_and_prior():
-    mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], [0.0, np.log(0.5)], REACH_S)
-    expected = 1 / (1 + 0.5 * np.exp(-1.0))
+def test_models_are_weighed_by_their_evidence():
+    mix = mixed([of_model(3.0, [0.0]), of_model(2.0, [0.0])], REACH_S)
+    expected = 1 / (1 + np.exp(-1.0))
     assert weights(mix)[mix.of_model == 0].sum() == pytest.approx(expected)
-    assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0 + np.log(0.5)))
+    assert mix.evidence == pytest.approx(np.logaddexp(3.0, 2.0))
 
 
 def test_regions_of_two_models_are_one_if_they_differ_by_a_bend():
     """Half a turn in the window is a bend, whole turns are another motion."""
     bent, turned = 0.5 / REACH_S, 2 * np.pi / REACH_S
-    joined = mixed([of_model(0.0, [0.0]), of_model(0.0, [bent])], [0.0, 0.0], REACH_S)
+    joined = mixed([of_model(0.0, [0.0]), of_model(0.0, [bent])], REACH_S)
     assert shares(joined) == pytest.approx([1.0])
-    parted = mixed([of_model(0.0, [0.0]), of_model(-1.0, [turned])], [0.0, 0.0], REACH_S)
+    parted = mixed([of_model(0.0, [0.0]), of_model(-1.0, [turned])], REACH_S)
     assert shares(parted) == pytest.approx([1 / (1 + np.exp(-1)), 1 / (1 + np.e)])
 
 
@@ -385,9 +398,11 @@ def test_resampled_draws_are_proportional_to_the_weights():
 
 
 def test_draws_of_two_models_are_evaluated_once_each_and_keep_their_places():
-    shots = Shots(np.arange(15.0).reshape(5, 3), np.tile([0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 1)))
+    motions = LanderMotions(
+        np.arange(15.0).reshape(5, 3), np.tile([0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 1))
+    )
     of_model, region, none = np.array([1, 0, 0, 1, 1]), np.zeros(5, dtype=int), np.zeros(5)
-    draws = Draws(shots, none, of_model, region, effective=5.0, tail=0.0, evidence=0.0)
+    draws = Draws(motions, none, of_model, region, effective=5.0, tail=0.0, evidence=0.0)
     fits: list[Any] = [
         SimpleNamespace(model=SimpleNamespace(unknowns=("brightness",), offset=offset))
         for offset in (0.0, 100.0)
@@ -395,13 +410,13 @@ def test_draws_of_two_models_are_evaluated_once_each_and_keep_their_places():
     mix = Mixture(tuple(fits), draws, np.full(2, 0.5), np.ones(1), workers=2)
     evaluated: list[int] = []
 
-    def of_one(model: Any, motions: Shots) -> tuple[np.ndarray]:
+    def of_one(model: Any, motions: LanderMotions) -> tuple[np.ndarray]:
         evaluated.append(len(motions))
         return (model.offset + motions.omega,)
 
     index = np.array([4, 0, 4, 2, 1, 0])
     (value,) = mix.each_once(index, of_one)
-    np.testing.assert_array_equal(value, shots.omega[index] + 100.0 * of_model[index][:, None])
+    np.testing.assert_array_equal(value, motions.omega[index] + 100.0 * of_model[index][:, None])
     assert sorted(evaluated) == [2, 2]
 
 
@@ -414,7 +429,7 @@ def test_readings_that_no_motion_explains_have_no_chance():
         u = np.tile([0.0, BRIGHT + sigmas * READ], (100, 1))
         side = sigmas * TURN * np.array([[0.0, 0, 0, 1, 1, 0, 0]])
         sun = np.tile(motion.moved(side).sun, (100, 1))
-        checked = predictive_check(target, Shots(omega, sun, u), np.random.default_rng(0))
+        checked = predictive_check(target, LanderMotions(omega, sun, u), np.random.default_rng(0))
         assert low <= checked.p <= high
 
 
@@ -432,6 +447,6 @@ def test_of_several_sets_of_reading_unknowns_one_is_kept_by_its_weight():
     few, many = (drawn(target, rounds=6, reading_draws=count) for count in (1, 16))
     expected = (BRIGHT + 1.5 * READ) / (1 + READ**2)
     sigma = READ / np.hypot(READ, 1)
-    kept = many.shots.u[:, 1]
+    kept = many.motions.u[:, 1]
     assert weights(many) @ kept == pytest.approx(expected, abs=0.2 * sigma)
     assert many.effective / len(many) > 2 * few.effective / len(few)

@@ -16,6 +16,7 @@ from sunspin.estimate.starts import (
     aliases,
     aliases_about_two_axes,
     constant_rates,
+    fine_up_to,
     other_bodies,
     pair_starts,
     pairs_to_try,
@@ -50,7 +51,7 @@ def watched(deg_s, apart_s=20.0, count=20, sigma=0.03, max_deg_s=8.0, seed=0):
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_every_turn_between_two_directions_has_a_start_in_its_basin(whole):
+def test_every_turn_between_two_directions_has_a_start_within_half_a_radian(whole):
     """Also nearly whole turns about any axis, which leave a direction where it is."""
     rng, dt, rate_max = np.random.default_rng(5), 20.0, 0.6
     for _ in range(100):
@@ -62,6 +63,27 @@ def test_every_turn_between_two_directions_has_a_start_in_its_basin(whole):
         if first @ second > np.cos(0.5):
             rates = np.concatenate([rates, whole_turns(dt, rate_max, 2 * SEARCH.basin_rad)])
         assert np.linalg.norm(rates - omega, axis=1).min() * dt < 0.5
+
+
+def test_whole_turns_whose_axes_would_be_far_apart_make_a_search_coarse():
+    """Their number is limited, so that the axes of many turns are farther apart."""
+    dt = 20.0
+    model, _ = watched(0.2, dt)
+    sphere = replace(model, body=Body(np.eye(3), np.zeros((0, 3, 3))))
+    limit = fine_up_to(replace(sphere, rate_sigma=1.0), SEARCH)
+    for rate_max, answer in ((0.999 * limit, np.inf), (1.001 * limit, limit)):
+        assert fine_up_to(replace(sphere, rate_sigma=rate_max / 2), SEARCH) == answer
+    turns = int(limit * dt / (2 * np.pi))
+    axes = units(np.random.default_rng(0).normal(size=(500, 3)))
+    for more, near in ((0, True), (1, False)):
+        size = 2 * np.pi * (turns + more)
+        starts = whole_turns(dt, 1.001 * size / dt, 2 * SEARCH.basin_rad) * dt
+        apart = np.linalg.norm(starts - size * axes[:, None], axis=2).min(axis=1)
+        assert (apart.max() < 0.9) == near
+    # no axis is in question where the Sun moves from sample to sample
+    fast, _ = watched(4.0, dt)
+    fast = replace(fast, body=sphere.body, rate_sigma=1.0)
+    assert fine_up_to(fast, SEARCH) == np.inf
 
 
 def test_a_search_from_a_grid_begins_at_one_pair_if_a_magnetometer_determines_whole_turns():

@@ -11,7 +11,7 @@ import sunspin as ss
 from sunspin.cases import load_case
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.settings import POSTERIOR, SAMPLING
@@ -83,10 +83,10 @@ def lander_model(
     return with_priors(assessment, observe_window(assessment), priors)[0]
 
 
-def nominal(model: LanderModel, count: int = 1) -> Shots:
+def nominal(model: LanderModel, count: int = 1) -> LanderMotions:
     """Return the motion of the telemetry, so many times over."""
     u = np.zeros((count, len(model.unknowns)))
-    return Shots(np.tile(OMEGA, (count, 1)), np.tile(SUN, (count, 1)), u)
+    return LanderMotions(np.tile(OMEGA, (count, 1)), np.tile(SUN, (count, 1)), u)
 
 
 # --------------------------------------------------------------------------------------------------------------------------- box

@@ -13,6 +13,8 @@ import numpy as np
 from sunspin.estimate.carry import RATE, TURN, Step, angle_turned, step
 from sunspin.estimate.chain import earlier_states
 from sunspin.estimate.model import Model, Observations, States, Track
+from sunspin.estimate.terms.field import FieldChange
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Term
 from sunspin.estimate.verdict import in_sigma
 from sunspin.solve.rotations import rotate_attitude, rotation_between
@@ -137,10 +139,18 @@ def residuals_by_sensor(
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)
+    # an error of a sample's time turns the body about its rate
+    turned = obs.time_sigma_s * track.omega
+    spread[..., TURN, TURN] += turned[..., :, None] * turned[..., None, :]
     u = track.u * np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
     residuals: dict[str, np.ndarray] = {}
     earlier = earlier_states(model, obs, replace(track, u=u))
-    for term, own in zip(obs.terms, model.term_slices, strict=False):
+    for term, fitted, own in zip(obs.terms, model.obs.terms, model.term_slices, strict=False):
+        if isinstance(term, FieldChange) and isinstance(fitted, FieldChange):
+            # an alternative model may estimate a zero that the nominal one takes for exact
+            term = term.with_errors_of(fitted)
+        elif isinstance(term, Panels) and isinstance(fitted, Panels):
+            term = replace(term, tilt_sigma=fitted.tilt_sigma)
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():
             continue

@@ -140,13 +140,16 @@ def _fit_and_select(
 def rescale_unknowns(motions: Track, before: Model, after: Model) -> Track:
     """Return motions with their unknowns, given in sigmas of the model `before`, in sigmas of the model `after`.
 
-    The unknowns are the same; if one model has more of them at the end, those stay as they are.
+    An unknown that only one of the models has is left out, or begins at its centre.
     """
-    pairs = zip(before.unknowns, after.unknowns, strict=False)
-    ratio = np.ones(motions.u.shape[1])
-    for k, (was, now) in enumerate(pairs):
-        ratio[k] = was.sigma / now.sigma if now.sigma > 0 else was.sigma
-    return replace(motions, u=motions.u * ratio)
+    index = {unknown.name: k for k, unknown in enumerate(before.unknowns)}
+    u = np.zeros((len(motions), len(after.unknowns)))
+    for k, now in enumerate(after.unknowns):
+        number = index.get(now.name, motions.u.shape[1])
+        if number < motions.u.shape[1]:
+            was = before.unknowns[number]
+            u[:, k] = motions.u[:, number] * (was.sigma / now.sigma if now.sigma > 0 else was.sigma)
+    return replace(motions, u=u)
 
 
 def _distinct_motions(

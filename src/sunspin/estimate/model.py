@@ -187,11 +187,15 @@ class Noise:
 
 @dataclass(frozen=True)
 class Observations:
-    """What n samples show: times `t_s` (n), `momentum` (n, 3) of the wheels in mean moments times rad/s, and terms of sensors."""
+    """What n samples show: times `t_s` (n), `momentum` (n, 3) of the wheels in mean moments times rad/s, and terms of sensors.
+
+    `time_sigma_s`: one sigma of the error of each time, independent from sample to sample.
+    """
 
     t_s: np.ndarray
     momentum: np.ndarray
     terms: tuple[Term, ...]
+    time_sigma_s: float = 0.0
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -200,12 +204,28 @@ class Observations:
     def take(self, samples: Any) -> Observations:
         """Return some of the samples, by index or slice."""
         terms = tuple(term.take(samples) for term in self.terms)
-        return Observations(self.t_s[samples], self.momentum[samples], terms)
+        return Observations(self.t_s[samples], self.momentum[samples], terms, self.time_sigma_s)
 
     def of_pass(self, samples: Any) -> Observations:
         """Return some of the samples, those of one pass, in which the unknowns of the terms are constant."""
         taken = self.take(samples)
         return replace(taken, terms=tuple(term.of_pass(taken.t_s) for term in taken.terms))
+
+    def with_time_errors(self, motion: States) -> Observations:
+        """Return the samples with the errors of their times added to those of the readings, for a body that moves so (K = 1).
+
+        In the time sigma a body turns the Sun by |omega x sun| times it, and any other direction by |omega| times it at most.
+        """
+        of_sun, of_body = self.turned_in_time_sigma(motion)
+        terms = (term.loosened(of_sun if term.of_sun else of_body, 0.0) for term in self.terms)
+        return replace(self, terms=tuple(terms), time_sigma_s=0.0)
+
+    def turned_in_time_sigma(self, motion: States) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much a motion (K = 1) turns the Sun in the body, and the body, in one sigma of the times (n), rad."""
+        omega, sun = motion.omega[0], motion.sun_B[0]
+        sizes = (np.linalg.norm(vector, axis=1) for vector in (np.cross(omega, sun), omega))
+        of_sun, of_body = (self.time_sigma_s * size for size in sizes)
+        return of_sun, of_body
 
     @cached_property
     def sees_sun(self) -> np.ndarray:

@@ -50,6 +50,10 @@ MEASURED = "measured"
 HELD = "held at the nominal speed"
 COASTING = "coasting from the nominal speed at the first sample"
 
+TIME_UNITS_S, NEAR_UNIT = (1.0, 0.1), 1e-3
+"""Units to which times may have been rounded, s, the coarsest first; and how near to a multiple times are, in units: single digits
+of milliseconds may be lost on the way."""
+
 COAST_FROM = "coast_from_s"
 """Attribute of samples that were cut out of a file: time of the file's first sample, from which its wheels may coast."""
 
@@ -146,7 +150,23 @@ def observe(
         None if clock is None else Latency(clock.late_s, clock.sigma_s),
     )
     terms = [term for term in terms if term is not None]
-    return FileReadings(Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms)), why, source)
+    obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), rounded_to_s(t_s) / np.sqrt(12))
+    return FileReadings(obs, why, source)
+
+
+def rounded_to_s(t_s: np.ndarray) -> float:
+    """Return the unit (s) to which times (n) were rounded, zero if they are exact; the error is uniform over the unit.
+
+    They were if all of them are whole multiples of a unit from the first one, and no larger unit divides all intervals: a device
+    that samples every 10 s and was rounded shows 10 and 11 s. Samples at a fixed interval, also with gaps, are taken as exact.
+    """
+    intervals = np.diff(np.unique(t_s))
+    for unit in TIME_UNITS_S:
+        count = np.round(intervals / unit)
+        if len(count) and (np.abs(intervals / unit - count) < NEAR_UNIT).all():
+            uneven = np.gcd.reduce(count.astype(np.int64)) == 1 and count.min() > 1
+            return unit if uneven else 0.0
+    return 0.0
 
 
 def _torques(

@@ -22,10 +22,10 @@ from sunspin.base.provenance import provenance, with_units
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import columns_seen
 from sunspin.estimate.lander.carrier import Shooting
-from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts
+from sunspin.estimate.lander.grid import choose_reference, grid_starts
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Draws, ShotFit, Shots, TrialMotions
+from sunspin.estimate.lander.motions import LanderMotions, ModelFit
 from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.sample import Checked, resampled, sample
@@ -70,31 +70,18 @@ NO_TORQUES = "solutions with a constant torque were not searched, as this would 
 
 
 class NominalSearch(NamedTuple):
-    """The result of the search under the nominal model.
+    """The result of the search under the nominal model, in the steps of a `carrier`.
 
-    `window`: the observations; `reference`: the sample whose states give the motions, where the search began; `motions`: the last
-    trial motions, and `fit`: these fitted to all samples with all unknowns; `prior_words`: the priors and their sources in words.
+    `window`: the observations; `motions`: the last trial motions, and `fit`: these fitted to all samples with all unknowns;
+    `prior_words`: the priors and their sources in words.
     """
 
     assessment: Assessment
     window: Window
-    reference: Reference
     carrier: Shooting
-    motions: TrialMotions
-    fit: ShotFit
+    motions: LanderMotions
+    fit: ModelFit
     prior_words: dict[str, str]
-
-
-class Drawn(NamedTuple):
-    """Draws of each model, the nominal one first, with the fitted motions about which they were proposed; `doubts` in words."""
-
-    fits: list[ShotFit]
-    draws: list[Draws]
-    doubts: list[str]
-
-    def mixture(self, reach_s: float, settings: PosteriorSettings) -> Mixture:
-        """Return the draws of all models together."""
-        return Mixture.of(self.fits, self.draws, reach_s, settings.sampling)
 
 
 def posterior(
@@ -126,8 +113,8 @@ def posterior(
         by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each
         moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In rad:
         `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of each
-        sample. Default: what the vehicle file
-        states, else the values in :mod:`sunspin.estimate.settings`; the attributes of the result say which.
+        sample. Default: what the vehicle file states, else the values in :mod:`sunspin.estimate.settings`; the attributes of the
+        result say which.
     seed : int
         The same seed gives the same result to 1e-9 for any number of workers.
     observations : list of mappings
@@ -164,35 +151,24 @@ def posterior(
     # a stream of random numbers for each of three models, and again after a second search; for the draws of the result; for checks
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
     of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
-    say = progress if callable(progress) else _written if progress else _unsaid
+    say = progress if callable(progress) else _written if progress else lambda _: None
     say("searching every motion that the readings allow")
-    nominal = search_nominal(
-        vehicle,
-        telemetry,
-        priors,
-        begin_s=begin_s,
-        end_s=end_s,
-        phase=phase,
-        observations=observations,
-        wheel_mode=wheel_mode,
-        workers=workers,
-        settings=settings,
-    )
+    assessment = assess(vehicle, telemetry)
+    window = observe_window(assessment, begin_s, end_s, phase, observations)
+    nominal = search_nominal(assessment, window, priors, wheel_mode, workers, settings)
     budget = Budget(settings.motions)
     budget.spend(nominal.carrier.fitted)
     doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
-    mix = replace(mix, workers=nominal.carrier.workers)
     picked = resampled(mix.draws.log_weight, draws, of_result)
     checked, outliers = mix.checked(picked, of_checks, settings.sampling)
-    reference, model = nominal.reference, nominal.fit.model
-    searched_rad_s = min(reference.limit, model.max_rate)
+    searched_rad_s = min(nominal.carrier.reference.limit, nominal.fit.model.max_rate)
     prior_sigma = searched_rad_s / np.sqrt(5)  # of a component, uniform in the ball
     tree = tree_of(mix, picked, nominal.carrier.trace, prior_sigma)
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
     doubts = [*likeliest.notes, *doubts]
-    speed = np.linalg.norm(mix.draws.shots.omega[picked], axis=1)
+    speed = np.linalg.norm(mix.draws.motions.omega[picked], axis=1)
     if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
         doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
     if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
@@ -222,46 +198,29 @@ def posterior(
 
 
 def search_nominal(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    assessment: Assessment,
+    window: Window,
     priors: Mapping[str, Any] | None = None,
-    *,
-    begin_s: float | None = None,
-    end_s: float | None = None,
-    phase: str | None = None,
-    observations: Sequence[Mapping[str, Any]] = (),
     wheel_mode: str | Sequence[str] = "coast",
     workers: int | None = None,
     settings: PosteriorSettings = POSTERIOR,
 ) -> NominalSearch:
-    """Return every motion that the readings of a stretch allow under the nominal model, fitted to all samples.
-
-    Arguments as in :func:`sunspin.posterior`.
-    """
-    assessment = assess(vehicle, telemetry)
-    window = observe_window(assessment, begin_s, end_s, phase, observations)
+    """Return every motion that the readings of a window allow under the nominal model, fitted to all samples."""
     stated, prior_words = with_priors(assessment, window, priors, wheel_mode)
     reference = choose_reference(stated, settings.grid, bool((priors or {}).get("max_rate_rad_s")))
     carrier = Shooting(reference.about(stated), reference, settings, workers)
     motions = search_under(carrier)
-    return NominalSearch(
-        assessment=assessment,
-        window=window,
-        reference=reference,
-        carrier=carrier,
-        motions=motions,
-        fit=carrier.fit_all_samples(motions),
-        prior_words=prior_words,
-    )
+    fit = carrier.fit_all_samples(motions)
+    return NominalSearch(assessment, window, carrier, motions, fit, prior_words)
 
 
-def search_under(carrier: Shooting) -> TrialMotions:
+def search_under(carrier: Shooting) -> LanderMotions:
     """Return every motion that the readings allow under the model of a carrier, by a search that begins on the grid of rates."""
     settings = carrier.settings
     carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
 
-    def watch(window: slice, kept: TrialMotions) -> None:
+    def watch(window: slice, kept: LanderMotions) -> None:
         """Record the motions that a window leaves, and pass them on to the caller's own function."""
         carrier.note_window(window, kept)
         if settings.search.watch is not None:
@@ -282,75 +241,59 @@ def draw_all_models(
 
     `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows.
     """
-    settings = nominal.carrier.settings
-    # the longest time from the reference to a sample
-    reach_s = LanderTarget(nominal.fit.model).reach_s
-
     # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
-    # of a few degrees over the samples, since inertia and friction compensate it. So these models are always in the draws.
-    carrier = nominal.carrier
+    # that turns the body by a few degrees over the samples, since inertia and friction compensate it. So these models are always
+    # in the draws.
+    carrier, settings = nominal.carrier, nominal.carrier.settings
     torques = [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
     say(
         f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
     )
-    with ThreadPoolExecutor(nominal.carrier.workers) as pool:
-        fits = [nominal.fit, *pool.map(lambda torque: refit(torque, nominal), torques)]
-    drawn = draw_models(fits, nominal, streams[:3], budget)
-    mix = drawn.mixture(reach_s, settings)
-    may_search_again = bool(torques) and nominal.carrier.complete
-    if not may_search_again or nominal_explains(drawn, mix, reach_s, settings):
-        return drawn.doubts, mix
+    with ThreadPoolExecutor(carrier.workers) as pool:
+        fits = [nominal.fit, *pool.map(lambda torque: fit_under(torque, nominal), torques)]
+    fits, doubts = draw_models(fits, nominal, streams[:3], budget)
+    mix = Mixture.of(fits, settings.sampling, carrier.workers)
+    may_search_again = bool(torques) and carrier.complete
+    if not may_search_again or nominal_explains(mix, settings):
+        return doubts, mix
 
     # If no motion of the nominal model fits, a torque may be the cause: search under each torque from the first samples on. That is
-    # not done if the first search had to leave motions out, as one of these may fit without a torque.
-    if nominal.carrier.fitted > settings.long_search or budget.exhausted():
-        return [*drawn.doubts, NO_TORQUES], mix
+    # not done if the first search had to leave motions out, as one of these may fit without a torque, or took too long.
+    if carrier.fitted > settings.long_search or budget.exhausted():
+        return [*doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
-    under_torques = [search_and_refit(torque, nominal) for torque in torques]
-    again = draw_models(
-        [nominal.fit, *under_torques], nominal, streams[3:6], budget, drawn.draws[0]
-    )
-    return again.doubts, again.mixture(reach_s, settings)
+    searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
+    fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)
+    return doubts, Mixture.of(fits, settings.sampling, carrier.workers)
 
 
-def refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
-    """Return the motions of the nominal search fitted under the model of a carrier, whose further unknowns begin at their centres.
+def fit_under(
+    carrier: Shooting, nominal: NominalSearch, searched: LanderMotions | None = None
+) -> ModelFit:
+    """Return the motions of the nominal search and those `searched` under the model of a carrier, all fitted under that model.
 
-    Motions far worse than the best are fitted too: under another model they may fit.
+    Motions far worse than the best are fitted too: under another model they may fit. Its further unknowns begin at their centres.
     """
-    fit = carrier.fit_all_samples(
-        TrialMotions(_renamed(carrier.model, nominal), nominal.motions.starts)
-    )
+    names = [unknown.name for unknown in carrier.model.unknowns]
+    places = np.array([names.index(unknown.name) for unknown in nominal.carrier.model.unknowns])
+    motions = nominal.motions.with_unknowns(places, len(names))
+    if searched is not None:
+        return carrier.fit_all_samples(LanderMotions.joined([motions, searched]))
+    fit = carrier.fit_all_samples(motions)
     # motions that the search left out are missing under this model too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
 
 
-def search_and_refit(carrier: Shooting, nominal: NominalSearch) -> ShotFit:
-    """Return the motions of the nominal search and those of a search under the model of a carrier, all fitted under it."""
-    motions = search_under(carrier)
-    shots = Shots.joined([_renamed(carrier.model, nominal), motions.shots])
-    starts = np.concatenate([nominal.motions.starts, motions.starts])
-    return carrier.fit_all_samples(TrialMotions(shots, starts))
-
-
-def _renamed(model: LanderModel, nominal: NominalSearch) -> Shots:
-    """Return the motions of the nominal search as those of a model with further unknowns, which are at their centres."""
-    names = [unknown.name for unknown in model.unknowns]
-    places = np.array([names.index(unknown.name) for unknown in nominal.carrier.model.unknowns])
-    return nominal.motions.shots.with_unknowns(places, len(names))
-
-
 def draw_models(
-    fits: Sequence[ShotFit],
+    fits: Sequence[ModelFit],
     nominal: NominalSearch,
     streams: Sequence[np.random.Generator],
     budget: Budget,
-    before: Draws | None = None,
-) -> Drawn:
-    """Return draws of the nominal model, the first of the fits, and of other models with enough evidence, each from its own stream.
+) -> tuple[list[ModelFit], list[str]]:
+    """Return the fit of the nominal model, the first, and those of other models with enough evidence, with draws; doubts in words.
 
-    The likeliest model gets all draws, the others fewer. `before`: draws of the nominal model, if they have been made already.
+    Each model is drawn from its own stream, unless it has draws. The likeliest model gets all draws, the others fewer.
     """
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
     evidence = np.array([logsumexp(fit.log_evidence) for fit in fits])  # log, by Laplace's method
@@ -360,50 +303,43 @@ def draw_models(
     most = (budget.most - budget.used) / (len(chosen) + 1) / count
     limit = nominal.carrier.cost_limit(slice(0, count))
 
-    def draws_of(h: int) -> tuple[Draws, Budget]:
-        """Return the draws of a model and the budget that they used, in motions over the whole stretch."""
+    def drawn(h: int) -> tuple[ModelFit, Budget]:
+        """Return a fit with draws and the budget that they used, in motions over the whole stretch."""
         fit, s, spent = fits[h], settings.sampling, Budget(most)
-        if h == 0 and before is not None:
-            return before, spent
+        if fit.draws is not None:
+            return fit, spent
         part = 1.0 if evidence[h] == evidence.max() else settings.others_draws
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
-        s = replace(
-            s,
-            draws=int(part * s.draws),
-            wanted=part * s.wanted,
-        )
+        s = replace(s, draws=int(part * s.draws), wanted=part * s.wanted)
         # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one,
         # over `Unknown.sigma`.
         fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-        return sample(LanderTarget(fit.model), fit, streams[h], s, spent, fitted_share), spent
+        draws = sample(LanderTarget(fit.model), fit, streams[h], s, spent, fitted_share)
+        return replace(fit, draws=draws), spent
 
-    drawn = Drawn([], [], [])
     # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two
     with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
-        results = list(pool.map(draws_of, chosen))
-    for h, (draws, spent) in zip(chosen, results, strict=True):
-        fit = fits[h]
+        results = list(pool.map(drawn, chosen))
+    possible, doubts = [], []
+    for h, (fit, spent) in zip(chosen, results, strict=True):
         budget.spend(spent.used * count)
         budget.cut |= spent.cut
-        if np.isfinite(draws.evidence):
-            drawn.fits.append(fit)
-            drawn.draws.append(draws)
+        if np.isfinite(fit.drawn.evidence):
+            possible.append(fit)
         elif h == 0:
             raise _nothing_drawn(fit.model)
         elif evidence[h] > logsumexp(evidence) + np.log(COUNTS):
-            drawn.doubts.append(
+            doubts.append(
                 f"{fit.model.what} may explain the readings too, but no motion that it allows could be drawn"
             )
-    return drawn
+    return possible, doubts
 
 
-def nominal_explains(
-    drawn: Drawn, mix: Mixture, reach_s: float, settings: PosteriorSettings
-) -> bool:
+def nominal_explains(mix: Mixture, settings: PosteriorSettings) -> bool:
     """Return whether the nominal model explains the readings: they are likely under it, and no other is far likelier."""
     rng = np.random.default_rng(0)
-    alone = Drawn(drawn.fits[:1], drawn.draws[:1], []).mixture(reach_s, settings)
+    alone = Mixture.of(mix.fits[:1], settings.sampling)
     picked = resampled(alone.draws.log_weight, settings.checked_draws, rng)
     checked, _ = alone.checked(picked, rng, settings.sampling)
     return bool(
@@ -451,10 +387,6 @@ def _written(line: str) -> None:
     tqdm.write(f"sunspin: {line}", file=sys.stderr)
 
 
-def _unsaid(_: str) -> None:
-    """Say nothing."""
-
-
 def _require_whole(seed: Any, draws: Any) -> None:
     """Raise InputError for a seed or a number of draws that is no whole number, or too small."""
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
@@ -466,8 +398,8 @@ def _about(
     nominal: NominalSearch, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
 ) -> dict[str, Any]:
     """Return the attributes of the result that describe its telemetry, its priors and the search."""
-    window, reference, model = nominal.window, nominal.reference, nominal.fit.model
-    comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
+    window, reference, model = nominal.window, nominal.carrier.reference, nominal.fit.model
+    comments = {"comments": telemetry.attrs["comments"]} if "comments" in telemetry.attrs else {}
     mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
     t_s = window.start_s + window.obs.t_s[model.panels.present()]
     return provenance(

@@ -51,7 +51,7 @@ ANY_AXIS_RAD = 0.5
 """Two directions nearer to each other than this may be whole turns apart, about any axis."""
 
 MOST_AXES = 4000
-"""Axes of whole turns that are tried, at most: enough for two turns."""
+"""Axes of whole turns that are tried, at most: enough for two turns. For more turns they are farther apart."""
 
 AT_ONCE = 4000
 """Starts that are carried together: memory."""
@@ -181,8 +181,8 @@ def starts(model: Model, first: int, s: SearchSettings, trust_gyro: bool) -> Pai
         rates_of_suns = []
         for sun in suns:
             rates = [constant_rates(sun, end, dt, rate_max, s.step_rad) for end in ends]
-            # If the directions are alike, whole turns about any axis end there too. They are two basins apart, as a fit finds the
-            # truth one basin away to every side.
+            # If the directions are alike, whole turns about any axis end there too. They are two basins apart: three quarters of
+            # all axes have one within a basin, and further pairs of samples give the others another chance.
             if (ends @ sun).max() > np.cos(ANY_AXIS_RAD):
                 rates.append(whole_turns(dt, rate_max, 2 * s.basin_rad))
             rates_of_suns.append(np.concatenate([rest, *rates, gyro_rates]))
@@ -402,15 +402,22 @@ def _rate_grid(size: float, rate_max: float) -> np.ndarray:
 
 
 def fine_up_to(model: Model, s: SearchSettings) -> float:
-    """Return the largest rate (rad/s) up to which the starts of a pass miss no motion; infinity if that is any rate.
+    """Return the largest rate (rad/s) up to which the starts of a pass are as near to each other as planned; infinity: any rate.
 
-    Only a grid that was made coarser to hold fewer starts can miss one (:func:`grid_step`).
+    They are farther apart where their number is limited: those of a grid of rates (:func:`grid_step`), and the axes of whole turns
+    (:func:`whole_turns`), of which there are any if the Sun is in the same direction at both samples.
     """
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
-    if _constant_rate_holds(model, first) or grid_step(1, dt, model.rate_max, s) * dt <= COARSE_RAD:
-        return np.inf
-    return COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)
+    searched = model.for_search(model.noise)[0]
+    suns = allowed_directions(searched, first)
+    if _constant_rate_holds(model, first):
+        alike = (suns @ allowed_directions(searched, first + 1).T).max() > np.cos(ANY_AXIS_RAD)
+        # axes are two basins apart where those of a grid are one
+        limit = 2 * COARSE_RAD * np.sqrt(MOST_AXES / (4 * np.pi)) / dt if alike else np.inf
+    else:
+        limit = COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3 * len(suns))) ** (1 / 3)
+    return limit if model.rate_max > limit else np.inf
 
 
 def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:

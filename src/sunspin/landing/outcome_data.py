@@ -117,6 +117,16 @@ def _explain_missing(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterat
     `values` are those of :func:`outcome_dataset`.
     """
     vehicle, shape = rows.vehicle, rows.shape
+    runs_on = [
+        wheel.name
+        for wheel in vehicle.wheels
+        if wheel.friction.coulomb_N_m == wheel.friction.viscous_N_m_s == 0
+    ]
+    if runs_on and any("coast" in command for _, command in rows.strategy.schedule):
+        yield (
+            f"Without friction in the vehicle file (wheel {', '.join(runs_on)}) a wheel hardly slows down when its motor is off, "
+            "so all commands but the brake give nearly the same motion."
+        )
     if rows.until != "landing":
         yield f"The simulation ends with the {rows.until}: nothing later is reported."
     if rows.scenario.collision_speed_m_s is None:

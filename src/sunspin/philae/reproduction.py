@@ -23,7 +23,14 @@ from sunspin.base.provenance import version
 from sunspin.cases import Case, load_case
 from sunspin.compute.helper import helper_process
 from sunspin.compute.pool import worker_count
-from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
+from sunspin.output.folder import (
+    CITE,
+    Contents,
+    results_folder,
+    write_data,
+    write_manifest,
+    write_whole,
+)
 from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
@@ -139,6 +146,7 @@ def reproduce(
     unchanged = telemetry is None and vehicle is None and not requested
     tables = [_contradictions(case)] if unchanged else []
     drawn: pictures.Drawn = {}
+    on_disk: set[str] = set()  # data of this run that are written
 
     def write(study: Study) -> Written:
         """Write inputs, pictures, summary, data and page of the study."""
@@ -151,7 +159,11 @@ def reproduce(
         summary |= {"command": shlex.join(command), "inputs": _hash_inputs(case, vehicle)}
         samples = case.telemetry, study.synthetic
         contents = Contents(make_datasets(study), drawings, tables, vehicle_text, *samples)
-        write_contents(folder, summary, contents)
+        # the posterior adds data and changes none
+        unwritten = {name: data for name, data in contents.data.items() if name not in on_disk}
+        write_data(folder, replace(contents, data=unwritten))
+        on_disk.update(unwritten)
+        write_manifest(folder, summary, contents)
         return Written(folder, write_report(folder), summary)
 
     # the posterior needs no result of the other steps, unless their candidates are its draws

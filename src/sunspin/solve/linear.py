@@ -16,14 +16,15 @@ class DenseSystem(NamedTuple):
     """Normal equations of K problems with D unknowns.
 
     `cost` (K), `matrix` (K, D, D), `slope` (K, D). `scale` (K, D) is added to the diagonal per unit of damping; None: the
-    diagonal of the matrix (Marquardt's choice). `extras` are arrays (K, ...) of the same state that the caller wants back.
+    diagonal of the matrix (Marquardt's choice). `extras` are arrays (K, ...) of the same state that the caller wants back, in a
+    tuple or a named one.
     """
 
     cost: np.ndarray
     matrix: np.ndarray
     slope: np.ndarray
     scale: np.ndarray | None = None
-    extras: tuple[np.ndarray, ...] = ()
+    extras: Any = ()
 
     @classmethod
     def from_residuals(

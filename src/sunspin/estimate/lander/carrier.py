@@ -27,7 +27,7 @@ from sunspin.estimate.lander.fit import (
 )
 from sunspin.estimate.lander.grid import Reference, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
-from sunspin.estimate.lander.motions import ShotFit, Shots, TrialMotions
+from sunspin.estimate.lander.motions import LanderMotions, ModelFit
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
@@ -98,7 +98,7 @@ class Shooting:
 
     # ---- the search --------------------------------------------------------------------------------------------------------
 
-    def fit(self, motions: TrialMotions, window: slice) -> TrialMotions:
+    def fit(self, motions: LanderMotions, window: slice) -> LanderMotions:
         """Return motions fitted to the samples of a window, on several levels: a factor on the noise and steps under it.
 
         Fits that are far too bad after the first level end there. In windows larger than the first one in which body and wheel are
@@ -107,8 +107,7 @@ class Shooting:
         """
         s = self.s
         problem, held = self._problem(window)
-        first = not len(motions.curvature) and not len(motions.neighbours_s)
-        levels = s.first_levels if first else s.levels
+        levels = s.levels if len(motions.neighbours_s) else s.first_levels
         limit = self.cost_limit(window)
         # under the wider noise of the first level only motions that do not fit cost more than this
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
@@ -120,23 +119,23 @@ class Shooting:
         self._last_fitted = len(motions)
         return fitted
 
-    def note_window(self, window: slice, kept: TrialMotions) -> None:
+    def note_window(self, window: slice, kept: LanderMotions) -> None:
         """Add a window to the trace: how many motions were fitted to it, and are kept."""
         self.trace.append(Stage(window.stop - window.start, self._last_fitted, len(kept)))
 
     def _fitted(
         self,
         problem: FitProblem,
-        motions: TrialMotions,
-        fit: Callable[..., tuple[Shots, np.ndarray]],
+        motions: LanderMotions,
+        fit: Callable[..., LanderMotions],
         levels: Sequence[tuple[float, int]],
-    ) -> TrialMotions:
+    ) -> LanderMotions:
         """Return motions fitted by a function of a problem, motions and levels."""
         self.fitted += len(motions) * len(problem.model.obs)
+        if not len(motions.neighbours_s):
+            motions = replace(motions, neighbours_s=np.zeros(len(motions)))
         fit_part = partial(fit, problem, levels=levels)
-        shots, curvature = in_pieces(fit_part, motions.shots, problem.rows_at_once, self.workers)
-        neighbours_s = motions.neighbours_s if len(motions.neighbours_s) else np.zeros(len(shots))
-        return TrialMotions(shots, motions.starts, curvature, neighbours_s)
+        return in_pieces(fit_part, motions, problem.rows_at_once, self.workers)
 
     def _problem(self, window: slice) -> tuple[FitProblem, bool]:
         """Return the fit to a window, and whether body and wheel are held at their centres.
@@ -149,11 +148,11 @@ class Shooting:
         terms = (model.panels.with_tilts_as_noise(), *model.given)
         model = replace(model, obs=replace(model.obs, terms=terms))
         free = np.ones(len(model.unknowns), dtype=bool)
-        free[model.places(TILT)] = False
+        free[model.indices(TILT)] = False
         free[: len(model.of_motion)] = not held
         return FitProblem(model, free, sizes=self.sizes), held
 
-    def kept(self, motions: TrialMotions, window: slice) -> TrialMotions:
+    def kept(self, motions: LanderMotions, window: slice) -> LanderMotions:
         """Return motions without copies and without those that the readings rule out, best first."""
         s = self.s
         # within the limit by noise, and not far less probable than the best; if there are none, a few of the best
@@ -175,7 +174,7 @@ class Shooting:
             return motions
         return self._at_most(one_each_ridge(motions, s), s.most, size)
 
-    def _at_most(self, motions: TrialMotions, most: int, where: str) -> TrialMotions:
+    def _at_most(self, motions: LanderMotions, most: int, where: str) -> LanderMotions:
         """Return at most so many motions (best first), evenly spaced in the order of cost, so that a line keeps its ends."""
         if len(motions) <= most:
             return motions
@@ -183,7 +182,7 @@ class Shooting:
         even = np.linspace(0, len(motions) - 1, most).round().astype(int)
         return motions.take(np.unique(even))
 
-    def widened(self, motions: TrialMotions, window: slice, wider: slice) -> TrialMotions:
+    def widened(self, motions: LanderMotions, window: slice, wider: slice) -> LanderMotions:
         """Return motions for a wider window: with neighbours of families, without those that the next samples rule out.
 
         The comparison with a sample takes one run of a motion, a fit forty.
@@ -196,7 +195,7 @@ class Shooting:
         allowed = np.ones(len(motions), dtype=bool)
         for sample in (window.start - 1, window.stop):
             if wider.start <= sample < wider.stop:
-                allowed[allowed] = self._allowed(motions.shots.take(allowed), sample)
+                allowed[allowed] = self._allowed(motions.take(allowed), sample)
         if allowed.any():
             motions = motions.take(allowed)
         # a third of the remaining work, which is counted in motions times samples
@@ -206,48 +205,41 @@ class Shooting:
         self._announce(len(motions), most, samples)
         return self._at_most(motions, most, f"({samples} samples)")
 
-    def _allowed(self, shots: Shots, sample: int) -> np.ndarray:
+    def _allowed(self, motions: LanderMotions, sample: int) -> np.ndarray:
         """Return which motions (K) a sample allows.
 
-        It allows a motion if a direction within `look_rad` of the predicted Sun explains its panels. The rate at the first sample
-        must also be within the limit.
+        It allows a motion if a direction within `look_rad` of the predicted Sun explains its panels, up to the square of sigmas
+        that the grid allows too. The motion must also be slow enough at the first sample (:attr:`Reference.fastest`).
         """
-        g = self.settings.grid
+        grid, motions = self.settings.grid, motions.bare
         model = self.model.seeing(slice(sample, sample + 1))
-        bare = replace(model, obs=replace(model.obs, terms=(model.panels,)))
-        allowed = np.zeros(len(shots), dtype=bool)
-        for start in range(0, len(shots), RUNS_AT_ONCE):
+        panels = replace(model, obs=replace(model.obs, terms=(model.panels,)))
+        allowed = np.zeros(len(motions), dtype=bool)
+        for start in range(0, len(motions), RUNS_AT_ONCE):
             rows = slice(start, start + RUNS_AT_ONCE)
-            carried = bare.carried(shots.take(rows), TRIAL_ERROR)
-            sun = np.nan_to_num(carried.seen.sun_B)
-            short = shortfall(bare.panels, sun, self.s.look_rad, g).sum(axis=1)
-            allowed[rows] = (short <= g.limit) & carried.fine
-        slow = self.model.first_speed(shots.take(allowed), TRIAL_ERROR) <= self.reference.fastest
+            sun = panels.carried(motions.take(rows), TRIAL_ERROR).sun_B
+            squares = shortfall(panels.panels, np.nan_to_num(sun), self.s.look_rad, grid).sum(
+                axis=1
+            )
+            allowed[rows] = (squares <= grid.limit) & np.isfinite(sun).all(axis=(1, 2))
+        slow = self.model.first_speed(motions.take(allowed), TRIAL_ERROR) <= self.reference.fastest
         allowed[allowed] = slow
         return allowed
 
     def _announce(self, going: int, most: int, samples: int) -> None:
         """Warn before a fit that takes long or leaves motions out, with a smaller rate limit that would avoid it."""
         took = FIT_S * min(going, most) * samples / self.s.held
-        log = logging.getLogger("sunspin")
+        takes = f"takes about {took / 60:.1f} min"
         if going > most:
             smaller = self.reference.given * (most / going) ** (1 / 3)
-            log.warning(
-                "sunspin: %d motions may fit %d samples; %d of them are followed, which takes about %.1f min, and the search will "
-                "not be complete; with --prior max_rate_rad_s=%.2g about all of them would be followed",
-                going,
-                samples,
-                most,
-                took / 60,
-                smaller,
+            _warn(
+                f"{going} motions may fit {samples} samples; {most} of them are followed, which {takes}, and the search will not "
+                f"be complete; with --prior max_rate_rad_s={smaller:.2g} about all of them would be followed"
             )
         elif samples == self.s.held and took > LONG_S:
-            log.warning(
-                "sunspin: %d motions may fit %d samples; following them takes about %.1f min, and in proportion to the cube of "
-                "--prior max_rate_rad_s less",
-                going,
-                samples,
-                took / 60,
+            _warn(
+                f"{going} motions may fit {samples} samples; following them {takes}, and in proportion to the cube of --prior "
+                "max_rate_rad_s less"
             )
 
     def announce_starts(self) -> None:
@@ -256,15 +248,13 @@ class Shooting:
         took = START_S * cell_count(reference.limit, reference.edge) * len(reference.suns)
         if took > LONG_S:
             smaller = min(reference.given, reference.limit) * (LONG_S / took) ** (1 / 3)
-            logging.getLogger("sunspin").warning(
-                "sunspin: looking for starts takes about %.1f min; with --prior max_rate_rad_s=%.2g about one",
-                took / 60,
-                smaller,
+            _warn(
+                f"looking for starts takes about {took / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
             )
 
-    def joined(self, motions: list[TrialMotions]) -> TrialMotions:
+    def joined(self, motions: list[LanderMotions]) -> LanderMotions:
         """Return the motions of several searches."""
-        return TrialMotions.joined(motions)
+        return LanderMotions.joined(motions)
 
     def cost_limit(self, window: slice) -> float:
         """Return the cost that a true motion does not exceed in a window.
@@ -274,7 +264,7 @@ class Shooting:
         """
         s, model = self.s, self.model.seeing(window)
         count = _explained(model)
-        sigma = sum(model.unknowns[i].sigma for i in model.places("noise"))
+        sigma = sum(model.unknowns[i].sigma for i in model.indices("noise"))
         noisy = min(s.noise_sigmas * sigma, s.noise_most)
         # (3 sigmas)^2 of half a chi-square of `count` numbers are 9 count / 2
         chance = float(np.sqrt((noisy * count) ** 2 + 4.5 * count + s.slack**2))
@@ -283,53 +273,53 @@ class Shooting:
 
     # ---- all samples -------------------------------------------------------------------------------------------------------
 
-    def fit_all_samples(self, motions: TrialMotions) -> ShotFit:
+    def fit_all_samples(self, motions: LanderMotions) -> ModelFit:
         """Return motions and their symmetric solutions fitted to all samples with all unknowns free, without copies.
 
         Each fit begins with the stated sigma of the inertia and again with the larger one; under a constant torque with several of
         its sizes, as the prior of a small size would keep the torque small.
         """
-        fit = self._fit_all_samples(motions.shots, motions.starts)
+        fit = self._fit_all_samples(motions)
         images = self.model.panels.response.symmetries
         if len(images) == 1:
             return fit
         # The search may miss symmetric solutions, which no reading distinguishes. A mirror reverses rates, which are axial vectors.
-        shots = fit.motions
+        omega, sun = fit.motions.omega, fit.motions.sun
         imaged = [
-            Shots(np.linalg.det(x) * (shots.omega @ x.T), shots.sun @ x.T, shots.u) for x in images
+            replace(fit.motions, omega=np.linalg.det(image) * (omega @ image.T), sun=sun @ image.T)
+            for image in images
         ]
-        return self._fit_all_samples(Shots.joined(imaged), np.tile(fit.starts, len(images)))
+        return self._fit_all_samples(LanderMotions.joined(imaged))
 
-    def _fit_all_samples(self, shots: Shots, starts: np.ndarray) -> ShotFit:
+    def _fit_all_samples(self, motions: LanderMotions) -> ModelFit:
         """Return motions fitted to all samples."""
         free = np.ones(len(self.model.unknowns), dtype=bool)
         begins: list[Sizes] = [{"inertia": 0}, {"inertia": 1}]
-        if torque := self.model.places("steady_torque"):
+        if torque := self.model.indices("steady_torque"):
             count = len(self.model.unknowns[torque[0]].shares)
             begins = [{"inertia": 0, "steady_torque": i} for i in self.s.torque_levels if i < count]
-        elif not self.model.places("inertia"):
+        elif not self.model.indices("inertia"):
             begins = [ALL_SIZES]
-        parts, curvatures = [], []
+        parts = []
         for sizes in begins:
             problem = FitProblem(self.model, free, FINAL_ERROR, sizes)
             fit_part = partial(fit_finally, problem, levels=self.s.last_levels)
-            fitted, curvature = in_pieces(fit_part, shots, problem.rows_at_once, self.workers)
+            fitted = in_pieces(fit_part, motions, problem.rows_at_once, self.workers)
             if sizes:
                 # now under the prior with all sizes
                 problem = replace(problem, sizes=ALL_SIZES)
                 fit_part = partial(fit_finally, problem, levels=((1.0, 4),))
-                fitted, curvature = in_pieces(fit_part, fitted, problem.rows_at_once, self.workers)
+                fitted = in_pieces(fit_part, fitted, problem.rows_at_once, self.workers)
             parts.append(fitted)
-            curvatures.append(curvature)
-        fitted, curvature = Shots.joined(parts), np.concatenate(curvatures)
-        evidence = log_evidence(self.model, fitted.cost, curvature)
-        fit = ShotFit(self.model, fitted, curvature, evidence, np.tile(starts, len(begins)))
-        fit = distinct_fits(fit, self.s)
+        fitted = LanderMotions.joined(parts)
+        evidence = log_evidence(self.model, fitted.cost, fitted.curvature)
+        fit = distinct_fits(ModelFit(self.model, fitted, evidence), self.s)
         if len(fit) > self.s.most_fitted:
             self._note(f"more than {self.s.most_fitted} solutions", complete=True)
             fit = fit.take(slice(self.s.most_fitted))
-        starts = -(-fit.starts // len(begins))  # each start was fitted from each size
-        return replace(fit, starts=starts, complete=self.complete, notes=tuple(self.notes))
+        # each start was fitted from each size
+        fitted = replace(fit.motions, starts=-(-fit.motions.starts // len(begins)))
+        return replace(fit, motions=fitted, complete=self.complete, notes=tuple(self.notes))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:
@@ -341,7 +331,12 @@ def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) ->
     prior = np.log(4 / 3 * np.pi * model.max_rate**3) + np.log(4 * np.pi) + model.log_possible
     # of (2 pi)^(D / 2) the unknowns' priors take (2 pi)^(m / 2)
     volume = 2.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature + least)[1]
-    return -cost + volume - prior + model.log_prior
+    return -cost + volume - prior
+
+
+def _warn(text: str) -> None:
+    """Write a line on the log of the package."""
+    logging.getLogger("sunspin").warning("sunspin: %s", text)
 
 
 def _explained(model: LanderModel) -> float:

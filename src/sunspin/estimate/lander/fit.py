@@ -6,8 +6,8 @@ runs. After each step they are corrected by the change that the step has made (B
 takes one run. The noise is no unknown of a step: after the steps it gets its best value for the residuals.
 
 A motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit. c of these change the motion, the
-others only the readings. `seen` (K, n, w) are the states of K motions at n samples that sensors depend on: directions to the Sun
-(w = 3), and rates if they are needed (w = 6). `value` (K, R) are predicted less read numbers.
+others only the readings. The `track` (K, n, w) of K motions is what sensors depend on at n samples: directions to the Sun (w = 3),
+and rates if they are needed (w = 6). `value` (K, R) are predicted less read numbers.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sunspin.estimate.lander.model import LanderModel, Sizes
-from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, UNKNOWNS, Shots
+from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, UNKNOWNS, LanderMotions
 from sunspin.estimate.terms.powers import LARGEST_LOG_NOISE, SunStates
 from sunspin.solve.least_squares import least_squares, limit_length, take_problems
 from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
 
-SEEN_SUN, SEEN_RATE = slice(0, 3), slice(3, None)
-"""Slices of `seen`: direction to the Sun and rate (rad/s) at a sample."""
+TRACK_SUN, TRACK_RATE = slice(0, 3), slice(3, None)
+"""Slices of `track`: direction to the Sun and rate (rad/s) at a sample."""
 
 RATE_STEP = 3e-4
 """Step of the differences in rates, as a rotation (rad) over the window. Second-order terms are a thousandth of the derivative."""
@@ -54,41 +54,42 @@ NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
 """Derivatives, and motions, that one thread holds in memory at once."""
 
 
-def states_of(seen: np.ndarray) -> SunStates:
-    """Return `seen` (K, n, w) as directions to the Sun and rates."""
-    return SunStates.of(seen[..., SEEN_SUN], seen[..., SEEN_RATE])
+def states_of(track: np.ndarray) -> SunStates:
+    """Return `track` (K, n, w) as directions to the Sun and rates."""
+    return SunStates.of(track[..., TRACK_SUN], track[..., TRACK_RATE])
 
 
 class Point(NamedTuple):
-    """Motions in a fit: states at the reference, derivatives `seen_slopes` (K, c, n, w) of `seen`, and the last step.
+    """Motions of a fit one `step` (K, c) after motions whose derivatives are known; the tangents are those of the new directions.
 
-    `before` (K, n, w): `seen` before that step; `step` (K, c), zero if derivatives are not to be corrected by it.
+    `before` (K, n, w): `track` before the step, and `track_slopes` (K, c, n, w): its derivatives. A step of zero does not correct
+    these.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
-    seen_slopes: np.ndarray
+    track_slopes: np.ndarray
     before: np.ndarray
     step: np.ndarray
 
     @property
-    def shots(self) -> Shots:
+    def motions(self) -> LanderMotions:
         """Return the motions."""
-        return Shots(self.omega, self.sun, self.u)
+        return LanderMotions(self.omega, self.sun, self.u)
 
 
 class Linear(NamedTuple):
     """Residuals `value` (K, R) in stated sigmas and their derivatives `jacobian` (K, R, F) by the free coordinates.
 
-    `fine` (K): the motion could be computed; `seen_slopes` and `seen` as in :class:`Point`.
+    `fine` (K): the motion could be computed; `track` (K, n, w), and `track_slopes` (K, c, n, w): its derivatives.
     """
 
     value: np.ndarray
     jacobian: np.ndarray
     fine: np.ndarray
-    seen_slopes: np.ndarray
-    seen: np.ndarray
+    track_slopes: np.ndarray
+    track: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class FitProblem:
     @cached_property
     def fitted(self) -> np.ndarray:
         """Return the indices of the unknowns that steps change: the free ones but for the noise."""
-        noise = self.model.places("noise")
+        noise = self.model.indices("noise")
         return np.setdiff1d(np.flatnonzero(self.free_unknowns), noise)
 
     @cached_property
@@ -125,11 +126,6 @@ class FitProblem:
         """Return the indices (c) of the free coordinates on which the motion depends."""
         return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.moving])
 
-    @cached_property
-    def reach_s(self) -> float:
-        """Return the longest time from the reference to a sample."""
-        return max(float(np.abs(self.model.obs.t_s).max()), 1e-6)
-
     @property
     def rows_at_once(self) -> int:
         """Return how many motions one thread fits at once."""
@@ -138,79 +134,79 @@ class FitProblem:
 
     # ---- derivatives -------------------------------------------------------------------------------------------------------
 
-    def seen(self, shots: Shots, error_rad: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return `seen` (K, n, w) of motions, and which could be computed (K).
+    def track(self, motions: LanderMotions, error_rad: float) -> np.ndarray:
+        """Return `track` (K, n, w) of motions, not a number for those that could not be computed.
 
         Rates are included if times of samples have errors, or if there are other readings than those of panels.
         """
-        states, fine = self.model.carried(shots, error_rad)
+        states = self.model.carried(motions, error_rad)
         if not (self.model.given or self.model.panels.time_s):
-            return states.sun_B, fine
-        return np.concatenate([states.sun_B, states.omega], axis=2), fine
+            return states.sun_B
+        return np.concatenate([states.sun_B, states.omega], axis=2)
 
-    @property
-    def difference_error(self) -> float:
-        """Return the error of directions (rad) in runs that give derivatives by their differences."""
-        return self.error_rad / 10
-
-    def derivatives(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
-        """Return `seen` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
+    def derivatives(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
+        """Return `track` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
 
         They include the jump when a wheel stops. Derivatives by the direction need one run: r(0) -> r(t) is a rotation that does
         not depend on r(0), so that one tangent is propagated like the Sun, and the other one is across both.
         """
-        count = len(shots)
-        rate_step = RATE_STEP / self.reach_s
-        tangent, _ = tangent_basis(shots.sun)
+        count = len(motions)
+        rate_step = RATE_STEP / self.model.reach_s
+        tangent, _ = tangent_basis(motions.sun)
         # runs: the motion (0), three other rates (1 to 3), a tangent in place of the Sun (4), and each unknown changed (5 on)
-        runs = [shots]
-        runs += [replace(shots, omega=shots.omega + rate_step * axis) for axis in np.eye(3)]
-        runs.append(replace(shots, sun=tangent))
+        motions = motions.bare
+        runs = [motions]
+        runs += [replace(motions, omega=motions.omega + rate_step * axis) for axis in np.eye(3)]
+        runs.append(replace(motions, sun=tangent))
         steps = self._unknown_steps()
         for i, step in zip(self.moving, steps, strict=True):
-            u = shots.u.copy()
+            u = motions.u.copy()
             u[:, i] += step
-            runs.append(replace(shots, u=u))
-        bare = [Shots(run.omega, run.sun, run.u) for run in runs]
-        seen, fine = self.seen(Shots.joined(bare), self.difference_error)
-        seen = seen.reshape(len(runs), count, *seen.shape[1:])
-        base = seen[0]
-        seen_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
-        seen_slopes[RATE] = (seen[1:4] - base) / rate_step
-        sun, carried = base[..., SEEN_SUN], seen[4, ..., SEEN_SUN]
-        seen_slopes[SUN, ..., SEEN_SUN] = np.stack([carried, cross(sun, carried)])
-        seen_slopes[UNKNOWNS] = (seen[5:] - base) / steps[:, None, None, None]
-        return base, np.nan_to_num(np.moveaxis(seen_slopes, 0, 1))
+            runs.append(replace(motions, u=u))
+        # differences need more exact runs than predictions
+        track = self.track(LanderMotions.joined(runs), self.error_rad / 10)
+        track = track.reshape(len(runs), count, *track.shape[1:])
+        base = track[0]
+        track_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
+        track_slopes[RATE] = (track[1:4] - base) / rate_step
+        sun, carried = base[..., TRACK_SUN], track[4, ..., TRACK_SUN]
+        track_slopes[SUN, ..., TRACK_SUN] = np.stack([carried, cross(sun, carried)])
+        track_slopes[UNKNOWNS] = (track[5:] - base) / steps[:, None, None, None]
+        return base, np.nan_to_num(np.moveaxis(track_slopes, 0, 1))
 
     def _unknown_steps(self) -> np.ndarray:
         """Return the steps of the differences in the unknowns of the motion, in sigmas."""
-        usual = min(UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.reach_s, 1.0), LARGEST_UNKNOWN_STEP)
+        usual = min(
+            UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.model.reach_s, 1.0), LARGEST_UNKNOWN_STEP
+        )
         steps = np.full(len(self.moving), usual)
         for k, i in enumerate(self.moving):
             if self.model.unknowns[i].kind == "steady_torque":
                 # turn of the body within the window by one sigma
-                turn = max(self.model.unknowns[i].sigma * self.reach_s**2 / 2, RATE_STEP)
+                turn = max(self.model.unknowns[i].sigma * self.model.reach_s**2 / 2, RATE_STEP)
                 steps[k] = RATE_STEP / turn
         return steps
 
-    def differences(self, shots: Shots, seen: np.ndarray, seen_slopes: np.ndarray) -> Linear:
-        """Return residuals of readings and their derivatives, by the chain rule from `seen` (K, n, w) and `seen_slopes`.
+    def differences(
+        self, motions: LanderMotions, track: np.ndarray, track_slopes: np.ndarray
+    ) -> Linear:
+        """Return residuals of readings and their derivatives, by the chain rule from `track` (K, n, w) and `track_slopes`.
 
-        If `seen_slopes` has c = 0 the only derivatives are those by unknowns on which the motion does not depend.
+        If `track_slopes` has c = 0 the only derivatives are those by unknowns on which the motion does not depend.
         """
-        model, count = self.model, len(shots)
-        fine = np.all(np.isfinite(seen), axis=(1, 2))
-        seen = np.where(fine[:, None, None], seen, 0.0)
-        states = states_of(seen)
+        model, count = self.model, len(motions)
+        fine = np.all(np.isfinite(track), axis=(1, 2))
+        track = np.where(fine[:, None, None], track, 0.0)
+        states = states_of(track)
         # a change d of the Sun is the rotation d x sun of the body; no sensor shows the rotation about the Sun
-        turn = np.moveaxis(cross(seen_slopes[..., SEEN_SUN], states.sun[:, None]), 1, -1)
-        of_rate = np.moveaxis(seen_slopes[..., SEEN_RATE], 1, -1)
+        turn = np.moveaxis(cross(track_slopes[..., TRACK_SUN], states.sun[:, None]), 1, -1)
+        of_rate = np.moveaxis(track_slopes[..., TRACK_RATE], 1, -1)
         # fitted unknowns of the panels; the first `moving` columns of the Jacobian are coordinates that change the motion
         own = self.fitted[len(self.moving) :] - len(model.of_motion)
-        moving = seen_slopes.shape[1]
+        moving = track_slopes.shape[1]
         values, columns = [], []
         for term in (model.panels, *model.given):
-            for residual in term.residuals(states, shots.u[:, model.of_panels]):
+            for residual in term.residuals(states, motions.u[:, model.of_panels]):
                 jacobian = np.zeros((*residual.value.shape, moving + len(own)))
                 if moving and residual.by_turn is not None:
                     jacobian[..., :moving] += residual.by_turn @ turn
@@ -224,7 +220,7 @@ class FitProblem:
         fine = fine & np.all(np.isfinite(value), axis=1)
         value = np.where(fine[:, None], value, 0.0)
         jacobian = np.where(np.isfinite(jacobian) & fine[:, None, None], jacobian, 0.0)
-        return Linear(value, jacobian, fine, seen_slopes, seen)
+        return Linear(value, jacobian, fine, track_slopes, track)
 
     def of_panels(self, value: np.ndarray) -> np.ndarray:
         """Return the residuals (K, n, p) of the panels among all (K, R)."""
@@ -241,13 +237,33 @@ class FitProblem:
         cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
         return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
 
+    def read_curvature(self, u: np.ndarray, linear: Linear, noise_factor: float) -> np.ndarray:
+        """Return the part (K, F, F) of the curvature of the cost that the readings give."""
+        weight = self.weigh(linear.value, u, noise_factor)[1]
+        return normal_equations(linear.value, linear.jacobian, weight)[0]
+
+    def linearised(self, motions: LanderMotions, noise_factor: float) -> DenseSystem:
+        """Return the normal equations at motions, with derivatives by differences of runs."""
+        linear = self.differences(motions, *self.derivatives(motions))
+        return self.system(motions.u, linear, noise_factor)
+
+    def linearised_after(self, point: Point, noise_factor: float) -> DenseSystem:
+        """Return the normal equations after a step; the change that it has made corrects the derivatives (:func:`corrected`)."""
+        track = self.track(point.motions, self.error_rad)
+        fine = np.all(np.isfinite(track), axis=(1, 2))
+        change = np.where(fine[:, None, None], track - point.before, 0.0)
+        step = np.where(fine[:, None], point.step, 0.0)
+        track_slopes = corrected(point.track_slopes, step, change)
+        linear = self.differences(point.motions, track, track_slopes)
+        return self.system(point.u, linear, noise_factor)
+
     def system(self, u: np.ndarray, linear: Linear, noise_factor: float) -> DenseSystem:
-        """Return the normal equations of a step in the free coordinates (F), priors of unknowns included."""
+        """Return the normal equations of a step in the free coordinates (F), priors of unknowns included; extras are `linear`."""
         cost, weight = self.weigh(linear.value, u, noise_factor)
         prior, precision = self.model.prior_cost(u, self.sizes)
-        normal, gradient = _normal(linear.value, linear.jacobian, weight)
-        places = np.arange(STATE_SIZE, len(self.coordinates))
-        normal[:, places, places] += precision[:, self.fitted]
+        normal, gradient = normal_equations(linear.value, linear.jacobian, weight)
+        diagonal = np.arange(STATE_SIZE, len(self.coordinates))
+        normal[:, diagonal, diagonal] += precision[:, self.fitted]
         gradient[:, UNKNOWNS] += precision[:, self.fitted] * u[:, self.fitted]
         scale = np.einsum("kff->kf", normal).copy()
         floor = FLOOR * scale.max(axis=1) + 1e-12
@@ -256,7 +272,7 @@ class FitProblem:
         return DenseSystem(cost, normal, gradient, scale, linear)
 
 
-def _normal(
+def normal_equations(
     value: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return J'WJ (K, F, F) and J'Wr (K, F) of residuals (K, R) with weights (K, R)."""
@@ -264,106 +280,84 @@ def _normal(
     return weighted @ jacobian, (weighted @ value[..., None])[..., 0]
 
 
-def corrected(seen_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return derivatives (K, c, n, w) of `seen`, corrected so that they explain its change (K, n, w) by a step (K, c).
+def corrected(track_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return derivatives (K, c, n, w) of `track`, corrected so that they explain its change (K, n, w) by a step (K, c).
 
     Broyden's update is the smallest such correction: with the derivatives J (c rows), the step s and the change y it adds
     W s (y - s J) / (s W s) to J. Here the metric W is diagonal, with the squared lengths of the rows of J.
     """
-    flat = seen_slopes.reshape(*seen_slopes.shape[:2], -1)
+    flat = track_slopes.reshape(*track_slopes.shape[:2], -1)
     weighted = step * np.sum(flat**2, axis=2)
     length = np.sum(weighted * step, axis=1, keepdims=True)
     share = np.divide(weighted, length, out=np.zeros_like(weighted), where=length > 0)
     unexplained = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
-    return seen_slopes + (share[:, :, None] * unexplained).reshape(seen_slopes.shape)
+    return track_slopes + (share[:, :, None] * unexplained).reshape(track_slopes.shape)
 
 
 def in_tangents_at(
-    there: np.ndarray, sun: np.ndarray, seen_slopes: np.ndarray, step: np.ndarray
+    there: np.ndarray, sun: np.ndarray, track_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives and a step by tangents at directions `sun` (K, 3), as those by tangents at directions `there` (K, 3)."""
     across = np.stack(tangent_basis(there), axis=1)
     turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)  # (K, 2, 2)
-    seen_slopes, step = seen_slopes.copy(), step.copy()
-    seen_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, seen_slopes[:, SUN])
+    track_slopes, step = track_slopes.copy(), step.copy()
+    track_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, track_slopes[:, SUN])
     step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
-    return seen_slopes, step
+    return track_slopes, step
+
+
+def rotation_by(step: np.ndarray, reach_s: float) -> np.ndarray:
+    """Return the rotation (K), rad, within a window up to `reach_s` by the rate or the direction of steps (K, 5 or more)."""
+    rate, sun = (np.linalg.norm(step[:, part], axis=1) for part in (RATE, SUN))
+    return np.maximum(rate * reach_s, sun)
 
 
 class Fitting:
     """A batch of motions that are fitted together; the result of each does not depend on the others."""
 
-    def __init__(self, problem: FitProblem, shots: Shots) -> None:
+    def __init__(self, problem: FitProblem, motions: LanderMotions) -> None:
         """Begin at motions whose bodies can exist, with the stated noise.
 
         A small noise from a fit to fewer readings would make levels of larger noise less effective.
         """
-        u = problem.model.limited(shots.u, INSIDE)
-        u[:, problem.model.places("noise")] = 0.0
+        u = problem.model.limited(motions.u, INSIDE)
+        u[:, problem.model.indices("noise")] = 0.0
         self.problem, self.noise_factor = problem, 1.0
-        self.shots = Shots(shots.omega, shots.sun, u)
+        self.motions = replace(motions.bare, u=u)
         self.refresh()
 
     def refresh(self) -> None:
         """Compute the derivatives where the motions are now."""
-        seen, seen_slopes = self.problem.derivatives(self.shots)
-        linear = self.problem.differences(self.shots, seen, seen_slopes)
-        self.system = self.problem.system(self.shots.u, linear, self.noise_factor)
-
-    @property
-    def linear(self) -> Linear:
-        """Return differences and derivatives where the motions are now."""
-        return Linear(*self.system.extras)
-
-    @property
-    def cost(self) -> np.ndarray:
-        """Return the cost (K) under the present noise."""
-        return self.system.cost
+        self.system = self.problem.linearised(self.motions, self.noise_factor)
 
     def fit_under(self, noise_factor: float, steps: int) -> None:
         """Take steps under `noise_factor` times the noise."""
         self.noise_factor = noise_factor
-        self._weigh_again()
+        self.system = self.problem.system(self.motions.u, self.system.extras, noise_factor)
         self.steps(steps)
-
-    def _weigh_again(self) -> None:
-        """Weigh the same differences under another noise."""
-        self.system = self.problem.system(self.shots.u, self.linear, self.noise_factor)
 
     def take(self, rows: np.ndarray) -> None:
         """Continue with some of the motions."""
-        self.shots, self.system = self.shots.take(rows), take_problems(self.system, rows)
+        self.motions, self.system = self.motions.take(rows), take_problems(self.system, rows)
 
     def steps(self, count: int) -> None:
         """Take steps of damped least squares."""
-        begin = Point(self.shots.omega, self.shots.sun, self.shots.u, *self._learnt(self.system))
+        motions, linear = self.motions, self.system.extras
+        still = np.zeros((len(motions), len(self.problem.of_motion)))
         end = least_squares(
-            self._linearised,
+            lambda point: self.problem.linearised_after(point, self.noise_factor),
             self._moved,
             solve_dense,
-            begin,
+            Point(motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track, still),
             steps=count,
             system=self.system,
             length_ratio=self._length_ratio,
             limit=self._limited,
-            carry=lambda point, system: Point(*point[:3], *self._learnt(system)),
+            carry=lambda point, system: point._replace(
+                track_slopes=system.extras.track_slopes, before=system.extras.track
+            ),
         )
-        self.shots, self.system = end.state.shots, end.system
-
-    def _learnt(self, system: DenseSystem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the last three fields of :class:`Point` for motions at which a system was set up, before a step from there."""
-        linear = Linear(*system.extras)
-        step = np.zeros((len(linear.seen), len(self.problem.of_motion)))
-        return linear.seen_slopes, linear.seen, step
-
-    def _linearised(self, point: Point) -> DenseSystem:
-        """Return the system after a step, with derivatives corrected by it."""
-        seen, fine = self.problem.seen(point.shots, self.problem.error_rad)
-        change = np.where(fine[:, None, None], seen - point.before, 0.0)
-        step = np.where(fine[:, None], point.step, 0.0)
-        seen_slopes = corrected(point.seen_slopes, step, change)
-        linear = self.problem.differences(point.shots, seen, seen_slopes)
-        return self.problem.system(point.u, linear, self.noise_factor)
+        self.motions, self.system = end.state.motions, end.system
 
     def _moved(self, point: Point, step: np.ndarray) -> Point:
         """Return the motions after steps (K, F), with derivatives in the tangents of the new directions."""
@@ -371,21 +365,20 @@ class Fitting:
         whole[:, self.problem.coordinates] = step
         sun = move_on_sphere(point.sun, whole[:, SUN])
         own = whole[:, self.problem.of_motion]
-        seen_slopes, own = in_tangents_at(sun, point.sun, point.seen_slopes, own)
+        track_slopes, own = in_tangents_at(sun, point.sun, point.track_slopes, own)
         omega, u = point.omega + whole[:, RATE], point.u + whole[:, UNKNOWNS]
-        return Point(omega, sun, u, seen_slopes, point.before, own)
+        return Point(omega, sun, u, track_slopes, point.before, own)
 
     def _length_ratio(self, point: Point, step: np.ndarray) -> np.ndarray:
         """Return the lengths (K) of steps (K, F) over the longest one allowed."""
         problem, fitted = self.problem, self.problem.fitted
-        turn = np.maximum(
-            np.linalg.norm(step[:, RATE], axis=1) * problem.reach_s,
-            np.linalg.norm(step[:, SUN], axis=1),
-        )
-        torque = np.isin(fitted, problem.model.places("steady_torque"))
+        turn = rotation_by(step, problem.model.reach_s)
+        torque = np.isin(fitted, problem.model.indices("steady_torque"))
         sigma = np.array([problem.model.unknowns[i].sigma for i in fitted[torque]])
         pushed = (
-            np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1) * problem.reach_s**2 / 2
+            np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1)
+            * problem.model.reach_s**2
+            / 2
         )
         unknowns = np.abs(step[:, UNKNOWNS]).max(axis=1, initial=0.0)
         return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, unknowns)
@@ -405,28 +398,24 @@ class Fitting:
         known to a tenth of the family's width.
         """
         panels, own = self.problem.model.panels, self.problem.model.of_panels
-        fitted_freedom = self._fitted_freedom() if few else np.zeros(len(self.shots))
+        fitted_freedom = self._fitted_freedom() if few else np.zeros(len(self.motions))
         least = 0.0 if few and held else -LARGEST_LOG_NOISE
-        u = self.shots.u.copy()
-        value = self.problem.of_panels(self.linear.value)
+        u, linear = self.motions.u.copy(), self.system.extras
+        value = self.problem.of_panels(linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            fitted_freedom = fitted_freedom + panels.taken_by_times(
-                states_of(self.linear.seen), u[:, own]
-            )
+            taken = panels.taken_by_times(states_of(linear.track), u[:, own])
+            fitted_freedom = fitted_freedom + taken
         u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
-        self.shots = replace(self.shots, u=u)
-        self._weigh_again()
+        self.motions = replace(self.motions, u=u)
+        self.system = self.problem.system(u, linear, self.noise_factor)
 
     def _fitted_freedom(self) -> np.ndarray:
         """Return the degrees of freedom (K) that the fit uses: the trace of the readings' part in the curvature."""
-        linear, u = self.linear, self.shots.u
-        weight = self.problem.weigh(linear.value, u, self.noise_factor)[1]
-        read, _ = _normal(linear.value, linear.jacobian, weight)
+        problem, u = self.problem, self.motions.u
+        read = problem.read_curvature(u, self.system.extras, self.noise_factor)
         prior = np.zeros(read.shape[:2])
-        prior[:, UNKNOWNS] = self.problem.model.prior_cost(u, self.problem.sizes)[1][
-            :, self.problem.fitted
-        ]
+        prior[:, UNKNOWNS] = problem.model.prior_cost(u, problem.sizes)[1][:, problem.fitted]
         # in units of the root of each diagonal element the matrices are well conditioned
         size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)
         read /= size[:, :, None] * size[:, None, :]
@@ -435,15 +424,14 @@ class Fitting:
 
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss-Newton; for unknowns that are not free, those of the prior."""
-        problem, linear, u = self.problem, self.linear, self.shots.u
-        weight = problem.weigh(linear.value, u, self.noise_factor)[1]
-        read, _ = _normal(linear.value, linear.jacobian, weight)
-        model = problem.model
+        problem, model, u = self.problem, self.problem.model, self.motions.u
+        linear = self.system.extras
+        read = problem.read_curvature(u, linear, self.noise_factor)
         curvature = np.zeros((len(u), model.dimension, model.dimension))
         curvature[:, problem.coordinates[:, None], problem.coordinates] = read
         unknowns = np.arange(STATE_SIZE, model.dimension)
         curvature[:, unknowns, unknowns] += model.prior_cost(u, problem.sizes)[1]
-        for i in model.places("noise"):
+        for i in model.indices("noise"):
             value, at = problem.of_panels(linear.value), STATE_SIZE + i
             curvature[:, at, at] += model.panels.noise_curvature(value, u[:, model.of_panels])
         return curvature
@@ -454,34 +442,38 @@ Levels = Sequence[tuple[float, int]]
 
 
 def fit_first(
-    problem: FitProblem, shots: Shots, levels: Levels, hopeless: float = np.inf, held: bool = False
-) -> tuple[Shots, np.ndarray]:
-    """Return motions fitted to a few samples, with costs, and their curvature (K, D, D).
+    problem: FitProblem,
+    motions: LanderMotions,
+    levels: Levels,
+    hopeless: float = np.inf,
+    held: bool = False,
+) -> LanderMotions:
+    """Return motions fitted to a few samples, with costs and curvatures.
 
     Motions that cost more than `hopeless` after the first level are not fitted further: they keep the cost under the noise of that
     level and have zero curvature. `held`: body and wheel are not free.
     """
-    fitting = Fitting(problem, shots)
+    fitting = Fitting(problem, motions)
     (noise_factor, steps), *others = levels
     fitting.fit_under(noise_factor, steps)
-    result = replace(fitting.shots, cost=fitting.cost.copy())
-    normal = np.zeros((len(shots), problem.model.dimension, problem.model.dimension))
-    going = np.flatnonzero(fitting.cost <= hopeless)
+    none = np.zeros((len(motions), problem.model.dimension, problem.model.dimension))
+    fitted = replace(fitting.motions, cost=fitting.system.cost.copy(), curvature=none)
+    going = np.flatnonzero(fitting.system.cost <= hopeless)
     if not len(going):
-        return result, normal
+        return fitted
     fitting.take(going)
     for noise_factor, steps in others:
         fitting.fit_under(noise_factor, steps)
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
-        getattr(result, name)[going] = getattr(fitting.shots, name)
-    result.cost[going], normal[going] = fitting.cost, fitting.curvature()
-    return result, normal
+        getattr(fitted, name)[going] = getattr(fitting.motions, name)
+    fitted.cost[going], fitted.curvature[going] = fitting.system.cost, fitting.curvature()
+    return fitted
 
 
-def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shots, np.ndarray]:
-    """Return motions fitted to all samples, with costs, and their curvature (K, D, D); new derivatives at each level."""
-    fitting = Fitting(problem, shots)
+def fit_finally(problem: FitProblem, motions: LanderMotions, levels: Levels) -> LanderMotions:
+    """Return motions fitted to all samples, with costs and curvatures; derivatives are computed again at each level."""
+    fitting = Fitting(problem, motions)
     for k, (noise_factor, steps) in enumerate(levels):
         if k:
             fitting.refresh()
@@ -491,14 +483,14 @@ def fit_finally(problem: FitProblem, shots: Shots, levels: Levels) -> tuple[Shot
         fitting.refresh()
         fitting.fit_noise()
         fitting.steps(2)
-    return replace(fitting.shots, cost=fitting.cost), fitting.curvature()
+    return replace(fitting.motions, cost=fitting.system.cost, curvature=fitting.curvature())
 
 
 def in_pieces(
-    fit: Callable[[Shots], tuple[Shots, np.ndarray]], shots: Shots, rows: int, workers: int
-) -> tuple[Shots, np.ndarray]:
+    fit: Callable[[LanderMotions], LanderMotions], motions: LanderMotions, rows: int, workers: int
+) -> LanderMotions:
     """Return the result of a fit of many motions, in pieces of `rows` motions by `workers` threads; both do not change it."""
-    pieces: list[Any] = [shots.take(slice(k, k + rows)) for k in range(0, len(shots), rows)]
+    pieces = [motions.take(slice(k, k + rows)) for k in range(0, len(motions), rows)]
     with ThreadPoolExecutor(workers) as pool:
-        parts = list(pool.map(fit, pieces))
-    return Shots.joined([part for part, _ in parts]), np.concatenate([n for _, n in parts])
+        fitted = LanderMotions.joined(list(pool.map(fit, pieces)))
+    return replace(fitted, starts=motions.starts, neighbours_s=motions.neighbours_s)

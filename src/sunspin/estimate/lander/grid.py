@@ -30,7 +30,7 @@ from sunspin.estimate.lander.cells import (
     search_cells,
 )
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import Shots, TrialMotions
+from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
@@ -207,7 +207,7 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
     A wheel speed in the wrong unit may be the cause. The sentence names a window that is short enough.
     """
     omega = np.full((1, 3), rate_rad_s / np.sqrt(3))
-    nominal = Shots(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
+    nominal = LanderMotions(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
     rows = model.rows(nominal)
     commands = batch.one_command(model.vehicle, model.wheel_mode)
     problem = batch.Problem(model.vehicle, rows, commands, model.acting)
@@ -231,7 +231,7 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 
 def grid_starts(
     model: LanderModel, reference: Reference, s: GridSettings, workers: int = 1
-) -> Iterator[tuple[slice, TrialMotions]]:
+) -> Iterator[tuple[slice, LanderMotions]]:
     """Yield the window about the reference with starts near all motions that its readings allow, the best first.
 
     `model` counts time from `reference`. Torques are left out, as they hardly move a body in three samples; inertia, friction and
@@ -253,12 +253,14 @@ def grid_starts(
     )
     rank = np.argsort(first)
     best = order[first[rank]]
-    shots = Shots(omega[best], sun[best], np.zeros((len(best), len(model.unknowns))))
-    pieces = [shots.take(slice(k, k + RUNS_AT_ONCE)) for k in range(0, len(shots), RUNS_AT_ONCE)]
+    unknowns = np.zeros((len(best), len(model.unknowns)))
+    motions = LanderMotions(omega[best], sun[best], unknowns, starts=count[rank])
+    begins = range(0, len(motions), RUNS_AT_ONCE)
+    pieces = [motions.take(slice(k, k + RUNS_AT_ONCE)) for k in begins]
     with ThreadPoolExecutor(workers) as pool:
         speeds = list(pool.map(lambda some: bare.first_speed(some, TRIAL_ERROR), pieces))
     slow = np.concatenate([np.zeros(0), *speeds]) <= reference.fastest
-    starts = TrialMotions(shots.take(slow), count[rank][slow])
+    starts = motions.take(slow)
     yield reference.window, starts if len(starts) else _anything(model, reference)
 
 
@@ -272,38 +274,20 @@ def settled_starts(
         shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
     )
     light = panels.brightness * others.response.power(seen)
-    light = others.best_factor(light)[0] * light if others.throttled else light
+    if others.throttled:
+        light = others.best_factor(light)[0] * light
     square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
     misfit = np.where(others.used, square, 0.0).sum(axis=2).T
     tables = Tables(*(np.ascontiguousarray(x, dtype=np.float32) for x in (near, far, misfit)))
     table = PanelTable.of(panels.take(np.array([reference.sample, *reference.others])))
-    limits = Limits(
-        nodes=s.nodes,
-        limit=s.limit,
-        blur=s.blur_rad,
-        cap=s.cap,
-        settled=s.settled,
-        steps=s.steps,
-        gain_left=s.gain_left,
-    )
+    limits = Limits(*(getattr(s, name) for name in Limits._fields))
     suns = np.stack([reference.suns, *tangent_basis(reference.suns)], axis=1)
-
-    def starts_in(lowest: np.ndarray) -> np.ndarray:
-        """Return the starts of some cells, given by their lowest corners."""
-        cells = Cells(
-            lowest=lowest,
-            away=grid.away,
-            row_of=grid.row_of,
-            turn=grid.turn,
-            suns=suns,
-            middles=MIDDLES,
-            points=POINTS,
-        )
-        return search_cells(cells, tables, table, limits)
-
+    every = Cells(grid.cells, grid.away, grid.row_of, grid.turn, suns, MIDDLES, POINTS)
     pieces = np.array_split(grid.cells, max(1, -(-len(grid.cells) // CELLS_AT_ONCE)))
+    parts = [every._replace(lowest=lowest) for lowest in pieces]
     with ThreadPoolExecutor(workers) as pool:
-        starts = np.concatenate(list(pool.map(starts_in, pieces)))
+        settled = pool.map(lambda cells: search_cells(cells, tables, table, limits), parts)
+        starts = np.concatenate(list(settled))
     omega = grid.rates(starts[:, OF_CELL].astype(np.int64)) + starts[:, OF_PLACE] * grid.edge
     # the direction lies in the plane of its tangents, before it is a unit vector
     length = np.linalg.norm(starts[:, OF_STEP], axis=1, keepdims=True)
@@ -314,10 +298,10 @@ def settled_starts(
     return omega, sun, starts[:, OF_MISFIT]
 
 
-def _anything(model: LanderModel, reference: Reference) -> TrialMotions:
+def _anything(model: LanderModel, reference: Reference) -> LanderMotions:
     """Return starts if there is no hope: rest, and rotations about the axes."""
     axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
     sun = np.tile(reference.suns[0], (len(omega), 1))
-    shots = Shots(omega, sun, np.zeros((len(omega), len(model.unknowns))))
-    return TrialMotions(shots, np.ones(len(omega), dtype=np.int64))
+    unknowns, starts = np.zeros((len(omega), len(model.unknowns))), np.ones(len(omega), np.int64)
+    return LanderMotions(omega, sun, unknowns, starts=starts)

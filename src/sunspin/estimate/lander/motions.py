@@ -7,10 +7,11 @@ its centre, and the m unknowns of the model. K motions, body axes B, rad/s.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import logsumexp
 
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
@@ -25,43 +26,53 @@ RATE, SUN, UNKNOWNS = slice(0, 3), slice(3, STATE_SIZE), slice(STATE_SIZE, None)
 
 
 @dataclass(frozen=True)
-class Shots:
+class LanderMotions:
     """K motions by rates `omega` (K, 3) and directions to the Sun `sun` (K, 3) at the reference, and unknowns `u` (K, m) in sigmas.
 
-    After a fit also `cost` (K): minus the log of the posterior density, up to a constant that all motions of a model share.
+    After a fit also `cost` (K): minus the log of the posterior density, up to a constant that all motions of a model share, and
+    `curvature` (K, D, D): its second derivatives in the coordinates about each motion. In a search `starts` (K): how many starts
+    came together in it, and `neighbours_s` (K): end of the window for which neighbours of it were last placed, or for which it was
+    placed; 0 for none.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
     cost: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    curvature: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    starts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    neighbours_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         """Return the number of motions."""
         return len(self.omega)
 
-    def take(self, which: Any) -> Shots:
+    @property
+    def bare(self) -> LanderMotions:
+        """Return rates, directions and unknowns alone."""
+        return LanderMotions(self.omega, self.sun, self.u)
+
+    def take(self, which: Any) -> LanderMotions:
         """Return some of the motions."""
-        cost = self.cost[which] if len(self.cost) else self.cost
-        return Shots(self.omega[which], self.sun[which], self.u[which], cost)
+        arrays = (getattr(self, part.name) for part in fields(self))
+        return LanderMotions(*(array[which] if len(array) else array for array in arrays))
 
     @staticmethod
-    def joined(parts: Sequence[Shots]) -> Shots:
-        """Return the motions of several parts; with costs only if all have them."""
-        omega, sun, u = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("omega", "sun", "u")
-        )
-        fitted = all(len(part.cost) == len(part) for part in parts)
-        cost = np.concatenate([part.cost for part in parts]) if fitted else np.zeros(0)
-        return Shots(omega, sun, u, cost)
+    def joined(parts: Sequence[LanderMotions]) -> LanderMotions:
+        """Return the motions of several parts, with what is known of all of them."""
+        parts, joined = [part for part in parts if len(part)] or parts[:1], {}
+        for name in (part.name for part in fields(LanderMotions)):
+            arrays = [getattr(part, name) for part in parts]
+            if all(len(array) == len(part) for array, part in zip(arrays, parts, strict=True)):
+                joined[name] = np.concatenate(arrays)
+        return LanderMotions(**joined)
 
-    def moved(self, step: np.ndarray) -> Shots:
-        """Return the motions moved by steps (K, D) in their own coordinates, without costs."""
+    def moved(self, step: np.ndarray) -> LanderMotions:
+        """Return the motions moved by steps (K, D) in their own coordinates, without what is known of them."""
         sun = move_on_sphere(self.sun, step[:, SUN])
-        return Shots(self.omega + step[:, RATE], sun, self.u + step[:, UNKNOWNS])
+        return LanderMotions(self.omega + step[:, RATE], sun, self.u + step[:, UNKNOWNS])
 
-    def from_centre(self, centre: Shots) -> np.ndarray:
+    def from_centre(self, centre: LanderMotions) -> np.ndarray:
         """Return the coordinates (K, D) of motions about a centre each, or about one; the inverse of :meth:`moved`.
 
         The direction is reached along the great circle from its centre.
@@ -77,79 +88,42 @@ class Shots:
             [self.omega - centre.omega, side * stretch[:, None], self.u - centre.u], axis=1
         )
 
-    def with_unknowns(self, places: np.ndarray, count: int) -> Shots:
-        """Return motions of a model with `count` unknowns: theirs stand at `places` (m), the others at their centres."""
+    def with_unknowns(self, indices: np.ndarray, count: int) -> LanderMotions:
+        """Return motions of a model with `count` unknowns: theirs stand at `indices` (m), the others at their centres."""
         u = np.zeros((len(self), count))
-        u[:, places] = self.u
-        return replace(self, u=u)
+        u[:, indices] = self.u
+        return LanderMotions(self.omega, self.sun, u, starts=self.starts)
 
 
 @dataclass(frozen=True)
-class TrialMotions:
-    """Motions on their way through a search, and what it keeps of each.
+class ModelFit:
+    """Motions of a lander fitted to all samples under a model, best first, and `draws` from its posterior if there are any yet.
 
-    `starts` (K): how many starts came together in it; `curvature` (K, D, D): curvature of its cost after a fit, else (0, 0, 0);
-    `neighbours_s` (K): end of the window for which neighbours of it were last placed, or for which it was placed; 0 for none.
-    """
-
-    shots: Shots
-    starts: np.ndarray
-    curvature: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
-    neighbours_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
-
-    def __len__(self) -> int:
-        """Return the number of motions."""
-        return len(self.shots)
-
-    @property
-    def cost(self) -> np.ndarray:
-        """Return the cost (K) of each motion."""
-        return self.shots.cost
-
-    def take(self, which: Any) -> TrialMotions:
-        """Return some of the motions."""
-        rest = (x[which] if len(x) else x for x in (self.curvature, self.neighbours_s))
-        return TrialMotions(self.shots.take(which), self.starts[which], *rest)
-
-    @staticmethod
-    def joined(parts: Sequence[TrialMotions]) -> TrialMotions:
-        """Return the motions of several searches."""
-        arrays = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("starts", "curvature", "neighbours_s")
-        )
-        return TrialMotions(Shots.joined([part.shots for part in parts]), *arrays)
-
-
-@dataclass(frozen=True)
-class ShotFit:
-    """Motions of a lander fitted to all samples under a model, best first.
-
-    `curvature` (K, D, D): second derivatives of the cost in the coordinates about each motion; `log_evidence` (K): log of the
-    integral of the posterior density around each, by Laplace's method and up to the constant of the model; `starts` (K): how many
-    starts of the search ended there. `complete`: every motion that may fit was followed; `notes`: what the verdict has to say.
+    `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method and up to the constant of the
+    model. `complete`: every motion that may fit was followed; `notes`: what the verdict has to say.
     """
 
     model: LanderModel
-    motions: Shots
-    curvature: np.ndarray
+    motions: LanderMotions
     log_evidence: np.ndarray
-    starts: np.ndarray
     complete: bool = True
     notes: tuple[str, ...] = ()
+    draws: Draws | None = None
 
     def __len__(self) -> int:
         """Return the number of motions."""
         return len(self.log_evidence)
 
-    def take(self, which: Any) -> ShotFit:
+    @property
+    def drawn(self) -> Draws:
+        """Return the draws of a model that was drawn."""
+        assert self.draws is not None
+        return self.draws
+
+    def take(self, which: Any) -> ModelFit:
         """Return some of the motions."""
         return replace(
-            self,
-            motions=self.motions.take(which),
-            curvature=self.curvature[which],
-            log_evidence=self.log_evidence[which],
-            starts=self.starts[which],
+            self, motions=self.motions.take(which), log_evidence=self.log_evidence[which]
         )
 
 
@@ -157,13 +131,13 @@ class ShotFit:
 class Draws:
     """N weighted draws from the posterior of a lander, of one model or of several together.
 
-    `log_weight` (N): log of the posterior density over that of the proposals; `of_model` (N): index of the model of each draw, by
-    which its unknowns are read; `region` (N): index of the solution that it belongs to. `effective`: how many equal draws they are
-    worth; `tail`: Pareto index k of the weights; `evidence`: log of the mean weight; `rounds` (r, 3): log evidence, effective share
-    of draws and k after each round.
+    `log_weight` (N): log of the posterior density over that of the proposals. The mean weight, not the sum, is the evidence;
+    `evidence` is its log. `of_model` (N): index of the model of each draw, by which its unknowns are read; `region` (N): index of
+    the solution that it belongs to. `effective`: how many equal draws they are worth; `tail`: Pareto index k of the weights;
+    `rounds` (r, 3): log evidence, effective share of draws and k after each round.
     """
 
-    shots: Shots
+    motions: LanderMotions
     log_weight: np.ndarray
     of_model: np.ndarray
     region: np.ndarray
@@ -175,3 +149,8 @@ class Draws:
     def __len__(self) -> int:
         """Return the number of draws."""
         return len(self.log_weight)
+
+    @property
+    def probability(self) -> np.ndarray:
+        """Return the weights (N) divided by their sum."""
+        return np.exp(self.log_weight - logsumexp(self.log_weight))

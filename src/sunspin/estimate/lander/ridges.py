@@ -5,9 +5,8 @@ Uncertain moments, friction and wheel speeds make the posterior near a motion a 
 1. *Outer* coordinates y are drawn from a mixture of Student laws that is adapted to earlier draws. They are the unknowns on which
    the motion depends, the noise, and the directions of rate and Sun that are weakly constrained even at fixed unknowns.
 2. Least squares finds the best *stiff* coordinates z*(y), the other directions of rate and Sun. These are drawn about z*(y) with
-the
-   curvature there. A quadratic regression on earlier points predicts z*(y), and derivatives are those of the nearest point, so that
-   a draw takes three runs of its motion.
+   the curvature there. A quadratic regression on earlier points predicts z*(y), and derivatives are those of the nearest point, so
+   that a draw takes three runs of its motion.
 3. Unknowns that change the readings only (brightness, gains, misalignments) are drawn several times for the given motion.
 
 The density of each step is known, so that the weights are exact. A poor approximation in a proposal makes draws less effective, but
@@ -16,15 +15,14 @@ biases no result.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import logsumexp
 
-from sunspin.estimate.lander.motions import STATE_SIZE, SUN, UNKNOWNS, ShotFit, Shots
+from sunspin.estimate.lander.motions import STATE_SIZE, SUN, UNKNOWNS, LanderMotions, ModelFit
 from sunspin.estimate.lander.outer_law import (
     OuterLaw,
     monomials,
@@ -33,7 +31,12 @@ from sunspin.estimate.lander.outer_law import (
 )
 from sunspin.estimate.lander.target import LanderTarget, MotionSlopes
 from sunspin.estimate.settings import SamplingSettings
-from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
+from sunspin.solve.least_squares import (
+    join_problems,
+    least_squares,
+    replace_problems,
+    take_problems,
+)
 from sunspin.solve.linear import DenseSystem, solve_dense
 
 LOOSEST_RAD = 3.0
@@ -50,6 +53,9 @@ RIDGE_FLOOR = 1e-13
 """Part of the trace that is added to the diagonal of the normal equations of a ridge's curve. Terms without points are then
 zero."""
 
+CURVE_FITS = 3
+"""Fits of a ridge's curve, each without the points that were far from the one before."""
+
 SETTLED_GAIN = 4.0
 """A step is tried if it promises at least this gain in cost: 2.8 sigma of the stiff coordinates. The rest is done by a last step
 whose cost is not computed. With 1.0 a draw of Philae takes 3.5 runs instead of 2.8, and draws are not better."""
@@ -64,7 +70,7 @@ class Chart:
     the ridge is curved, the others being the noise.
     """
 
-    centre: Shots
+    centre: LanderMotions
     basis: np.ndarray
     softs: int
     outer: np.ndarray
@@ -72,7 +78,11 @@ class Chart:
 
     @classmethod
     def about(
-        cls, target: LanderTarget, centre: Shots, covariance: np.ndarray, s: SamplingSettings
+        cls,
+        target: LanderTarget,
+        centre: LanderMotions,
+        covariance: np.ndarray,
+        s: SamplingSettings,
     ) -> Chart:
         """Return the coordinates about a motion with the covariance (D, D).
 
@@ -80,8 +90,8 @@ class Chart:
         window. A direction that is well known at fixed unknowns is stiff, however wide it is otherwise: as an outer coordinate it
         would make the law of y as thin and as curved as the ridge itself.
         """
-        outer = np.setdiff1d(np.arange(len(target.unknowns)), target.reading_unknowns)
-        size = np.diag([target.reach_s] * 3 + [1.0] * 2)
+        outer = np.setdiff1d(np.arange(len(target.model.unknowns)), target.reading_unknowns)
+        size = np.diag([target.model.reach_s] * 3 + [1.0] * 2)
         given = covariance[:STATE_SIZE, :STATE_SIZE]
         if len(outer):  # covariance given the unknowns (Schur complement)
             cross = covariance[:STATE_SIZE, STATE_SIZE + outer]
@@ -105,22 +115,22 @@ class Chart:
 
     def covariance(self, of_motion: np.ndarray) -> np.ndarray:
         """Return a covariance (D, D) of rate, direction and unknowns as that of (y, z)."""
-        places = np.append(np.arange(STATE_SIZE), STATE_SIZE + self.outer)
-        whole = np.eye(len(places))
+        indices = np.append(np.arange(STATE_SIZE), STATE_SIZE + self.outer)
+        whole = np.eye(len(indices))
         whole[:STATE_SIZE, :STATE_SIZE] = self.basis
-        in_chart = whole @ of_motion[np.ix_(places, places)] @ whole.T
-        of_u = np.arange(STATE_SIZE, len(places))
+        in_chart = whole @ of_motion[np.ix_(indices, indices)] @ whole.T
+        of_u = np.arange(STATE_SIZE, len(indices))
         order = np.concatenate([np.arange(self.softs), of_u, np.arange(self.softs, STATE_SIZE)])
         return in_chart[np.ix_(order, order)]
 
-    def coordinates(self, shots: Shots) -> tuple[np.ndarray, np.ndarray]:
+    def coordinates(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
         """Return y (K, d) and z (K, q) of motions."""
-        x = shots.from_centre(self.centre)
+        x = motions.from_centre(self.centre)
         along = x[:, :STATE_SIZE] @ self.basis.T
         y = np.concatenate([along[:, : self.softs], x[:, UNKNOWNS][:, self.outer]], axis=1)
         return y, along[:, self.softs :]
 
-    def motions(self, y: np.ndarray, z: np.ndarray, u: np.ndarray) -> Shots:
+    def motions(self, y: np.ndarray, z: np.ndarray, u: np.ndarray) -> LanderMotions:
         """Return the motions at y (K, d) and z (K, q), their reading unknowns as in u (K, m)."""
         step = np.linalg.solve(self.basis, np.concatenate([y[:, : self.softs], z], axis=1).T).T
         u = np.array(u)
@@ -128,7 +138,7 @@ class Chart:
         at = self.centre.take(np.zeros(len(y), dtype=np.int64)).moved(
             np.concatenate([step, np.zeros_like(u)], axis=1)
         )
-        return Shots(at.omega, at.sun, u)
+        return LanderMotions(at.omega, at.sun, u)
 
     def log_volume(self, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the log (K) of the volume in rate, solid angle and unknowns per unit of volume in y, z.
@@ -140,17 +150,17 @@ class Chart:
         sphere = np.log(np.maximum(np.sinc(angle / np.pi), 1e-300))  # sin(angle) / angle
         return np.where(angle < np.pi, sphere - np.linalg.slogdet(self.basis)[1], -np.inf)
 
-    def stiff_steps(self, shots: Shots, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def stiff_steps(self, motions: LanderMotions, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the steps (K, 5, q) of rate and direction, in the motions' own tangents, per unit of z while y is held."""
         size, steps = 1e-5, []
         for direction in np.eye(self.stiff):
-            shifted = self.motions(y, z + size * direction, shots.u)
-            steps.append(shifted.from_centre(shots)[:, :STATE_SIZE] / size)
+            shifted = self.motions(y, z + size * direction, motions.u)
+            steps.append(shifted.from_centre(motions)[:, :STATE_SIZE] / size)
         return np.stack(steps, axis=2)
 
 
 class Proposals(NamedTuple):
-    """All N proposals from one ridge so far: y (N, d), z (N, q) and the whole motions, `shots`.
+    """All N proposals from one ridge so far: y (N, d), z (N, q) and the whole motions, `motions`.
 
     `log_inner` (N): log of the density with which z was drawn given y; `log_mass` (N): log of the posterior density over y and z,
     with the reading unknowns integrated out by :func:`complete_motions`.
@@ -160,7 +170,7 @@ class Proposals(NamedTuple):
     z: np.ndarray
     log_inner: np.ndarray
     log_mass: np.ndarray
-    shots: Shots
+    motions: LanderMotions
 
 
 class RidgePoints(NamedTuple):
@@ -170,21 +180,11 @@ class RidgePoints(NamedTuple):
     best: np.ndarray
     slopes: MotionSlopes
 
-    @staticmethod
-    def joined(parts: Sequence[RidgePoints]) -> RidgePoints:
-        """Return the points of several parts."""
-        slopes = zip(*(part.slopes for part in parts), strict=True)
-        return RidgePoints(
-            np.concatenate([part.y for part in parts]),
-            np.concatenate([part.best for part in parts]),
-            MotionSlopes(*(np.concatenate(arrays) for arrays in slopes)),
-        )
-
     def slopes_near(self, y: np.ndarray, law: OuterLaw) -> MotionSlopes:
         """Return the derivatives at the point nearest to each y (n, d), in sigmas of the law."""
         sigma = np.sqrt(np.einsum("cii->i", law.covariance) / len(law.weight))
         nearest = KDTree(self.y / sigma).query(y / sigma)[1]
-        return MotionSlopes(*(part[nearest] for part in self.slopes))
+        return take_problems(self.slopes, nearest)
 
 
 @dataclass
@@ -231,13 +231,13 @@ class Ridge:
         assert proposals is not None
         return proposals.log_mass - proposals.log_inner - self.log_outer(proposals.y, freedom)
 
-    def log_share(self, shots: Shots, freedom: float) -> np.ndarray:
+    def log_density(self, motions: LanderMotions, freedom: float) -> np.ndarray:
         """Return the log of the approximate number density of this ridge's proposals at motions (n).
 
-        The density is over rate, solid angle and unknowns. It divides motions between overlapping ridges; for that it may be
+        It is over rate, solid angle and unknowns. It divides motions between overlapping ridges; for that it may be
         approximate, as the weights are exact whenever the parts of a motion add to one.
         """
-        y, z = self.chart.coordinates(shots)
+        y, z = self.chart.coordinates(motions)
         root = np.linalg.cholesky(self.scatter)
         off = np.linalg.solve(root, (z - self.best(y)).T).T
         inner = student_log_density(off, freedom) - np.log(np.diag(root)).sum()
@@ -258,15 +258,17 @@ class Peak(NamedTuple):
 
 
 def ridges_of(
-    target: LanderTarget, fit: ShotFit, fitted_share: np.ndarray | None, s: SamplingSettings
+    target: LanderTarget, fit: ModelFit, fitted_share: np.ndarray | None, s: SamplingSettings
 ) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
     A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): prior sigma of each
     unknown in the fit, over `Unknown.sigma`, if it has several (:attr:`Unknown.shares`); default: one.
     """
-    least = np.diag([target.rate_max**-2] * 3 + [1.0] * 2 + [0.0] * len(target.unknowns))
-    covariance = np.linalg.inv(fit.curvature + least)
+    least = np.diag(
+        [target.model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(target.model.unknowns)
+    )
+    covariance = np.linalg.inv(fit.motions.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
     share = np.ones_like(fit.motions.u) if fitted_share is None else fitted_share
@@ -274,7 +276,7 @@ def ridges_of(
     for i in np.argsort(-log_mass, kind="stable"):
         if log_mass[i] < log_mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
-        motion = fit.motions.take([i])
+        motion = fit.motions.bare.take([i])
         as_fitted = Peak(float(log_mass[i]), np.zeros(len(covariance[i])), covariance[i])
         peaks = over_sizes(target, motion.u[0], as_fitted, share[i], s)
         for ridge in ridges:
@@ -295,7 +297,7 @@ def ridges_of(
 
 def _ridge_about(
     target: LanderTarget,
-    centre: Shots,
+    centre: LanderMotions,
     covariance: np.ndarray,
     peaks: list[Peak],
     s: SamplingSettings,
@@ -345,30 +347,32 @@ def over_sizes(
     readings, and would be placed whole revolutions away.
     """
     peaks = [fitted]
-    kinds = dict.fromkeys(unknown.kind for unknown in target.unknowns if len(unknown.shares) > 1)
+    kinds = dict.fromkeys(
+        unknown.kind for unknown in target.model.unknowns if len(unknown.shares) > 1
+    )
     for kind in kinds:  # all unknowns of a kind have the same share
-        places = np.array([i for i, x in enumerate(target.unknowns) if x.kind == kind])
-        before = float(fitted_share[places[0]])
-        shares = target.unknowns[places[0]].shares
+        indices = np.array(target.model.indices(kind))
+        before = float(fitted_share[indices[0]])
+        shares = target.model.unknowns[indices[0]].shares
         resized = (
-            _resized(peak, u, places, before, share, s) for peak in peaks for share in shares
+            _resized(peak, u, indices, before, share, s) for peak in peaks for share in shares
         )
         peaks = [peak for peak in resized if peak is not None]
     return peaks
 
 
 def _resized(
-    peak: Peak, u: np.ndarray, places: np.ndarray, before: float, share: float, s: SamplingSettings
+    peak: Peak, u: np.ndarray, indices: np.ndarray, before: float, share: float, s: SamplingSettings
 ) -> Peak | None:
     """Return the peak if the prior sigmas of unknowns change from `before` to `share`; None if it moves too far.
 
-    The curvature by the prior changes by 1 / share^2 - 1 / before^2 for the unknowns with the indices `places`. A Newton step leads
+    The curvature by the prior changes by 1 / share^2 - 1 / before^2 for the unknowns with these `indices`. A Newton step leads
     to the new mean.
     """
-    at, added = STATE_SIZE + places, share**-2 - before**-2
+    at, added = STATE_SIZE + indices, share**-2 - before**-2
     precision, gradient = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
     precision[at, at] += added
-    value = u[places] + peak.step[at]  # of the unknowns at the old mean
+    value = u[indices] + peak.step[at]  # of the unknowns at the old mean
     gradient[at] = -added * value
     covariance = np.linalg.inv(precision)
     step = covariance @ gradient
@@ -376,7 +380,7 @@ def _resized(
         return None
     gain = (gradient @ step - added * value @ value) / 2
     volume = (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(peak.covariance)[1]) / 2
-    log_mass = peak.log_mass + gain + volume - len(places) * np.log(share / before)
+    log_mass = peak.log_mass + gain + volume - len(indices) * np.log(share / before)
     return Peak(float(log_mass), peak.step + step, covariance)
 
 
@@ -408,34 +412,33 @@ def fit_stiff(
     """
     reading, q = target.reading_unknowns, chart.stiff
 
-    # The state of the fit is y, z, u and, after the first system, the fields of `MotionSlopes`. A step has q components of z, then
-    # those of the reading unknowns.
+    # The state of the fit is y, z, u and the derivatives near by, if there are any. A step has q components of z, then those of the
+    # reading unknowns.
     def equations(noise_factor: float, state: tuple[Any, ...]) -> DenseSystem:
         """Return the equations of the target in these coordinates, by the chain rule."""
-        y, z, u, *slopes = state
-        shots = chart.motions(y, z, u)
-        motion = target.linearised(shots, MotionSlopes(*slopes) if slopes else None, noise_factor)
+        y, z, u, slopes = state
+        motions = chart.motions(y, z, u)
+        system = target.linearised(motions, slopes, noise_factor)
         change = np.zeros((len(y), STATE_SIZE + len(reading), q + len(reading)))
-        change[:, :STATE_SIZE, :q] = chart.stiff_steps(shots, y, z)
+        change[:, :STATE_SIZE, :q] = chart.stiff_steps(motions, y, z)
         change[:, STATE_SIZE:, q:] = np.eye(len(reading))
-        slope = np.einsum("kij,ki->kj", change, motion.slope)
-        matrix = np.swapaxes(change, 1, 2) @ motion.matrix @ change
+        slope = np.einsum("kij,ki->kj", change, system.slope)
+        matrix = np.swapaxes(change, 1, 2) @ system.matrix @ change
         matrix[:, range(q), range(q)] += LOOSEST_RAD**-2
-        return DenseSystem(motion.cost, matrix, slope, extras=tuple(motion.slopes))
+        return DenseSystem(system.cost, matrix, slope, extras=system.extras)
 
     def moved(state: tuple[Any, ...], step: np.ndarray) -> tuple[Any, ...]:
         """Return the state after a step of stiff coordinates and reading unknowns."""
-        y, z, u, *slopes = state
+        y, z, u, slopes = state
         u = np.array(u)
         u[:, reading] += step[:, q:]
-        return (y, z + step[:, :q], u, *slopes)
+        return y, z + step[:, :q], u, slopes
 
     def with_slopes(state: tuple[Any, ...], system: DenseSystem) -> tuple[Any, ...]:
         """Return the state with the derivatives of its equations, for the next ones."""
-        y, z, u, *_ = state
-        return (y, z, u, *system.extras)
+        return *state[:3], system.extras
 
-    state: tuple[Any, ...] = (y, z, u, *(near or ()))
+    state: tuple[Any, ...] = y, z, u, near
     system: DenseSystem | None = None
     # a far start is first fitted under a larger noise, so that no reading counts as an outlier because of the start
     for noise_factor, steps in WARM if near is not None else COLD:
@@ -462,15 +465,15 @@ def fit_stiff(
     step = -np.einsum("kij,kj->ki", covariance, system.slope)
     length = -np.sum(system.slope * step, axis=1)
     fine = np.isfinite(step).all(axis=1) & (length < LONGEST_SIGMAS**2)
-    _, z, u, *slopes = moved(state, np.where(fine[:, None], step, 0.0))
+    _, z, u, slopes = moved(state, np.where(fine[:, None], step, 0.0))
     # covariance of z with free reading unknowns, which are drawn too
     of_z = covariance[:, :q, :q]
     root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
-    return StiffFit(z, root, u, MotionSlopes(*slopes))
+    return StiffFit(z, root, u, slopes)
 
 
 def reading_law(
-    target: LanderTarget, seen: np.ndarray, u: np.ndarray, s: SamplingSettings
+    target: LanderTarget, track: np.ndarray, u: np.ndarray, s: SamplingSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the best reading unknowns (n, s) given the motions, and the Cholesky factors (n, s, s) of their precision.
 
@@ -478,7 +481,7 @@ def reading_law(
     from u (n, m) finds it.
     """
     before = u[:, target.reading_unknowns]
-    slope, curvature = target.reading_slopes(seen, u)
+    slope, curvature = target.reading_slopes(track, u)
     curvature = curvature + np.eye(before.shape[1])  # of the prior
     step = np.linalg.solve(curvature, (slope - before)[:, :, None])[:, :, 0]
     best = before + np.clip(step, -s.reading_step, s.reading_step)
@@ -487,45 +490,44 @@ def reading_law(
 
 def complete_motions(
     target: LanderTarget,
-    chart: Chart,
-    y: np.ndarray,
-    z: np.ndarray,
-    u: np.ndarray,
+    motions: LanderMotions,
+    log_volume: np.ndarray,
     rng: np.random.Generator,
     s: SamplingSettings,
-) -> tuple[Shots, np.ndarray]:
-    """Return the motions at y and z with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
+) -> tuple[LanderMotions, np.ndarray]:
+    """Return n motions with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
 
     Several sets of these unknowns are drawn for each motion, which need not run again for them. The mass is the mean of their
     weights, and one set is chosen with a probability in proportion to its weight. With one set only, a draw in the tails of the
-    normal law might outweigh all others. u (n, m): where the step to the best reading unknowns begins.
+    normal law might outweigh all others. The step to the best reading unknowns begins at those of the motions. `log_volume` (n): of
+    :meth:`Chart.log_volume`.
     """
-    shots, places = chart.motions(y, z, u), target.reading_unknowns
-    count = s.reading_draws if len(places) else 1
-    white = rng.standard_normal((len(y), count, len(places)))
-    chance = rng.random(len(y))
-    log_mass = chart.log_volume(y, z) + target.log_prior(shots)
+    reading = target.reading_unknowns
+    count = s.reading_draws if len(reading) else 1
+    white = rng.standard_normal((len(motions), count, len(reading)))
+    chance = rng.random(len(motions))
+    log_mass = log_volume + target.model.log_prior_density(motions)
     # a motion beyond the coordinates or the prior has no mass, and need not run
     rows = np.flatnonzero(np.isfinite(log_mass))
-    log_mass[np.setdiff1d(np.arange(len(y)), rows)] = -np.inf
+    log_mass[np.setdiff1d(np.arange(len(motions)), rows)] = -np.inf
     if not len(rows):
-        return shots, log_mass
-    possible, white = shots.take(rows), white[rows]
-    seen = target.run(possible)
+        return motions, log_mass
+    possible, white = motions.take(rows), white[rows]
+    track = target.track(possible)
 
     # draw from a normal law: with the Cholesky factor R of its precision a draw is the best plus R^-T times white numbers
-    best, root = reading_law(target, seen, possible.u, s)
+    best, root = reading_law(target, track, possible.u, s)
     step = np.linalg.solve(np.swapaxes(root, 1, 2), np.swapaxes(white, 1, 2))
     drawn = best[:, None] + np.swapaxes(step, 1, 2)  # (rows, count, unknowns)
-    log_volume = np.log(np.einsum("kii->ki", root)).sum(axis=1)[:, None]
-    log_law = log_volume - np.sum(white**2 + np.log(2 * np.pi), axis=2) / 2
+    log_density = np.log(np.einsum("kii->ki", root)).sum(axis=1)[:, None]  # at the middle
+    log_law = log_density - np.sum(white**2 + np.log(2 * np.pi), axis=2) / 2
 
     # weigh each draw by likelihood and prior over that law; `log_mass` has the normal prior at u, that of a draw follows
-    before = possible.u[:, None, places]
+    before = possible.u[:, None, reading]
     prior_change = (np.sum(before**2, axis=2) - np.sum(drawn**2, axis=2)) / 2
     u_drawn = np.repeat(possible.u, count, axis=0)
-    u_drawn[:, places] = drawn.reshape(len(u_drawn), len(places))
-    log_likelihood = target.log_likelihood(np.repeat(seen, count, axis=0), u_drawn)
+    u_drawn[:, reading] = drawn.reshape(len(u_drawn), len(reading))
+    log_likelihood = target.log_likelihood(np.repeat(track, count, axis=0), u_drawn)
     log_weight = log_likelihood.reshape(len(rows), count) + prior_change - log_law
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight)
     total = logsumexp(log_weight, axis=1, keepdims=True)
@@ -534,8 +536,9 @@ def complete_motions(
     # choose the draw at which the cumulative weight passes a random part of the total
     share = np.cumsum(np.exp(log_weight - np.where(np.isfinite(total), total, 0.0)), axis=1)
     chosen = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
-    shots.u[rows[:, None], places] = drawn[np.arange(len(rows)), chosen]
-    return shots, log_mass
+    u = motions.u.copy()
+    u[rows[:, None], reading] = drawn[np.arange(len(rows)), chosen]
+    return replace(motions, u=u), log_mass
 
 
 def trace_ridge(
@@ -555,7 +558,7 @@ def trace_ridge(
         near = before[0].slopes_near(y, law) if before else None
         u = np.tile(ridge.chart.centre.u, (count, 1)) if near is None else near.u
         stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, near)
-        ridge.points = RidgePoints.joined([*before, RidgePoints(y, stiff.best, stiff.slopes)])
+        ridge.points = join_problems([*before, RidgePoints(y, stiff.best, stiff.slopes)])
         fit_ridge_curve(ridge, s)
 
 
@@ -578,18 +581,14 @@ def propose(
         step, white = student_draws(s.inner_width * stiff.root, rng, s.freedom)
         volume = np.log(s.inner_width * np.einsum("kii->ki", stiff.root)).sum(axis=1)
         z = stiff.best + step
-        shots, log_mass = complete_motions(target, chart, y, z, stiff.u, rng, s)
+        motions, log_volume = chart.motions(y, z, stiff.u), chart.log_volume(y, z)
+        motions, log_mass = complete_motions(target, motions, log_volume, rng, s)
         log_inner = student_log_density(white, s.freedom) - volume
-        parts.append(Proposals(y, z, log_inner, log_mass, shots))
+        parts.append(Proposals(y, z, log_inner, log_mass, motions))
         points.append(RidgePoints(y, stiff.best, stiff.slopes))
-    ridge.proposals = Proposals(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in Proposals._fields[:4]
-        ),
-        Shots.joined([part.shots for part in parts]),
-    )
-    ridge.points = RidgePoints.joined(points)
+    motions = LanderMotions.joined([part.motions for part in parts])
+    ridge.proposals = Proposals(*join_problems([part[:4] for part in parts]), motions)
+    ridge.points = join_problems(points)
     ridge.laws += drawn
 
 
@@ -608,9 +607,8 @@ def fit_ridge_curve(ridge: Ridge, s: SamplingSettings) -> None:
     off = law.straight(points.y) - mean
     far = np.sum(np.linalg.solve(root, off.T) ** 2, axis=0) / len(mean)
     coefficients = ridge.coefficients
-    for _ in range(
-        3
-    ):  # each time without points that are far off: least squares has led them to another ridge
+    for _ in range(CURVE_FITS):
+        # again without points that are far off: least squares has led them to another ridge
         if good.sum() < least:
             return
         weight = 1 / (1 + far[good])[:, None]

@@ -6,7 +6,6 @@ motion that several ridges may propose is divided between them, so that copies o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.lander.motions import RATE, Draws, ShotFit, Shots
+from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.ridges import (
     Ridge,
     fit_ridge_curve,
@@ -30,7 +29,7 @@ from sunspin.solve.weights import effective_draws, pareto_tail
 
 def sample(
     target: LanderTarget,
-    fit: ShotFit,
+    fit: ModelFit,
     rng: np.random.Generator,
     s: SamplingSettings = SAMPLING,
     budget: Budget | None = None,
@@ -78,13 +77,12 @@ def _draws_of_ridges(
     """
     if not log_shares:
         promise = np.array([ridge.log_promise for ridge in ridges])
-        share = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
-        return np.ceil(s.draws * share / share.sum()).astype(int)
-    share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in log_shares])
-    share = np.where(share < s.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
-    if not share.any():
-        share = np.ones(len(ridges))
-    return np.ceil(s.draws * share / share.sum()).astype(int)
+        root = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
+    else:
+        share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in log_shares])
+        root = np.where(share < s.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
+        root = root if root.any() else np.ones(len(ridges))
+    return np.ceil(s.draws * root / root.sum()).astype(int)
 
 
 def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.ndarray]]:
@@ -93,43 +91,35 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     If several ridges may propose a motion, the weight of a draw is multiplied by the part of its own ridge in the density of all
     (multiple importance sampling, Veach 1995).
     """
+    proposed = [ridge.proposals for ridge in ridges if ridge.proposals is not None]
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
-    shots = Shots.joined([ridge.proposals.shots for ridge in drawn if ridge.proposals is not None])
+    motions = LanderMotions.joined([proposals.motions for proposals in proposed])
     ridge_of = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])  # of each draw
+    # each ridge has an integral of its own, the mean weight of its draws; the integral of all is the sum of these
     weights = [ridge.log_weights(s.freedom) - np.log(ridge.drawn) for ridge in drawn]
     log_weight = np.concatenate(weights)
     # part of each ridge (r) in the density with which all ridges propose each draw (n)
     log_part = np.zeros((len(ridge_of), 1))
     if len(drawn) > 1:
-        log_shares = np.stack([ridge.log_share(shots, s.freedom) for ridge in drawn], axis=1)
-        log_part = log_shares - logsumexp(log_shares, axis=1, keepdims=True)
+        log_density = np.stack([ridge.log_density(motions, s.freedom) for ridge in drawn], axis=1)
+        log_part = log_density - logsumexp(log_density, axis=1, keepdims=True)
         log_weight = log_weight + log_part[np.arange(len(ridge_of)), ridge_of]
+    # as weights whose mean is the integral (:class:`Draws`)
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(ridge_of))
     total = float(logsumexp(log_weight))
-    if not np.isfinite(total):
-        none = np.zeros(len(ridge_of), dtype=np.int64)
-        without_weight = Draws(
-            shots=shots,
-            log_weight=log_weight,
-            of_model=none,
-            region=none,
-            effective=0.0,
-            tail=np.inf,
-            evidence=-np.inf,
-        )
-        return without_weight, [np.full(ridge.drawn, -np.inf) for ridge in ridges]
-    share = log_weight - total
+    possible = np.isfinite(total)
+    log_share = log_weight - total if possible else np.full_like(log_weight, -np.inf)
     draws = Draws(
-        shots=shots,
+        motions=motions,
         log_weight=log_weight,
         of_model=np.zeros(len(ridge_of), dtype=np.int64),
-        region=regions(np.exp(share), np.exp(log_part), s),
-        effective=effective_draws(np.exp(share)),
-        tail=pareto_tail(log_weight),
-        evidence=total - float(np.log(len(ridge_of))),
+        region=regions(np.exp(log_share), np.exp(log_part), s),
+        effective=effective_draws(np.exp(log_share)) if possible else 0.0,
+        tail=pareto_tail(log_weight) if possible else np.inf,
+        evidence=total - float(np.log(len(ridge_of))) if possible else -np.inf,
     )
     ends = np.cumsum([0, *(ridge.drawn for ridge in ridges)])
-    return draws, [share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return draws, [log_share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def regions(weight: np.ndarray, part: np.ndarray, s: SamplingSettings) -> np.ndarray:
@@ -180,107 +170,18 @@ class Checked(NamedTuple):
 
 
 def predictive_check(
-    target: LanderTarget, shots: Shots, rng: np.random.Generator, s: SamplingSettings = SAMPLING
+    target: LanderTarget,
+    motions: LanderMotions,
+    rng: np.random.Generator,
+    s: SamplingSettings = SAMPLING,
 ) -> Checked:
     """Return how often readings simulated from these motions, draws of equal weight, fit worse than the real ones."""
-    shots = shots.take(slice(0, s.checked))
-    seen = target.run(shots)
-    real = target.log_likelihood(seen, shots.u)
-    worse = [target.log_replicated(seen, shots.u, rng) <= real for _ in range(s.copies)]
-    noise = [i for i, unknown in enumerate(target.unknowns) if unknown.kind == "noise"]
-    return Checked(float(np.mean(worse)), float(shots.u[:, noise].mean()) if noise else 0.0)
-
-
-def mixed(
-    drawn: Sequence[Draws],
-    log_priors: Sequence[float],
-    reach_s: float,
-    s: SamplingSettings = SAMPLING,
-) -> Draws:
-    """Return the draws of several models together, weighed by the evidence and the prior of each model.
-
-    `log_priors`: relative to the nominal model, which is the first. Other models of negligible probability are left out. Regions of
-    two models become one if the alternative model may have moved the one to the other.
-    """
-    evidence = np.array([draws.evidence for draws in drawn]) + np.array(log_priors)
-    probability = np.exp(evidence - logsumexp(evidence))  # of each model
-    models = [m for m in range(len(drawn)) if m == 0 or probability[m] > s.no_weight]
-    count = max(drawn[m].shots.u.shape[1] for m in models)
-    # the weights of a model's draws add to its evidence times its prior
-    parts = {m: drawn[m].log_weight - np.log(len(drawn[m])) + log_priors[m] for m in models}
-    labels = _regions_of_models(drawn, probability, models, reach_s, s)
-    log_weight = np.concatenate([parts[m] for m in models])
-    share = np.exp(log_weight - logsumexp(log_weight))
-    label = np.concatenate([labels[m] for m in models])
-    # regions are numbered by falling probability, and all motions get as many unknowns as the largest model has
-    rank = np.argsort(np.argsort(-np.bincount(label, weights=share), kind="stable"))
-    wide = [
-        drawn[m].shots.with_unknowns(np.arange(drawn[m].shots.u.shape[1]), count) for m in models
-    ]
-    return Draws(
-        shots=Shots.joined(wide),
-        log_weight=log_weight + np.log(len(log_weight)),
-        of_model=np.repeat(models, [len(drawn[m]) for m in models]),
-        region=rank[label],
-        effective=effective_draws(share),
-        tail=pareto_tail(log_weight),
-        evidence=float(logsumexp(log_weight)),
-        rounds=np.concatenate([draws.rounds for draws in drawn]),
-    )
-
-
-def _regions_of_models(
-    drawn: Sequence[Draws],
-    probability: np.ndarray,
-    models: list[int],
-    reach_s: float,
-    s: SamplingSettings,
-) -> dict[int, np.ndarray]:
-    """Return for each of some models the region of each draw, numbered over all models.
-
-    `probability`: of each model. From the most probable model on, a region is either one of those of earlier models, or a new one.
-    A region is described by mean (6) and covariance (6, 6) of its rate times `reach_s` (rad) and of its direction.
-    """
-    regions_so_far: list[tuple[np.ndarray, np.ndarray]] = []
-    labels: dict[int, np.ndarray] = {}
-    for m in sorted(models, key=lambda m: -probability[m]):
-        draws, earlier = drawn[m], len(regions_so_far)
-        share = np.exp(draws.log_weight - logsumexp(draws.log_weight))
-        label = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
-        for region in range(len(label)):
-            inside = draws.region == region
-            mass = share[inside].sum()
-            weight = share[inside] / max(mass, 1e-300)
-            omega, sun = draws.shots.omega[inside], draws.shots.sun[inside]
-            x = np.concatenate([reach_s * omega, sun], axis=1)
-            mean = weight @ x
-            covariance = np.einsum("n,ni,nj->ij", weight, x - mean, x - mean) + 1e-6 * np.eye(6)
-            distances = []
-            if probability[m] * mass > 10 * s.no_weight:
-                distances = [
-                    _distance(mean, covariance, *other, s) for other in regions_so_far[:earlier]
-                ]
-            if distances and min(distances) < s.one_region:
-                label[region] = int(np.argmin(distances))
-            else:
-                label[region] = len(regions_so_far)
-                regions_so_far.append((mean, covariance))
-        labels[m] = label[draws.region]
-    return labels
-
-
-def _distance(
-    mean: np.ndarray,
-    covariance: np.ndarray,
-    other_mean: np.ndarray,
-    other_covariance: np.ndarray,
-    s: SamplingSettings,
-) -> float:
-    """Return the squared distance of two regions: in sigmas of the wider one, or in the largest change by another model if less."""
-    off, wider = mean - other_mean, max((covariance, other_covariance), key=np.trace)
-    turn, sun = np.linalg.norm(off[RATE]) / s.bent_rad, np.linalg.norm(off[3:]) / s.sun_rad
-    by_model = float(max(turn, sun)) ** 2 * s.one_region
-    return min(float(off @ np.linalg.solve(wider, off)), by_model)
+    motions = motions.take(slice(0, s.checked))
+    track = target.track(motions)
+    real = target.log_likelihood(track, motions.u)
+    worse = [target.log_replicated(track, motions.u, rng) <= real for _ in range(s.copies)]
+    noise = target.model.indices("noise")
+    return Checked(float(np.mean(worse)), float(motions.u[:, noise].mean()) if noise else 0.0)
 
 
 def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:

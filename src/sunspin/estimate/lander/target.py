@@ -11,13 +11,15 @@ import numpy as np
 from sunspin.estimate.lander.fit import (
     SEARCH_ERROR,
     FitProblem,
-    corrected,
+    Point,
     in_tangents_at,
+    normal_equations,
+    rotation_by,
     states_of,
 )
-from sunspin.estimate.lander.model import CarriedStates, LanderModel
-from sunspin.estimate.lander.motions import RATE, STATE_SIZE, SUN, Shots
-from sunspin.estimate.model import Unknown
+from sunspin.estimate.lander.model import LanderModel
+from sunspin.estimate.lander.motions import STATE_SIZE, LanderMotions
+from sunspin.solve.linear import DenseSystem
 
 LEAST_TURN_RAD = 1e-3
 """Derivatives are not corrected by steps that rotate the body by less than this within the window: the change would be comparable
@@ -25,7 +27,7 @@ with the error of runs, 1e-5 rad."""
 
 
 class MotionSlopes(NamedTuple):
-    """K motions, what sensors `seen` (K, ...) of them, and its derivatives `seen_slopes` (K, 5, ...) by rate and direction.
+    """K motions, their `track` (K, ...), and its derivatives `track_slopes` (K, 5, ...) by rate and direction.
 
     Least squares at motions near by begins with these derivatives.
     """
@@ -33,123 +35,88 @@ class MotionSlopes(NamedTuple):
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
-    seen_slopes: np.ndarray
-    seen: np.ndarray
-
-
-class Equations(NamedTuple):
-    """Normal equations of K motions in their f coordinates: five of rate and direction, then the s reading unknowns.
-
-    `cost` (K): minus the log of the posterior density, up to a constant; `slope` (K, f), `matrix` (K, f, f): its derivatives.
-    """
-
-    cost: np.ndarray
-    slope: np.ndarray
-    matrix: np.ndarray
-    slopes: MotionSlopes
+    track_slopes: np.ndarray
+    track: np.ndarray
 
 
 @dataclass(frozen=True)
 class LanderTarget:
     """Posterior of the motions of a lander under one model: K motions are evaluated at once.
 
-    What is `seen` (K, n, w) of motions are directions to the Sun, and rates if they are needed (:meth:`FitProblem.seen`).
+    The `track` (K, n, w) of motions: directions to the Sun at the samples, and rates if they are needed (:meth:`FitProblem.track`).
     """
 
     model: LanderModel
 
-    @property
-    def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the unknowns (m)."""
-        return self.model.unknowns
-
     @cached_property
     def reading_unknowns(self) -> np.ndarray:
         """Return the indices (s) of unknowns that change readings, but not the motion: brightness, gains, tilts; not the noise."""
-        own = np.arange(len(self.model.of_motion), len(self.unknowns))
-        return np.setdiff1d(own, self.model.places("noise"))
+        own = np.arange(len(self.model.of_motion), len(self.model.unknowns))
+        return np.setdiff1d(own, self.model.indices("noise"))
 
     @cached_property
     def motion_unknowns(self) -> np.ndarray:
         """Return the indices of unknowns that change the motion: inertia, friction, wheel speeds, torques."""
         return np.arange(len(self.model.of_motion))
 
-    @property
-    def reach_s(self) -> float:
-        """Return the longest time from the reference to a sample."""
-        return self._problem.reach_s
-
-    @property
-    def rate_max(self) -> float:
-        """Return the largest rate (rad/s)."""
-        return self.model.max_rate
-
     @cached_property
     def _problem(self) -> FitProblem:
         """Return the fit of rate, direction and reading unknowns."""
-        free = np.zeros(len(self.unknowns), dtype=bool)
+        free = np.zeros(len(self.model.unknowns), dtype=bool)
         free[self.reading_unknowns] = True
         return FitProblem(self.model, free)
 
     def linearised(
-        self, shots: Shots, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
-    ) -> Equations:
-        """Return the equations under `noise_factor` times the noise.
+        self, motions: LanderMotions, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
+    ) -> DenseSystem:
+        """Return the normal equations of K motions under `noise_factor` times the noise, with the :class:`MotionSlopes` there.
 
-        With `slopes` of motions near by no further runs give derivatives. The given ones are corrected by the change that the step
-        from there has made (Broyden), if it is a step in rate and direction alone.
+        Their coordinates are the five of rate and direction, then the s reading unknowns. With `slopes` of motions near by no
+        further runs give derivatives. The given ones are corrected by the change that the step from there has made (Broyden), if it
+        is a step in rate and direction alone.
         """
         problem = self._problem
         if slopes is None:
-            seen, seen_slopes = problem.derivatives(shots)
+            system = problem.linearised(motions, noise_factor)
         else:
-            seen, fine = problem.seen(shots, SEARCH_ERROR)
-            step = shots.from_centre(Shots(slopes.omega, slopes.sun, slopes.u))[:, :STATE_SIZE]
-            turn = np.maximum(
-                np.linalg.norm(step[:, RATE], axis=1) * self.reach_s,
-                np.linalg.norm(step[:, SUN], axis=1),
-            )
+            before = LanderMotions(slopes.omega, slopes.sun, slopes.u)
+            step, moving = motions.from_centre(before)[:, :STATE_SIZE], self.motion_unknowns
             # if unknowns of the motion differ too, the change is not by the step alone
-            alike = np.all(
-                shots.u[:, self.motion_unknowns] == slopes.u[:, self.motion_unknowns], axis=1
+            alike = np.all(motions.u[:, moving] == slopes.u[:, moving], axis=1)
+            learnt = alike & (rotation_by(step, self.model.reach_s) > LEAST_TURN_RAD)
+            track_slopes, step = in_tangents_at(
+                motions.sun, slopes.sun, slopes.track_slopes, np.where(learnt[:, None], step, 0.0)
             )
-            learnt = (alike & fine & (turn > LEAST_TURN_RAD))[:, None]
-            seen_slopes, step = in_tangents_at(
-                shots.sun, slopes.sun, slopes.seen_slopes, np.where(learnt, step, 0.0)
-            )
-            change = np.where(fine[:, None, None], np.nan_to_num(seen - slopes.seen), 0.0)
-            seen_slopes = corrected(seen_slopes, step, change)
-        linear = problem.differences(shots, seen, seen_slopes)
-        system = problem.system(shots.u, linear, noise_factor)
-        at = MotionSlopes(shots.omega, shots.sun, shots.u, seen_slopes, linear.seen)
-        return Equations(system.cost, system.slope, system.matrix, at)
+            state = motions.omega, motions.sun, motions.u
+            point = Point(*state, track_slopes, slopes.track, step)
+            system = problem.linearised_after(point, noise_factor)
+        linear = system.extras
+        at = MotionSlopes(motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track)
+        return DenseSystem(system.cost, system.matrix, system.slope, extras=at)
 
-    def run(self, shots: Shots) -> np.ndarray:
-        """Return what sensors see (K, n, w), not a number for motions that could not be computed."""
-        seen, fine = self._problem.seen(shots, SEARCH_ERROR)
-        return np.where(fine[:, None, None], seen, np.nan)
+    def track(self, motions: LanderMotions) -> np.ndarray:
+        """Return the track (K, n, w) of motions, not a number for those that could not be computed."""
+        return self._problem.track(motions, SEARCH_ERROR)
 
-    def reading_slopes(self, seen: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def reading_slopes(self, track: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
-        problem, still = self._problem, np.zeros((len(u), 0, *seen.shape[1:]))
+        problem, still = self._problem, np.zeros((len(u), 0, *track.shape[1:]))
         # differences of readings do not use rate and direction at the reference
         unused = np.zeros((len(u), 3))
-        linear = problem.differences(Shots(unused, unused, u), seen, still)
+        linear = problem.differences(LanderMotions(unused, unused, u), track, still)
         _, weight = problem.weigh(linear.value, u, 1.0)
-        jacobian = linear.jacobian
-        weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
-        return -(weighted @ linear.value[..., None])[..., 0], weighted @ jacobian
+        curvature, gradient = normal_equations(linear.value, linear.jacobian, weight)
+        return -gradient, curvature
 
-    def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
+    def log_likelihood(self, track: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the log likelihood (K) of all readings."""
-        carried = CarriedStates(states_of(seen), np.all(np.isfinite(seen), axis=(1, 2)))
-        return self.model.log_likelihood(carried, u)
+        return self.model.log_likelihood(states_of(track), u)
 
     def log_replicated(
-        self, seen: np.ndarray, u: np.ndarray, rng: np.random.Generator
+        self, track: np.ndarray, u: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
         """Return the log likelihood (K) of readings simulated from the motions, each set under its own motion."""
-        model, states = self.model, states_of(seen)
+        model, states = self.model, states_of(track)
         of_panels = u[:, model.of_panels]
         simulated = model.panels.replicated(states, of_panels, rng)
         total = simulated.log_density(states, of_panels)
@@ -158,13 +125,9 @@ class LanderTarget:
             total = total - 0.5 * np.sum(off**2, axis=1)
         return total
 
-    def outlier_probability(self, shots: Shots) -> np.ndarray:
+    def outlier_probability(self, motions: LanderMotions) -> np.ndarray:
         """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
-        seen = self.run(shots)
-        fine = np.isfinite(seen).all(axis=(1, 2))
-        own = shots.u[fine][:, self.model.of_panels]
-        return self.model.panels.outlier_probability(states_of(seen[fine]), own)
-
-    def log_prior(self, shots: Shots) -> np.ndarray:
-        """Return the log prior density (K)."""
-        return self.model.log_prior_density(shots)
+        track = self.track(motions)
+        fine = np.isfinite(track).all(axis=(1, 2))
+        own = motions.u[fine][:, self.model.of_panels]
+        return self.model.panels.outlier_probability(states_of(track[fine]), own)

@@ -84,6 +84,10 @@ class SunDirections(Term):
             self, covariance=self.covariance + drift, other_covariance=self.other_covariance + drift
         )
 
+    def log_errors(self) -> float:
+        """Return the sum of the logs of the errors of all directions: two of the three numbers of each covariance."""
+        return float(np.linalg.slogdet(self.covariance[self.present()])[1].sum() / 3)
+
     def starts(self, sample: int) -> Starts:
         """Return the direction or directions that the reading of a sample may mean, if its error is small."""
         sharp = np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2

@@ -41,6 +41,10 @@ SOFT_IRON = 0.05
 """One sigma of each element of the matrix of a magnetometer that is not calibrated: iron that bends the field, axes off by three
 degrees. With 0.03 a pass of three turns was decided 8 sigma off."""
 
+LARGEST_ZERO, ZERO_SHARES = 0.3, (1.0, 0.3, 0.1)
+"""Zero of a magnetometer that nobody has calibrated, as a part of the field: one sigma of the largest, and parts of it that are as
+likely. Iron and currents of a small satellite make some thousand nT."""
+
 LEFT = 0.2
 """Part of the field's turning that does not change evenly over a pass, and stays noise."""
 
@@ -75,6 +79,7 @@ class FieldChange(Term):
     zero_B: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     matrix_sigma: float = 0.0
     drift_N: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    zero_shares: tuple[float, ...] = (1.0,)
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
@@ -97,6 +102,25 @@ class FieldChange(Term):
             # who does not know the zero has not calibrated the axes
             matrix_sigma=SOFT_IRON if stated else 0.0,
             drift_N=np.zeros((len(t_s), 0, 3)),
+        )
+
+    def with_any_zero(self) -> Self:
+        """Return the fields of a sensor that nobody has calibrated: its zero may have any of the sizes :data:`ZERO_SHARES`."""
+        size = float(np.nanmedian(np.linalg.norm(self.field_B, axis=1)))
+        return replace(
+            self,
+            zero_B=LARGEST_ZERO * size * np.eye(3),
+            matrix_sigma=SOFT_IRON,
+            zero_shares=ZERO_SHARES,
+        )
+
+    def with_errors_of(self, other: Self) -> Self:
+        """Return the fields with the unknowns of zero and matrix that another model of the same sensor has."""
+        return replace(
+            self,
+            zero_B=other.zero_B,
+            matrix_sigma=other.matrix_sigma,
+            zero_shares=other.zero_shares,
         )
 
     def with_own_zero(self) -> Self:
@@ -170,8 +194,11 @@ class FieldChange(Term):
             "field_zero": ("field", np.linalg.norm(self.zero_B, axis=1)),
             "field_matrix": ("1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0)),
         }
+        shares = {"field_zero": self.zero_shares}
         return tuple(
-            Unknown(f"{kind}_{i}", kind, unit, 0.0, float(sigma), i)
+            Unknown(
+                f"{kind}_{i}", kind, unit, 0.0, float(sigma), i, shares=shares.get(kind, (1.0,))
+            )
             for kind, (unit, of_kind) in sigmas.items()
             for i, sigma in enumerate(of_kind)
         )

@@ -141,6 +141,10 @@ class Term:
         """Return the term with larger sigmas, for a start that is off by `drift_rad` (n) in attitude and `drift_rad_s` in rate."""
         return self
 
+    def log_errors(self) -> float:
+        """Return the sum over the samples of the log of the errors of a direction, two numbers each; zero if no Sun is seen."""
+        return 0.0
+
     def starts(self, sample: int) -> Starts:
         """Return what its readings at a sample and the next one say of where a search may start."""
         return Starts()

@@ -23,6 +23,9 @@ from sunspin.output.text import number_text, rate_text, with_sigma
 MOST_EVENTS = 20
 """Number of wheel events that are printed."""
 
+LEAST_SPAN = 0.02
+"""The axis of the wheel speeds spans at least this share of the largest one."""
+
 
 def trajectory_summary(run: Any) -> Summary:
     """Return the summary of a trajectory: the state at the last time, and the wheel events."""
@@ -86,6 +89,10 @@ def trajectory_figure(run: Any) -> Any:
         colour = COLOURS[k % 7]  # all but grey, which is for auxiliary lines
         bottom_axes.plot(t, wheel_speed, color=colour, lw=1.4, label=name)
         bottom_axes.set_ylabel("wheel speed (rad/s)")
+    if wheels:  # a speed that hardly changes looks constant
+        low, high = bottom_axes.get_ylim()
+        middle, half = (low + high) / 2, max(high - low, LEAST_SPAN * max(abs(low), abs(high))) / 2
+        bottom_axes.set_ylim(middle - half, middle + half)
     for axes in grid[:, 0]:
         axes.legend(ncols=4, **ABOVE)
     bottom_axes.set_xlabel("time (s)")

@@ -69,9 +69,10 @@ def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
     yield Drawing(
         "sun-height",
         lambda: sun_height_figure(runs),
-        "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the "
+        "Probability density of the height of the Sun over the lander on the way to the landing, a curve for each command to the "
         "wheel.",
-        "How the Sun stood between collision and landing: r_z is 1 with the Sun overhead, -1 underneath; bars: one standard error.",
+        "How the Sun stood on the way to the landing, after the collision if there is one: r_z is 1 with the Sun overhead, -1 "
+        "underneath; bars: one standard error.",
     )
     if all(np.isfinite(data["up_z"]).any() for data in runs.values()):
         alt = "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time."
@@ -98,7 +99,7 @@ def strategy_name(name: str) -> str:
 
 @styled
 def sun_height_figure(runs: dict[str, Any]) -> Any:
-    """Draw the density of r_z between collision and landing for each strategy, with one standard error (paper, Fig. 13)."""
+    """Draw the density of r_z on the way to the landing for each strategy, with one standard error (paper, Fig. 13)."""
     figure, axes = axes_grid(9.2, 4.2, title="Height of the Sun on the way to the landing")
     for k, (name, data) in enumerate(runs.items()):
         curve = density(data, merge=2)  # bins 0.05 wide
