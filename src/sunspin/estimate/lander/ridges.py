@@ -263,28 +263,26 @@ class Peak(NamedTuple):
     covariance: np.ndarray
 
 
-def ridges_of(
-    target: LanderTarget, fit: ModelFit, fitted_share: np.ndarray | None, s: SamplingSettings
-) -> list[Ridge]:
+def ridges_of(target: LanderTarget, fit: ModelFit, s: SamplingSettings) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
-    A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): prior sigma of each
-    unknown in the fit, over `Unknown.sigma`, if it has several (:attr:`Unknown.shares`); default: one.
+    A motion on the ridge of a more probable one becomes a component of its outer law.
     """
-    least = np.diag(
-        [target.model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(target.model.unknowns)
-    )
+    model = target.model
+    least = np.diag([model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(model.unknowns))
     covariance = np.linalg.inv(fit.motions.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
-    share = np.ones_like(fit.motions.u) if fitted_share is None else fitted_share
+    # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one, over
+    # `Unknown.sigma`.
+    fitted_share = 1 / np.sqrt(model.prior_cost(fit.motions.u)[1])
     ridges: list[Ridge] = []
     for i in np.argsort(-log_mass, kind="stable"):
         if log_mass[i] < log_mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
         motion = fit.motions.bare.take([i])
         as_fitted = Peak(float(log_mass[i]), np.zeros(len(covariance[i])), covariance[i])
-        peaks = over_sizes(target, motion.u[0], as_fitted, share[i], s)
+        peaks = over_sizes(target, motion.u[0], as_fitted, fitted_share[i], s)
         for ridge in ridges:
             y, z = ridge.chart.coordinates(motion)
             off = np.concatenate([y, z], axis=1)[0]
