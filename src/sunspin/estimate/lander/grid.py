@@ -266,11 +266,11 @@ def settled_starts(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the starts that settle in the cells of a grid: rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
     nodes, others = cube_nodes(s.nodes), panels.take(reference.others)
-    seen = np.repeat(nodes[:, None], len(reference.others), axis=1)
+    directions = np.repeat(nodes[:, None], len(reference.others), axis=1)
     near, far = (
-        shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
+        shortfall(others, directions, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
     )
-    light = panels.brightness * others.response.power(seen)
+    light = panels.brightness * others.response.power(directions)
     if others.throttled:
         light = others.best_factor(light)[0] * light
     square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
