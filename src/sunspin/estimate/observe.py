@@ -105,7 +105,7 @@ def observe(
     calibration: FieldCalibration | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
-    """Return what all samples of a file show: terms, a sentence for each sample, and where the Sun comes from.
+    """Return what all samples of a file show: terms, what became of each sample in words, and where the Sun comes from.
 
     `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
     `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.

@@ -23,7 +23,7 @@ from sunspin.estimate.evidence import (
     rescale_unknowns,
 )
 from sunspin.estimate.field_led import leading_field, models_to_search, prepare_fit, to_nominal_axes
-from sunspin.estimate.images import with_images
+from sunspin.estimate.images import images_of, with_images
 from sunspin.estimate.model import AS_STATED, Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
@@ -76,7 +76,9 @@ def one_pass(
     differs; the fit then begins from them, without a search.
     """
     s, limit = settings, nominal.obs.cost_limit
-    budget = replace(budget)  # each pass has its own, as passes are estimated side by side
+    # each pass has its own, as passes are estimated side by side
+    flat = s.search.flat_budget if len(images_of(nominal)) > 1 else 1.0
+    budget = replace(budget, most=flat * budget.most)
 
     def search_and_fit(
         model: Model, noise: float, slowest: float = 0.0, inertia_held: bool = True
@@ -85,13 +87,17 @@ def one_pass(
         tracks = search_motions(model, noise, s.search, budget, slowest, inertia_held)
         return fit_tracks(nominal, tracks, noise, s)
 
-    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
-    # How much the errors of the times change a reading is known once a motion is: then the search is made again.
-    noise = s.search.noise
-    tracks = [begin] if begin is not None else search_motions(nominal, noise, s.search, budget)
-    exact, nominal = nominal, with_time_errors(nominal, tracks, s.search.least_drift_rad)
-    if begin is None and nominal is not exact:
-        tracks = search_motions(nominal, noise, s.search, budget)
+    # Search with the inertia held: all motions that the readings allow.
+    exact, noise = nominal, s.search.noise
+    loose = replace(s.search, drop=s.search.drop * s.search.drop_if_rounded)
+    first_search = loose if nominal.obs.time_sigma_s else s.search
+    tracks = [begin] if begin is not None else search_motions(nominal, noise, first_search, budget)
+    # How much the errors of rounded times change a reading is known once a motion is. Motions are searched again if that is much.
+    if nominal.obs.time_sigma_s:
+        nominal = with_time_errors(nominal, tracks, s.search.least_drift_rad)
+        far = with_time_errors(exact, tracks, s.search.large_drift_rad) is not exact
+        if far and begin is None:
+            tracks = search_motions(nominal, noise, s.search, budget)
     fits = fit_tracks(nominal, tracks, noise, s)
 
     # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
@@ -149,7 +155,7 @@ def one_pass(
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(
-        nominal=nominal,
+        nominal=exact,
         fits=tuple(fits),
         rungs=s.ladder.rungs,
         log_rung=even,
@@ -189,14 +195,15 @@ def search_motions(
     slowest: float = 0.0,
     inertia_held: bool = True,
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of strength `noise` leaves, a track for each meaning of the readings.
+    """Return the motions that a search under unknown torques of strength `noise` leaves.
 
-    The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
-
-    No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no motion raises InputError. With one,
-    slower motions were searched before, and the list may be empty.
+    There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
+    scale is in doubt (`Model.for_search`). No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no
+    motion raises InputError. With one, slower motions were searched before, so that one pair of samples to start from is enough,
+    and the list may be empty. The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
     """
-    # In axes that follow the field a right motion may cost more than the limit, since they turn in space: no further places then.
+    # Axes that follow the field turn in space, so that a right motion may cost more than the limit there, and would ask for further
+    # pairs of samples.
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
     for loose in models_to_search(nominal, Noise(noise)):

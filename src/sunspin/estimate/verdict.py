@@ -365,6 +365,8 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if "columns_doubt" in attrs:
         notes.append(attrs["columns_doubt"])
+    if "columns_rivals" in attrs:
+        notes.append(attrs["columns_rivals"])
     if count := int((fits & unique & ~constrained).sum()):
         notes.append(
             f"{count_of_passes(count)}: single solution, but not all rate components are constrained"

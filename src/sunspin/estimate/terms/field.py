@@ -416,7 +416,7 @@ class FieldDirection(SunDirections):
 
     @classmethod
     def alone(cls, part: Magnetometer, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry, and a sentence for each sample (n)."""
+        """Return the directions of telemetry, and what became of each sample (n), in words."""
         values = np.asarray(telemetry[VARIABLES["magnetometer"]], dtype=np.float64)
         read = without_outliers(values)
         size = np.linalg.norm(read, axis=1, keepdims=True)

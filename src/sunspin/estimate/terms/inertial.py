@@ -177,6 +177,7 @@ class AttitudeChange(Term):
         turn_read = np.where(was_read[:, None, None], turn_read, np.eye(3))
         before = at_sample_before(states.attitude, axis=1)
         relative = states.attitude @ np.swapaxes(before, -1, -2)
+        # A turn has the errors of two readings, hence sqrt 2. That neighbouring turns share a reading is left out.
         inverse = np.where(was_read, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         turn_read = np.broadcast_to(turn_read, relative.shape)
         value = rotation_between(turn_read, relative) * inverse
