@@ -18,7 +18,7 @@ from sunspin.estimate.carry import RATE, TURN, Step, step
 from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import Model, Noise, Observations, States, Track
 from sunspin.estimate.settings import SearchSettings
-from sunspin.estimate.terms.clock import Latency
+from sunspin.estimate.terms.inertial import Latency
 from sunspin.estimate.terms.term import Residual, Term, at_sample_before
 from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
 from sunspin.solve.linear import (

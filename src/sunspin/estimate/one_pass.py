@@ -118,7 +118,7 @@ def one_pass(
     # larger limit, only for search and aliases.
     beyond = s.alternatives.beyond if inertia_by_sun and nominal.body.sphere else 1.0
     wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
-    if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
+    if beyond > 1 and is_fast(fits):
         faster = search_and_fit(wider, s.search.noise, nominal.rate_max)
         fits = merge_fits(fits + faster, s.ladder, s.search)
     if not any(map(len, fits)):
@@ -137,7 +137,8 @@ def one_pass(
         (partial(aliases, s=s.alternatives), wider),
         (partial(aliases_about_two_axes, s=s.alternatives), widest),
     ):
-        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), model)
+        # of the three most probable motions: each has many
+        others = related(best_motions(fits, 3, s.search), model)
         budget.spend(len(others) * len(nominal.obs))
         fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
         fits = merge_fits(fits, s.ladder, s.search)
@@ -237,13 +238,13 @@ def drop_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     return motions.take(slow) if fits else motions
 
 
-def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
-    """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
+def is_fast(fits: Sequence[Fit]) -> bool:
+    """Return whether the most probable motion turns by more than half a revolution in the shortest interval."""
     if not any(map(len, fits)):
         return False
     best = best_fit(fits)
     speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
-    return bool(speed * np.diff(best.model.obs.t_s).min() > fast_rad)
+    return bool(speed * np.diff(best.model.obs.t_s).min() > np.pi)
 
 
 def fit_tracks(
@@ -290,7 +291,7 @@ def fits_of_alternative(
     if len(s.ladder.rungs) == 1:
         rung = max(rung, s.search.noise)
     top = float(best_fit(fits).log_evidence.max())
-    begin = best_motions(fits, s.alternatives.begin_with, s.search)
+    begin = best_motions(fits, 5, s.search)  # the most probable ones
     begin = rescale_unknowns(begin, most_probable.model, model.under(rung))
     ladder_settings = replace(s.ladder, hopeless=s.alternatives.hopeless)
     new = ladder(model, begin, ladder_settings, s.search, rung, top)

@@ -406,9 +406,8 @@ def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
     log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])  # (pass, rung)
     total = log.sum(axis=0)
-    if not np.isfinite(
-        total
-    ).any():  # each rung is without a fit in some pass: the one with the fewest such passes
+    if not np.isfinite(total).any():
+        # each rung is without a fit in some pass: the one with the fewest such passes
         total = np.maximum(log, -1e6).sum(axis=0)
     return fits[0].rungs[int(np.argmax(total))]
 

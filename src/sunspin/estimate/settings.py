@@ -121,8 +121,8 @@ class SearchSettings:
     """The same if panels lie in one plane or share inputs, and bound the Sun so little."""
 
     flat_budget: float = 2.0
-    """Times the usual computing budget for such panels: twice the pairs, and each motion has its mirror image. A search of 40
-    samples with a magnetometer takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
+    """Times the usual computing budget for such panels: more pairs, and each motion has its mirror image. With a magnetometer
+    a search of 40 samples takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
 
     more_places: int = 2
     """Further pairs to start from if the best candidate does not fit."""
@@ -183,9 +183,6 @@ class LadderSettings:
 class AlternativeSettings:
     """Other models of a pass."""
 
-    begin_with: int = 5
-    """Motions from which an alternative begins."""
-
     hopeless: float = 6.0
     """Log evidence by which an alternative may be worse than the best model and is followed: beyond it counts for 0.2 %."""
 
@@ -199,8 +196,8 @@ class AlternativeSettings:
     """Turns of the body over a pass by a constant torque: one sigma each, equally likely. It is not known to a power of ten."""
 
     tilt_shows: float = 2.0
-    """Half the square of residuals that two angles of one panel take away, from which turned panels are tried: in 18 right passes
-    it was 0.0 to 1.8, with panels that stand off by 3 degrees 2.4 and more. The evidence decides; this saves time."""
+    """Half the square of residuals that two angles of one panel take away, from which misaligned panels are tried. In 18 right
+    passes it was 0.0 to 1.8, with panels misaligned by 3 degrees 2.4 and more. The evidence decides; this saves time."""
 
     zero_odds: float = float(np.log(0.05 / 0.95))
     """Log odds that the zero of a gyro is off by more than the vehicle file states."""
@@ -211,29 +208,14 @@ class AlternativeSettings:
     even_rad: float = 0.5
     """Samples are even if whole turns between the closest two are whole turns between all others, to this."""
 
-    relatives_of: int = 3
-    """Motions, the likeliest, of which whole turns more and less are tried."""
-
-    most_of_two: int = 8
-    """Motions with whole revolutions about two axes that are tried, at most: the likeliest bodies first."""
-
-    most_whole: int = 6
-    """Whole revolutions more or fewer about each of these axes, at most."""
-
     momentum_off_rad: float = 0.35
-    """They are tried if the angular momentum of the new rates is nearer than this to its place in space. It is 0.1 in a pass that
-    was decided as an alias without them."""
-
-    least_cosine: float = 0.2
-    """The spin of a body changes its unknown inertia only if the cosine between angular momentum and spin axis is larger."""
+    """Revolutions about two axes are tried if the angular momentum of the new rates is nearer than this to its place in space. In a
+    pass that was decided as an alias without them it is 0.1."""
 
     beyond: float = 2.0
     """Times the largest rate up to which a fast body without an inertia is searched if nobody stated that rate, and up to 1 rad/s.
     The prior of the rate stays as it is, so that a faster motion must fit better. With an inertia such a search takes as long as
     all the rest, and of 6 passes it changed one, for the better."""
-
-    fast_rad: float = float(np.pi)
-    """A body is fast if it turns by more than this in the shortest interval."""
 
 
 @dataclass(frozen=True)
