@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.alternatives import alternatives
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.chain import Whitening, equations
+from sunspin.estimate.chain import equations, whitening
 from sunspin.estimate.evidence import best_motions, ladder, merge_fits
 from sunspin.estimate.model import AS_STATED, Body, Model, Noise, Observations
 from sunspin.estimate.one_pass import one_pass
@@ -83,8 +83,8 @@ def test_a_step_is_strong_torque_in_its_interval_alone():
     strength = noise.in_intervals(dt)
     assert strength[0] == strength[2] == 1e-4
     assert np.isclose(strength[1] ** 2, 1e-8 + 1e-4 / 10)
-    swing = Whitening.of(Noise(1e-4, rate=1e-2), dt)
-    covariance = np.linalg.inv(swing.matrix[1].T @ swing.matrix[1])
+    swing, _ = whitening(Noise(1e-4, rate=1e-2), dt)
+    covariance = np.linalg.inv(swing[1].T @ swing[1])
     assert np.isclose(covariance[0, 0], 1e-8 * 1000 / 3 + 1e-4 * 10)
     assert np.isclose(covariance[0, 3], 1e-8 * 50) and np.isclose(covariance[3, 3], 1e-8 * 10)
 

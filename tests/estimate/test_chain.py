@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from sunspin.estimate.carry import RATE, step
 from sunspin.estimate.chain import (
     LEAST_TURN,
-    Whitening,
     bent_step,
     defects,
     equations,
@@ -17,6 +16,7 @@ from sunspin.estimate.chain import (
     fit_single_shooting,
     propagate,
     variance_of,
+    whitening,
 )
 from sunspin.estimate.evidence import ladder, over_shares
 from sunspin.estimate.model import Body, Model, Noise, Track
@@ -76,14 +76,14 @@ def test_variance_of_a_mean_is_that_of_the_whole_covariance():
 def test_whitening_gives_the_covariance_of_white_acceleration():
     # a millisecond, in which torques alone would tell the turn too well
     dt, q = np.array([1e-3, 3.0, 20.0]), 2e-4
-    white = Whitening.of(Noise(q), dt)
+    white, log_determinant = whitening(Noise(q), dt)
     for k, t in enumerate(dt):
         eye = np.eye(3)
         covariance = q**2 * np.block([[eye * t**3 / 3, eye * t**2 / 2], [eye * t**2 / 2, eye * t]])
         covariance[:3, :3] += LEAST_TURN**2 * eye
-        assert np.allclose(white.matrix[k] @ covariance @ white.matrix[k].T, np.eye(6), atol=1e-9)
-    logs = [np.linalg.slogdet(np.linalg.inv(one.T @ one))[1] for one in white.matrix]
-    assert np.isclose(white.log_determinant, sum(logs) / 2)
+        assert np.allclose(white[k] @ covariance @ white[k].T, np.eye(6), atol=1e-9)
+    logs = [np.linalg.slogdet(np.linalg.inv(one.T @ one))[1] for one in white]
+    assert np.isclose(log_determinant, sum(logs) / 2)
 
 
 def test_evidence_does_not_hang_on_rounding():

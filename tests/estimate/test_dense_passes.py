@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.estimate.chain import Whitening
+from sunspin.estimate.chain import whitening
 from sunspin.estimate.dense import curve, filled, residuals_by_sensor
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.observe import HELD, thinned, wheel_models
@@ -117,7 +117,7 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, 
     span, noise = 40.0, 0.03
 
     def spread(dt: float) -> np.ndarray:
-        white = Whitening.of(Noise(noise), np.array([dt])).matrix[0]
+        white = whitening(Noise(noise), np.array([dt]))[0][0]
         return np.linalg.inv(white.T @ white)
 
     rest = (1 - share) * span

@@ -21,14 +21,14 @@ def test_a_motion_is_that_of_propagate_from_any_reference():
     model = lander_model(t_s)
     run = ss.propagate(PHILAE, OMEGA, SUN, [w.speed_rad_s for w in PHILAE.wheels], t_s)
     carried = model.carried(nominal(model), 1e-9)
-    np.testing.assert_allclose(carried.seen.sun_B[0], run["sun_B"].values, atol=1e-7)
+    np.testing.assert_allclose(carried.sun_B[0], run["sun_B"].values, atol=1e-7)
     later, fifth = model.after(400.0, model.max_rate), run.isel(time=[4])
     at = LanderMotions(fifth["omega_B"].values, fifth["sun_B"].values, nominal(model).u)
     speeds = fifth["wheel_speed_rad_s"].values
     np.testing.assert_allclose(later.wheel_speeds(at.u), speeds, rtol=2e-4)
     again = later.carried(at, 1e-9)
-    np.testing.assert_allclose(again.seen.sun_B[0], run["sun_B"].values, atol=0.02)
-    np.testing.assert_allclose(again.seen.omega[0], run["omega_B"].values, atol=2e-3)
+    np.testing.assert_allclose(again.sun_B[0], run["sun_B"].values, atol=0.02)
+    np.testing.assert_allclose(again.omega[0], run["omega_B"].values, atol=2e-3)
     assert later.first_speed(at, 1e-9)[0] == pytest.approx(np.linalg.norm(OMEGA), rel=1e-2)
 
 
@@ -74,7 +74,7 @@ def test_a_prior_of_several_sigmas_is_a_mixture_of_weight_one(kind):
     model = lander_model()
     if kind == "steady_torque":
         model = constant_torques(lander_model(inertia=0.0), {})[0]
-    places = model.places(kind)
+    places = model.indices(kind)
     assert len(places) == 3
 
     def cost(distance: float) -> tuple[float, float]:
@@ -105,10 +105,10 @@ def test_a_constant_torque_turns_the_body_by_its_largest_angle_over_the_samples(
     duration = float(np.ptp(model.obs.t_s))
     in_body, in_space = constant_torques(model, {})
     assert (in_body.frame, in_space.frame) == ("B", "N")
-    sigma = in_body.unknowns[in_body.places("steady_torque")[0]].sigma
+    sigma = in_body.unknowns[in_body.indices("steady_torque")[0]].sigma
     assert sigma * duration**2 / 2 == pytest.approx(np.radians(300.0))
     small = constant_torques(model, {"steady_torque": 20.0})[0]
-    unknown = small.unknowns[small.places("steady_torque")[0]]
+    unknown = small.unknowns[small.indices("steady_torque")[0]]
     assert unknown.sigma * duration**2 / 2 <= np.radians(20.0)
     assert constant_torques(model, {"steady_torque": 0.0}) == []
     # a torque about z speeds a body that rests, without its wheel, by torque over moment of inertia
@@ -118,7 +118,7 @@ def test_a_constant_torque_turns_the_body_by_its_largest_angle_over_the_samples(
     carried = rest.carried(LanderMotions(np.zeros((1, 3)), SUN[None], u), 1e-9)
     inertia = PHILAE.require_inertia()
     rate = sigma * (np.trace(inertia) / 3) * np.linalg.solve(inertia, [0, 0, 1.0]) * 100.0
-    np.testing.assert_allclose(carried.seen.omega[0, 1], rate, rtol=0.02, atol=2e-5)
+    np.testing.assert_allclose(carried.omega[0, 1], rate, rtol=0.02, atol=2e-5)
 
 
 def test_priors_say_what_they_are_and_where_from():

@@ -99,7 +99,7 @@ def test_misalignment_sigmas_come_from_the_file_unless_given():
     assert np.abs(np.einsum("kpp->kp", across)).max() < 1e-15
     assert model_of(stated, telemetry, tilt=0.0)[0].panels.turns is None
     model, said = model_of(craft, telemetry, tilt=0.05, tilt_common=0.03)
-    assert len(model.places("tilt", "tilt_common")) == 2 * 6 + 3
+    assert len(model.indices("tilt", "tilt_common")) == 2 * 6 + 3
     assert (said["tilt"], said["tilt_common"]) == ("2.86 deg (given)", "1.72 deg (given)")
 
 

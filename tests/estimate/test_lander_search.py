@@ -79,12 +79,12 @@ def test_interpolated_attitudes_are_those_of_the_motion():
     middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
     omega = grid.rates(cells) + 0.5 * grid.edge
     u = np.zeros((len(omega), len(model.unknowns)))
-    carried = model.carried(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).seen.sun_B
+    carried = model.carried(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).sun_B
     off = rotated(middle, SUN) - carried[:, reference.others]
     assert np.linalg.norm(off, axis=-1).max() < 0.12
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 0.05
     corner = LanderMotions(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
-    exact = model.carried(corner, 1e-6).seen.sun_B[:, reference.others]
+    exact = model.carried(corner, 1e-6).sun_B[:, reference.others]
     np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
 
 
@@ -120,7 +120,7 @@ def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
 
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
     model = lander_model()
-    sun = model.carried(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).seen.sun_B
+    sun = model.carried(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).sun_B
     rng = np.random.default_rng(2)
     near = move_on_sphere(np.tile(sun[0], (50, 1)), 0.2 * rng.standard_normal((400, 2)).clip(-1, 1))
     assert shortfall(model.panels, near.reshape(50, 8, 3), 0.35, GRID).max() == 0
@@ -177,14 +177,14 @@ def test_derivatives_of_the_differences_are_those_of_runs():
         0.05 * rng.standard_normal((3, 3)), sun, 0.3 * rng.standard_normal((3, count))
     )
     problem = FitProblem(model, np.ones(count, dtype=bool), FINAL_ERROR)
-    seen, seen_slopes = problem.derivatives(motions)
-    linear = problem.differences(motions, seen, seen_slopes)
-    nothing = np.zeros_like(seen_slopes)
+    track, track_slopes = problem.derivatives(motions)
+    linear = problem.differences(motions, track, track_slopes)
+    nothing = np.zeros_like(track_slopes)
 
     def moved(step):
         """Return the differences after a step."""
         there = motions.moved(np.tile(step, (3, 1)))
-        return problem.differences(there, problem.seen(there, 1e-9)[0], nothing).value
+        return problem.differences(there, problem.track(there, 1e-9), nothing).value
 
     for k, coordinate in enumerate(problem.coordinates):
         size = 1e-5 if coordinate < 3 else 1e-4

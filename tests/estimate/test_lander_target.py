@@ -37,7 +37,7 @@ def near(model, count: int = 3, size: float = 1e-3) -> LanderMotions:
 
 
 def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
-    """They are turned into the new tangents, and give what is seen after the step; another body corrects nothing."""
+    """They are turned into the new tangents, and give the track after the step; another body corrects nothing."""
     model = lander_model()
     target, motions = LanderTarget(model), near(model)
     first = target.linearised(motions).extras
@@ -45,17 +45,17 @@ def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
     step[:, 3:5] = 0.02
     there = motions.moved(step)
     then = target.linearised(there, first).extras
-    back = np.einsum("kc,kcnw->knw", motions.from_centre(there)[:, :5], then.seen_slopes)
-    assert then.seen + back == pytest.approx(first.seen, abs=3e-5)
+    back = np.einsum("kc,kcnw->knw", motions.from_centre(there)[:, :5], then.track_slopes)
+    assert then.track + back == pytest.approx(first.track, abs=3e-5)
     other = LanderMotions(motions.omega, motions.sun, motions.u + 0.5)
-    assert target.linearised(other, first).extras.seen_slopes == pytest.approx(first.seen_slopes)
+    assert target.linearised(other, first).extras.track_slopes == pytest.approx(first.track_slopes)
 
 
 def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_prior():
     model = lander_model(tilt=0.02)
     target, motions = LanderTarget(model), near(model)
     of = target.linearised(motions)
-    slope, curvature = target.reading_slopes(of.extras.seen, motions.u)
+    slope, curvature = target.reading_slopes(of.extras.track, motions.u)
     prior = motions.u[:, target.reading_unknowns]
     assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
     own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
@@ -67,7 +67,7 @@ def test_likelihood_is_that_of_the_model():
     model = lander_model()
     target, motions = LanderTarget(model), near(model)
     expected = model.log_likelihood(model.carried(motions, SEARCH_ERROR), motions.u)
-    assert target.log_likelihood(target.run(motions), motions.u) == pytest.approx(
+    assert target.log_likelihood(target.track(motions), motions.u) == pytest.approx(
         expected, abs=1e-9
     )
     exact = model.log_likelihood(model.carried(motions, 1e-3 * SEARCH_ERROR), motions.u)
@@ -79,22 +79,22 @@ def test_simulated_readings_fit_their_motion_as_well_as_real_ones():
     model = lander_model()
     motions = nominal(model, 400)
     target = LanderTarget(model)
-    seen, rng = target.run(motions), np.random.default_rng(0)
-    states = SunStates.of(seen[..., :3], seen[..., 3:])
+    track, rng = target.track(motions), np.random.default_rng(0)
+    states = SunStates.of(track[..., :3], track[..., 3:])
     own = motions.u[:, model.of_panels]
     made = model.panels.replicated(states, own, rng)
     # bright readings scatter by the stated noise about the prediction, but for outliers
-    power = model.panels.predicted(states, own, np.zeros(seen.shape[:2]))
+    power = model.panels.predicted(states, own, np.zeros(track.shape[:2]))
     bright = power > 10 * model.panels.sigma
     scatter = ((made.power - power) / model.panels.sigma)[bright]
     assert np.median(np.abs(scatter)) == pytest.approx(0.6745, rel=0.08)
     assert np.mean(np.abs(scatter) > 5) == pytest.approx(0.02, abs=0.006)
     real = made.log_density(states, own)
-    worse = target.log_replicated(seen, motions.u, rng) <= real
+    worse = target.log_replicated(track, motions.u, rng) <= real
     assert np.mean(worse) == pytest.approx(0.5, abs=0.08)
     # and far worse ones do not: all readings off by three sigmas
     off = replace(model.panels, power=model.panels.power + 3 * model.panels.sigma)
-    worse = target.log_replicated(seen, motions.u, rng) <= off.log_density(states, own)
+    worse = target.log_replicated(track, motions.u, rng) <= off.log_density(states, own)
     assert np.mean(worse) < 0.01
 
 
@@ -119,7 +119,7 @@ def test_motions_at_the_first_sample_lead_to_those_at_the_reference(frame):
     model = next(one for one in constant_torques(lander_model(), {}) if one.frame == frame)
     model = model.after(300.0, model.max_rate)
     motions = nominal(model)
-    motions.u[:, model.places("steady_torque")] = [0.02, -0.03, 0.04]
+    motions.u[:, model.indices("steady_torque")] = [0.02, -0.03, 0.04]
     first = at_first_sample(model, motions)
     state = first.omega[0], first.sun[0], first.wheels[0]
     torques = [Steady(np.trace(PHILAE.require_inertia()) / 3 * first.steady[0])]
@@ -148,7 +148,7 @@ def test_the_density_of_a_sample_is_the_integral_over_its_time():
     model = late_model()
     exact = replace(model.panels, time_s=0.0)
     motions = off(model)
-    states, own = model.carried(motions, 1e-9).seen, motions.u[:, model.of_panels]
+    states, own = model.carried(motions, 1e-9), motions.u[:, model.of_panels]
     nodes, weight = np.polynomial.hermite_e.hermegauss(201)
     total = 0.0
     for k in range(len(model.obs)):
@@ -171,7 +171,7 @@ def test_the_density_has_no_jumps_where_a_panel_lights_up_within_the_error_of_a_
     line = np.linspace(-6e-3, 6e-3, count)[:, None] * np.array([1.0, -0.5, 0.7])
     sun = np.tile(SUN, (count, 1))
     motions = LanderMotions(OMEGA + line, sun, np.zeros((count, len(model.unknowns))))
-    density = LanderTarget(model).log_likelihood(LanderTarget(model).run(motions), motions.u)
+    density = LanderTarget(model).log_likelihood(LanderTarget(model).track(motions), motions.u)
     assert np.ptp(density) > 20.0
     assert np.abs(np.diff(density, 2)).max() < 0.3
 
@@ -183,7 +183,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     fitting = Fitting(FitProblem(model, free, FINAL_ERROR), nominal(model))
     fitting.fit_under(1.0, 8)
     fitting.fit_noise()
-    fitted = fitting.motions.u[0, model.places("noise")[0]]
+    fitted = fitting.motions.u[0, model.indices("noise")[0]]
     value = fitting.problem.of_panels(fitting.system.extras.value)
     own = fitting.motions.u[:, model.of_panels]
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
@@ -199,9 +199,9 @@ def test_slopes_are_those_of_the_cost_with_times_at_their_best():
     def cost(change):
         """Return the cost of a motion of another rate, whose times are at their best."""
         motion = replace(motions, omega=motions.omega + change)
-        seen, _ = problem.seen(motion, 1e-10)
-        still = np.zeros((len(motion), 5, *seen.shape[1:]))
-        linear = problem.differences(motion, seen, still)
+        track = problem.track(motion, 1e-10)
+        still = np.zeros((len(motion), 5, *track.shape[1:]))
+        linear = problem.differences(motion, track, still)
         return problem.system(motion.u, linear, 1.0).cost[0]
 
     for axis, change in enumerate(1e-6 * np.eye(3)):

@@ -8,7 +8,7 @@ import pytest
 import sunspin as ss
 from sunspin.estimate.model import States
 from sunspin.estimate.rates import rates
-from sunspin.estimate.terms.rate_size import RateMagnitudes
+from sunspin.estimate.terms.inertial import RateMagnitudes
 from sunspin.vehicle.sensors import RateSize, Sensors
 from validation.passes import FACES, observe, spin
 

@@ -44,7 +44,7 @@ class Bananas:
     straight: float = 5e-3
     curved: float = 3e-3
     lowest: float = -np.inf
-    rate_max: float = 1.0
+    max_rate: float = 1.0
     reach_s: float = REACH_S
     reading_unknowns = np.array([1])
     motion_unknowns = np.array([0])
@@ -66,14 +66,25 @@ class Bananas:
     def _bright(self, u: np.ndarray) -> np.ndarray:
         return (u[:, 1] - BRIGHT) / READ
 
-    def run(self, motions: LanderMotions) -> np.ndarray:
+    @property
+    def model(self) -> "Bananas":
+        """Return what stands for the lander's model."""
+        return self
+
+    def indices(self, *kinds: str) -> list[int]:
+        return [i for i, unknown in enumerate(self.unknowns) if unknown.kind in kinds]
+
+    def prior_cost(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (u**2).sum(axis=1) / 2, np.ones_like(u)
+
+    def track(self, motions: LanderMotions) -> np.ndarray:
         return self._off(motions)
 
     def log_likelihood(self, seen: np.ndarray, u: np.ndarray) -> np.ndarray:
         each = np.log(self.weight) - (seen**2).sum(axis=2) / 2
         return np.asarray(logsumexp(each, axis=1)) - self._bright(u) ** 2 / 2
 
-    def log_prior(self, motions: LanderMotions) -> np.ndarray:
+    def log_prior_density(self, motions: LanderMotions) -> np.ndarray:
         normal = -np.sum(motions.u**2 + np.log(2 * np.pi), axis=1) / 2
         # the antipodes of the directions have the same components across
         facing = np.any(motions.sun @ self.sun.T > 0, axis=1)
@@ -217,7 +228,7 @@ def test_draws_have_the_evidence_and_moments_of_a_bent_ridge():
     bright = weights(draws) @ draws.motions.u[:, 1]
     assert bright == pytest.approx(BRIGHT / (1 + READ**2), abs=0.02)
     # a law that ignored the curve would propose rates ten sigmas beside the ridge
-    off = target.run(draws.motions)[:, 0]
+    off = target.track(draws.motions)[:, 0]
     assert np.sqrt(weights(draws) @ off**2) == pytest.approx(np.ones(5), abs=0.06)
 
 
@@ -273,7 +284,7 @@ def test_a_bent_law_draws_with_the_density_that_it_states():
 def test_all_rounds_propose_with_one_density():
     """A mixture of their laws, in proportion to their draws."""
     target = one()
-    (ridge,) = ridges_of(target, target.fit([0]), None, SAMPLING)
+    (ridge,) = ridges_of(target, target.fit([0]), SAMPLING)
     d = ridge.chart.dimensions
     laws = [OuterLaw(np.ones(1), np.full((1, d), at), np.eye(d)[None]) for at in (0.0, 2.0)]
     ridge.laws = [(1, laws[0]), (3, laws[1])]
@@ -297,9 +308,9 @@ def test_a_motion_fitted_twice_counts_once():
     fits = [target.fit([0], bend) for bend in (0.0, 0.3)]
     motions = LanderMotions.joined([fit.motions for fit in fits])
     twice = ModelFit(None, motions, np.zeros(2))
-    assert len(ridges_of(target, twice, None, SAMPLING)) == 1
+    assert len(ridges_of(target, twice, SAMPLING)) == 1
     apart = replace(SAMPLING, on_ridge=0.0)
-    assert len(ridges_of(target, twice, None, apart)) == 2
+    assert len(ridges_of(target, twice, apart)) == 2
     draws = drawn(target, twice, on_ridge=0.0)
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
     assert len(shares(draws)) == 1

@@ -13,13 +13,11 @@ from sunspin.estimate.chain import equations, fit
 from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import FIELD_TURN
-from sunspin.estimate.terms.clock import Latency
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
-from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates
+from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import Panels, ReadingTimes
-from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.terms.term import facing
 from sunspin.estimate.terms.torques import (
     ConstantTorque,

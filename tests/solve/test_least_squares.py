@@ -12,7 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from sunspin.solve.least_squares import Stop, least_squares, limit_length
+from sunspin.solve.least_squares import (
+    Stop,
+    join_problems,
+    least_squares,
+    limit_length,
+    take_problems,
+)
 from sunspin.solve.linear import (
     BorderedSystem,
     DenseSystem,
@@ -271,3 +277,19 @@ def test_symmetric_inverses_agree_with_lapack():
     back = symmetric_product(inverse, (matrix @ vector[..., None])[..., 0])
     ratio = moments.max(axis=-1) / moments.min(axis=-1)
     assert np.all(np.abs(back - vector).max(axis=-1) < 1e-12 * ratio)
+
+
+def test_joined_problems_are_those_of_the_parts_one_after_another():
+    """Also in nested and named tuples, and where a part of a state is None."""
+    systems = [
+        DenseSystem(
+            np.arange(n) + 1.0, np.ones((n, 2, 2)), np.zeros((n, 2)), None, (np.full(n, n),)
+        )
+        for n in (2, 3)
+    ]
+    joined = join_problems(systems)
+    assert isinstance(joined, DenseSystem) and joined.scale is None
+    assert joined.cost.tolist() == [1.0, 2.0, 1.0, 2.0, 3.0] and joined.matrix.shape == (5, 2, 2)
+    assert joined.extras[0].tolist() == [2, 2, 3, 3, 3]
+    for rows, part in ((np.arange(2), systems[0]), (np.arange(2, 5), systems[1])):
+        np.testing.assert_array_equal(take_problems(joined, rows).cost, part.cost)

@@ -14,12 +14,16 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.estimate.chain import RATE, Fit, defects, fit
-from sunspin.estimate.evidence import best_fit
+from sunspin.estimate.evidence import best_cost, best_fit
 from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
 from sunspin.estimate.terms.field import FieldChange
 from sunspin.estimate.terms.inertial import GyroRates
+from sunspin.estimate.terms.panels import TILT, Panels
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
+
+MISALIGNED = "misaligned panels"
+"""Name of the model of such panels, before that of the panel that shows it most."""
 
 LEAST_STEP = 1e-3
 """Least size of a step, in sigmas of the rate before the data."""
@@ -39,6 +43,7 @@ def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) ->
         )
         yield nominal.plus(torque, f"a steady torque in {words}")
     yield from another_zero(nominal, s)
+    yield from misaligned_panels(nominal, fits, s)
     yield from steps_of_the_rate(nominal, fits, s)
 
 
@@ -65,6 +70,38 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
             what=f"another zero offset of the {term.label}",
             log_prior=nominal.log_prior + log_odds,
         )
+
+
+def misaligned_panels(
+    nominal: Model, fits: Sequence[Fit], s: AlternativeSettings
+) -> Iterator[Model]:
+    """Yield the model of panels that are turned from the directions that the vehicle file states, if residuals show one of them.
+
+    A misaligned panel reads too much on one side of the Sun and too little on the other. The rates take much of that, and are
+    then off by many sigmas: with a panel off by 17 degrees a pass was decided and wrong by 17 sigma. `fits` as in
+    :func:`alternatives`.
+    """
+    panels, own = nominal.terms_with_slices[0] if nominal.obs.only_sun else (None, slice(0))
+    if not isinstance(panels, Panels) or own.stop < len(nominal.unknowns):
+        return  # other sensors, whose unknowns stand behind those of the panels
+    if best_cost(fits) > nominal.obs.cost_limit:
+        return  # exchanged columns, for example, must not pass for panels that are turned far
+    best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
+    motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+    (residual,) = panels.residuals(motion, motion.u[:, own])
+    weight = residual.law(residual.value)[1][0]
+    assert residual.by_turn is not None
+    gains = []
+    for panel, axes in enumerate(panels.tilt_axes()):
+        # least squares of two angles, by which half the weighted square of the residuals falls
+        slope, value = residual.by_turn[0, :, panel] @ axes.T, residual.value[0, :, panel]
+        matrix, rest = slope.T @ (weight[:, None] * slope), slope.T @ (weight * value)
+        gains.append(float(rest @ np.linalg.pinv(matrix, hermitian=True) @ rest) / 2)
+    if max(gains, default=0.0) > s.tilt_shows:
+        name = panels.names[int(np.argmax(gains))]
+        terms = (replace(panels, tilt_sigma=TILT), *nominal.obs.terms[1:])
+        what = f"{MISALIGNED}, {name} most"
+        yield replace(nominal, obs=replace(nominal.obs, terms=terms), what=what)
 
 
 def steps_of_the_rate(

@@ -52,7 +52,8 @@ FEWEST_PASSES = 3
 was fitted that there was not, and the gyro's scale became 2.6 times too large, with a sigma of 0.6."""
 
 NUMBERS = ("stated", "value", "sigma", "prior_sigma")
-"""Variables of the result that are numbers of the vehicle file."""
+VARIABLES = (*NUMBERS, "unit", "key", "component", "determined", "written", "samples")
+"""Variables of the result; the first are numbers of the vehicle file."""
 
 
 class Key(NamedTuple):
@@ -357,13 +358,12 @@ def _sun_sensor_keys(vehicle: Vehicle, readings: Readings, fitted: Calibration) 
 class GyroFit(NamedTuple):
     """Zero of each axis and scale of a gyro, `values` (4): reading (rad/s, by the vehicle file) = scale rate + zero.
 
-    Covariances (4, 4) by the curvature, `model`, and by the scatter between passes, `robust`; `prior` sigmas (4); numbers of
-    samples and passes.
+    `sigma` (4): the larger one of those by the curvature and by the scatter between passes; `prior` sigmas (4); numbers of samples
+    and passes.
     """
 
     values: np.ndarray
-    model: np.ndarray
-    robust: np.ndarray
+    sigma: np.ndarray
     prior: np.ndarray
     samples: int
     passes: int
@@ -419,14 +419,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     # the sandwich estimate of the covariance, with the scatter of the passes' gradients in the middle
     scatter = gradients.T @ gradients * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
     robust = covariance @ scatter @ covariance
-    return GyroFit(
-        values=values,
-        model=covariance,
-        robust=robust,
-        prior=prior,
-        samples=int(use.sum()),
-        passes=len(passes),
-    )
+    sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(robust)))
+    return GyroFit(values, sigma, prior, int(use.sum()), len(passes))
 
 
 def rate_known(result: xr.Dataset) -> np.ndarray:
@@ -468,11 +462,10 @@ def gyro_keys(gyro: Gyro, fit: GyroFit) -> list[Key]:
     As the reading is `scale` rate + zero, the new scale is the stated one over that of the fit.
     """
     scale, size = fit.values[3], abs(gyro.scale_rad_s)
-    sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
     zero = gyro.zero + gyro.sign * fit.values[:3] / gyro.scale_rad_s
-    of_zero = (gyro.zero, zero, sigma[:3] / size, fit.prior[:3] / size)
+    of_zero = (gyro.zero, zero, fit.sigma[:3] / size, fit.prior[:3] / size)
     stated, by_scale = np.array([gyro.scale_rad_s]), size / scale**2
-    of_scale = (stated, stated / scale, sigma[3:] * by_scale, fit.prior[3:] * by_scale)
+    of_scale = (stated, stated / scale, fit.sigma[3:] * by_scale, fit.prior[3:] * by_scale)
     return [
         Key(("gyro",), "zero", *of_zero, "reading", fit.samples),
         Key(("gyro",), "scale_rad_s", *of_scale, "rad/s", fit.samples),
@@ -490,25 +483,19 @@ def _dataset(
     attrs: dict[str, Any],
 ) -> xr.Dataset:
     """Return the result: all components of all keys, one after another."""
-    parts: dict[str, list[Any]] = {name: [] for name in NUMBERS}
-    for name in ("unit", "key", "component", "determined", "written", "samples"):
-        parts[name] = []
+    rows: list[tuple[Any, ...]] = []
     for key in keys:
-        count, determined = len(key.value), key.determined
+        determined, name = key.determined, ".".join((*key.where, key.key))
         written = bool(determined.all()) if key.written is None else key.written
-        all_numbers = (key.stated, key.value, key.sigma, key.prior)
-        for name, numbers in zip(NUMBERS, all_numbers, strict=True):
-            parts[name] += [float(x) for x in numbers]
-        parts["key"] += [".".join((*key.where, key.key))] * count
-        parts["component"] += range(count)
-        parts["unit"] += [key.unit] * count
-        parts["determined"] += determined.tolist()
-        parts["written"] += [written] * count
-        parts["samples"] += [key.samples] * count
-    variables = {name: ("quantity", np.array(part)) for name, part in parts.items()}
-    stated, value, sigma = (np.array(parts[name]) for name in ("stated", "value", "sigma"))
+        numbers = zip(key.stated, key.value, key.sigma, key.prior, determined, strict=True)
+        for component, (*of_file, shown) in enumerate(numbers):
+            rows.append((*of_file, key.unit, name, component, shown, written, key.samples))
+    columns = zip(*rows, strict=True) if rows else [()] * len(VARIABLES)
+    values = {name: np.array(part) for name, part in zip(VARIABLES, columns, strict=True)}
+    variables = {name: ("quantity", part) for name, part in values.items()}
     # a number that was not stated is new and has not moved
-    variables["moved"] = ("quantity", np.abs(value - stated) > sigma)
+    moved = np.abs(values["value"] - values["stated"]) > values["sigma"]
+    variables["moved"] = ("quantity", moved)
     epoch, time = str(telemetry.attrs["epoch_utc"]), telemetry["time"].values
     days = dict.fromkeys(utc_after(float(t), epoch)[:10] for t in (time.min(), time.max()))
     file = telemetry.attrs.get("file", "telemetry")

@@ -88,20 +88,9 @@ def step(
 ) -> Step:
     """Return K motions after n intervals each, by the equations of motion, with derivatives if asked.
 
-    Parameters
-    ----------
-    inertia : (3, 3) or, of each motion, (K, 3, 3)
-        In mean moments.
-    omega : (K, n, 3), rad/s
-        Rates at the start.
-    dt : (n), s
-        May be negative.
-    momenta : two (n, 3)
-        Momentum of the wheels at start and end, in mean moments times rad/s.
-    derivatives : bool
-        Whether those by the start, and by the errors, are wanted.
-    errors : (e, 3, 3), optional
-        One sigma of each error of the inertia by which they are wanted.
+    `inertia` (3, 3), or (K, 3, 3) of each motion, in mean moments; `omega` (K, n, 3): rates at the start, rad/s; `dt` (n), s, which
+    may be negative; `momenta`: two (n, 3), of the wheels at start and end, in mean moments times rad/s. `derivatives`: those by the
+    start are wanted, and those by one sigma of each of the `errors` (e, 3, 3) of the inertia.
     """
     bare = errors is None or not len(errors)
     sphere = inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())

@@ -18,7 +18,7 @@ from sunspin.estimate.carry import RATE, TURN, Step, step
 from sunspin.estimate.copies import distinct
 from sunspin.estimate.model import Model, Noise, Observations, States, Track
 from sunspin.estimate.settings import SearchSettings
-from sunspin.estimate.terms.clock import Latency
+from sunspin.estimate.terms.inertial import Latency
 from sunspin.estimate.terms.term import Residual, Term, at_sample_before
 from sunspin.solve.least_squares import TOLERANCE, least_squares, limit_length
 from sunspin.solve.linear import (
@@ -81,33 +81,26 @@ class Fit:
         return self.motions if self.lowest is None else self.lowest
 
 
-class Whitening(NamedTuple):
-    """Matrices W (n, 6, 6) that give defects of turn and rate in intervals (n) unit variance: W^T W is the inverse covariance.
+def whitening(noise: Noise, dt: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return matrices W (n, 6, 6) that give defects of turn and rate in intervals dt (n), s, unit variance.
 
-    White angular acceleration q makes the covariance q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt) of turn and rate about each axis. A
-    swing r (`Noise.rate`) adds r^2 dt to the variance of the turn. W is the inverse of its Cholesky factor. `log_determinant`: half
-    the sum of the logs of the determinants of all covariances.
+    W^T W is the inverse covariance. White angular acceleration q makes the covariance q^2 (dt^3 / 3, dt^2 / 2; dt^2 / 2, dt) of
+    turn and rate about each axis. A swing r (`Noise.rate`) adds r^2 dt to the variance of the turn. W is the inverse of its
+    Cholesky factor. Second: half the sum of the logs of the determinants of all covariances.
     """
-
-    matrix: np.ndarray
-    log_determinant: float
-
-    @classmethod
-    def of(cls, noise: Noise, dt: np.ndarray) -> Whitening:
-        """Return the whitening of what the equations of motion leave out in intervals dt (n), s."""
-        square = noise.in_intervals(dt) ** 2
-        hidden = noise.rate**2 * dt + LEAST_TURN**2  # variance of the turn alone
-        # the Cholesky factor (turn, 0; mixed, rate) of the covariance about one axis; its inverse is (1 / turn, 0; -mixed / (turn
-        # rate), 1 / rate)
-        turn = np.sqrt(square * dt**3 / 3 + hidden)
-        mixed = square * dt**2 / 2 / turn
-        rate = np.sqrt(square * dt * (square * dt**3 / 12 + hidden)) / turn
-        matrix = np.zeros((len(dt), 6, 6))
-        for axis in range(3):
-            matrix[:, axis, axis] = 1 / turn
-            matrix[:, axis + 3, axis] = -mixed / (turn * rate)
-            matrix[:, axis + 3, axis + 3] = 1 / rate
-        return cls(matrix, float(3 * (np.log(turn) + np.log(rate)).sum()))
+    square = noise.in_intervals(dt) ** 2
+    hidden = noise.rate**2 * dt + LEAST_TURN**2  # variance of the turn alone
+    # the Cholesky factor (turn, 0; mixed, rate) of the covariance about one axis; its inverse is (1 / turn, 0; -mixed / (turn
+    # rate), 1 / rate)
+    turn = np.sqrt(square * dt**3 / 3 + hidden)
+    mixed = square * dt**2 / 2 / turn
+    rate = np.sqrt(square * dt * (square * dt**3 / 12 + hidden)) / turn
+    matrix = np.zeros((len(dt), 6, 6))
+    for axis in range(3):
+        matrix[:, axis, axis] = 1 / turn
+        matrix[:, axis + 3, axis] = -mixed / (turn * rate)
+        matrix[:, axis + 3, axis + 3] = 1 / rate
+    return matrix, float(3 * (np.log(turn) + np.log(rate)).sum())
 
 
 class NormalEquations:
@@ -318,7 +311,8 @@ def defects(model: Model, motions: Track) -> Defects:
     body, dt = model.body, np.diff(model.obs.t_s)
     momenta = model.obs.momentum[:-1], model.obs.momentum[1:]
     inertia = body.inertia_at(motions.u[:, model.inertia_slice])
-    stepped = step(inertia, motions.omega[:, :-1], dt, momenta, True, body.errors)
+    rates = motions.omega[:, :-1]
+    stepped = step(inertia, rates, dt, momenta, derivatives=True, errors=body.errors)
     relative = motions.attitude[:, 1:] @ np.swapaxes(motions.attitude[:, :-1], -1, -2)
     value = np.concatenate(
         [rotation_between(stepped.turned, relative), motions.omega[:, 1:] - stepped.omega], axis=-1
@@ -329,14 +323,15 @@ def defects(model: Model, motions: Track) -> Defects:
     for term, own in model.terms_with_slices:
         push = term.added_by_unknowns(motions, dt)
         if push is not None:
+            # that what an unknown torque adds depends on the states is left out of `by_start`
             by_u[..., own] = push
             value = value - np.einsum("knim,km->kni", push, motions.u[:, own])
         known = term.added_by_torque(motions, dt)
         if known is not None:
             value = value - known
-            if term.about_sun:
+            if term.about_sun:  # a torque that is known in space depends on the attitude
                 by_start[..., TURN] += pushed_by_turn(term, motions, dt, known)
-    white = Whitening.of(model.noise, dt).matrix
+    white, _ = whitening(model.noise, dt)
     by_second = np.broadcast_to(white, (len(value), *white.shape))
     return Defects((white @ value[..., None])[..., 0], -white @ by_start, by_second, -white @ by_u)
 
@@ -409,7 +404,7 @@ def fit(
     system, inverse = solution.system, invert_bordered(solution.system)
     fitted = Track(*solution.state, system.cost, inverse.nodes)
     determinants = inverse.log_determinant / 2
-    log_width_of_torques = Whitening.of(model.noise, np.diff(model.obs.t_s)).log_determinant
+    _, log_width_of_torques = whitening(model.noise, np.diff(model.obs.t_s))
     # Laplace's method; what it leaves out all models of a pass share: see `log_left_out`
     log_evidence = model.log_prior - system.cost - determinants - log_width_of_torques
     # a fit that ended on a slope has a matrix of no minimum, and no evidence
@@ -495,32 +490,33 @@ def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
 
 def propagate(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
     """Return the motions, without unknowns, that have attitudes (K, 3, 3) and rates (K, 3) at a sample."""
-    n = len(model.obs)
-    attitudes, rates = np.empty((len(omega), n, 3, 3)), np.empty((len(omega), n, 3))
-    attitudes[:, sample], rates[:, sample] = attitude, omega
-    _propagate_outward(model, attitudes, rates, sample, sample)
-    return Track.free(attitudes, rates)
+    k, n = len(omega), len(model.obs)
+    motions = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+    motions.attitude[:, sample], motions.omega[:, sample] = attitude, omega
+    _propagate_outward(model, motions, sample, sample)
+    return motions
 
 
 def _propagate_outward(
-    model: Model, attitudes: np.ndarray, rates: np.ndarray, first: int, last: int
+    model: Model, motions: Track, first: int, last: int, by_state: np.ndarray | None = None
 ) -> None:
-    """Fill in attitudes (K, n, 3, 3) and rates (K, n, 3), which are given from sample `first` to `last`, at all other samples."""
-    for start, end in _outward_steps(first, last, attitudes.shape[1]):
-        stepped = _step_between(model.obs, model.body.inertia, rates[:, start], start, end)
-        attitudes[:, end] = stepped.turned @ attitudes[:, start]
-        rates[:, end] = stepped.omega
+    """Fill in motions (K), which are given from sample `first` to `last`, at all other samples.
 
-
-def _outward_steps(first: int, last: int, n: int) -> Iterator[tuple[list[int], list[int]]]:
-    """Yield steps from samples to their neighbours, away from `first` and `last` to both ends of n samples.
-
-    Both ways at once while both go on: a step takes nearly as long for one interval as for two.
+    If asked for, also their derivatives `by_state` (K, n, 6, 6) by turn and rate at one sample, which are given as the motions are:
+    products of those of the steps. Steps go both ways at once while both go on: one takes nearly as long for two intervals as for
+    one.
     """
+    attitude, omega = motions.attitude, motions.omega
+    n, inertia = omega.shape[1], model.body.inertia
     for k in range(max(first, n - 1 - last)):
         steps = (last + k, last + k + 1), (first - k, first - k - 1)
-        inside = [(i, j) for i, j in steps if 0 <= j < n]
-        yield [i for i, _ in inside], [j for _, j in inside]
+        start, end = map(list, zip(*((i, j) for i, j in steps if 0 <= j < n), strict=True))
+        derivatives = by_state is not None
+        stepped = _step_between(model.obs, inertia, omega[:, start], start, end, derivatives)
+        attitude[:, end] = stepped.turned @ attitude[:, start]
+        omega[:, end] = stepped.omega
+        if by_state is not None and stepped.by_start is not None:
+            by_state[:, end] = stepped.by_start @ by_state[:, start]
 
 
 def _step_between(
@@ -553,18 +549,11 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
         """
         omega = state[1]
         k = len(omega)
-        # motions at all samples, and their derivatives (K, n, 6, 6) by turn and rate at the sample: products of those of the steps
+        # motions at all samples, and their derivatives by turn and rate at the sample
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
-        for start, end in _outward_steps(sample, sample, n):
-            stepped = _step_between(
-                model.obs, model.body.inertia, track.omega[:, start], start, end, derivatives=True
-            )
-            track.attitude[:, end] = stepped.turned @ track.attitude[:, start]
-            track.omega[:, end] = stepped.omega
-            assert stepped.by_start is not None
-            by_state[:, end] = stepped.by_start @ by_state[:, start]
+        _propagate_outward(model, track, sample, sample, by_state)
         previous_by_state = at_sample_before(by_state, axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
         for term in model.obs.terms:
@@ -638,13 +627,12 @@ class Chain:
         model = self.model.seeing(wider)
         first, last = window.start - wider.start, window.stop - wider.start
         n, k = wider.stop - wider.start, len(motions)
-        attitude, omega = np.empty((k, n, 3, 3)), np.empty((k, n, 3))
-        attitude[:, first:last], omega[:, first:last] = motions.attitude, motions.omega
-        _propagate_outward(model, attitude, omega, first, last - 1)
+        wide = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        wide.attitude[:, first:last], wide.omega[:, first:last] = motions.attitude, motions.omega
+        _propagate_outward(model, wide, first, last - 1)
         middle = (window.stop - window.start) // 2
         others = along_the_valley(self.model.seeing(window), motions, middle, self.s)
-        carried_on = propagate(model, first + middle, *others)
-        return Track.joined([Track.free(attitude, omega), carried_on])
+        return Track.joined([wide, propagate(model, first + middle, *others)])
 
 
 def along_the_valley(

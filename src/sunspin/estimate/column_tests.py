@@ -32,7 +32,7 @@ from sunspin.estimate.equivalence import (
     wheel_changes,
 )
 from sunspin.estimate.settings import FIELD_TURN
-from sunspin.estimate.verdict import in_sigma, misfit
+from sunspin.estimate.verdict import DECIDED, in_sigma, misfit
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -64,9 +64,18 @@ WORTH_A_SEARCH = 30.0
 files with two columns exchanged the right change was at most 0.8 from the best."""
 
 AS_GOOD = 3.0
-"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one. And
-the log evidence by which a change may be better than the file in a decided pass. Of 100 right files that were compared six have
-such a change, all of bodies slower than 0.3 deg/s; in none is a change better by :data:`CLEARLY` and fits better too."""
+"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one."""
+
+EXCHANGED = 0.01
+"""Share of files whose columns are exchanged: a supposition before the data."""
+
+AS_PROBABLE = float(np.log((1 - DECIDED) / DECIDED * (1 - EXCHANGED) / EXCHANGED))
+"""Log evidence (2.4) by which a change of columns must be better than the file to have one in ten of the probability. Then a pass
+with another rate is not decided."""
+
+EXCLUDED = float(np.log(99.0))
+"""Log evidence (4.6) by which a change must be worse than the file to be excluded at 1 in 100, if both are equally probable before
+the data."""
 
 MOST_COMPARED = 60
 """Samples that are compared so, evenly chosen."""
@@ -130,6 +139,14 @@ def _line(named: Named) -> str:
     return f"{named.change.what}{do}: omega ({rate}) deg/s"
 
 
+def rival_words(rival: Better, clock: Callable[[float], str]) -> str:
+    """Return a change that the data do not exclude in words, with its rate; `clock` as of :meth:`Better.words`."""
+    side = "higher" if rival.gain > 0 else "lower"
+    count = len(rival.named) - 1
+    more = f", and with {count} more that look the same" if count else ""
+    return f"with {_line(rival.named[0])} at {clock(rival.at_s)} (log evidence {side} by {abs(rival.gain):.1f}{more})"
+
+
 @dataclass(frozen=True)
 class Culprit:
     """The sensor without which the others agree, and that no other columns or axes of it explain."""
@@ -148,15 +165,11 @@ class Culprit:
 
 @dataclass(frozen=True)
 class Trials:
-    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`.
-
-    `least`: log evidence by which a change must be better.
-    """
+    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`."""
 
     evidence: Callable[[Vehicle, xr.Dataset], float]
     run: Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
     budget: Budget
-    least: float = CLEARLY
 
     def fitting(self, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset | None:
         """Return the estimate, if it fits."""
@@ -280,20 +293,65 @@ def _best_of(
     return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
 
 
-def better_exchanges(
+def rival_exchanges(
     observed: Observed,
     telemetry: xr.Dataset,
     costs: CostsOfSamples,
     noise: np.ndarray | float,
     trials: Trials,
-) -> Better | None:
-    """Return changes of columns that the samples allow, with which a pass that fits has a clearly larger log evidence.
+    as_written: float | None,
+) -> list[Better]:
+    """Return changes of columns that the samples allow and that fit a pass about as well as the file, the most probable first.
 
     The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
     their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
     columns made up; with the right ones the log evidence was better by 24. `observed`: with the Sun's directions of the estimated
-    motion; `costs`: of the samples of the pass; `noise`: of the readings. Exchanges of dark columns that change nothing are left
-    out.
+    motion; `costs`: of the samples of the pass; `noise`: of the readings; `as_written`: the log evidence of the file as it is
+    written by the whole estimate, None if it is to be estimated. Changes that are excluded (:data:`EXCLUDED`) by a quick search are
+    not estimated.
+    """
+    dark, rivals = _changes_to_compare(observed, telemetry, costs, noise)
+    if not (dark or rivals):
+        return []
+    # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
+    candidates = [(change, []) for change in dark] + [(change, costs.changes) for change in rivals]
+    vehicle = observed.vehicle
+    quick_as_written = trials.evidence(vehicle, telemetry)
+    if not np.isfinite(quick_as_written):
+        return []
+    quick = np.full(len(candidates), -np.inf)
+    for k, (change, _) in enumerate(candidates):
+        if trials.budget.exhausted():
+            break
+        quick[k] = trials.evidence(*change.applied(vehicle, telemetry)) - quick_as_written
+    near = [int(k) for k in np.argsort(-quick, kind="stable") if quick[k] > -EXCLUDED]
+    # A quick search holds inertia and gains. The evidence of a whole estimate tells more: of two files with exchanged columns the
+    # right ones were better by 0.3 and 2.3 in a quick search, and by 2.6 and 4.6 in whole estimates.
+    if not near:
+        return []
+    if as_written is None:
+        estimate = trials.fitting(vehicle, telemetry)
+        if estimate is None:
+            return []
+        as_written = float(estimate.attrs["log_evidence"][0])
+    compared = []
+    for k in near[:MOST_RUNS]:
+        change, others = candidates[k]
+        result = trials.fitting(*change.applied(vehicle, telemetry))
+        if result is not None:
+            gain = float(result.attrs["log_evidence"][0]) - as_written
+            named = tuple(with_equivalents(observed, change, result, others))
+            at_s, cost = rate_in_the_middle(result)[1], float(result["cost"].values[0, 0])
+            compared.append(Better(named, gain, at_s, cost=cost))
+    return sorted(compared, key=lambda better: -better.gain)
+
+
+def _changes_to_compare(
+    observed: Observed, telemetry: xr.Dataset, costs: CostsOfSamples, noise: np.ndarray | float
+) -> tuple[list[ColumnChange], list[ColumnChange]]:
+    """Return the changes that the samples of a pass allow and a motion may tell from the file: of dark columns, and of others.
+
+    Arguments are those of :func:`rival_exchanges`. Exchanges of dark columns that change nothing are left out.
     """
     vehicle, changes = observed.vehicle, costs.changes
     allowed = costs.of_changes <= costs.as_written + AS_GOOD
@@ -324,21 +382,7 @@ def better_exchanges(
         [change for change in group if gains_of_silent(vehicle, telemetry, change) == silent]
         for group in (dark, rivals)
     )
-    if not (dark or rivals):
-        return None
-    evidence_as_written = trials.evidence(vehicle, telemetry)
-    if not np.isfinite(evidence_as_written):
-        return None
-    # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
-    betters = [
-        _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
-        for classes, others in ((dark, []), (rivals, changes))
-    ]
-    return max(
-        (better for better in betters if better is not None),
-        key=lambda better: better.gain,
-        default=None,
-    )
+    return dark, rivals
 
 
 def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange) -> list[float]:
@@ -372,20 +416,18 @@ def _best_of_classes(
             break
         changed = change.applied(observed.vehicle, telemetry)
         gains[k] = trials.evidence(*changed) - evidence_as_written
-    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > trials.least]
+    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > CLEARLY]
 
     named: list[Named] = []
-    best, at_s, cost = -np.inf, np.nan, np.nan
+    best, at_s = -np.inf, np.nan
     for k in ranked[:MOST_RUNS]:
         if gains[k] < best - CLEARLY:  # clearly worse than one that fits
             break
         result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
         if result is not None:
-            if not named:
-                cost = float(result["cost"].values[0, 0])
             best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
             named += with_equivalents(observed, classes[k], result, others)
-    return Better(tuple(named), best, at_s, cost=cost) if named else None
+    return Better(tuple(named), best, at_s) if named else None
 
 
 def with_equivalents(

@@ -17,16 +17,19 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.estimate.alternatives import MISALIGNED
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.column_tests import (
-    AS_GOOD,
+    AS_PROBABLE,
+    EXCLUDED,
     MOST_NAMED,
     MOST_SQUARE,
     Better,
     CostsOfSamples,
     Named,
     Trials,
-    better_exchanges,
+    rival_exchanges,
+    rival_words,
     silent_inputs,
     what_fits_better,
 )
@@ -88,7 +91,7 @@ def check_columns(
 
     `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. Passes may
     lose `decided` and `unique`; `columns_checked` says what is known of the columns. Attributes: `alike`, `columns_unseen`,
-    `columns_doubt`, `columns_changes`, `column_tests_cut`, `symmetric_unlisted`.
+    `columns_rivals`, `columns_doubt`, `columns_changes`, `column_tests_cut`, `symmetric_unlisted`.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     observed = what_was_observed(vehicle, telemetry, result.attrs)
@@ -236,10 +239,11 @@ def _with_rivals(
     trials: Trials,
     least: float,
 ) -> xr.Dataset:
-    """Return the result with changes that the samples allow as well and that fit the longest decided pass better, if any.
+    """Return the result with changes that the samples allow as well and that fit the longest decided pass about as well, if any.
 
     `costs`: of the samples of the longest pass, decided or not; `least`: log evidence by which changes must be better, that of
-    reversed wheels if their sign is in doubt.
+    reversed wheels if their sign is in doubt. Changes that are better than `AS_PROBABLE` leave no pass decided. Others that the
+    data do not exclude are said, with their rates, in attrs["columns_rivals"].
     """
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
@@ -250,26 +254,52 @@ def _with_rivals(
     of_part = replace(of_part, sun_B=result["sun_B"].values[result["pass_of"].values == k])
     if k != _longest(result):
         costs = CostsOfSamples.of(observed.vehicle, part)
-    trials = replace(trials, least=AS_GOOD)
-    better = better_exchanges(of_part, part, costs, noise_of(result, observed.vehicle), trials)
-    if better is None or better.gain < least:
-        return result
+    # a pass that is a part of the file was assessed with the rest, a change is estimated by itself
+    alone = part.sizes["time"] == telemetry.sizes["time"]
+    as_written = float(result.attrs["log_evidence"][k]) if alone else None
+    noise = noise_of(result, observed.vehicle)
+    rivals = rival_exchanges(of_part, part, costs, noise, trials, as_written)
+    rivals = [rival for rival in rivals if rival.gain >= least or not least]
     # A small gain does not accuse the file, but the pass is not decided with it. Nor does evidence alone accuse it: of a slow body
     # that was searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
-    decrease = float(result["cost"].values[k, 0]) - better.cost
-    if better.gain <= CLEARLY or decrease < CLEARLY:
-        omega, sigma = (
-            np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
-            for name in ("omega", "sigma")
-        )
-        rates_of_changes = [named.omega for named in better.named if named.omega is not None]
-        if all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates_of_changes):
-            return result  # the rate is right with either
-        what = " or with ".join(named.change.what for named in better.named[:MOST_NAMED])
+    # Misaligned panels may stand for exchanged columns, and then their cost is low: the evidence accuses alone.
+    misaligned = str(result["model"].values[k]).startswith(MISALIGNED)
+    most = np.inf if misaligned else float(result["cost"].values[k, 0]) - CLEARLY
+    accusing = [rival for rival in rivals if rival.gain > CLEARLY and rival.cost <= most]
+    if accusing:
+        best = accusing[0]
+        near = [rival for rival in accusing if rival.gain > best.gain - CLEARLY]
+        named = tuple(named for rival in near for named in rival.named)
+        result = _undecided(result, "columns, signs or axes")
+        return _with_named_changes(result, replace(best, named=named))
+    omega, sigma = (
+        np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
+        for name in ("omega", "sigma")
+    )
+    # the rate is right with either if it is the same with both
+    others = [rival for rival in rivals if not _gives_the_rate(rival, omega, sigma)]
+    as_probable = [rival for rival in others if rival.gain > AS_PROBABLE]
+    if as_probable:
+        names = [named.change.what for rival in as_probable for named in rival.named]
+        what = " or with ".join(names[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
         return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
-    return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+    not_excluded = [rival for rival in others if rival.gain > -EXCLUDED]
+    if not not_excluded:
+        return result
+    checked = np.full(result.sizes["pass_id"], COLUMNS_UNCHECKED)
+    clock = partial(clock_time, result.attrs.get("epoch_utc"))
+    lines = [rival_words(rival, clock) for rival in not_excluded]
+    return result.assign(columns_checked=("pass_id", checked)).assign_attrs(
+        columns_rivals=f"columns unchecked: the data fit about as well {'; '.join(lines)}"
+    )
+
+
+def _gives_the_rate(rival: Better, omega: np.ndarray, sigma: np.ndarray) -> bool:
+    """Return whether a change and all that look the same give the rate `omega` (3) within its errors `sigma` (3), in rad/s."""
+    rates = [named.omega for named in rival.named if named.omega is not None]
+    return all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates)
 
 
 def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:

@@ -14,6 +14,7 @@ from sunspin.estimate.carry import RATE, TURN, Step, angle_turned, step
 from sunspin.estimate.chain import earlier_states
 from sunspin.estimate.model import Model, Observations, States, Track
 from sunspin.estimate.terms.field import FieldChange
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Term
 from sunspin.estimate.verdict import in_sigma
 from sunspin.solve.rotations import rotate_attitude, rotation_between
@@ -148,6 +149,8 @@ def residuals_by_sensor(
         if isinstance(term, FieldChange) and isinstance(fitted, FieldChange):
             # an alternative model may estimate a zero that the nominal one takes for exact
             term = term.with_errors_of(fitted)
+        elif isinstance(term, Panels) and isinstance(fitted, Panels):
+            term = replace(term, tilt_sigma=fitted.tilt_sigma)
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():
             continue

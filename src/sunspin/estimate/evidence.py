@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 from scipy.special import log_softmax, logsumexp
@@ -82,7 +82,8 @@ def ladder(
     def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
-        The first begins at the motions of the fit `last`, on the rung `last_rung`.
+        The first begins at the motions of the fit `last`, on the rung `last_rung`. The next fit begins where the one before ended;
+        `summed`, over the sizes of its unknowns, is the one that counts.
         """
         for rung in path:
             # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is
@@ -90,16 +91,16 @@ def ladder(
             for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
                 under = model.under(level)
                 begin = rescale_unknowns(last.motions, last.model, under)
-                # fitted on the way up already: the motions from there are kept too
+                # on the way down a rung may have a fit already, from the way up: its motions are fitted again too
                 if level in fits:
                     begin = Track.joined([begin, fits[level].to_begin_from])
-                last, shared = _fit_and_select(under, begin, s.steps, s, search_settings)
+                last, summed = _fit_and_select(under, begin, s.steps, s, search_settings)
             last_rung = rung
             if not len(last):
                 break
-            fits[rung] = shared
+            fits[rung] = summed
             best = max(rival, *(float(fitted.log_evidence.max()) for fitted in fits.values()))
-            if shared.log_evidence.max() < best - s.hopeless:
+            if summed.log_evidence.max() < best - s.hopeless:
                 break
         return last, last_rung
 
@@ -290,12 +291,8 @@ def best_cost(fits: Sequence[Fit]) -> float:
 
     Another motion may cost less: under the strongest torques nearly everything costs little, and is improbable.
     """
-    pairs = [
-        (fitted.log_evidence[k], fitted.motions.cost[k])
-        for fitted in fits
-        for k in range(len(fitted))
-    ]
-    return float(max(pairs)[1]) if pairs else np.inf
+    pairs = (zip(fitted.log_evidence, fitted.motions.cost, strict=True) for fitted in fits)
+    return float(max(chain.from_iterable(pairs), default=(0.0, np.inf))[1])
 
 
 def merge_fits(

@@ -145,14 +145,11 @@ class Body:
 
 def _element_errors(sigma: np.ndarray) -> np.ndarray:
     """Return symmetric tensors (e, 3, 3) with the sigma (3, 3) of one element each; elements that are known exactly have none."""
-    errors = []
-    for i in range(3):
-        for j in range(i, 3):
-            if sigma[i, j] > 0:
-                error = np.zeros((3, 3))
-                error[i, j] = error[j, i] = sigma[i, j]
-                errors.append(error)
-    return np.array(errors).reshape(-1, 3, 3)
+    i, j = np.nonzero(np.triu(sigma > 0))
+    errors = np.zeros((len(i), 3, 3))
+    each = np.arange(len(i))
+    errors[each, i, j] = errors[each, j, i] = sigma[i, j]
+    return errors
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.environment import Environment, Surroundings
 from sunspin.estimate.model import Observations
 from sunspin.estimate.settings import PassSettings
-from sunspin.estimate.terms.clock import Latency
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
 from sunspin.estimate.terms.field import (
     FieldChange,
@@ -24,9 +23,8 @@ from sunspin.estimate.terms.field import (
     KnownField,
     reads_directions,
 )
-from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates
+from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.terms.term import Term
 from sunspin.estimate.terms.torques import GravityTorque, MagneticTorque, StatedDipole
 from sunspin.telemetry.assess import Assessment
@@ -105,7 +103,7 @@ def observe(
     calibration: FieldCalibration | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
-    """Return what all samples of a file show: terms, a sentence for each sample, and where the Sun comes from.
+    """Return what all samples of a file show: terms, what became of each sample in words, and where the Sun comes from.
 
     `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
     `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
@@ -149,7 +147,7 @@ def observe(
         None if isinstance(sun, FieldDirection) else known or fields,
         AttitudeChange.read(vehicle, sensors),
         *_torques(vehicle, t_s, fields, surroundings, torques),
-        None if clock is None else Latency.of(clock),
+        None if clock is None else Latency(clock.late_s, clock.sigma_s),
     )
     terms = [term for term in terms if term is not None]
     obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), rounded_to_s(t_s) / np.sqrt(12))
@@ -280,9 +278,8 @@ def with_unused_samples(
 ) -> FileReadings:
     """Return the readings with the reason of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
     why = readings.why.copy()
-    why[np.setdiff1d(readings.usable, np.concatenate([a_pass.samples for a_pass in passes]))] = (
-        ALONE
-    )
+    in_a_pass = np.concatenate([a_pass.samples for a_pass in passes])
+    why[np.setdiff1d(readings.usable, in_a_pass)] = ALONE
     for left_out in set(range(len(passes))) - {a_pass.number for a_pass in estimated}:
         why[passes[left_out].samples] = NOT_ASKED
     return replace(readings, why=why)
@@ -354,15 +351,11 @@ def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
 
 def _why_unused(readings: FileReadings) -> str:
     """Return why most samples are not used, and what to do."""
-    dropped = [
-        text.removeprefix("dropped: ") for text in readings.why if text.startswith("dropped")
-    ]
+    reasons = [text for text in readings.why if text.startswith("dropped")]
+    dropped = [text.removeprefix("dropped: ") for text in reasons]
     panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
     down = panels[0].sun_up == 0 if panels else np.zeros(len(readings.why), dtype=bool)
-    shadow = sum(
-        dark and not text.startswith("dropped")
-        for dark, text in zip(down, readings.why, strict=True)
-    )
+    shadow = down.sum() - sum(text.startswith("dropped") for text in readings.why[down])
     if shadow > len(dropped):
         return (
             f"by the orbit {shadow} are in the Earth's shadow: compare clock and elements with `sunspin check`, or leave out "

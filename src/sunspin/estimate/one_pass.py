@@ -88,13 +88,17 @@ def one_pass(
         tracks = search_motions(model, noise, s.search, budget, slowest, inertia_held)
         return fit_tracks(nominal, tracks, noise, s)
 
-    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
-    # How much the errors of the times change a reading is known once a motion is: then the search is made again.
-    noise = s.search.noise
-    tracks = [begin] if begin is not None else search_motions(nominal, noise, s.search, budget)
-    exact, nominal = nominal, with_time_errors(nominal, tracks, s.search.least_drift_rad)
-    if begin is None and nominal is not exact:
-        tracks = search_motions(nominal, noise, s.search, budget)
+    # Search with the inertia held: all motions that the readings allow.
+    exact, noise = nominal, s.search.noise
+    loose = replace(s.search, drop=s.search.drop * s.search.drop_if_rounded)
+    first_search = loose if nominal.obs.time_sigma_s else s.search
+    tracks = [begin] if begin is not None else search_motions(nominal, noise, first_search, budget)
+    # How much the errors of rounded times change a reading is known once a motion is. Motions are searched again if that is much.
+    if nominal.obs.time_sigma_s:
+        nominal = with_time_errors(nominal, tracks, s.search.least_drift_rad)
+        far = with_time_errors(exact, tracks, s.search.large_drift_rad) is not exact
+        if far and begin is None:
+            tracks = search_motions(nominal, noise, s.search, budget)
     fits = fit_tracks(nominal, tracks, noise, s)
 
     # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
@@ -115,7 +119,7 @@ def one_pass(
     # larger limit, only for search and aliases.
     beyond = s.alternatives.beyond if inertia_by_sun and nominal.body.sphere else 1.0
     wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
-    if beyond > 1 and is_fast(fits, s.alternatives.fast_rad):
+    if beyond > 1 and is_fast(fits):
         faster = search_and_fit(wider, s.search.noise, nominal.rate_max)
         fits = merge_fits(fits + faster, s.ladder, s.search)
     if not any(map(len, fits)):
@@ -134,7 +138,8 @@ def one_pass(
         (partial(aliases, s=s.alternatives), wider),
         (partial(aliases_about_two_axes, s=s.alternatives), widest),
     ):
-        others = related(best_motions(fits, s.alternatives.relatives_of, s.search), model)
+        # of the three most probable motions: each has many
+        others = related(best_motions(fits, 3, s.search), model)
         budget.spend(len(others) * len(nominal.obs))
         fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
         fits = merge_fits(fits, s.ladder, s.search)
@@ -160,7 +165,7 @@ def one_pass(
     # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(
-        nominal=nominal,
+        nominal=exact,
         fits=tuple(fits),
         rungs=s.ladder.rungs,
         log_rung=even,
@@ -206,14 +211,15 @@ def search_motions(
     slowest: float = 0.0,
     inertia_held: bool = True,
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of strength `noise` leaves, a track for each meaning of the readings.
+    """Return the motions that a search under unknown torques of strength `noise` leaves.
 
-    The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
-
-    No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no motion raises InputError. With one,
-    slower motions were searched before, and the list may be empty.
+    There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
+    scale is in doubt (`Model.for_search`). No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no
+    motion raises InputError. With one, slower motions were searched before, so that one pair of samples to start from is enough,
+    and the list may be empty. The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
     """
-    # In axes that follow the field a right motion may cost more than the limit, since they turn in space: no further places then.
+    # Axes that follow the field turn in space, so that a right motion may cost more than the limit there, and would ask for further
+    # pairs of samples.
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
     for loose in models_to_search(nominal, Noise(noise)):
@@ -247,13 +253,13 @@ def drop_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
     return motions.take(slow) if fits else motions
 
 
-def is_fast(fits: Sequence[Fit], fast_rad: float) -> bool:
-    """Return whether the most probable motion turns by more than `fast_rad` in the shortest interval between samples."""
+def is_fast(fits: Sequence[Fit]) -> bool:
+    """Return whether the most probable motion turns by more than half a revolution in the shortest interval."""
     if not any(map(len, fits)):
         return False
     best = best_fit(fits)
     speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
-    return bool(speed * np.diff(best.model.obs.t_s).min() > fast_rad)
+    return bool(speed * np.diff(best.model.obs.t_s).min() > np.pi)
 
 
 def fit_tracks(
@@ -300,7 +306,7 @@ def fits_of_alternative(
     if len(s.ladder.rungs) == 1:
         rung = max(rung, s.search.noise)
     top = float(best_fit(fits).log_evidence.max())
-    begin = best_motions(fits, s.alternatives.begin_with, s.search)
+    begin = best_motions(fits, 5, s.search)  # the most probable ones
     begin = rescale_unknowns(begin, most_probable.model, model.under(rung))
     ladder_settings = replace(s.ladder, hopeless=s.alternatives.hopeless)
     new = ladder(model, begin, ladder_settings, s.search, rung, top)

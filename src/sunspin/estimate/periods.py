@@ -26,7 +26,7 @@ from sunspin.estimate.verdict import padded
 from sunspin.solve.weights import effective_draws
 from sunspin.telemetry.periodicity import FoundPeriod, LikelyPeriod
 
-READINGS = ("precession", "spin", "sum")
+ROTATIONS = ("precession", "spin", "sum")
 """What a period may be of."""
 
 HALF_SPAN, INSTANTS = 2.0, 9
@@ -88,7 +88,7 @@ class Weighed(NamedTuple):
     """What periods say of draws (n).
 
     `density` (n) of all that was seen; `weight` (n) after it, as before if no draw has the periods. `shares` (seen, 3) by
-    :data:`READINGS`; `nearest_sigmas`: how far the nearest draw is off; `effective`: how many draws hold the weight.
+    :data:`ROTATIONS`; `nearest_sigmas`: how far the nearest draw is off; `effective`: how many draws hold the weight.
     """
 
     density: np.ndarray
@@ -104,7 +104,7 @@ def weigh_by_periods(
     """Return the passes with probabilities that count the periods in, and the attribute `periods`: JSON, what each decided.
 
     If no solution of a pass has its periods, the samples contradict them, or too few draws have them, its probabilities stay. JSON
-    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by reading; `nearest_sigmas`, `effective` draws; `carried`,
+    has for each period: `pass`, `t_s`, `period_s`, `sigma_s`; `shares` by rotation; `nearest_sigmas`, `effective` draws; `carried`,
     the probability without it of the solutions that have it; a flag whether it counts; and `without`, the probability without it
     of the solution that is the likeliest now, and of the one that was then.
     """
@@ -135,17 +135,21 @@ def without_periods(passes: Sequence[Solutions]) -> dict[str, Any]:
 def _weigh(
     solved: Solutions, body: Body, seen: Sequence[PeriodSeen]
 ) -> tuple[Solutions, list[dict[str, Any]]]:
-    """Return a pass with the probabilities that its periods give it, and what each of them decided."""
+    """Return a pass with the probabilities that its periods give it, and for each period the row that `weigh_by_periods` describes.
+
+    All periods of a pass are weighed together, so that the rows share all but the period itself and its `shares`.
+    """
     before, draws_each = solved.probability / solved.probability.sum(), INERTIAS * DRAWS
     periods = [periods_of(solved, body, period) for period in seen]
     weighed = weigh_draws(seen, periods, np.repeat(before / draws_each, draws_each))
 
-    # A solution has the periods if one of its draws is within FAR_SIGMAS of them: its density is then above that part of the
-    # density of a draw that has each period exactly, as one of the three READINGS, and as the least probable one it may be.
+    # A solution has the periods if one of its draws is within FAR_SIGMAS of them. `peak`: the density of a draw that has a period
+    # exactly, as its precession, spin or sum (one of three ROTATIONS). A period that was found in a column may be one of several:
+    # then the one with the lowest peak.
     density = weighed.density.reshape(len(before), draws_each)
     peak = [
         min(
-            part.probability / (len(READINGS) * part.sigma_s * SQRT_2PI)
+            part.probability / (len(ROTATIONS) * part.sigma_s * SQRT_2PI)
             for part in every_of(period)
         )
         for period in seen
@@ -185,10 +189,10 @@ def weigh_draws(
 ) -> Weighed:
     """Return what periods say of draws with weights (n) that add to one; `periods`: those of the draws (n, 3), for each seen.
 
-    The density of a period seen is the mean, over the three readings of a draw, of normal laws about each period that it may be.
+    The density of a period seen is the mean, over the three rotations of a draw, of normal laws about each period that it may be.
     Bayes' rule gives the weights.
     """
-    by_reading = []  # of each period seen: densities (n, 3)
+    by_rotation = []  # of each period seen: densities (n, 3)
     relative = []  # and how far below its peak the nearest draw is
     for period, of_draws in zip(seen, periods, strict=True):
         known, likely = np.nan_to_num(of_draws, nan=np.inf), every_of(period)
@@ -198,15 +202,15 @@ def weigh_draws(
         )
         sizes = np.array([part.probability / (part.sigma_s * SQRT_2PI) for part in likely])
         relative.append(float(law.max()))
-        by_reading.append(np.einsum("k,knr->nr", sizes, law))
-    density = np.prod([part.mean(axis=1) for part in by_reading], axis=0)
+        by_rotation.append(np.einsum("k,knr->nr", sizes, law))
+    density = np.prod([part.mean(axis=1) for part in by_rotation], axis=0)
     nearest = float(np.sqrt(-2 * np.log(np.clip(min(relative), 1e-300, 1.0))))
     total = float(weight @ density)
     if not total > 0:
         return Weighed(density, weight, np.zeros((len(seen), 3)), nearest, 0.0)
     after = weight * density / total
     shares = []
-    for part in by_reading:
+    for part in by_rotation:
         share_of_draw = part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
         shares.append((after[:, None] * share_of_draw).sum(axis=0))
     return Weighed(density, after, np.array(shares), nearest, effective_draws(after))
@@ -234,7 +238,7 @@ def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int | None:
 
 
 def periods_of(solved: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
-    """Return periods (K x `INERTIAS` x `DRAWS`, 3) in s by :data:`READINGS` of draws of the K solutions of a pass.
+    """Return periods (K x `INERTIAS` x `DRAWS`, 3) in s by :data:`ROTATIONS` of draws of the K solutions of a pass.
 
     Without an inertia precession and spin are not known, NaN; the sum is then the period of the angular speed.
     """

@@ -113,8 +113,8 @@ def posterior(
         by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each
         moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In rad:
         `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of each
-        sample. Default: what the vehicle file
-        states, else the values in :mod:`sunspin.estimate.settings`; the attributes of the result say which.
+        sample. Default: what the vehicle file states, else the values in :mod:`sunspin.estimate.settings`; the attributes of the
+        result say which.
     seed : int
         The same seed gives the same result to 1e-9 for any number of workers.
     observations : list of mappings
@@ -151,7 +151,7 @@ def posterior(
     # a stream of random numbers for each of three models, and again after a second search; for the draws of the result; for checks
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
     of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
-    say = progress if callable(progress) else _written if progress else _unsaid
+    say = progress if callable(progress) else _written if progress else lambda _: None
     say("searching every motion that the readings allow")
     assessment = assess(vehicle, telemetry)
     window = observe_window(assessment, begin_s, end_s, phase, observations)
@@ -159,7 +159,6 @@ def posterior(
     budget = Budget(settings.motions)
     budget.spend(nominal.carrier.fitted)
     doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
-    mix = replace(mix, workers=nominal.carrier.workers)
     picked = resampled(mix.draws.log_weight, draws, of_result)
     checked, outliers = mix.checked(picked, of_checks, settings.sampling)
     searched_rad_s = min(nominal.carrier.reference.limit, nominal.fit.model.max_rate)
@@ -243,7 +242,8 @@ def draw_all_models(
     `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows.
     """
     # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
-    # of a few degrees over the samples, since inertia and friction compensate it. So these models are always in the draws.
+    # that turns the body by a few degrees over the samples, since inertia and friction compensate it. So these models are always
+    # in the draws.
     carrier, settings = nominal.carrier, nominal.carrier.settings
     torques = [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
     say(
@@ -252,19 +252,19 @@ def draw_all_models(
     with ThreadPoolExecutor(carrier.workers) as pool:
         fits = [nominal.fit, *pool.map(lambda torque: fit_under(torque, nominal), torques)]
     fits, doubts = draw_models(fits, nominal, streams[:3], budget)
-    mix = Mixture.of(fits, settings.sampling)
+    mix = Mixture.of(fits, settings.sampling, carrier.workers)
     may_search_again = bool(torques) and carrier.complete
     if not may_search_again or nominal_explains(mix, settings):
         return doubts, mix
 
     # If no motion of the nominal model fits, a torque may be the cause: search under each torque from the first samples on. That is
-    # not done if the first search had to leave motions out, as one of these may fit without a torque.
+    # not done if the first search had to leave motions out, as one of these may fit without a torque, or took too long.
     if carrier.fitted > settings.long_search or budget.exhausted():
         return [*doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
     searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
     fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)
-    return doubts, Mixture.of(fits, settings.sampling)
+    return doubts, Mixture.of(fits, settings.sampling, carrier.workers)
 
 
 def fit_under(
@@ -312,10 +312,7 @@ def draw_models(
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
         s = replace(s, draws=int(part * s.draws), wanted=part * s.wanted)
-        # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one,
-        # over `Unknown.sigma`.
-        fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-        draws = sample(LanderTarget(fit.model), fit, streams[h], s, spent, fitted_share)
+        draws = sample(LanderTarget(fit.model), fit, streams[h], s, spent)
         return replace(fit, draws=draws), spent
 
     # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two
@@ -387,10 +384,6 @@ def _written(line: str) -> None:
     tqdm.write(f"sunspin: {line}", file=sys.stderr)
 
 
-def _unsaid(_: str) -> None:
-    """Say nothing."""
-
-
 def _require_whole(seed: Any, draws: Any) -> None:
     """Raise InputError for a seed or a number of draws that is no whole number, or too small."""
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
@@ -403,7 +396,7 @@ def _about(
 ) -> dict[str, Any]:
     """Return the attributes of the result that describe its telemetry, its priors and the search."""
     window, reference, model = nominal.window, nominal.carrier.reference, nominal.fit.model
-    comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
+    comments = {"comments": telemetry.attrs["comments"]} if "comments" in telemetry.attrs else {}
     mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
     t_s = window.start_s + window.obs.t_s[model.panels.present()]
     return provenance(

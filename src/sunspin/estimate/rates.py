@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.special import logsumexp
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError
@@ -20,7 +21,7 @@ from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import USUAL, Budget
-from sunspin.estimate.columns import check_columns
+from sunspin.estimate.columns import check_columns, cost_of_silent_panels
 from sunspin.estimate.equivalence import wheel_changes
 from sunspin.estimate.evidence import PassFits, share_noise
 from sunspin.estimate.images import images_of
@@ -36,6 +37,7 @@ from sunspin.estimate.observe import (
 from sunspin.estimate.one_pass import PassFitter
 from sunspin.estimate.orbit.calibration import FieldCalibration, calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
+from sunspin.estimate.quick import log_size
 from sunspin.estimate.rates_dataset import (
     latency_attributes,
     motion_dataset,
@@ -225,6 +227,7 @@ def rates(
             "wheels": fitted.wheels,
             "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
             "samples_searched": kept,
+            "log_evidence": log_evidence_of_passes(assessment, fitted, passes),
             "symmetric_unlisted": 0,
         }
     )
@@ -349,7 +352,7 @@ def largest_rate(
     passes: Sequence[Pass],
     settings: RatesSettings,
 ) -> tuple[float, float]:
-    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it if no inertia is known.
+    """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it (`AlternativeSettings.beyond`).
 
     The rate is the given one, else the vehicle's, else so many revolutions in the shorter intervals between samples (`t_s` of the
     file, s). Whoever states it knows that no body is faster: the factor is then one.
@@ -403,11 +406,26 @@ def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
     log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])  # (pass, rung)
     total = log.sum(axis=0)
-    if not np.isfinite(
-        total
-    ).any():  # each rung is without a fit in some pass: the one with the fewest such passes
+    if not np.isfinite(total).any():
+        # each rung is without a fit in some pass: the one with the fewest such passes
         total = np.maximum(log, -1e6).sum(axis=0)
     return fits[0].rungs[int(np.argmax(total))]
+
+
+def log_evidence_of_passes(
+    assessment: Assessment, fitted: FittedPasses, passes: Sequence[Pass]
+) -> list[float]:
+    """Return the log of the probability of each pass's readings, all motions and strengths of torques summed.
+
+    Up to a constant that depends only on the number of readings, so that it compares files whose columns are exchanged.
+    """
+    log = []
+    for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
+        terms = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
+        silent = cost_of_silent_panels(assessment, a_pass.kept) if terms else 0.0
+        evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
+        log.append(float(evidence - sum(log_size(term) for term in terms) - silent))
+    return log
 
 
 def left_open_by_search(

@@ -22,8 +22,8 @@ from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
 from sunspin.estimate.solutions import Solutions
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.field import FieldDirection, KnownField
+from sunspin.estimate.terms.inertial import RateMagnitudes
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.rate_size import RateMagnitudes
 from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
@@ -188,25 +188,24 @@ def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[st
     The estimate of each pass joins the prior of the vehicle file with its own readings: precisions add, and so do values times
     precisions. The prior must count once, so that what each pass adds to it is summed.
     """
-
-    def attributes(late_s: float, sigma_s: float, words: str) -> dict[str, Any]:
-        """Return the latency, its sigma, and where both come from."""
-        names = "sensors_late_s", "sensors_late_sigma_s", "sensors_late_from"
-        return dict(zip(names, (float(late_s), float(sigma_s), words), strict=True))
-
     clock = vehicle.sensors.clock
-    if clock is None:
-        return attributes(np.nan, np.nan, "taken as read together")
+    late_s, sigma_s, where_from = np.nan, np.nan, "taken as read together"
+    if clock is not None:
+        late_s, sigma_s, where_from = clock.late_s, clock.sigma_s, "vehicle file"
     rows = [of_pass.estimates[0][LATENCY] for of_pass in solved if LATENCY in of_pass.estimates[0]]
-    if not rows:
-        return attributes(clock.late_s, clock.sigma_s, "vehicle file")
-    _, values, sigmas = (np.array(part) for part in zip(*rows, strict=True))  # the first: units
-    prior_precision = clock.sigma_s**-2
-    prior_weighted = clock.late_s * prior_precision
-    added = np.maximum(sigmas**-2 - prior_precision, 0.0)
-    weighted = prior_weighted + (values / sigmas**2 - prior_weighted).sum()
-    sigma_s = (prior_precision + added.sum()) ** -0.5
-    return attributes(weighted * sigma_s**2, sigma_s, "vehicle file and data")
+    if clock is not None and rows:
+        _, values, sigmas = (np.array(part) for part in zip(*rows, strict=True))  # first: units
+        prior_precision = clock.sigma_s**-2
+        prior_weighted = clock.late_s * prior_precision
+        added = np.maximum(sigmas**-2 - prior_precision, 0.0)
+        weighted = prior_weighted + (values / sigmas**2 - prior_weighted).sum()
+        sigma_s = (prior_precision + added.sum()) ** -0.5
+        late_s, where_from = weighted * sigma_s**2, "vehicle file and data"
+    return {
+        "sensors_late_s": float(late_s),
+        "sensors_late_sigma_s": float(sigma_s),
+        "sensors_late_from": where_from,
+    }
 
 
 def with_space_axes(

@@ -83,11 +83,8 @@ def rates_in_windows(
         part = _windows_of(vehicle, telemetry, t_s, pieces, settings, options)
         if part is None:
             continue
-        parts.append(
-            part.assign(
-                window_pass=("window", np.full(part.sizes["window"], result["pass_id"].values[k]))
-            )
-        )
+        part["window_pass"] = "window", np.full(part.sizes["window"], result["pass_id"].values[k])
+        parts.append(part)
         # with exchanged columns no free body is left either
         words = "" if doubted else _as_no_free_body(vehicle, telemetry, part)
         if words:
@@ -95,8 +92,10 @@ def rates_in_windows(
     if not parts:
         return result
     windows = xr.concat(parts, "window")
-    if doubted:
-        windows = _undecided(windows)
+    if doubted:  # each window may fit with wrong columns
+        reasons = [join_reasons(reason, DOUBTED) for reason in windows["window_why"].values]
+        windows["window_why"] = "window", reasons
+        windows["window_decided"] = "window", np.zeros(len(reasons), dtype=bool)
     why = [
         f"{text}; {sentences[k]}" if k in sentences else text
         for k, text in enumerate(result["why_not_decided"].values.astype(str))
@@ -106,11 +105,8 @@ def rates_in_windows(
     if notes:
         attrs["controlled"] = "\n".join(notes)
         attrs["verdict"] = "\n".join([str(result.attrs["verdict"]), *notes])
-    return (
-        result.assign(windows.data_vars)
-        .assign(why_not_decided=("pass_id", why))
-        .assign_attrs(attrs)
-    )
+    result = result.assign(windows.data_vars).assign(why_not_decided=("pass_id", why))
+    return result.assign_attrs(attrs)
 
 
 def _windows_of(
@@ -157,14 +153,6 @@ def _windows_of(
             "window_fits": ("window", result["fits"].values),
             "window_why": ("window", result["why_not_decided"].values.astype(str)),
         }
-    )
-
-
-def _undecided(windows: xr.Dataset) -> xr.Dataset:
-    """Return windows of a file whose columns are doubted, none of them decided: each may fit with wrong columns."""
-    why = [join_reasons(reason, DOUBTED) for reason in windows["window_why"].values]
-    return windows.assign(
-        window_decided=("window", np.zeros(len(why), dtype=bool)), window_why=("window", why)
     )
 
 

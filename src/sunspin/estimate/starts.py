@@ -270,7 +270,7 @@ def _spaced(path: np.ndarray, step: float) -> np.ndarray:
 
 
 def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
-    """Return the most probable motions (K) with whole revolutions more and fewer between the samples, up to the largest rate.
+    """Return motions (K) with whole revolutions more and fewer between the samples, up to the largest rate.
 
     None if the samples are uneven, or a gyro excludes them. The angular momentum L of a free body is fixed in space: whole
     revolutions more about it between the samples show the same attitudes, and change the rate by a vector along L. How L moves in
@@ -282,21 +282,16 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
         return motions.take(slice(0))
     most = int(2 * rate_max / turn)
     changes = turn * np.array([k for k in range(-most, most + 1) if k])
-    begin = motions.take(slice(s.relatives_of))
-    inertia = model.body.inertia_at(begin.u[:, model.inertia_slice])
-    momentum = np.einsum("kij,knj->kni", np.broadcast_to(inertia, (len(begin), 3, 3)), begin.omega)
-    momentum += model.obs.momentum
-    size = np.linalg.norm(momentum, axis=2, keepdims=True)
-    along = momentum / np.maximum(size, 1e-12)
-    faster = begin.omega + changes[:, None, None, None] * along  # (changes, K, n, 3)
+    inertia, size, along = _momenta(model, motions.u, motions.omega)
+    faster = motions.omega + changes[:, None, None, None] * along  # (changes, K, n, 3)
     change, which = np.nonzero(np.linalg.norm(faster, axis=3).mean(axis=2) < rate_max)
-    u = begin.u[which]
+    u = motions.u[which]
     if model.body.sphere and len(model.body.errors):
         # rates about the axes of the body if all of L were along each: |L| I^-1, and as much more for all of them
         rates = size.mean(axis=1)[which, :, None] * np.linalg.inv(inertia[which])
         rates += changes[change, None, None] * np.eye(3)
         u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
-    return Track(begin.attitude[which], faster[change, which], u)
+    return Track(motions.attitude[which], faster[change, which], u)
 
 
 def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings) -> Track:
@@ -310,17 +305,13 @@ def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings)
     if turn is None or not len(motions) or not model.obs.only_sun:
         return motions.take(slice(0))
     best = motions.take(slice(1))
-    inertia = model.body.inertia_at(best.u[:, model.inertia_slice])
-    inertia = np.broadcast_to(inertia, (1, 3, 3))[0]
-    momentum = best.omega[0] @ inertia + model.obs.momentum
-    size = np.linalg.norm(momentum, axis=1, keepdims=True)
-    along = momentum / np.maximum(size, 1e-12)  # (n, 3)
+    inertia, size, along = (part[0] for part in _momenta(model, best.u, best.omega))
     # the axis about which the body spins: L makes a constant angle with it
     principal = np.linalg.eigh(inertia)[1]
     spin_axis = principal[:, np.argmin((along @ principal).std(axis=0))]
     cosine = float((along @ spin_axis).mean())
 
-    most = min(int(2 * model.rate_max / turn), s.most_whole)
+    most = min(int(2 * model.rate_max / turn), 6)  # either way about each axis
     whole = np.arange(-most, most + 1)
     about_L, about_axis = (grid.ravel() * turn for grid in np.meshgrid(whole, whole))
     faster = best.omega[0] + about_L[:, None, None] * along + about_axis[:, None, None] * spin_axis
@@ -329,22 +320,31 @@ def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings)
     if model.body.sphere and len(model.body.errors):
         # as in `aliases`; the rate about the spin axis if all of L were along it
         rates = size.mean() * np.linalg.inv(inertia) + about_L[:, None, None] * np.eye(3)
-        if abs(cosine) > s.least_cosine:
+        if abs(cosine) > 0.2:  # else L is across the axis, and tells no moment about it
             spin = np.outer(spin_axis, spin_axis)
             rates = rates + (about_axis / cosine)[:, None, None] * spin
         u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
-        bodies = model.body.inertia_at(u[:, model.inertia_slice])
-    else:
-        bodies = np.broadcast_to(inertia, (len(faster), 3, 3))
     # how far L is from its place in space, whichever way it points, rad; single revolutions are tried by `aliases`
-    new = np.einsum("kij,knj->kni", bodies, faster) + model.obs.momentum
-    new /= np.maximum(np.linalg.norm(new, axis=2, keepdims=True), 1e-12)
-    off = np.arccos(np.clip(np.abs((new * along).sum(axis=2)), 0.0, 1.0)).mean(axis=1)
+    cosine_of_L = (_momenta(model, u, faster)[2] * along).sum(axis=2)
+    off = np.arccos(np.clip(np.abs(cosine_of_L), 0.0, 1.0)).mean(axis=1)
     tried = np.flatnonzero(slow & (about_axis != 0) & (off < s.momentum_off_rad))
-    # the bodies nearest to what is known of it first; a known inertia is the same for all
+    # the bodies nearest to what is known of it first, eight at most; a known inertia is the same for all
     sigmas = np.linalg.norm(u[tried][:, model.inertia_slice], axis=1).round(1)
-    which = tried[np.lexsort((off[tried], sigmas))[: s.most_of_two]]
+    which = tried[np.lexsort((off[tried], sigmas))[:8]]
     return Track(np.repeat(best.attitude, len(which), axis=0), faster[which], u[which])
+
+
+def _momenta(
+    model: Model, u: np.ndarray, omega: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return inertias (K, 3, 3), and size (K, n, 1) and direction (K, n, 3) of the angular momenta, in mean moments times rad/s.
+
+    Of motions with unknowns u (K, m) and rates (K, n, 3): L = I w + h.
+    """
+    inertia = np.broadcast_to(model.body.inertia_at(u[:, model.inertia_slice]), (len(u), 3, 3))
+    momentum = np.einsum("kij,knj->kni", inertia, omega) + model.obs.momentum
+    size = np.linalg.norm(momentum, axis=2, keepdims=True)
+    return inertia, size, momentum / np.maximum(size, 1e-12)
 
 
 def _turn_of_aliases(model: Model, s: AlternativeSettings) -> float | None:

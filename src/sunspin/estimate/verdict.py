@@ -239,9 +239,7 @@ def answers(
     probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, sensor_misfit in misfits.items() if not sensor_misfit.fits)
     sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
-    x, y, z = (
-        bool(component_sigma < NARROWER * rate_sigma) for component_sigma in sigma
-    )  # NaN is not constrained
+    x, y, z = (sigma < NARROWER * rate_sigma).tolist()  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     four_answers = Answers(
         unique=bool(probability[one_rate].sum() >= DECIDED),
@@ -365,6 +363,8 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if "columns_doubt" in attrs:
         notes.append(attrs["columns_doubt"])
+    if "columns_rivals" in attrs:
+        notes.append(attrs["columns_rivals"])
     if count := int((fits & unique & ~constrained).sum()):
         notes.append(
             f"{count_of_passes(count)}: single solution, but not all rate components are constrained"

@@ -19,7 +19,7 @@ from sunspin.estimate.carry import nutation, require_followed
 from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
 from sunspin.estimate.evidence import PassFits, best_motions
 from sunspin.estimate.model import Model, Observations, Track
-from sunspin.estimate.observe import Pass, wheel_models
+from sunspin.estimate.observe import Pass, wheel_models, wheel_speeds
 from sunspin.estimate.one_pass import PassFitter, one_pass
 from sunspin.estimate.quick import MOTIONS, quick_evidence
 from sunspin.estimate.solutions import solutions
@@ -109,9 +109,8 @@ def decide_wheels(
     ]
     jobs = [(name, k) for name in momenta if name not in alike for k in compared]
     fits = dict(zip(jobs, fitter.fits_if_any([models[job] for job in jobs]), strict=True))
-    begin: dict[int, Track | None] = dict.fromkeys(
-        compared
-    )  # None if the first model allows no motion
+    # None if the first model allows no motion
+    begin: dict[int, Track | None] = dict.fromkeys(compared)
     for k in compared:
         of_first = fits[first, k]
         if of_first is not None:
@@ -167,19 +166,15 @@ def _turn_alike(first: Model, second: Model, basin_rad: float) -> bool:
 def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.ndarray:
     """Return the momentum (n_wheel, n, 3) of each wheel in mean moments of inertia times rad/s; (0, n, 3) without an inertia.
 
-    `name`: what the wheels do, a key of :func:`wheel_models`, which gives the sum H over all wheels. With wheel k reversed it is
-    H - 2 h_k.
+    `name`: what the wheels do, a key of :func:`wheel_models`, which gives the sum over all wheels.
     """
-    total = wheel_models(vehicle, telemetry).get(name)
-    if vehicle.inertia_kg_m2 is None or total is None:
-        return np.zeros((0, telemetry.sizes["time"], 3))
-    momenta = np.zeros((len(vehicle.wheels), *total.shape))
-    for k, wheel in enumerate(vehicle.wheels):
-        wheels = list(vehicle.wheels)
-        wheels[k] = replace(wheel, axis_B=-np.asarray(wheel.axis_B))
-        with_reversed = wheel_models(replace(vehicle, wheels=tuple(wheels)), telemetry)[name]
-        momenta[k] = (total - with_reversed) / 2
-    return momenta
+    t_s = np.asarray(telemetry["time"], dtype=np.float64)
+    speed = wheel_speeds(vehicle, telemetry, t_s).get(name)
+    if vehicle.inertia_kg_m2 is None or speed is None:
+        return np.zeros((0, len(t_s), 3))
+    axes = [wheel.inertia_kg_m2 * np.asarray(wheel.axis_B) for wheel in vehicle.wheels]
+    unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
+    return speed.T[..., None] * np.reshape(axes, (-1, 1, 3)) / unit
 
 
 def reversed_momenta(

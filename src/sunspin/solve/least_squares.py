@@ -11,7 +11,7 @@ does not depend on the others in the batch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -138,6 +138,15 @@ def limit_length(vector: np.ndarray, limit: float) -> np.ndarray:
 def take_problems(tree: Any, rows: np.ndarray) -> Any:
     """Return some problems (rows) of states, systems or steps."""
     return _map_arrays(lambda part: part[rows], tree)
+
+
+def join_problems(parts: Sequence[Any]) -> Any:
+    """Return the problems of several states, systems or steps of the same form, one after another."""
+    first = parts[0]
+    if not isinstance(first, tuple):
+        return None if first is None else np.concatenate(parts)
+    joined = [join_problems(some) for some in zip(*parts, strict=True)]
+    return type(first)(*joined) if hasattr(first, "_fields") else tuple(joined)
 
 
 def _arrays(tree: Any) -> Iterator[np.ndarray]:

@@ -102,8 +102,8 @@ class Shooting:
         """Return motions fitted to the samples of a window, on several levels: a factor on the noise and steps under it.
 
         Fits that are far too bad after the first level end there. In windows larger than the first one in which body and wheel are
-        free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far
-        along its ridge, and with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
+        free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far along its ridge, and
+        with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
         """
         s = self.s
         problem, held = self._problem(window)
@@ -111,9 +111,8 @@ class Shooting:
         limit = self.cost_limit(window)
         # under the wider noise of the first level only motions that do not fit cost more than this
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
-        fitted = self._fitted(
-            problem, motions, partial(fit_first, hopeless=hopeless, held=held), levels
-        )
+        fit = partial(fit_first, hopeless=hopeless, held=held)
+        fitted = self._fitted(problem, motions, fit, levels)
         if not held and window.stop - window.start > s.held:
             fitted = self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
         self._last_fitted = len(motions)
@@ -148,7 +147,7 @@ class Shooting:
         terms = (model.panels.with_tilts_as_noise(), *model.given)
         model = replace(model, obs=replace(model.obs, terms=terms))
         free = np.ones(len(model.unknowns), dtype=bool)
-        free[model.places(TILT)] = False
+        free[model.indices(TILT)] = False
         free[: len(model.of_motion)] = not held
         return FitProblem(model, free, sizes=self.sizes), held
 
@@ -167,9 +166,8 @@ class Shooting:
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
-        motions = self._at_most(
-            one_each_box(motions.take(possible), reach_s, s), s.most_boxes, size
-        )
+        motions = one_each_box(motions.take(possible), reach_s, s)
+        motions = self._at_most(motions, s.most_boxes, size)
         if window.stop - window.start < s.held:
             return motions
         return self._at_most(one_each_ridge(motions, s), s.most, size)
@@ -208,19 +206,20 @@ class Shooting:
     def _allowed(self, motions: LanderMotions, sample: int) -> np.ndarray:
         """Return which motions (K) a sample allows.
 
-        It allows a motion if a direction within `look_rad` of the predicted Sun explains its panels. The rate at the first sample
-        must also be within the limit.
+        It allows a motion if a direction within `look_rad` of the predicted Sun explains its panels, up to the square of sigmas
+        that the grid allows too. The motion must also be slow enough at the first sample (:attr:`Reference.fastest`).
         """
-        g = self.settings.grid
+        grid, motions = self.settings.grid, motions.bare
         model = self.model.seeing(slice(sample, sample + 1))
-        bare = replace(model, obs=replace(model.obs, terms=(model.panels,)))
+        panels = replace(model, obs=replace(model.obs, terms=(model.panels,)))
         allowed = np.zeros(len(motions), dtype=bool)
         for start in range(0, len(motions), RUNS_AT_ONCE):
             rows = slice(start, start + RUNS_AT_ONCE)
-            carried = bare.carried(motions.take(rows), TRIAL_ERROR)
-            sun = np.nan_to_num(carried.seen.sun_B)
-            short = shortfall(bare.panels, sun, self.s.look_rad, g).sum(axis=1)
-            allowed[rows] = (short <= g.limit) & carried.fine
+            sun = panels.carried(motions.take(rows), TRIAL_ERROR).sun_B
+            squares = shortfall(panels.panels, np.nan_to_num(sun), self.s.look_rad, grid).sum(
+                axis=1
+            )
+            allowed[rows] = (squares <= grid.limit) & np.isfinite(sun).all(axis=(1, 2))
         slow = self.model.first_speed(motions.take(allowed), TRIAL_ERROR) <= self.reference.fastest
         allowed[allowed] = slow
         return allowed
@@ -228,25 +227,17 @@ class Shooting:
     def _announce(self, going: int, most: int, samples: int) -> None:
         """Warn before a fit that takes long or leaves motions out, with a smaller rate limit that would avoid it."""
         took = FIT_S * min(going, most) * samples / self.s.held
-        log = logging.getLogger("sunspin")
+        takes = f"takes about {took / 60:.1f} min"
         if going > most:
             smaller = self.reference.given * (most / going) ** (1 / 3)
-            log.warning(
-                "sunspin: %d motions may fit %d samples; %d of them are followed, which takes about %.1f min, and the search will "
-                "not be complete; with --prior max_rate_rad_s=%.2g about all of them would be followed",
-                going,
-                samples,
-                most,
-                took / 60,
-                smaller,
+            _warn(
+                f"{going} motions may fit {samples} samples; {most} of them are followed, which {takes}, and the search will not "
+                f"be complete; with --prior max_rate_rad_s={smaller:.2g} about all of them would be followed"
             )
         elif samples == self.s.held and took > LONG_S:
-            log.warning(
-                "sunspin: %d motions may fit %d samples; following them takes about %.1f min, and in proportion to the cube of "
-                "--prior max_rate_rad_s less",
-                going,
-                samples,
-                took / 60,
+            _warn(
+                f"{going} motions may fit {samples} samples; following them {takes}, and in proportion to the cube of --prior "
+                "max_rate_rad_s less"
             )
 
     def announce_starts(self) -> None:
@@ -255,10 +246,8 @@ class Shooting:
         took = START_S * cell_count(reference.limit, reference.edge) * len(reference.suns)
         if took > LONG_S:
             smaller = min(reference.given, reference.limit) * (LONG_S / took) ** (1 / 3)
-            logging.getLogger("sunspin").warning(
-                "sunspin: looking for starts takes about %.1f min; with --prior max_rate_rad_s=%.2g about one",
-                took / 60,
-                smaller,
+            _warn(
+                f"looking for starts takes about {took / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
             )
 
     def joined(self, motions: list[LanderMotions]) -> LanderMotions:
@@ -273,7 +262,7 @@ class Shooting:
         """
         s, model = self.s, self.model.seeing(window)
         count = _explained(model)
-        sigma = sum(model.unknowns[i].sigma for i in model.places("noise"))
+        sigma = sum(model.unknowns[i].sigma for i in model.indices("noise"))
         noisy = min(s.noise_sigmas * sigma, s.noise_most)
         # (3 sigmas)^2 of half a chi-square of `count` numbers are 9 count / 2
         chance = float(np.sqrt((noisy * count) ** 2 + 4.5 * count + s.slack**2))
@@ -304,10 +293,10 @@ class Shooting:
         """Return motions fitted to all samples."""
         free = np.ones(len(self.model.unknowns), dtype=bool)
         begins: list[Sizes] = [{"inertia": 0}, {"inertia": 1}]
-        if torque := self.model.places("steady_torque"):
+        if torque := self.model.indices("steady_torque"):
             count = len(self.model.unknowns[torque[0]].shares)
             begins = [{"inertia": 0, "steady_torque": i} for i in self.s.torque_levels if i < count]
-        elif not self.model.places("inertia"):
+        elif not self.model.indices("inertia"):
             begins = [ALL_SIZES]
         parts = []
         for sizes in begins:
@@ -341,6 +330,11 @@ def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) ->
     # of (2 pi)^(D / 2) the unknowns' priors take (2 pi)^(m / 2)
     volume = 2.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature + least)[1]
     return -cost + volume - prior
+
+
+def _warn(text: str) -> None:
+    """Write a line on the log of the package."""
+    logging.getLogger("sunspin").warning("sunspin: %s", text)
 
 
 def _explained(model: LanderModel) -> float:

@@ -72,17 +72,10 @@ class PanelTable(NamedTuple):
         order = np.concatenate(members)
         rows = panels.brightness * response.gains[order, None] * response.normals_B[order]
         full = panels.brightness * response.power(response.facing_B).diagonal()
-        return cls(
-            np.cumsum([0, *(len(panels_of) for panels_of in members)]),
-            np.ascontiguousarray(rows),
-            np.array(largest),
-            np.ascontiguousarray(response.facing_B),
-            np.ascontiguousarray(full),
-            np.ascontiguousarray(panels.power),
-            np.ascontiguousarray(panels.used),
-            np.ascontiguousarray(panels.sigma),
-            panels.throttled,
-        )
+        first = np.cumsum([0, *(len(panels_of) for panels_of in members)])
+        facing, power, used, sigma = response.facing_B, panels.power, panels.used, panels.sigma
+        arrays = (first, rows, np.array(largest), facing, full, power, used, sigma)
+        return cls(*(np.ascontiguousarray(array) for array in arrays), panels.throttled)
 
 
 class Tables(NamedTuple):
@@ -98,11 +91,11 @@ class Tables(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Numbers of :class:`~sunspin.estimate.settings.GridSettings` that compiled code takes."""
+    """Fields of :class:`~sunspin.estimate.settings.GridSettings` that compiled code takes."""
 
     nodes: int
     limit: float
-    blur: float
+    blur_rad: float
     cap: float
     settled: float
     steps: int
@@ -189,7 +182,7 @@ def interpolate(corners, m, x, q):
 
 @compiled
 def rotate(q, vector, out):
-    """Write a vector rotated by the quaternion q (4), scalar last, of any length."""
+    """Write into `out` a vector rotated by the quaternion q (4), scalar last, of any length."""
     x, y, z, w = q[0], q[1], q[2], q[3]
     twice = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
     a = twice * (y * vector[2] - z * vector[1])
@@ -343,7 +336,7 @@ def add_sample(panels, m, limits, work):
         if not panels.used[m, j] or not (power > 0 or read > 0):
             continue
         # errors of interpolated attitudes blur a reading in proportion to the power in full Sun
-        precision = 1.0 / (panels.sigma[j] ** 2 + (limits.blur * factor * panels.full[j]) ** 2)
+        precision = 1.0 / (panels.sigma[j] ** 2 + (limits.blur_rad * factor * panels.full[j]) ** 2)
         square = precision * (power - read) ** 2
         misfit += min(square, limits.cap)
         weight = precision / (1.0 + square / SOFT_SIGMAS**2)
@@ -381,12 +374,13 @@ def solve(normal, gradient, move):
 
 
 @compiled
-def equations(corners, x, step, frame, panels, limits, work):
+def equations(corners, start, frame, panels, limits, work):
     """Write the normal equations of a start, and return its misfit.
 
-    The start is at place x of its cell. Its direction of the Sun at the reference is `frame[0]`, moved by `step` (2) along the
-    tangents `frame[1:]`. The five coordinates are those of the place, then those of the step.
+    `start` (5): its place x (3) in its cell, then the step (2) that leads from the direction `frame[0]` to the Sun at the reference
+    along the tangents `frame[1:]`.
     """
+    x, step = start[:3], start[3:]
     for i in range(COORDINATES):
         work.gradient[i] = 0.0
         for k in range(i + 1):
@@ -421,14 +415,14 @@ def equations(corners, x, step, frame, panels, limits, work):
 
 
 @compiled
-def settle(corners, x, step, frame, panels, limits, work):
-    """Move place x and `step` of a start to the nearest solution by Gauss-Newton, and return its misfit.
+def settle(corners, start, frame, panels, limits, work):
+    """Move a `start` (5), place and step, to the nearest solution by Gauss-Newton, and return its misfit.
 
     It ends early if `gain_left` times what the last step has gained would leave the misfit too large.
     """
     misfit = np.inf
     for taken in range(limits.steps + 1):
-        before, misfit = misfit, equations(corners, x, step, frame, panels, limits, work)
+        before, misfit = misfit, equations(corners, start, frame, panels, limits, work)
         gained = max(before - misfit, 0.0)
         if taken == limits.steps or misfit - limits.gain_left * gained > limits.settled:
             break
@@ -437,10 +431,10 @@ def settle(corners, x, step, frame, panels, limits, work):
         place = max(abs(move[0]), abs(move[1]), abs(move[2])) / LONGEST_PLACE
         turn = max(abs(move[3]), abs(move[4])) / LONGEST_TURN
         size = max(place, turn, 1.0)
+        for i in range(COORDINATES):
+            start[i] += move[i] / size
         for i in range(3):
-            x[i] = min(max(x[i] + move[i] / size, -FARTHEST_PLACE), 1.0 + FARTHEST_PLACE)
-        step[0] += move[3] / size
-        step[1] += move[4] / size
+            start[i] = min(max(start[i], -FARTHEST_PLACE), 1.0 + FARTHEST_PLACE)
     return misfit
 
 
@@ -454,19 +448,11 @@ def _entry(sources: int) -> Any:
         count, starts = 0, np.empty((256, START_SIZE))
         p, others = len(panels.full), cells.turn.shape[1]
         corners = np.empty((8, others, 4))
-        work = Workspace(
-            np.empty((4, 4)),
-            np.empty((3, 3)),
-            np.empty(3),
-            np.empty((5, 3)),
-            np.empty(p),
-            np.empty((p, 5)),
-            np.empty(5),
-            np.empty((5, 5)),
-            np.empty(5),
-            np.empty(5),
-        )
-        turns, step = np.empty((others, 4)), np.empty(2)
+        q, here, sun, slope = np.empty((4, 4)), np.empty((3, 3)), np.empty(3), np.empty((5, 3))
+        light, change, follows = np.empty(p), np.empty((p, 5)), np.empty(5)
+        normal, gradient, move = np.empty((5, 5)), np.empty(5), np.empty(5)
+        work = Workspace(q, here, sun, slope, light, change, follows, normal, gradient, move)
+        turns, start = np.empty((others, 4)), np.empty(COORDINATES)
         for cell in cells.lowest:
             load_corners(cells, cell, corners)
             for eighth in range(8):
@@ -486,15 +472,15 @@ def _entry(sources: int) -> Any:
                     if least == np.inf:
                         continue
                     # does it settle in this eighth?
-                    x = points[best].copy()
-                    step[:] = 0.0
-                    misfit = settle(corners, x, step, frame, panels, limits, work)
-                    if misfit > limits.settled or np.abs(x - middle).max() >= KEPT_PLACE:
+                    start[:3], start[3:] = points[best], 0.0
+                    misfit = settle(corners, start, frame, panels, limits, work)
+                    aside = np.abs(start[:3] - middle).max()
+                    if misfit > limits.settled or aside >= KEPT_PLACE:
                         continue
                     if count == len(starts):
                         starts = np.concatenate((starts, np.empty_like(starts)))
                     starts[count, OF_CELL], starts[count, OF_SUN] = cell, s
-                    starts[count, OF_PLACE], starts[count, OF_STEP] = x, step
+                    starts[count, OF_PLACE], starts[count, OF_STEP] = start[:3], start[3:]
                     starts[count, OF_MISFIT] = misfit
                     count += 1
         return starts[:count]

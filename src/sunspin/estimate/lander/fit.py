@@ -6,8 +6,8 @@ runs. After each step they are corrected by the change that the step has made (B
 takes one run. The noise is no unknown of a step: after the steps it gets its best value for the residuals.
 
 A motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit. c of these change the motion, the
-others only the readings. `seen` (K, n, w) are the states of K motions at n samples that sensors depend on: directions to the Sun
-(w = 3), and rates if they are needed (w = 6). `value` (K, R) are predicted less read numbers.
+others only the readings. The `track` (K, n, w) of K motions is what sensors depend on at n samples: directions to the Sun (w = 3),
+and rates if they are needed (w = 6). `value` (K, R) are predicted less read numbers.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from sunspin.solve.least_squares import least_squares, limit_length, take_proble
 from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross, move_on_sphere, tangent_basis
 
-SEEN_SUN, SEEN_RATE = slice(0, 3), slice(3, None)
-"""Slices of `seen`: direction to the Sun and rate (rad/s) at a sample."""
+TRACK_SUN, TRACK_RATE = slice(0, 3), slice(3, None)
+"""Slices of `track`: direction to the Sun and rate (rad/s) at a sample."""
 
 RATE_STEP = 3e-4
 """Step of the differences in rates, as a rotation (rad) over the window. Second-order terms are a thousandth of the derivative."""
@@ -54,22 +54,22 @@ NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
 """Derivatives, and motions, that one thread holds in memory at once."""
 
 
-def states_of(seen: np.ndarray) -> SunStates:
-    """Return `seen` (K, n, w) as directions to the Sun and rates."""
-    return SunStates.of(seen[..., SEEN_SUN], seen[..., SEEN_RATE])
+def states_of(track: np.ndarray) -> SunStates:
+    """Return `track` (K, n, w) as directions to the Sun and rates."""
+    return SunStates.of(track[..., TRACK_SUN], track[..., TRACK_RATE])
 
 
 class Point(NamedTuple):
     """Motions of a fit one `step` (K, c) after motions whose derivatives are known; the tangents are those of the new directions.
 
-    `before` (K, n, w): `seen` before the step, and `seen_slopes` (K, c, n, w): its derivatives. A step of zero does not correct
+    `before` (K, n, w): `track` before the step, and `track_slopes` (K, c, n, w): its derivatives. A step of zero does not correct
     these.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
-    seen_slopes: np.ndarray
+    track_slopes: np.ndarray
     before: np.ndarray
     step: np.ndarray
 
@@ -82,14 +82,14 @@ class Point(NamedTuple):
 class Linear(NamedTuple):
     """Residuals `value` (K, R) in stated sigmas and their derivatives `jacobian` (K, R, F) by the free coordinates.
 
-    `fine` (K): the motion could be computed; `seen` (K, n, w), and `seen_slopes` (K, c, n, w): its derivatives.
+    `fine` (K): the motion could be computed; `track` (K, n, w), and `track_slopes` (K, c, n, w): its derivatives.
     """
 
     value: np.ndarray
     jacobian: np.ndarray
     fine: np.ndarray
-    seen_slopes: np.ndarray
-    seen: np.ndarray
+    track_slopes: np.ndarray
+    track: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class FitProblem:
     @cached_property
     def fitted(self) -> np.ndarray:
         """Return the indices of the unknowns that steps change: the free ones but for the noise."""
-        noise = self.model.places("noise")
+        noise = self.model.indices("noise")
         return np.setdiff1d(np.flatnonzero(self.free_unknowns), noise)
 
     @cached_property
@@ -134,18 +134,18 @@ class FitProblem:
 
     # ---- derivatives -------------------------------------------------------------------------------------------------------
 
-    def seen(self, motions: LanderMotions, error_rad: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return `seen` (K, n, w) of motions, and which could be computed (K).
+    def track(self, motions: LanderMotions, error_rad: float) -> np.ndarray:
+        """Return `track` (K, n, w) of motions, not a number for those that could not be computed.
 
         Rates are included if times of samples have errors, or if there are other readings than those of panels.
         """
-        states, fine = self.model.carried(motions, error_rad)
+        states = self.model.carried(motions, error_rad)
         if not (self.model.given or self.model.panels.time_s):
-            return states.sun_B, fine
-        return np.concatenate([states.sun_B, states.omega], axis=2), fine
+            return states.sun_B
+        return np.concatenate([states.sun_B, states.omega], axis=2)
 
     def derivatives(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
-        """Return `seen` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
+        """Return `track` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
 
         They include the jump when a wheel stops. Derivatives by the direction need one run: r(0) -> r(t) is a rotation that does
         not depend on r(0), so that one tangent is propagated like the Sun, and the other one is across both.
@@ -164,15 +164,15 @@ class FitProblem:
             u[:, i] += step
             runs.append(replace(motions, u=u))
         # differences need more exact runs than predictions
-        seen, _ = self.seen(LanderMotions.joined(runs), self.error_rad / 10)
-        seen = seen.reshape(len(runs), count, *seen.shape[1:])
-        base = seen[0]
-        seen_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
-        seen_slopes[RATE] = (seen[1:4] - base) / rate_step
-        sun, carried = base[..., SEEN_SUN], seen[4, ..., SEEN_SUN]
-        seen_slopes[SUN, ..., SEEN_SUN] = np.stack([carried, cross(sun, carried)])
-        seen_slopes[UNKNOWNS] = (seen[5:] - base) / steps[:, None, None, None]
-        return base, np.nan_to_num(np.moveaxis(seen_slopes, 0, 1))
+        track = self.track(LanderMotions.joined(runs), self.error_rad / 10)
+        track = track.reshape(len(runs), count, *track.shape[1:])
+        base = track[0]
+        track_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
+        track_slopes[RATE] = (track[1:4] - base) / rate_step
+        sun, carried = base[..., TRACK_SUN], track[4, ..., TRACK_SUN]
+        track_slopes[SUN, ..., TRACK_SUN] = np.stack([carried, cross(sun, carried)])
+        track_slopes[UNKNOWNS] = (track[5:] - base) / steps[:, None, None, None]
+        return base, np.nan_to_num(np.moveaxis(track_slopes, 0, 1))
 
     def _unknown_steps(self) -> np.ndarray:
         """Return the steps of the differences in the unknowns of the motion, in sigmas."""
@@ -188,22 +188,22 @@ class FitProblem:
         return steps
 
     def differences(
-        self, motions: LanderMotions, seen: np.ndarray, seen_slopes: np.ndarray
+        self, motions: LanderMotions, track: np.ndarray, track_slopes: np.ndarray
     ) -> Linear:
-        """Return residuals of readings and their derivatives, by the chain rule from `seen` (K, n, w) and `seen_slopes`.
+        """Return residuals of readings and their derivatives, by the chain rule from `track` (K, n, w) and `track_slopes`.
 
-        If `seen_slopes` has c = 0 the only derivatives are those by unknowns on which the motion does not depend.
+        If `track_slopes` has c = 0 the only derivatives are those by unknowns on which the motion does not depend.
         """
         model, count = self.model, len(motions)
-        fine = np.all(np.isfinite(seen), axis=(1, 2))
-        seen = np.where(fine[:, None, None], seen, 0.0)
-        states = states_of(seen)
+        fine = np.all(np.isfinite(track), axis=(1, 2))
+        track = np.where(fine[:, None, None], track, 0.0)
+        states = states_of(track)
         # a change d of the Sun is the rotation d x sun of the body; no sensor shows the rotation about the Sun
-        turn = np.moveaxis(cross(seen_slopes[..., SEEN_SUN], states.sun[:, None]), 1, -1)
-        of_rate = np.moveaxis(seen_slopes[..., SEEN_RATE], 1, -1)
+        turn = np.moveaxis(cross(track_slopes[..., TRACK_SUN], states.sun[:, None]), 1, -1)
+        of_rate = np.moveaxis(track_slopes[..., TRACK_RATE], 1, -1)
         # fitted unknowns of the panels; the first `moving` columns of the Jacobian are coordinates that change the motion
         own = self.fitted[len(self.moving) :] - len(model.of_motion)
-        moving = seen_slopes.shape[1]
+        moving = track_slopes.shape[1]
         values, columns = [], []
         for term in (model.panels, *model.given):
             for residual in term.residuals(states, motions.u[:, model.of_panels]):
@@ -220,7 +220,7 @@ class FitProblem:
         fine = fine & np.all(np.isfinite(value), axis=1)
         value = np.where(fine[:, None], value, 0.0)
         jacobian = np.where(np.isfinite(jacobian) & fine[:, None, None], jacobian, 0.0)
-        return Linear(value, jacobian, fine, seen_slopes, seen)
+        return Linear(value, jacobian, fine, track_slopes, track)
 
     def of_panels(self, value: np.ndarray) -> np.ndarray:
         """Return the residuals (K, n, p) of the panels among all (K, R)."""
@@ -240,7 +240,7 @@ class FitProblem:
     def read_curvature(self, u: np.ndarray, linear: Linear, noise_factor: float) -> np.ndarray:
         """Return the part (K, F, F) of the curvature of the cost that the readings give."""
         weight = self.weigh(linear.value, u, noise_factor)[1]
-        return _normal(linear.value, linear.jacobian, weight)[0]
+        return normal_equations(linear.value, linear.jacobian, weight)[0]
 
     def linearised(self, motions: LanderMotions, noise_factor: float) -> DenseSystem:
         """Return the normal equations at motions, with derivatives by differences of runs."""
@@ -249,20 +249,21 @@ class FitProblem:
 
     def linearised_after(self, point: Point, noise_factor: float) -> DenseSystem:
         """Return the normal equations after a step; the change that it has made corrects the derivatives (:func:`corrected`)."""
-        seen, fine = self.seen(point.motions, self.error_rad)
-        change = np.where(fine[:, None, None], seen - point.before, 0.0)
+        track = self.track(point.motions, self.error_rad)
+        fine = np.all(np.isfinite(track), axis=(1, 2))
+        change = np.where(fine[:, None, None], track - point.before, 0.0)
         step = np.where(fine[:, None], point.step, 0.0)
-        seen_slopes = corrected(point.seen_slopes, step, change)
-        linear = self.differences(point.motions, seen, seen_slopes)
+        track_slopes = corrected(point.track_slopes, step, change)
+        linear = self.differences(point.motions, track, track_slopes)
         return self.system(point.u, linear, noise_factor)
 
     def system(self, u: np.ndarray, linear: Linear, noise_factor: float) -> DenseSystem:
         """Return the normal equations of a step in the free coordinates (F), priors of unknowns included; extras are `linear`."""
         cost, weight = self.weigh(linear.value, u, noise_factor)
         prior, precision = self.model.prior_cost(u, self.sizes)
-        normal, gradient = _normal(linear.value, linear.jacobian, weight)
-        places = np.arange(STATE_SIZE, len(self.coordinates))
-        normal[:, places, places] += precision[:, self.fitted]
+        normal, gradient = normal_equations(linear.value, linear.jacobian, weight)
+        diagonal = np.arange(STATE_SIZE, len(self.coordinates))
+        normal[:, diagonal, diagonal] += precision[:, self.fitted]
         gradient[:, UNKNOWNS] += precision[:, self.fitted] * u[:, self.fitted]
         scale = np.einsum("kff->kf", normal).copy()
         floor = FLOOR * scale.max(axis=1) + 1e-12
@@ -271,7 +272,7 @@ class FitProblem:
         return DenseSystem(cost, normal, gradient, scale, linear)
 
 
-def _normal(
+def normal_equations(
     value: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return J'WJ (K, F, F) and J'Wr (K, F) of residuals (K, R) with weights (K, R)."""
@@ -279,30 +280,36 @@ def _normal(
     return weighted @ jacobian, (weighted @ value[..., None])[..., 0]
 
 
-def corrected(seen_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return derivatives (K, c, n, w) of `seen`, corrected so that they explain its change (K, n, w) by a step (K, c).
+def corrected(track_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return derivatives (K, c, n, w) of `track`, corrected so that they explain its change (K, n, w) by a step (K, c).
 
     Broyden's update is the smallest such correction: with the derivatives J (c rows), the step s and the change y it adds
     W s (y - s J) / (s W s) to J. Here the metric W is diagonal, with the squared lengths of the rows of J.
     """
-    flat = seen_slopes.reshape(*seen_slopes.shape[:2], -1)
+    flat = track_slopes.reshape(*track_slopes.shape[:2], -1)
     weighted = step * np.sum(flat**2, axis=2)
     length = np.sum(weighted * step, axis=1, keepdims=True)
     share = np.divide(weighted, length, out=np.zeros_like(weighted), where=length > 0)
     unexplained = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
-    return seen_slopes + (share[:, :, None] * unexplained).reshape(seen_slopes.shape)
+    return track_slopes + (share[:, :, None] * unexplained).reshape(track_slopes.shape)
 
 
 def in_tangents_at(
-    there: np.ndarray, sun: np.ndarray, seen_slopes: np.ndarray, step: np.ndarray
+    there: np.ndarray, sun: np.ndarray, track_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives and a step by tangents at directions `sun` (K, 3), as those by tangents at directions `there` (K, 3)."""
     across = np.stack(tangent_basis(there), axis=1)
     turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)  # (K, 2, 2)
-    seen_slopes, step = seen_slopes.copy(), step.copy()
-    seen_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, seen_slopes[:, SUN])
+    track_slopes, step = track_slopes.copy(), step.copy()
+    track_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, track_slopes[:, SUN])
     step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
-    return seen_slopes, step
+    return track_slopes, step
+
+
+def rotation_by(step: np.ndarray, reach_s: float) -> np.ndarray:
+    """Return the rotation (K), rad, within a window up to `reach_s` by the rate or the direction of steps (K, 5 or more)."""
+    rate, sun = (np.linalg.norm(step[:, part], axis=1) for part in (RATE, SUN))
+    return np.maximum(rate * reach_s, sun)
 
 
 class Fitting:
@@ -314,7 +321,7 @@ class Fitting:
         A small noise from a fit to fewer readings would make levels of larger noise less effective.
         """
         u = problem.model.limited(motions.u, INSIDE)
-        u[:, problem.model.places("noise")] = 0.0
+        u[:, problem.model.indices("noise")] = 0.0
         self.problem, self.noise_factor = problem, 1.0
         self.motions = replace(motions.bare, u=u)
         self.refresh()
@@ -341,13 +348,13 @@ class Fitting:
             lambda point: self.problem.linearised_after(point, self.noise_factor),
             self._moved,
             solve_dense,
-            Point(motions.omega, motions.sun, motions.u, linear.seen_slopes, linear.seen, still),
+            Point(motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track, still),
             steps=count,
             system=self.system,
             length_ratio=self._length_ratio,
             limit=self._limited,
             carry=lambda point, system: point._replace(
-                seen_slopes=system.extras.seen_slopes, before=system.extras.seen
+                track_slopes=system.extras.track_slopes, before=system.extras.track
             ),
         )
         self.motions, self.system = end.state.motions, end.system
@@ -358,18 +365,15 @@ class Fitting:
         whole[:, self.problem.coordinates] = step
         sun = move_on_sphere(point.sun, whole[:, SUN])
         own = whole[:, self.problem.of_motion]
-        seen_slopes, own = in_tangents_at(sun, point.sun, point.seen_slopes, own)
+        track_slopes, own = in_tangents_at(sun, point.sun, point.track_slopes, own)
         omega, u = point.omega + whole[:, RATE], point.u + whole[:, UNKNOWNS]
-        return Point(omega, sun, u, seen_slopes, point.before, own)
+        return Point(omega, sun, u, track_slopes, point.before, own)
 
     def _length_ratio(self, point: Point, step: np.ndarray) -> np.ndarray:
         """Return the lengths (K) of steps (K, F) over the longest one allowed."""
         problem, fitted = self.problem, self.problem.fitted
-        turn = np.maximum(
-            np.linalg.norm(step[:, RATE], axis=1) * problem.model.reach_s,
-            np.linalg.norm(step[:, SUN], axis=1),
-        )
-        torque = np.isin(fitted, problem.model.places("steady_torque"))
+        turn = rotation_by(step, problem.model.reach_s)
+        torque = np.isin(fitted, problem.model.indices("steady_torque"))
         sigma = np.array([problem.model.unknowns[i].sigma for i in fitted[torque]])
         pushed = (
             np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1)
@@ -400,7 +404,7 @@ class Fitting:
         value = self.problem.of_panels(linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            taken = panels.taken_by_times(states_of(linear.seen), u[:, own])
+            taken = panels.taken_by_times(states_of(linear.track), u[:, own])
             fitted_freedom = fitted_freedom + taken
         u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
         self.motions = replace(self.motions, u=u)
@@ -427,7 +431,7 @@ class Fitting:
         curvature[:, problem.coordinates[:, None], problem.coordinates] = read
         unknowns = np.arange(STATE_SIZE, model.dimension)
         curvature[:, unknowns, unknowns] += model.prior_cost(u, problem.sizes)[1]
-        for i in model.places("noise"):
+        for i in model.indices("noise"):
             value, at = problem.of_panels(linear.value), STATE_SIZE + i
             curvature[:, at, at] += model.panels.noise_curvature(value, u[:, model.of_panels])
         return curvature

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from scipy.special import logsumexp
@@ -19,7 +19,7 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import Acting, Steady
 from sunspin.dynamics.wheel_modes import friction_limit
-from sunspin.estimate.lander.motions import LanderMotions
+from sunspin.estimate.lander.motions import STATE_SIZE, LanderMotions
 from sunspin.estimate.model import AS_STATED, Observations, Unknown
 from sunspin.estimate.settings import LOOSER_CHANCE
 from sunspin.estimate.terms.given import Given
@@ -60,13 +60,6 @@ ALL_SIZES: Sizes = {}
 """The prior is the mixture over all sigmas."""
 
 
-class CarriedStates(NamedTuple):
-    """K motions at n samples: directions to the Sun and rates (K, n, 3); `fine` (K): the motion could be computed."""
-
-    seen: SunStates
-    fine: np.ndarray
-
-
 @dataclass(frozen=True)
 class LanderModel:
     """A lander and its observations.
@@ -103,6 +96,11 @@ class LanderModel:
         return (*self.of_motion, *self.panels.own)
 
     @property
+    def commands(self) -> tuple[str, ...]:
+        """Return the mode of each wheel."""
+        return batch.one_command(self.vehicle, self.wheel_mode)
+
+    @property
     def of_panels(self) -> slice:
         """Return where the unknowns of the panels stand."""
         return slice(len(self.of_motion), None)
@@ -115,9 +113,9 @@ class LanderModel:
     @property
     def dimension(self) -> int:
         """Return the number D of coordinates of a motion."""
-        return 5 + len(self.unknowns)
+        return STATE_SIZE + len(self.unknowns)
 
-    def places(self, *kinds: str) -> list[int]:
+    def indices(self, *kinds: str) -> list[int]:
         """Return the indices of the unknowns of some kinds."""
         return [i for i, unknown in enumerate(self.unknowns) if unknown.kind in kinds]
 
@@ -132,9 +130,13 @@ class LanderModel:
         They are zero for numbers that are known.
         """
         off = np.zeros((len(u), count))
-        for i in self.places(kind):
+        for i in self.indices(kind):
             off[:, self.unknowns[i].index] = self.unknowns[i].sigma * u[:, i]
         return off
+
+    def at_centres(self, omega: np.ndarray, sun: np.ndarray) -> LanderMotions:
+        """Return motions by rates (K, 3) and directions (K, 3) at the reference, all unknowns at their centres."""
+        return LanderMotions(omega, sun, np.zeros((len(omega), len(self.unknowns))))
 
     def seeing(self, samples: slice) -> LanderModel:
         """Return the model of some of the samples."""
@@ -150,12 +152,12 @@ class LanderModel:
     def _shared(self) -> Iterator[tuple[list[int], np.ndarray, np.ndarray]]:
         """Yield each kind of unknowns with s possible sigmas: indices, the sigmas over `sigma` (s), and their log odds (s)."""
         for kind in dict.fromkeys(x.kind for x in self.unknowns if len(x.shares) > 1):
-            places = self.places(kind)
-            shares = np.array(self.unknowns[places[0]].shares)
+            indices = self.indices(kind)
+            shares = np.array(self.unknowns[indices[0]].shares)
             odds = np.full(len(shares), 1 / len(shares))
             if kind == "inertia":
                 odds = np.array([1 - LOOSER_CHANCE, LOOSER_CHANCE])
-            yield places, shares, np.log(odds)
+            yield indices, shares, np.log(odds)
 
     def prior_cost(self, u: np.ndarray, sizes: Sizes = ALL_SIZES) -> tuple[np.ndarray, np.ndarray]:
         """Return minus the log prior density (K) of unknowns, over that of m standard normal numbers at zero, and weights (K, m).
@@ -165,15 +167,15 @@ class LanderModel:
         """
         cost, weight = 0.5 * u**2, np.ones_like(u)
         total = cost.sum(axis=1)
-        for places, shares, log_odds in self._shared():
-            some = u[:, places]
-            if (size := sizes.get(self.unknowns[places[0]].kind)) is not None:
+        for indices, shares, log_odds in self._shared():
+            some = u[:, indices]
+            if (size := sizes.get(self.unknowns[indices[0]].kind)) is not None:
                 shares, log_odds = shares[[size]], log_odds[[size]]
             square = 0.5 * np.sum(some**2, axis=1)[:, None]
-            of_sigmas = log_odds - square / shares**2 - len(places) * np.log(shares)  # (K, s)
+            of_sigmas = log_odds - square / shares**2 - len(indices) * np.log(shares)  # (K, s)
             mixture = logsumexp(of_sigmas, axis=1)
             total += -mixture - square[:, 0]
-            weight[:, places] = (np.exp(of_sigmas - mixture[:, None]) @ shares**-2.0)[:, None]
+            weight[:, indices] = (np.exp(of_sigmas - mixture[:, None]) @ shares**-2.0)[:, None]
         return total, weight
 
     def log_prior_density(self, motions: LanderMotions) -> np.ndarray:
@@ -185,21 +187,20 @@ class LanderModel:
         density = -self.prior_cost(motions.u)[0] - 0.5 * len(self.unknowns) * np.log(2 * np.pi)
         # a fit that ends on the largest rate may exceed it by rounding
         allowed = np.linalg.norm(motions.omega, axis=1) <= self.max_rate * (1 + 1e-12)
-        if self.places(*MASS):
+        if self.indices(*MASS):
             allowed &= self._exists(self._bodies_of(motions.u))
         return np.where(allowed, density - ball - self.log_possible, -np.inf)
 
     @cached_property
     def log_possible(self) -> float:
         """Return the log of the part of the prior that describes bodies that can exist."""
-        if not self.places(*MASS):
+        if not self.indices(*MASS):
             return 0.0
-        rng = np.random.default_rng(
-            0
-        )  # a property of the prior, which does not depend on the seed of the draws
+        # a property of the prior, which does not depend on the seed of the draws
+        rng = np.random.default_rng(0)
         u = rng.standard_normal((PRIOR_DRAWS, len(self.unknowns)))
-        for places, shares, log_odds in self._shared():
-            u[:, places] *= rng.choice(shares, (PRIOR_DRAWS, 1), p=np.exp(log_odds))
+        for indices, shares, log_odds in self._shared():
+            u[:, indices] *= rng.choice(shares, (PRIOR_DRAWS, 1), p=np.exp(log_odds))
         count = np.count_nonzero(self._exists(self._bodies_of(u)))
         return float(np.log(max(count, 1) / PRIOR_DRAWS))
 
@@ -213,7 +214,7 @@ class LanderModel:
         """Return the bodies that unknowns describe, also those that cannot exist."""
         nominal, wheels = Bodies.of(self.vehicle, len(u)), len(self.vehicle.wheels)
         tensor = np.array(nominal.inertia_kg_m2)
-        for i in self.places("inertia"):
+        for i in self.indices("inertia"):
             a, b = divmod(self.unknowns[i].index, 3)
             tensor[:, a, b] += self.unknowns[i].sigma * u[:, i]
             tensor[:, b, a] = tensor[:, a, b]
@@ -254,7 +255,7 @@ class LanderModel:
         ones are possible too. The conditions are convex in the tensor of the body. The inertia of a wheel is sampled by its
         logarithm: half the deviation of the logarithm is less than half the deviation of the inertia.
         """
-        mass = self.places(*MASS)
+        mass = self.indices(*MASS)
         if not mass or not len(u):
             return u
         wrong = np.flatnonzero(~self._exists(self._bodies_of(u)))
@@ -285,8 +286,7 @@ class LanderModel:
         if not self.after_s:
             return speeds
         bodies = self.bodies(u)
-        commands = batch.one_command(self.vehicle, self.wheel_mode)
-        for i, (wheel, command) in enumerate(zip(wheels, commands, strict=True)):
+        for i, (wheel, command) in enumerate(zip(wheels, self.commands, strict=True)):
             if command != "hold":
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 speeds[:, i] = spin_down_speed(
@@ -298,11 +298,14 @@ class LanderModel:
                 )
         return speeds
 
+    def nominal_speeds(self, after_s: float) -> np.ndarray:
+        """Return the speeds (n_wheel) of the nominal wheels `after_s` after the first sample, rad/s."""
+        none = np.zeros((1, len(self.unknowns)))
+        return replace(self, after_s=after_s).wheel_speeds(none)[0]
+
     def spun_up(self, after_s: float) -> float:
         """Return the rate (rad/s), about the axis of the least moment, of the momentum that wheels lose up to `after_s`."""
-        none = np.zeros((1, len(self.unknowns)))
-        then = replace(self, after_s=after_s).wheel_speeds(none)
-        lost = np.abs(then - replace(self, after_s=0.0).wheel_speeds(none))[0]
+        lost = np.abs(self.nominal_speeds(after_s) - self.nominal_speeds(0.0))
         momentum = lost @ np.array([wheel.inertia_kg_m2 for wheel in self.vehicle.wheels])
         return float(momentum / np.linalg.eigvalsh(self.vehicle.require_inertia())[0])
 
@@ -321,8 +324,10 @@ class LanderModel:
             bodies = self.bodies(motions.u)
         return batch.Rows(motions.omega, motions.sun, self.wheel_speeds(motions.u), bodies)
 
-    def run(self, rows: batch.Rows, times_s: np.ndarray, error_rad: float) -> batch.Motion:
-        """Return motions from the reference at times (n) from there, all later or all earlier."""
+    def run(
+        self, rows: batch.Rows, times_s: np.ndarray, error_rad: float, attitude: bool = False
+    ) -> batch.Motion:
+        """Return motions from the reference at times (n) from there, all later or all earlier; with the `attitude` if asked for."""
         return batch.run(
             self.vehicle,
             rows,
@@ -330,11 +335,15 @@ class LanderModel:
             command=self.wheel_mode,
             error=error_rad,
             acting=self.acting,
+            attitude=attitude,
             leave_long=True,  # one motion with too many steps, far out in the priors, must not be an error for all
         )
 
-    def carried(self, motions: LanderMotions, error_rad: float) -> CarriedStates:
-        """Return motions at all samples, forward and backward from the reference; directions err by `error_rad` at most."""
+    def carried(self, motions: LanderMotions, error_rad: float) -> SunStates:
+        """Return motions at all samples, forward and backward from the reference; directions err by `error_rad` at most.
+
+        Motions that could not be computed are not numbers.
+        """
         t_s, rows = self.obs.t_s, self.rows(motions)
         sun, omega = (np.empty((len(motions), len(t_s), 3)) for _ in range(2))
         fine = np.ones(len(motions), dtype=bool)
@@ -346,7 +355,7 @@ class LanderModel:
                 fine &= moved.outcome == batch.Outcome.FINE
         fine &= np.isfinite(sun).all(axis=(1, 2)) & np.isfinite(omega).all(axis=(1, 2))
         sun[~fine], omega[~fine] = np.nan, np.nan
-        return CarriedStates(SunStates.of(sun, omega), fine)
+        return SunStates.of(sun, omega)
 
     def first_speed(self, motions: LanderMotions, error_rad: float) -> np.ndarray:
         """Return angular speeds (K) at the first sample, rad/s; infinite for motions that cannot be computed."""
@@ -356,14 +365,15 @@ class LanderModel:
         speed = np.linalg.norm(back.omega_B[:, 0], axis=1)
         return np.where(np.isfinite(speed), speed, np.inf)
 
-    def log_likelihood(self, carried: CarriedStates, u: np.ndarray) -> np.ndarray:
+    def log_likelihood(self, states: SunStates, u: np.ndarray) -> np.ndarray:
         """Return the log likelihood (K) of all readings, up to a constant of the other observations.
 
         It is minus infinity for motions that could not be computed.
         """
         with np.errstate(invalid="ignore"):
-            total = self.panels.log_density(carried.seen, u[:, self.of_panels])
+            total = self.panels.log_density(states, u[:, self.of_panels])
             for term in self.given:
-                for residual in term.residuals(carried.seen, u[:, :0]):
+                for residual in term.residuals(states, u[:, :0]):
                     total = total - residual.law(residual.value)[0].sum(axis=1)
-        return np.where(carried.fine & np.isfinite(total), total, -np.inf)
+        fine = np.isfinite(states.sun_B).all(axis=(1, 2)) & np.isfinite(total)
+        return np.where(fine, total, -np.inf)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import logsumexp
 
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
@@ -87,10 +88,10 @@ class LanderMotions:
             [self.omega - centre.omega, side * stretch[:, None], self.u - centre.u], axis=1
         )
 
-    def with_unknowns(self, places: np.ndarray, count: int) -> LanderMotions:
-        """Return motions of a model with `count` unknowns: theirs stand at `places` (m), the others at their centres."""
+    def with_unknowns(self, indices: np.ndarray, count: int) -> LanderMotions:
+        """Return motions of a model with `count` unknowns: theirs stand at `indices` (m), the others at their centres."""
         u = np.zeros((len(self), count))
-        u[:, places] = self.u
+        u[:, indices] = self.u
         return LanderMotions(self.omega, self.sun, u, starts=self.starts)
 
 
@@ -130,10 +131,10 @@ class ModelFit:
 class Draws:
     """N weighted draws from the posterior of a lander, of one model or of several together.
 
-    `log_weight` (N): log of the posterior density over that of the proposals; `of_model` (N): index of the model of each draw, by
-    which its unknowns are read; `region` (N): index of the solution that it belongs to. `effective`: how many equal draws they are
-    worth; `tail`: Pareto index k of the weights; `evidence`: log of the mean weight; `rounds` (r, 3): log evidence, effective share
-    of draws and k after each round.
+    `log_weight` (N): log of the posterior density over that of the proposals. The mean weight, not the sum, is the evidence;
+    `evidence` is its log. `of_model` (N): index of the model of each draw, by which its unknowns are read; `region` (N): index of
+    the solution that it belongs to. `effective`: how many equal draws they are worth; `tail`: Pareto index k of the weights;
+    `rounds` (r, 3): log evidence, effective share of draws and k after each round.
     """
 
     motions: LanderMotions
@@ -148,3 +149,8 @@ class Draws:
     def __len__(self) -> int:
         """Return the number of draws."""
         return len(self.log_weight)
+
+    @property
+    def probability(self) -> np.ndarray:
+        """Return the weights (N) divided by their sum."""
+        return np.exp(self.log_weight - logsumexp(self.log_weight))

@@ -61,7 +61,8 @@ class Bend(NamedTuple):
         sigma = np.sqrt(weight @ off**2)
         if not np.all(sigma > 0):
             return None
-        # principal directions of the correlation: of independent coordinates all would have size one
+        # `vector`: principal directions (columns) of the correlation matrix of the coordinates in their sigmas; `size`: sigma along
+        # each, one for all if the coordinates are independent; `white` (n, d): draws along them in units of these
         value, vector = np.linalg.eigh((weight[:, None] * off).T @ off / np.outer(sigma, sigma))
         size = np.sqrt(value.clip(1e-12))
         white, root_weight = (off / sigma) @ vector / size, np.sqrt(weight)[:, None]
@@ -73,16 +74,14 @@ class Bend(NamedTuple):
             weighted = root_weight * terms, root_weight * white[:, thin]
             coefficients = np.linalg.lstsq(*weighted, rcond=1e-10)[0]
             left = weight @ (white[:, thin] - terms @ coefficients) ** 2
-            straight = left * count / (count - terms.shape[1]) > s.straight**2
-            if not straight.any():
+            # what is left, by degrees of freedom: of a straight direction hardly less than all, which is one
+            unbent = left * count / (count - terms.shape[1]) > s.straight**2
+            if not unbent.any():
+                # back to the coordinates themselves
                 across = vector[:, thin] * (size[thin] * sigma[:, None])
-                return cls(
-                    centre,
-                    across,
-                    (vector[:, ~thin] / size[~thin] / sigma[:, None]).T,
-                    coefficients,
-                )
-            thin[np.flatnonzero(thin)[straight]] = False
+                along = (vector[:, ~thin] / size[~thin] / sigma[:, None]).T
+                return cls(centre, across, along, coefficients)
+            thin[np.flatnonzero(thin)[unbent]] = False
         return None
 
 

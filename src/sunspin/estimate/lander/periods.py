@@ -16,7 +16,7 @@ from sunspin.estimate.periods import (
     HALF_SPAN,
     INSTANTS,
     LEAST_DRAWS,
-    READINGS,
+    ROTATIONS,
     PeriodSeen,
     euler_rates,
     own_axis,
@@ -62,12 +62,12 @@ def draws_by_periods(
         "period_s": [period.period_s for period in seen],
         "sigma_s": [period.sigma_s for period in seen],
     }
-    coords = {"reading": list(READINGS), "level": np.array(LEVELS)}
+    coords = {"reading": list(ROTATIONS), "level": np.array(LEVELS)}
     return xr.DataTree(xr.Dataset(variables, coords, attrs))
 
 
 def periods_of(motions: DrawnMotions, seen: PeriodSeen, workers: int | None = None) -> np.ndarray:
-    """Return periods (n, 3) in s by :data:`READINGS` of draws when a period was seen; NaN for those that could not be computed."""
+    """Return periods (n, 3) in s by :data:`ROTATIONS` of draws when a period was seen; NaN for those that could not be computed."""
     instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
     carried = motions.at(checked_times(instants, motions.start_s), workers)
     bodies = motions.rows.bodies_of(motions.vehicle)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
-from sunspin.compute.rows import ensemble
+from sunspin.compute.pool import worker_count
 from sunspin.dynamics import batch, gyrostat
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.propagate import propagate
@@ -27,6 +28,9 @@ from sunspin.vehicle.response.panels import panel_power
 
 DIRECTION_ERROR = 1e-4
 """Error of directions (rad) in runs of draws, far below the uncertainty of any posterior."""
+
+RUNS_AT_ONCE = 64, 8192
+"""Draws that one thread runs together: fewest, as they fill the lanes of compiled code, and most, as memory allows."""
 
 LONGEST_S = 7 * 86400.0
 """Times further than this from the first sample are an error: phases are unknown long before."""
@@ -83,50 +87,35 @@ class DrawnMotions:
         # at the start itself the motions are known
         starts = (getattr(self.rows, name) for name in Carried._fields)
         carried = Carried(*(np.repeat(value[:, None], len(after_s), axis=1) for value in starts))
+        pushed = self.rows.bodies_of(self.vehicle).steady_N_m.any()
+        acting = Acting((Steady(),)) if pushed else NOTHING
+
+        def run(ends_s: np.ndarray, index: np.ndarray) -> list[np.ndarray]:
+            """Return each quantity of some motions at times after the start, NaN for those that could not be computed."""
+            ran = batch.run(
+                self.vehicle,
+                self.rows.take(index),
+                ends_s,
+                command=self.wheel_mode,
+                error=DIRECTION_ERROR,
+                acting=acting,
+            )
+            fine = (ran.outcome == batch.Outcome.FINE)[:, None, None]
+            return [np.where(fine, getattr(ran, name), np.nan) for name in Carried._fields]
+
+        count, workers = len(self.rows), worker_count(workers)
+        size = int(np.clip(-(-count // workers), *RUNS_AT_ONCE))
+        pieces = [np.arange(k, min(k + size, count)) for k in range(0, count, size)]
         for side in (after_s < 0, after_s > 0):
             if side.any():
                 # each time once, in the order in which a run comes to them
-                distance_s, place = np.unique(np.abs(after_s[side]), return_inverse=True)
+                distance_s, which = np.unique(np.abs(after_s[side]), return_inverse=True)
                 ends_s = np.copysign(distance_s, after_s[side][0])
-                run = ensemble(_Carrying(self, ends_s), workers=workers)
-                for name, values in carried._asdict().items():
-                    values[:, side] = run[name][:, place]
+                with ThreadPoolExecutor(workers) as pool:
+                    runs = list(pool.map(partial(run, ends_s), pieces))
+                for values, parts in zip(carried, zip(*runs, strict=True), strict=True):
+                    values[:, side] = np.concatenate(parts)[:, which]
         return carried
-
-
-@dataclass(frozen=True)
-class _Carrying:
-    """Row number -> a motion at times `ends_s` (n_t) after its start, all later or all earlier."""
-
-    motions: DrawnMotions = field(repr=False)
-    ends_s: np.ndarray
-
-    @property
-    def outputs(self) -> Mapping[str, Any]:
-        """Return dtype and shape of each result of a row."""
-        wheels = len(self.motions.vehicle.wheels)
-        sizes = zip(Carried._fields, (3, 3, wheels), strict=True)
-        return {name: ("float64", (len(self.ends_s), size)) for name, size in sizes}
-
-    @property
-    def n_rows(self) -> int:
-        """Return the number of motions."""
-        return len(self.motions.rows)
-
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Return some of the motions at the times, NaN for those that could not be computed."""
-        motions = self.motions
-        pushed = motions.rows.bodies_of(motions.vehicle).steady_N_m.any()
-        run = batch.run(
-            motions.vehicle,
-            motions.rows.take(index),
-            self.ends_s,
-            command=motions.wheel_mode,
-            error=DIRECTION_ERROR,
-            acting=Acting((Steady(),)) if pushed else NOTHING,
-        )
-        fine = (run.outcome == batch.Outcome.FINE)[:, None, None]
-        return {name: np.where(fine, getattr(run, name), np.nan) for name in self.outputs}
 
 
 def _bodies_of(vehicle: Vehicle, draws: xr.Dataset) -> Bodies:
@@ -189,7 +178,10 @@ def predict(
 
 
 def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) -> xr.Dataset:
-    """Return the Dataset of motions carried to times (n_t) in s from the epoch, with what :func:`predict` derives of them."""
+    """Return the Dataset of motions carried to times (n_t) in s from the epoch, with what :func:`predict` derives of them.
+
+    H in the result is the angular momentum of body and wheels.
+    """
     omega, speeds = carried.omega_B, carried.wheel_speed_rad_s
     bodies = motions.rows.bodies_of(motions.vehicle)
     momentum = np.stack(
@@ -198,11 +190,11 @@ def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) ->
     )
     to_momentum = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
     rate = np.linalg.norm(omega, axis=-1)
-    dims_of_all = (*EACH, "predicted_s")
 
     def variable(values: np.ndarray, units: str, about: str, *dims: str) -> Any:
         """Return a variable over the one chain, draws, times and further `dims`."""
-        return (*dims_of_all, *dims), values[None], {"units": units, "long_name": about}
+        about_it = {"units": units, "long_name": about}
+        return (*EACH, "predicted_s", *dims), values[None], about_it
 
     z_to_sun, z_to_momentum = (
         np.arccos(np.clip(cosine, -1.0, 1.0)) for cosine in (carried.sun_B[..., 2], to_momentum)

@@ -61,13 +61,13 @@ class Sources:
     priors: Mapping[str, Any]
     said: dict[str, str] = field(default_factory=dict)
 
-    def sigma(self, key: str, stated: float | None, assumed: float) -> float:
-        """Return the relative sigma of a number; zero if it is known."""
+    def sigma(self, key: str, stated: float | None, assumed: float, unit: str = "") -> float:
+        """Return the sigma of a number, relative unless it has a unit; zero if the number is known."""
         value, source = (assumed, ASSUMED) if stated is None else (stated, STATED)
         if key in self.priors:
             value, source = self.priors[key], GIVEN
         require_not_negative(value, f"the prior sigma of {key} must be zero (known) or positive")
-        self.said[key] = f"{value:g} ({source})"
+        self.said[key] = f"{value:g}{unit} ({source})"
         return float(value)
 
 
@@ -168,7 +168,8 @@ def require_not_negative(value: Any, said: str) -> None:
 def _as_measured(assessment: Assessment, at_s: float) -> Vehicle:
     """Return the vehicle with the wheel speeds of the telemetry at a time (s from the epoch), if there are any.
 
-    Gaps are bridged linearly; a wheel that was never read keeps its nominal speed.
+    Between readings the speed is interpolated linearly, before the first and after the last it is that of the nearest. A wheel that
+    was never read keeps its nominal speed.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     if "wheel_speed_rad_s" not in telemetry or not vehicle.wheels:
@@ -212,13 +213,11 @@ def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPower
         ),
     )
     own = (*(x for x in unknowns if x.sigma > 0), *_tilts(vehicle, sources))
-    time_s = sources.priors.get("time_s", 0.0)
-    require_not_negative(time_s, "the prior sigma of time_s must be zero (exact) or positive, in s")
+    time_s = sources.sigma("time_s", None, 0.0, " s")
     if time_s and vehicle.throttled:
         what = "the posterior does not know errors of times if panels are throttled"
         raise InputError(what, got=f"time_s {time_s:g}", do="leave the prior time_s out")
-    sources.said["time_s"] = f"{time_s:g} s ({GIVEN if 'time_s' in sources.priors else ASSUMED})"
-    return replace(read, own=own, turns=panel_turns(vehicle, own), time_s=float(time_s))
+    return replace(read, own=own, turns=panel_turns(vehicle, own), time_s=time_s)
 
 
 def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
@@ -249,7 +248,11 @@ def wheel_unknown(name: str, vehicle: Vehicle, wheel: Wheel) -> str:
 
 
 def _of_wheels(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
-    """Return speed, inertia and friction of each wheel; a motor keeps its speed."""
+    """Return speed, inertia and friction of each wheel.
+
+    In the mode "hold" a motor keeps the speed, which is then known unless the vehicle file states a sigma, and friction does not
+    act. Inertia and friction are unknown by their logarithms.
+    """
     unknowns = []
     commands = batch.one_command(vehicle, mode)
     for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):

@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.dynamics import batch, gyrostat
+from sunspin.dynamics import gyrostat
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.processor import cached, compiled, digest
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.settings import GridSettings
 from sunspin.solve.rotations import cross, tangent_basis
 from sunspin.vehicle.response.planes import sphere as even_directions
@@ -50,9 +49,9 @@ class Sphere(NamedTuple):
     @classmethod
     def of(cls, model: LanderModel) -> Sphere:
         """Return the sphere of the nominal body, with the mean moment of inertia."""
-        speeds = model.wheel_speeds(np.zeros((1, len(model.unknowns))))
+        speeds = model.nominal_speeds(model.after_s)
         omega = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        momentum = gyrostat.total_momentum(model.vehicle, omega, np.repeat(speeds, 4, axis=0))
+        momentum = gyrostat.total_momentum(model.vehicle, omega, np.tile(speeds, (4, 1)))
         by_rate = (momentum[1:] - momentum[0]).T
         moment = np.trace(by_rate) / 3
         return cls(by_rate / moment, momentum[0] / moment)
@@ -83,14 +82,11 @@ class Reached(NamedTuple):
         began there holds all. Wheels that run down push it aside: about rest it would hold 1.8 times as many rates for Philae.
         """
         first, direction = replace(model, after_s=0.0), even_directions(FIRST_RATES)
-        none = np.zeros((FIRST_RATES, len(model.unknowns)))
-        rows = first.rows(LanderMotions(fastest * direction, direction, none))
+        rows = first.rows(first.at_centres(fastest * direction, direction))
         reached = first.run(rows, np.array([model.after_s]), TRIAL_ERROR).omega_B[:, 0]
         reached = reached[np.isfinite(reached).all(axis=1)]
-        commands = batch.one_command(model.vehicle, model.wheel_mode)
-        inertia = gyrostat.free_inertia(
-            Bodies.of(model.vehicle), [command != "hold" for command in commands]
-        )
+        free = [command != "hold" for command in model.commands]
+        inertia = gyrostat.free_inertia(Bodies.of(model.vehicle), free)
         bare = cls(limit, reached.mean(axis=0), inertia, np.inf)
         return bare._replace(most=BEYOND * float(np.sqrt(bare.energy(reached).max())))
 
@@ -130,29 +126,31 @@ class RateGrid:
         s: GridSettings,
         workers: int = 1,
     ) -> RateGrid:
-        """Return the grid of rates that may be reached, from runs of the nominal body from the model's reference."""
+        """Return the grid of rates that may be reached, about the model's reference, in two steps.
+
+        The nominal body is run on a coarser grid, and of its attitudes the rotation of a :class:`Sphere` is divided out. What is
+        left is interpolated at each point of the grid, and the sphere's rotation there is multiplied in again (:func:`fill`).
+        """
         margin = np.sqrt(3) * edge  # all corners of a cell
         side, points, row_of = lattice(reached, margin, edge)
-        bare = cls(times_s, edge, side, row_of, np.zeros((0, len(times_s), 4), dtype=np.float32))
-        spacing = coarsest_spacing(model, bare, reached.limit, s)
+        spacing = coarsest_spacing(model, times_s, edge, reached.limit, s)
         far = spacing * edge
         coarse_side, coarse_points, coarse_row_of = lattice(reached, margin * (1 + spacing), far)
-        coarse = cls(times_s, far, coarse_side, coarse_row_of, bare.turn)
         sphere = Sphere.of(model)
         with ThreadPoolExecutor(workers) as pool:
-            pieces = _pieces(coarse.rates(coarse_points), RUNS_AT_ONCE)
-            of_sphere = partial(without_sphere, model, sphere, times_s)
-            left = np.concatenate(list(pool.map(of_sphere, pieces))).astype(np.float32)
-            turn = np.empty((len(points), len(times_s), 4), dtype=np.float32)
+            runs = _pieces(rates_at(coarse_points, coarse_side, far), RUNS_AT_ONCE)
+            without = pool.map(partial(without_sphere, model, sphere, times_s), runs)
+            left = np.concatenate(list(without)).astype(np.float32)
             between = Between(left, coarse_row_of, coarse_side, side, spacing, edge, times_s)
-            some, to = _pieces(points, POINTS_AT_ONCE), _pieces(turn, POINTS_AT_ONCE)
-            list(pool.map(lambda points, turn: fill(points, turn, between, sphere), some, to))
+            turn = np.empty((len(points), len(times_s), 4), dtype=np.float32)
+            # each thread writes into its part of `turn`
+            parts = _pieces(points, POINTS_AT_ONCE), _pieces(turn, POINTS_AT_ONCE)
+            list(pool.map(lambda points, turn: fill(points, turn, between, sphere), *parts))
         return cls(times_s, edge, side, row_of, turn)
 
     def rates(self, points: np.ndarray) -> np.ndarray:
         """Return the rates (n, 3) at points of the cube, by index."""
-        index = np.stack(np.unravel_index(points, (self.side,) * 3), axis=-1)
-        return (index - self.side // 2) * self.edge
+        return rates_at(points, self.side, self.edge)
 
     @property
     def away(self) -> np.ndarray:
@@ -169,6 +167,11 @@ class RateGrid:
         for a, b, c in CORNERS:
             is_cell[:-1, :-1, :-1] &= exists[a : last + a, b : last + b, c : last + c]
         return np.flatnonzero(is_cell)
+
+
+def rates_at(points: np.ndarray, side: int, edge: float) -> np.ndarray:
+    """Return the rates (n, 3) at points, by index, of a cube about rest with `side` points `edge` rad/s apart along an axis."""
+    return (np.stack(np.unravel_index(points, (side,) * 3), axis=-1) - side // 2) * edge
 
 
 def lattice(reached: Reached, margin: float, edge: float) -> tuple[int, np.ndarray, np.ndarray]:
@@ -189,7 +192,9 @@ def lattice(reached: Reached, margin: float, edge: float) -> tuple[int, np.ndarr
     return side, index, row_of
 
 
-def coarsest_spacing(model: LanderModel, grid: RateGrid, limit: float, s: GridSettings) -> int:
+def coarsest_spacing(
+    model: LanderModel, times_s: np.ndarray, edge: float, limit: float, s: GridSettings
+) -> int:
     """Return the most steps of a grid between runs with which nine of ten attitudes half way between runs are near enough.
 
     There the error is the largest; elsewhere it is half of that. One step if no larger spacing is good enough.
@@ -198,10 +203,10 @@ def coarsest_spacing(model: LanderModel, grid: RateGrid, limit: float, s: GridSe
     direction = rng.standard_normal((TRIED_CELLS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     middle = limit * rng.random((TRIED_CELLS, 1)) ** (1 / 3) * direction
-    exact = without_sphere(model, sphere, grid.times_s, middle)
+    exact = without_sphere(model, sphere, times_s, middle)
     for spacing in SPACINGS:
-        corner = middle[:, None] + (CORNERS - 0.5) * (spacing * grid.edge)
-        left = without_sphere(model, sphere, grid.times_s, corner.reshape(-1, 3))
+        corner = middle[:, None] + (CORNERS - 0.5) * (spacing * edge)
+        left = without_sphere(model, sphere, times_s, corner.reshape(-1, 3))
         left = left.reshape(TRIED_CELLS, len(CORNERS), *exact.shape[1:])
         alike = np.sum(left * left[:, :1], axis=-1, keepdims=True) >= 0
         mean = np.where(alike, left, -left).mean(axis=1)
@@ -227,15 +232,12 @@ def attitudes(model: LanderModel, omega: np.ndarray, times: np.ndarray) -> np.nd
     A run carries one inertial direction, and the momentum is another: with one across it, a frame before and after.
     """
     omega = omega + 1e-6 * model.max_rate  # no row is exactly at rest
-    none = np.zeros((len(omega), len(model.unknowns)))
-    speeds = model.wheel_speeds(none[:1])
-    momentum = gyrostat.total_momentum(
-        model.vehicle, omega, np.broadcast_to(speeds, (len(omega), speeds.shape[1]))
-    )
+    speeds = np.tile(model.nominal_speeds(model.after_s), (len(omega), 1))
+    momentum = gyrostat.total_momentum(model.vehicle, omega, speeds)
     along = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
     across = tangent_basis(along)[0]
     frame = np.stack([along, across, cross(along, across)], axis=2)
-    rows = model.rows(LanderMotions(omega, across, none))
+    rows = model.rows(model.at_centres(omega, across))
     turn = np.empty((len(omega), len(times), 4))
     for i, t in enumerate(times):
         moved = model.run(rows, np.array([t]), TRIAL_ERROR)
@@ -258,10 +260,10 @@ def _pieces(array: np.ndarray, most: int) -> list[np.ndarray]:
 
 
 class Between(NamedTuple):
-    """A grid of runs, `spacing` steps of another grid apart, from which that is filled.
+    """A coarse grid of runs, and the finer grid that is filled by interpolation between them.
 
-    `left` (rows, m, 4): :func:`without_sphere`, in rows `row_of` (coarse_side^3) of a cube; `side`, `edge` are those of the grid
-    that is filled.
+    Of the runs: `left` (rows, m, 4), quaternions of :func:`without_sphere`, `row_of` (coarse_side^3) and `coarse_side` as in
+    :class:`RateGrid`; they are `spacing` steps of the finer grid apart. `side`, `edge` of the finer grid.
     """
 
     left: np.ndarray

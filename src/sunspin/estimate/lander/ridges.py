@@ -5,9 +5,8 @@ Uncertain moments, friction and wheel speeds make the posterior near a motion a 
 1. *Outer* coordinates y are drawn from a mixture of Student laws that is adapted to earlier draws. They are the unknowns on which
    the motion depends, the noise, and the directions of rate and Sun that are weakly constrained even at fixed unknowns.
 2. Least squares finds the best *stiff* coordinates z*(y), the other directions of rate and Sun. These are drawn about z*(y) with
-the
-   curvature there. A quadratic regression on earlier points predicts z*(y), and derivatives are those of the nearest point, so that
-   a draw takes three runs of its motion.
+   the curvature there. A quadratic regression on earlier points predicts z*(y), and derivatives are those of the nearest point, so
+   that a draw takes three runs of its motion.
 3. Unknowns that change the readings only (brightness, gains, misalignments) are drawn several times for the given motion.
 
 The density of each step is known, so that the weights are exact. A poor approximation in a proposal makes draws less effective, but
@@ -16,8 +15,7 @@ biases no result.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +31,12 @@ from sunspin.estimate.lander.outer_law import (
 )
 from sunspin.estimate.lander.target import LanderTarget, MotionSlopes
 from sunspin.estimate.settings import SamplingSettings
-from sunspin.solve.least_squares import least_squares, replace_problems, take_problems
+from sunspin.solve.least_squares import (
+    join_problems,
+    least_squares,
+    replace_problems,
+    take_problems,
+)
 from sunspin.solve.linear import DenseSystem, solve_dense
 
 LOOSEST_RAD = 3.0
@@ -49,6 +52,9 @@ COLD, WARM = ((3.0, 2), (1.0, 4)), ((1.0, 3),)
 RIDGE_FLOOR = 1e-13
 """Part of the trace that is added to the diagonal of the normal equations of a ridge's curve. Terms without points are then
 zero."""
+
+CURVE_FITS = 3
+"""Fits of a ridge's curve, each without the points that were far from the one before."""
 
 SETTLED_GAIN = 4.0
 """A step is tried if it promises at least this gain in cost: 2.8 sigma of the stiff coordinates. The rest is done by a last step
@@ -84,8 +90,8 @@ class Chart:
         window. A direction that is well known at fixed unknowns is stiff, however wide it is otherwise: as an outer coordinate it
         would make the law of y as thin and as curved as the ridge itself.
         """
-        outer = np.setdiff1d(np.arange(len(target.unknowns)), target.reading_unknowns)
-        size = np.diag([target.reach_s] * 3 + [1.0] * 2)
+        outer = np.setdiff1d(np.arange(len(target.model.unknowns)), target.reading_unknowns)
+        size = np.diag([target.model.reach_s] * 3 + [1.0] * 2)
         given = covariance[:STATE_SIZE, :STATE_SIZE]
         if len(outer):  # covariance given the unknowns (Schur complement)
             cross = covariance[:STATE_SIZE, STATE_SIZE + outer]
@@ -109,11 +115,11 @@ class Chart:
 
     def covariance(self, of_motion: np.ndarray) -> np.ndarray:
         """Return a covariance (D, D) of rate, direction and unknowns as that of (y, z)."""
-        places = np.append(np.arange(STATE_SIZE), STATE_SIZE + self.outer)
-        whole = np.eye(len(places))
+        indices = np.append(np.arange(STATE_SIZE), STATE_SIZE + self.outer)
+        whole = np.eye(len(indices))
         whole[:STATE_SIZE, :STATE_SIZE] = self.basis
-        in_chart = whole @ of_motion[np.ix_(places, places)] @ whole.T
-        of_u = np.arange(STATE_SIZE, len(places))
+        in_chart = whole @ of_motion[np.ix_(indices, indices)] @ whole.T
+        of_u = np.arange(STATE_SIZE, len(indices))
         order = np.concatenate([np.arange(self.softs), of_u, np.arange(self.softs, STATE_SIZE)])
         return in_chart[np.ix_(order, order)]
 
@@ -167,28 +173,24 @@ class Proposals(NamedTuple):
     motions: LanderMotions
 
 
-class RidgePoints(NamedTuple):
-    """Points y (N, d) at which the best stiff coordinates (N, q) of a ridge are known, and the derivatives there."""
+class StiffFit(NamedTuple):
+    """Points of a ridge: the best stiff coordinates of motions at fixed outer coordinates y (n, d).
+
+    `best` (n, q), and Cholesky factors `root` (n, q, q) of their covariance; u (n, m) with the best reading unknowns; `slopes`:
+    derivatives there, but for the last step.
+    """
 
     y: np.ndarray
     best: np.ndarray
+    root: np.ndarray
+    u: np.ndarray
     slopes: MotionSlopes
-
-    @staticmethod
-    def joined(parts: Sequence[RidgePoints]) -> RidgePoints:
-        """Return the points of several parts."""
-        slopes = zip(*(part.slopes for part in parts), strict=True)
-        return RidgePoints(
-            np.concatenate([part.y for part in parts]),
-            np.concatenate([part.best for part in parts]),
-            MotionSlopes(*(np.concatenate(arrays) for arrays in slopes)),
-        )
 
     def slopes_near(self, y: np.ndarray, law: OuterLaw) -> MotionSlopes:
         """Return the derivatives at the point nearest to each y (n, d), in sigmas of the law."""
         sigma = np.sqrt(np.einsum("cii->i", law.covariance) / len(law.weight))
         nearest = KDTree(self.y / sigma).query(y / sigma)[1]
-        return MotionSlopes(*(part[nearest] for part in self.slopes))
+        return take_problems(self.slopes, nearest)
 
 
 @dataclass
@@ -210,7 +212,7 @@ class Ridge:
     log_promise: float
     laws: list[tuple[int, OuterLaw]]
     proposals: Proposals | None = None
-    points: RidgePoints | None = None
+    points: StiffFit | None = None
 
     @property
     def drawn(self) -> int:
@@ -235,10 +237,10 @@ class Ridge:
         assert proposals is not None
         return proposals.log_mass - proposals.log_inner - self.log_outer(proposals.y, freedom)
 
-    def log_share(self, motions: LanderMotions, freedom: float) -> np.ndarray:
+    def log_density(self, motions: LanderMotions, freedom: float) -> np.ndarray:
         """Return the log of the approximate number density of this ridge's proposals at motions (n).
 
-        The density is over rate, solid angle and unknowns. It divides motions between overlapping ridges; for that it may be
+        It is over rate, solid angle and unknowns. It divides motions between overlapping ridges; for that it may be
         approximate, as the weights are exact whenever the parts of a motion add to one.
         """
         y, z = self.chart.coordinates(motions)
@@ -261,26 +263,26 @@ class Peak(NamedTuple):
     covariance: np.ndarray
 
 
-def ridges_of(
-    target: LanderTarget, fit: ModelFit, fitted_share: np.ndarray | None, s: SamplingSettings
-) -> list[Ridge]:
+def ridges_of(target: LanderTarget, fit: ModelFit, s: SamplingSettings) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
-    A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): prior sigma of each
-    unknown in the fit, over `Unknown.sigma`, if it has several (:attr:`Unknown.shares`); default: one.
+    A motion on the ridge of a more probable one becomes a component of its outer law.
     """
-    least = np.diag([target.rate_max**-2] * 3 + [1.0] * 2 + [0.0] * len(target.unknowns))
+    model = target.model
+    least = np.diag([model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(model.unknowns))
     covariance = np.linalg.inv(fit.motions.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
-    share = np.ones_like(fit.motions.u) if fitted_share is None else fitted_share
+    # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one, over
+    # `Unknown.sigma`.
+    fitted_share = 1 / np.sqrt(model.prior_cost(fit.motions.u)[1])
     ridges: list[Ridge] = []
     for i in np.argsort(-log_mass, kind="stable"):
         if log_mass[i] < log_mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
         motion = fit.motions.bare.take([i])
         as_fitted = Peak(float(log_mass[i]), np.zeros(len(covariance[i])), covariance[i])
-        peaks = over_sizes(target, motion.u[0], as_fitted, share[i], s)
+        peaks = over_sizes(target, motion.u[0], as_fitted, fitted_share[i], s)
         for ridge in ridges:
             y, z = ridge.chart.coordinates(motion)
             off = np.concatenate([y, z], axis=1)[0]
@@ -349,30 +351,32 @@ def over_sizes(
     readings, and would be placed whole revolutions away.
     """
     peaks = [fitted]
-    kinds = dict.fromkeys(unknown.kind for unknown in target.unknowns if len(unknown.shares) > 1)
+    kinds = dict.fromkeys(
+        unknown.kind for unknown in target.model.unknowns if len(unknown.shares) > 1
+    )
     for kind in kinds:  # all unknowns of a kind have the same share
-        places = np.array([i for i, x in enumerate(target.unknowns) if x.kind == kind])
-        before = float(fitted_share[places[0]])
-        shares = target.unknowns[places[0]].shares
+        indices = np.array(target.model.indices(kind))
+        before = float(fitted_share[indices[0]])
+        shares = target.model.unknowns[indices[0]].shares
         resized = (
-            _resized(peak, u, places, before, share, s) for peak in peaks for share in shares
+            _resized(peak, u, indices, before, share, s) for peak in peaks for share in shares
         )
         peaks = [peak for peak in resized if peak is not None]
     return peaks
 
 
 def _resized(
-    peak: Peak, u: np.ndarray, places: np.ndarray, before: float, share: float, s: SamplingSettings
+    peak: Peak, u: np.ndarray, indices: np.ndarray, before: float, share: float, s: SamplingSettings
 ) -> Peak | None:
     """Return the peak if the prior sigmas of unknowns change from `before` to `share`; None if it moves too far.
 
-    The curvature by the prior changes by 1 / share^2 - 1 / before^2 for the unknowns with the indices `places`. A Newton step leads
+    The curvature by the prior changes by 1 / share^2 - 1 / before^2 for the unknowns with these `indices`. A Newton step leads
     to the new mean.
     """
-    at, added = STATE_SIZE + places, share**-2 - before**-2
+    at, added = STATE_SIZE + indices, share**-2 - before**-2
     precision, gradient = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
     precision[at, at] += added
-    value = u[places] + peak.step[at]  # of the unknowns at the old mean
+    value = u[indices] + peak.step[at]  # of the unknowns at the old mean
     gradient[at] = -added * value
     covariance = np.linalg.inv(precision)
     step = covariance @ gradient
@@ -380,36 +384,19 @@ def _resized(
         return None
     gain = (gradient @ step - added * value @ value) / 2
     volume = (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(peak.covariance)[1]) / 2
-    log_mass = peak.log_mass + gain + volume - len(places) * np.log(share / before)
+    log_mass = peak.log_mass + gain + volume - len(indices) * np.log(share / before)
     return Peak(float(log_mass), peak.step + step, covariance)
 
 
-class StiffFit(NamedTuple):
-    """Best stiff coordinates of motions at fixed outer coordinates.
-
-    `best` (n, q), Cholesky factors `root` (n, q, q) of their covariance, and u (n, m) with the best reading unknowns; `slopes`:
-    derivatives there.
-    """
-
-    best: np.ndarray
-    root: np.ndarray
-    u: np.ndarray
-    slopes: MotionSlopes
-
-
 def fit_stiff(
-    target: LanderTarget,
-    chart: Chart,
-    y: np.ndarray,
-    z: np.ndarray,
-    u: np.ndarray,
-    near: MotionSlopes | None,
+    target: LanderTarget, ridge: Ridge, y: np.ndarray, near: MotionSlopes | None
 ) -> StiffFit:
     """Return the stiff coordinates and reading unknowns of largest posterior density at fixed outer coordinates y (n, d).
 
-    The fit starts at z (n, q) and u (n, m). `near`: derivatives at motions near the starts, if they are known: then few steps are
-    enough, mostly one and the last one, whose cost is not computed. The terms are those of the head of this file.
+    The fit starts on the curve of the ridge. `near`: motions near the starts with their derivatives, if there are any: then few
+    steps are enough, mostly one and the last one, whose cost is not computed. The terms are those of the head of this file.
     """
+    chart = ridge.chart
     reading, q = target.reading_unknowns, chart.stiff
 
     # The state of the fit is y, z, u and the derivatives near by, if there are any. A step has q components of z, then those of the
@@ -438,7 +425,8 @@ def fit_stiff(
         """Return the state with the derivatives of its equations, for the next ones."""
         return *state[:3], system.extras
 
-    state: tuple[Any, ...] = y, z, u, near
+    u = np.tile(chart.centre.u, (len(y), 1)) if near is None else near.u
+    state: tuple[Any, ...] = y, ridge.best(y), u, near
     system: DenseSystem | None = None
     # a far start is first fitted under a larger noise, so that no reading counts as an outlier because of the start
     for noise_factor, steps in WARM if near is not None else COLD:
@@ -469,11 +457,11 @@ def fit_stiff(
     # covariance of z with free reading unknowns, which are drawn too
     of_z = covariance[:, :q, :q]
     root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
-    return StiffFit(z, root, u, slopes)
+    return StiffFit(y, z, root, u, slopes)
 
 
 def reading_law(
-    target: LanderTarget, seen: np.ndarray, u: np.ndarray, s: SamplingSettings
+    target: LanderTarget, track: np.ndarray, u: np.ndarray, s: SamplingSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the best reading unknowns (n, s) given the motions, and the Cholesky factors (n, s, s) of their precision.
 
@@ -481,7 +469,7 @@ def reading_law(
     from u (n, m) finds it.
     """
     before = u[:, target.reading_unknowns]
-    slope, curvature = target.reading_slopes(seen, u)
+    slope, curvature = target.reading_slopes(track, u)
     curvature = curvature + np.eye(before.shape[1])  # of the prior
     step = np.linalg.solve(curvature, (slope - before)[:, :, None])[:, :, 0]
     best = before + np.clip(step, -s.reading_step, s.reading_step)
@@ -490,45 +478,44 @@ def reading_law(
 
 def complete_motions(
     target: LanderTarget,
-    chart: Chart,
-    y: np.ndarray,
-    z: np.ndarray,
-    u: np.ndarray,
+    motions: LanderMotions,
+    log_volume: np.ndarray,
     rng: np.random.Generator,
     s: SamplingSettings,
 ) -> tuple[LanderMotions, np.ndarray]:
-    """Return the motions at y and z with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
+    """Return n motions with reading unknowns drawn, and the `log_mass` (n) of each (:class:`Proposals`).
 
     Several sets of these unknowns are drawn for each motion, which need not run again for them. The mass is the mean of their
     weights, and one set is chosen with a probability in proportion to its weight. With one set only, a draw in the tails of the
-    normal law might outweigh all others. u (n, m): where the step to the best reading unknowns begins.
+    normal law might outweigh all others. The step to the best reading unknowns begins at those of the motions. `log_volume` (n): of
+    :meth:`Chart.log_volume`.
     """
-    motions, places = chart.motions(y, z, u), target.reading_unknowns
-    count = s.reading_draws if len(places) else 1
-    white = rng.standard_normal((len(y), count, len(places)))
-    chance = rng.random(len(y))
-    log_mass = chart.log_volume(y, z) + target.log_prior(motions)
+    reading = target.reading_unknowns
+    count = s.reading_draws if len(reading) else 1
+    white = rng.standard_normal((len(motions), count, len(reading)))
+    chance = rng.random(len(motions))
+    log_mass = log_volume + target.model.log_prior_density(motions)
     # a motion beyond the coordinates or the prior has no mass, and need not run
     rows = np.flatnonzero(np.isfinite(log_mass))
-    log_mass[np.setdiff1d(np.arange(len(y)), rows)] = -np.inf
+    log_mass[np.setdiff1d(np.arange(len(motions)), rows)] = -np.inf
     if not len(rows):
         return motions, log_mass
     possible, white = motions.take(rows), white[rows]
-    seen = target.run(possible)
+    track = target.track(possible)
 
     # draw from a normal law: with the Cholesky factor R of its precision a draw is the best plus R^-T times white numbers
-    best, root = reading_law(target, seen, possible.u, s)
+    best, root = reading_law(target, track, possible.u, s)
     step = np.linalg.solve(np.swapaxes(root, 1, 2), np.swapaxes(white, 1, 2))
     drawn = best[:, None] + np.swapaxes(step, 1, 2)  # (rows, count, unknowns)
-    log_volume = np.log(np.einsum("kii->ki", root)).sum(axis=1)[:, None]
-    log_law = log_volume - np.sum(white**2 + np.log(2 * np.pi), axis=2) / 2
+    log_density = np.log(np.einsum("kii->ki", root)).sum(axis=1)[:, None]  # at the middle
+    log_law = log_density - np.sum(white**2 + np.log(2 * np.pi), axis=2) / 2
 
     # weigh each draw by likelihood and prior over that law; `log_mass` has the normal prior at u, that of a draw follows
-    before = possible.u[:, None, places]
+    before = possible.u[:, None, reading]
     prior_change = (np.sum(before**2, axis=2) - np.sum(drawn**2, axis=2)) / 2
     u_drawn = np.repeat(possible.u, count, axis=0)
-    u_drawn[:, places] = drawn.reshape(len(u_drawn), len(places))
-    log_likelihood = target.log_likelihood(np.repeat(seen, count, axis=0), u_drawn)
+    u_drawn[:, reading] = drawn.reshape(len(u_drawn), len(reading))
+    log_likelihood = target.log_likelihood(np.repeat(track, count, axis=0), u_drawn)
     log_weight = log_likelihood.reshape(len(rows), count) + prior_change - log_law
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight)
     total = logsumexp(log_weight, axis=1, keepdims=True)
@@ -537,8 +524,9 @@ def complete_motions(
     # choose the draw at which the cumulative weight passes a random part of the total
     share = np.cumsum(np.exp(log_weight - np.where(np.isfinite(total), total, 0.0)), axis=1)
     chosen = np.minimum((share < chance[rows, None] * share[:, -1:]).sum(axis=1), count - 1)
-    motions.u[rows[:, None], places] = drawn[np.arange(len(rows)), chosen]
-    return motions, log_mass
+    u = motions.u.copy()
+    u[rows[:, None], reading] = drawn[np.arange(len(rows)), chosen]
+    return replace(motions, u=u), log_mass
 
 
 def trace_ridge(
@@ -554,11 +542,10 @@ def trace_ridge(
         root = np.linalg.cholesky(law.covariance)[which]
         white = rng.standard_normal((count, law.mean.shape[1]))
         y = law.mean[which] + width * np.einsum("nij,nj->ni", root, white)
-        before = [] if ridge.points is None else [ridge.points]
-        near = before[0].slopes_near(y, law) if before else None
-        u = np.tile(ridge.chart.centre.u, (count, 1)) if near is None else near.u
-        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, near)
-        ridge.points = RidgePoints.joined([*before, RidgePoints(y, stiff.best, stiff.slopes)])
+        points = ridge.points
+        near = None if points is None else points.slopes_near(y, law)
+        stiff = fit_stiff(target, ridge, y, near)
+        ridge.points = stiff if points is None else join_problems([points, stiff])
         fit_ridge_curve(ridge, s)
 
 
@@ -576,23 +563,18 @@ def propose(
     drawn = [(int(n), law) for n, (_, law) in zip(counts, ridge.proposing, strict=True) if n]
     y_all = np.concatenate([law.draw(n, rng, s.freedom) for n, law in drawn])
     for y in np.array_split(y_all, -(-count // s.block)):
-        near = before.slopes_near(y, ridge.learnt)
-        stiff = fit_stiff(target, chart, y, ridge.best(y), near.u, near)
+        stiff = fit_stiff(target, ridge, y, before.slopes_near(y, ridge.learnt))
         step, white = student_draws(s.inner_width * stiff.root, rng, s.freedom)
         volume = np.log(s.inner_width * np.einsum("kii->ki", stiff.root)).sum(axis=1)
         z = stiff.best + step
-        motions, log_mass = complete_motions(target, chart, y, z, stiff.u, rng, s)
+        motions, log_volume = chart.motions(y, z, stiff.u), chart.log_volume(y, z)
+        motions, log_mass = complete_motions(target, motions, log_volume, rng, s)
         log_inner = student_log_density(white, s.freedom) - volume
         parts.append(Proposals(y, z, log_inner, log_mass, motions))
-        points.append(RidgePoints(y, stiff.best, stiff.slopes))
-    ridge.proposals = Proposals(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in Proposals._fields[:4]
-        ),
-        LanderMotions.joined([part.motions for part in parts]),
-    )
-    ridge.points = RidgePoints.joined(points)
+        points.append(stiff)
+    motions = LanderMotions.joined([part.motions for part in parts])
+    ridge.proposals = Proposals(*join_problems([part[:4] for part in parts]), motions)
+    ridge.points = join_problems(points)
     ridge.laws += drawn
 
 
@@ -611,9 +593,8 @@ def fit_ridge_curve(ridge: Ridge, s: SamplingSettings) -> None:
     off = law.straight(points.y) - mean
     far = np.sum(np.linalg.solve(root, off.T) ** 2, axis=0) / len(mean)
     coefficients = ridge.coefficients
-    for _ in range(
-        3
-    ):  # each time without points that are far off: least squares has led them to another ridge
+    for _ in range(CURVE_FITS):
+        # again without points that are far off: least squares has led them to another ridge
         if good.sum() < least:
             return
         weight = 1 / (1 + far[good])[:, None]

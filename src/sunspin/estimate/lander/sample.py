@@ -33,20 +33,19 @@ def sample(
     rng: np.random.Generator,
     s: SamplingSettings = SAMPLING,
     budget: Budget | None = None,
-    fitted_share: np.ndarray | None = None,
 ) -> Draws:
     """Return weighted draws from the posterior about the fitted motions, their regions numbered by falling probability.
 
-    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent.
+    No round begins once the budget is spent; without one there is no limit.
     """
-    ridges = ridges_of(target, fit, fitted_share, s)
+    budget = Budget(np.inf) if budget is None else budget
+    ridges = ridges_of(target, fit, s)
     # Find the course of each ridge, that of improbable ones by fewer points.
     promise = np.array([ridge.log_promise for ridge in ridges])
     points = np.where(promise < promise.max() + np.log(s.small), s.trace_small, s.trace)
     for ridge, count in zip(ridges, points, strict=True):
         trace_ridge(target, ridge, int(count), rng, s)
-    if budget is not None:
-        budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
+    budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
     # Draw in rounds until all draws together are good enough. After each round the proposals of the ridges adapt to their draws.
     draws, log_shares, rounds = None, [], []
     for turn in range(s.rounds):
@@ -54,13 +53,11 @@ def sample(
         for ridge, count in zip(ridges, counts, strict=True):
             if count:
                 propose(target, ridge, count, rng, s)
-        if budget is not None:
-            budget.spend(float(counts.sum()) * s.warm_runs)
+        budget.spend(float(counts.sum()) * s.warm_runs)
         draws, log_shares = pooled(ridges, s)
         rounds.append((draws.evidence, draws.effective / len(draws), draws.tail))
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
-        spent = budget is not None and budget.exhausted()
-        if (turn and good) or spent or turn + 1 == s.rounds:
+        if budget.exhausted() or (turn and good) or turn + 1 == s.rounds:
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
             learn(ridge, own, s)
@@ -77,13 +74,12 @@ def _draws_of_ridges(
     """
     if not log_shares:
         promise = np.array([ridge.log_promise for ridge in ridges])
-        share = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
-        return np.ceil(s.draws * share / share.sum()).astype(int)
-    share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in log_shares])
-    share = np.where(share < s.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
-    if not share.any():
-        share = np.ones(len(ridges))
-    return np.ceil(s.draws * share / share.sum()).astype(int)
+        root = np.sqrt(np.exp(np.maximum(promise - promise.max(), np.log(s.small))))
+    else:
+        share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in log_shares])
+        root = np.where(share < s.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
+        root = root if root.any() else np.ones(len(ridges))
+    return np.ceil(s.draws * root / root.sum()).astype(int)
 
 
 def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.ndarray]]:
@@ -92,45 +88,35 @@ def pooled(ridges: list[Ridge], s: SamplingSettings) -> tuple[Draws, list[np.nda
     If several ridges may propose a motion, the weight of a draw is multiplied by the part of its own ridge in the density of all
     (multiple importance sampling, Veach 1995).
     """
+    proposed = [ridge.proposals for ridge in ridges if ridge.proposals is not None]
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
-    motions = LanderMotions.joined(
-        [ridge.proposals.motions for ridge in drawn if ridge.proposals is not None]
-    )
+    motions = LanderMotions.joined([proposals.motions for proposals in proposed])
     ridge_of = np.repeat(np.arange(len(drawn)), [ridge.drawn for ridge in drawn])  # of each draw
+    # each ridge has an integral of its own, the mean weight of its draws; the integral of all is the sum of these
     weights = [ridge.log_weights(s.freedom) - np.log(ridge.drawn) for ridge in drawn]
     log_weight = np.concatenate(weights)
     # part of each ridge (r) in the density with which all ridges propose each draw (n)
     log_part = np.zeros((len(ridge_of), 1))
     if len(drawn) > 1:
-        log_shares = np.stack([ridge.log_share(motions, s.freedom) for ridge in drawn], axis=1)
-        log_part = log_shares - logsumexp(log_shares, axis=1, keepdims=True)
+        log_density = np.stack([ridge.log_density(motions, s.freedom) for ridge in drawn], axis=1)
+        log_part = log_density - logsumexp(log_density, axis=1, keepdims=True)
         log_weight = log_weight + log_part[np.arange(len(ridge_of)), ridge_of]
+    # as weights whose mean is the integral (:class:`Draws`)
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(len(ridge_of))
     total = float(logsumexp(log_weight))
-    if not np.isfinite(total):
-        none = np.zeros(len(ridge_of), dtype=np.int64)
-        without_weight = Draws(
-            motions=motions,
-            log_weight=log_weight,
-            of_model=none,
-            region=none,
-            effective=0.0,
-            tail=np.inf,
-            evidence=-np.inf,
-        )
-        return without_weight, [np.full(ridge.drawn, -np.inf) for ridge in ridges]
-    share = log_weight - total
+    possible = np.isfinite(total)
+    log_share = log_weight - total if possible else np.full_like(log_weight, -np.inf)
     draws = Draws(
         motions=motions,
         log_weight=log_weight,
         of_model=np.zeros(len(ridge_of), dtype=np.int64),
-        region=regions(np.exp(share), np.exp(log_part), s),
-        effective=effective_draws(np.exp(share)),
-        tail=pareto_tail(log_weight),
-        evidence=total - float(np.log(len(ridge_of))),
+        region=regions(np.exp(log_share), np.exp(log_part), s),
+        effective=effective_draws(np.exp(log_share)) if possible else 0.0,
+        tail=pareto_tail(log_weight) if possible else np.inf,
+        evidence=total - float(np.log(len(ridge_of))) if possible else -np.inf,
     )
     ends = np.cumsum([0, *(ridge.drawn for ridge in ridges)])
-    return draws, [share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return draws, [log_share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def regions(weight: np.ndarray, part: np.ndarray, s: SamplingSettings) -> np.ndarray:
@@ -188,10 +174,10 @@ def predictive_check(
 ) -> Checked:
     """Return how often readings simulated from these motions, draws of equal weight, fit worse than the real ones."""
     motions = motions.take(slice(0, s.checked))
-    seen = target.run(motions)
-    real = target.log_likelihood(seen, motions.u)
-    worse = [target.log_replicated(seen, motions.u, rng) <= real for _ in range(s.copies)]
-    noise = [i for i, unknown in enumerate(target.unknowns) if unknown.kind == "noise"]
+    track = target.track(motions)
+    real = target.log_likelihood(track, motions.u)
+    worse = [target.log_replicated(track, motions.u, rng) <= real for _ in range(s.copies)]
+    noise = target.model.indices("noise")
     return Checked(float(np.mean(worse)), float(motions.u[:, noise].mean()) if noise else 0.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -97,19 +97,19 @@ def _draws(mix: Mixture, picked: np.ndarray, log_likelihood: np.ndarray) -> xr.D
     return xr.Dataset(variables, coords)
 
 
-class SolutionRow(NamedTuple):
-    """One solution at the first sample; each field is a variable of the group `solutions`."""
-
-    omega_B: np.ndarray
-    omega_cov_B: np.ndarray
-    sun_B: np.ndarray
-    probability: float
-    log_evidence: float
-    best_omega_B: np.ndarray
-    chi_square: float
-    lit_readings: int
-    starts: int
-    effective_draws: float
+OF_SOLUTIONS = {
+    "omega_B": "rad s-1",
+    "omega_cov_B": "rad2 s-2",
+    "sun_B": "1",
+    "probability": "1",
+    "log_evidence": "1",
+    "best_omega_B": "rad s-1",
+    "chi_square": "1",
+    "lit_readings": "1",
+    "starts": "1",
+    "effective_draws": "1",
+}
+"""Variables of the group `solutions`, at the first sample -> their units."""
 
 
 def _solutions(
@@ -137,7 +137,7 @@ def _solutions(
         likelihoods = [log_likelihood[in_result], mix.log_likelihood(even[:BEST_OF])]
         best = tried[[int(np.argmax(np.concatenate(likelihoods)))]]
         rows.append(
-            SolutionRow(
+            (
                 mean,
                 covariance,
                 sun / np.linalg.norm(sun),
@@ -149,13 +149,11 @@ def _solutions(
                 effective,
             )
         )
-    units = dict.fromkeys(SolutionRow._fields, "1")
-    units |= {"omega_B": "rad s-1", "best_omega_B": "rad s-1", "omega_cov_B": "rad2 s-2"}
-    axes = ("axis", "axis2")
     variables = {}
-    for name, values in zip(SolutionRow._fields, zip(*rows, strict=True), strict=True):
+    for (name, units), values in zip(OF_SOLUTIONS.items(), zip(*rows, strict=True), strict=True):
         value = np.array(values)
-        variables[name] = (("solution", *axes[: value.ndim - 1]), value, {"units": units[name]})
+        dims = ("solution", "axis", "axis2")[: value.ndim]
+        variables[name] = (dims, value, {"units": units})
     return xr.Dataset(variables, {"solution": np.arange(count), "axis": ["x", "y", "z"]})
 
 
@@ -185,8 +183,6 @@ def _chi_square(mix: Mixture, best: np.ndarray) -> tuple[float, int]:
     """Return the sum of squared differences of lit readings in stated sigmas under one draw, and their number."""
     model, _, motions = next(mix.by_model(best))
     panels = model.panels
-    residual, *_ = panels.residuals(
-        model.carried(motions, 1e-5).seen, motions.u[:, model.of_panels]
-    )
+    residual, *_ = panels.residuals(model.carried(motions, 1e-5), motions.u[:, model.of_panels])
     lit = panels.lit
     return float(np.sum(residual.value[0][lit] ** 2)), int(np.count_nonzero(lit))

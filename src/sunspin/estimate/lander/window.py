@@ -201,9 +201,8 @@ def _likeliest_brightness(
     s = GridSettings()
     light = power / vehicle.input_gains
     samples = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:BRIGHTEST]
-    samples = samples[
-        light[samples].max(axis=1) > 0
-    ]  # the dark samples of an eclipse bound nothing
+    # the dark samples of an eclipse bound nothing
+    samples = samples[light[samples].max(axis=1) > 0]
     largest = light[samples].max(axis=1)
     low = max(float(np.median(largest)), DIMMEST * float(largest.max()))
     tried = np.exp(np.arange(np.log(low), np.log(WIDEST * largest.max()), BRIGHTNESS_STEP))

@@ -64,18 +64,13 @@ def distances_to_target(
 
     `workers`: threads, each of which takes its share of the rows.
     """
-    emd, rows_each = np.empty(len(hist)), -(-len(hist) // workers) or 1
-
-    def fill(first: int) -> None:
-        """Compute the distances of one thread's rows, from the row `first` on."""
-        rows = slice(first, first + rows_each)
-        emd_rows(hist[rows], *segments, emd[rows])
-
+    emd = np.empty(len(hist))
     if workers == 1:
-        fill(0)
+        emd_rows(hist, *segments, emd)
     else:
+        parts = np.array_split(hist, workers), np.array_split(emd, workers)
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(fill, range(0, len(hist), rows_each)))
+            list(pool.map(lambda some, out: emd_rows(some, *segments, out), *parts))
     return emd
 
 

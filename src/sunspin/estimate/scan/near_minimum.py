@@ -69,6 +69,8 @@ def with_near_minimum(
 
     Parameters
     ----------
+    volume : DataArray over omega_x, omega_y, omega_z
+        As returned by `scan`: EMD or E.
     factor, threshold : float
         The set holds motions within `factor` times the smallest value, or below `threshold` if it is given.
     n_lines, seed : int
@@ -92,6 +94,7 @@ def with_near_minimum(
     )
     if n_lines and len(points) >= 2 * n_lines:
         lines = fit_lines(points, n_lines, seed=seed)
+        # the components of a line have an axis of their own, and the points are those of the set; attributes stay those of the scan
         lines = lines.rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
     of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}

@@ -61,7 +61,7 @@ class SunDirections(Term):
 
     @classmethod
     def read(cls, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry from a source, and a sentence for each sample (n)."""
+        """Return the directions of telemetry from a source, and what became of each sample (n), in words."""
         direction, covariance = (telemetry[name].values for name in COLUMNS[source])
         read = cls.of(direction, _full_rank(direction, covariance))
         if source in SECOND_MEANING and SECOND_MEANING[source][0] in telemetry:

@@ -91,14 +91,14 @@ class FieldChange(Term):
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         noise = part.noise if part is not None else None
         stated = part is not None and bool(part.zero_sigma.any())
-        zero = (
-            (part.matrix * zero_sigmas(part.zero_sigma)).T if part is not None and stated else None
-        )
+        zero_B = np.zeros((0, 3))
+        if part is not None and stated:
+            zero_B = (part.matrix * zero_sigmas(part.zero_sigma)).T
         return cls(
             t_s,
             without_outliers(values),
             noise or np.inf,
-            zero_B=np.zeros((0, 3)) if zero is None else zero,
+            zero_B=zero_B,
             # who does not know the zero has not calibrated the axes
             matrix_sigma=SOFT_IRON if stated else 0.0,
             drift_N=np.zeros((len(t_s), 0, 3)),
@@ -421,7 +421,7 @@ class FieldDirection(SunDirections):
 
     @classmethod
     def alone(cls, part: Magnetometer, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry, and a sentence for each sample (n)."""
+        """Return the directions of telemetry, and what became of each sample (n), in words."""
         values = np.asarray(telemetry[VARIABLES["magnetometer"]], dtype=np.float64)
         read = without_outliers(values)
         size = np.linalg.norm(read, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Sensors of how the body turns in space: the gyro, and an attitude sensor."""
+"""Sensors of how the body turns in space: gyro, size of the rate, attitude sensor; and how late they and a magnetometer are."""
 
 from __future__ import annotations
 
@@ -101,9 +101,6 @@ class GyroRates(Term):
             return
         value = was_read * (states.omega - np.nan_to_num(self.rate_B)) / self.sigma
         by_rate = np.broadcast_to(was_read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
-        if not u.size:
-            yield Residual(value, by_rate=by_rate)
-            return
         columns = self._columns / self.sigma
         value = value + np.einsum("nim,km->kni", columns, u)
         by_u = np.broadcast_to(columns, (*value.shape, columns.shape[-1]))
@@ -129,6 +126,76 @@ class GyroRates(Term):
         rates = self.rate_B[sample : sample + 2]
         rates = rates[np.isfinite(rates).all(axis=1)]
         return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)
+
+
+@dataclass(frozen=True)
+class RateMagnitudes(Term):
+    """Magnitudes of the rate (n) in rad/s, NaN where not read, with one `sigma` (rad/s) and a relative `scale_sigma`.
+
+    They distinguish aliases, whose speeds differ by whole turns between samples, and say nothing of the axis.
+    """
+
+    name: ClassVar[str] = "rate_size"
+    label: ClassVar[str] = "size of the rate"
+    per_sample: ClassVar[tuple[str, ...]] = ("size",)
+
+    size: np.ndarray
+    sigma: float
+    scale_sigma: float = 0.0
+
+    @classmethod
+    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
+        """Return the sizes of the rate in telemetry; None if it has none."""
+        part = vehicle.sensors.rate_size
+        if VARIABLES["rate_size"] not in telemetry or part is None:
+            return None
+        size = np.asarray(telemetry[VARIABLES["rate_size"]], dtype=np.float64)
+        return cls(size, part.noise_rad_s, part.scale_sigma / part.scale_rad_s)
+
+    def present(self) -> np.ndarray:
+        """Return which samples (n) have a size."""
+        return np.isfinite(self.size)
+
+    def freedom(self) -> np.ndarray:
+        """Return how many numbers each reading (n) has."""
+        return 1 * self.present()
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the scale, if it is not known."""
+        if not self.scale_sigma or not self.present().any():
+            return ()
+        return (Unknown("rate_size_scale", "rate_size_scale", "1", 0.0, self.scale_sigma),)
+
+    def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
+        """Yield the predicted reading, the size of the rate with the error of the scale, less the reading (K, n, 1), in sigmas.
+
+        The derivative of the size by the rate is the axis of the rate. At rest the size grows alike along every axis; the
+        derivative is taken as zero.
+        """
+        was_read = self.present()
+        if not was_read.any():
+            return
+        reading = np.where(was_read, self.size, 0.0)
+        size = np.linalg.norm(states.omega, axis=-1)
+        axis = states.omega / np.where(size > 0, size, 1.0)[..., None]
+        value = (was_read * (size - reading) / self.sigma)[..., None]
+        by_rate = (was_read[:, None] * axis / self.sigma)[:, :, None, :]
+        if not u.size:
+            yield Residual(value, by_rate=by_rate)
+            return
+        # an error of the scale is in proportion to the size, for which the reading stands
+        column = (self.scale_sigma * reading / self.sigma)[:, None, None]
+        value = value + column[..., 0] * u[:, None, :]
+        yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(column, (*value.shape, 1)))
+
+    def for_search(self) -> list[Self]:
+        """Return the sizes without an unknown scale, whose error is added to their noise."""
+        common = self.scale_sigma * np.sqrt(np.nanmean(self.size**2)) if self.unknowns() else 0.0
+        return [replace(self, sigma=float(np.hypot(self.sigma, common)), scale_sigma=0.0)]
+
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the sizes with the drift of a start added to their errors."""
+        return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
 
 @dataclass(frozen=True)
@@ -177,6 +244,7 @@ class AttitudeChange(Term):
         turn_read = np.where(was_read[:, None, None], turn_read, np.eye(3))
         before = at_sample_before(states.attitude, axis=1)
         relative = states.attitude @ np.swapaxes(before, -1, -2)
+        # A turn has the errors of two readings, hence sqrt 2. That neighbouring turns share a reading is left out.
         inverse = np.where(was_read, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         turn_read = np.broadcast_to(turn_read, relative.shape)
         value = rotation_between(turn_read, relative) * inverse
@@ -199,3 +267,27 @@ class AttitudeChange(Term):
         size = max(float(np.linalg.norm(angle)), 1e-9)
         turns = 2 * np.pi * np.arange(-WHOLE_TURNS, WHOLE_TURNS + 1)[:, None]
         return Starts(rates=angle / dt * (1 + turns / size))
+
+
+@dataclass(frozen=True)
+class Latency(Term):
+    """Gyro, magnetometer and attitude of a row are `late_s` (s) older than its Sun, with the sigma `sigma_s` (s) of that.
+
+    It reads nothing: a fit moves a motion back by so much before it asks these sensors.
+    """
+
+    name: ClassVar[str] = "clock"
+    label: ClassVar[str] = "clock"
+
+    late_s: float
+    sigma_s: float
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the latency, unless it is known exactly."""
+        if not self.sigma_s:
+            return ()
+        return (Unknown("late_s", "clock", "s", self.late_s, self.sigma_s),)
+
+    def for_search(self) -> list[Self]:
+        """Return a latency of zero: it is small against the errors of starts, which a search adds to those of the sensors."""
+        return [replace(self, late_s=0.0, sigma_s=0.0)]

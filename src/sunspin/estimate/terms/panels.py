@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -22,7 +23,7 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.model import States, Unknown
 from sunspin.estimate.settings import INERTIA_SIGMAS
 from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
-from sunspin.estimate.terms.term import Residual, Term
+from sunspin.estimate.terms.term import Residual, Term, facing
 from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
@@ -46,6 +47,10 @@ it is: what :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` of panels that face
 FLAT, LOOKS = 1e-6, 500
 """Normals out of one plane by less than the first may see no difference between a Sun on either side of it; directions in which
 that is tried."""
+
+TILT, TILT_SHARES = 0.1, (1.0, 0.4, 0.16)
+"""Sigma (rad) of the angle between a panel and its stated direction if the readings deny that direction, and other sizes of it, as
+factors: 5.7, 2.3 and 0.9 degrees."""
 
 BRIGHTEST, OTHER_SCALE = 0.95, 0.1
 """Quantile of brightness that is full Sun if the Sun comes near the plane of the panels; how far from it another full scale is
@@ -86,7 +91,8 @@ class Panels(Term):
     if there is none. `sigma_light_noise` (n, p): sigmas with that light as noise, which count without a model;
     `sigma_light_modelled` (n, p): those that count with it. `known_N` (n, 3): the light that an orbit predicts, None without one.
 
-    `sun_up` (n): 1 in the Sun, 0 in the Earth's shadow; `dark_sigma` (n, p): sigmas of readings in the shadow.
+    `sun_up` (n): 1 in the Sun, 0 in the Earth's shadow; `dark_sigma` (n, p): sigmas of readings in the shadow. `tilt_sigma` (rad):
+    of the angle between each panel and its stated direction, about each of two axes; zero if they are as stated.
     """
 
     name: ClassVar[str] = "panels"
@@ -101,6 +107,7 @@ class Panels(Term):
         "scale",
         "scale_sigma",
         "sun_up",
+        "known_N",
     )
 
     power: np.ndarray
@@ -120,19 +127,20 @@ class Panels(Term):
     earth_share: float = 0.0
     known_N: np.ndarray | None = None
     earth: EarthLight | None = None
+    tilt_sigma: float = 0.0
 
     @classmethod
     def read(cls, assessment: Assessment) -> tuple[Self, np.ndarray]:
-        """Return the panels of telemetry, and a sentence for each sample (n)."""
+        """Return the panels of telemetry, and what became of each sample (n), in words: used, or why it was dropped."""
         vehicle, quality = assessment.vehicle, assessment.quality
-        # the factor of Cholesky parts the errors of the gains into independent ones
+        # errors of the gains are correlated: rows of the transposed Cholesky factor of their covariance are independent ones
         errors = np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.input_gains
         shown = quality["reading"].values & ~quality["dead"].values
         zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
             power=signals(assessment.telemetry),
-            sigma=quality["sigma_beside_gains"].values,
+            sigma=quality["sigma_beside_gains"].values,  # until `of_pass` models the Earth's light
             response=vehicle.response_in(),
             gain=quality["gain"].values / vehicle.input_gains,
             gain_errors=errors,
@@ -170,7 +178,8 @@ class Panels(Term):
         if lit is None or lit_sigma is None:
             return placed
         dark = lit + lit_sigma < LEAST_LIT
-        # neither surely in the shadow nor surely in the Sun
+        # neither surely in the shadow nor surely in the Sun: taken as in the Sun, with a brightness as free as that of a sample of
+        # limited power
         at_edge = ~dark & (lit - lit_sigma < 1 - LEAST_LIT)
         free = np.maximum(self.scale_sigma, LIMITED_SCALE)
         return replace(
@@ -192,9 +201,8 @@ class Panels(Term):
 
     def take(self, samples: Any) -> Self:
         """Return the panels at some samples."""
-        known = None if self.known_N is None else self.known_N[samples]
         earth = None if self.earth is None else self.earth.take(samples)
-        return replace(super().take(samples), known_N=known, earth=earth)
+        return replace(super().take(samples), earth=earth)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a reading that counts, and the Sun up."""
@@ -216,7 +224,15 @@ class Panels(Term):
             Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, INERTIA_SIGMAS)
             for i, size in enumerate(sizes)
         )
-        return gains if self.earth is None else (*gains, *self.earth.unknowns(self.names))
+        earth = () if self.earth is None else self.earth.unknowns(self.names)
+        # last, so that a fit may begin with the unknowns of panels without tilts
+        tilts = tuple(
+            Unknown(
+                f"tilt_{name}_{axis}", "tilt", "rad", 0.0, self.tilt_sigma, i, shares=TILT_SHARES
+            )
+            for i, (name, axis) in enumerate(product(self.names, (0, 1)))
+        )
+        return (*gains, *earth, *(tilts if self.tilt_sigma else ()))
 
     @property
     def gain_slice(self) -> slice:
@@ -226,7 +242,12 @@ class Panels(Term):
     @property
     def earth_slice(self) -> slice:
         """Return where the unknowns of the Earth's light stand: behind the gains."""
-        return slice(len(self.gain_errors), None)
+        return slice(len(self.gain_errors), -2 * len(self.names) if self.tilt_sigma else None)
+
+    def tilt_axes(self) -> np.ndarray:
+        """Return two unit vectors (p, 2, 3) across the direction in which each panel looks, about which it may be turned."""
+        attitude = facing(self.response.facing_B)
+        return np.swapaxes(attitude[..., :2], -1, -2)
 
     def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's.
@@ -340,6 +361,19 @@ class Panels(Term):
         # `predicted`: what a factor and a scale of one would read (K, n, p); its slopes (..., 3 + m) by a turn and by the unknowns
         gain = (self.gain + u[:, self.gain_slice] @ self.gain_errors)[:, None]
         sunlight, sunlight_by_turn = self._sunlight(states, gain)
+        by_tilt = []
+        if self.tilt_sigma:
+            # a panel that is turned alone reads what it would read if the body were turned so
+            panel = np.arange(len(self.names))
+            slope = np.einsum(
+                "knpi,pai->knpa", sunlight_by_turn, self.tilt_sigma * self.tilt_axes()
+            )
+            slope = slope * self.sun_up[:, None, None]
+            tilts = u[:, -2 * len(panel) :].reshape(len(u), len(panel), 2)
+            sunlight = sunlight + np.einsum("knpa,kpa->knp", slope, tilts)
+            own = np.zeros((*slope.shape[:3], len(panel), 2))
+            own[:, :, panel, panel] = slope
+            by_tilt = [own.reshape(*slope.shape[:3], -1)]
         predicted = sunlight * self.sun_up[:, None]
         by_turn = sunlight_by_turn * self.sun_up[:, None, None]
         by_earth, zero = [], 0.0
@@ -351,7 +385,7 @@ class Panels(Term):
         # light is proportional to the gain, a zero is not
         by_gain = (predicted / np.where(gain == 0, 1e-300, gain))[..., None] * self.gain_errors.T
         predicted = predicted + zero
-        slopes = np.concatenate([by_turn, by_gain, *by_earth], axis=-1)
+        slopes = np.concatenate([by_turn, by_gain, *by_earth, *by_tilt], axis=-1)
 
         # All that follows is in sigmas, with the prior of the factor as row p + 1: difference = factor * shape - target. Its square
         # is least at factor = shape . target / shape . shape. No factor is negative.

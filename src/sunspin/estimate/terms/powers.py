@@ -450,9 +450,8 @@ class PanelPowers(Term):
             return self
         assert self.turns is not None
         across = cross(self.turns[own], self.response.normals_B)
-        square = (across**2).sum(
-            axis=(0, 2)
-        ) / 2  # a direction sees one of the two angles of a tilt
+        # a direction sees one of the two angles of a tilt
+        square = (across**2).sum(axis=(0, 2)) / 2
         size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_LIT_SINE)
         return replace(self, sigma=np.hypot(self.sigma, size * self.brightness))
 

@@ -82,7 +82,7 @@ class Term:
     about_sun: ClassVar[bool] = False
     """Whether it shows the turn about the Sun."""
     per_sample: ClassVar[tuple[str, ...]] = ()
-    """Its arrays whose first axis are the samples."""
+    """Its arrays whose first axis are the samples; None stands for one that is not known."""
     axes_rad_s: ClassVar[float] = 0.0
     """How fast the axes of N turn in space, at most, if they follow what this term reads."""
 
@@ -92,7 +92,8 @@ class Term:
 
     def take(self, samples: Any) -> Self:
         """Return the term of some samples."""
-        return replace(self, **{name: getattr(self, name)[samples] for name in self.per_sample})
+        known = (name for name in self.per_sample if getattr(self, name) is not None)
+        return replace(self, **{name: getattr(self, name)[samples] for name in known})
 
     def present(self) -> np.ndarray:
         """Return at which samples (n) it has a reading."""

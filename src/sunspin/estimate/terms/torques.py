@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -106,6 +106,7 @@ class MagneticTorque(Term):
 
     name: ClassVar[str] = "magnetic_torque"
     label: ClassVar[str] = "magnetic torque"
+    per_sample: ClassVar[tuple[str, ...]] = ("field_N",)
 
     field_N: np.ndarray | None = None
     sigma: float = DIPOLE_SIZES[0]
@@ -116,10 +117,6 @@ class MagneticTorque(Term):
         if field_N is None:
             return cls()
         return cls(field_N=field_N / np.median(np.linalg.norm(field_N, axis=1)))
-
-    def take(self, samples: Any) -> MagneticTorque:
-        """Return the torque at some samples."""
-        return self if self.field_N is None else replace(self, field_N=self.field_N[samples])
 
     def for_search(self) -> list[MagneticTorque]:
         """Return the torque with a dipole of zero: a search has strong unknown torques."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from sunspin.estimate.lander.tree import TOO_FEW
 from sunspin.estimate.lander.verdict import sigmas
-from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
+from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, ROTATIONS
 from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import (
@@ -125,7 +125,7 @@ def period_sentences(period: Any) -> list[str]:
     )
     lines = []
     for t_s, period_s, sigma_s, probability in seen:
-        shares = zip(READINGS, probability, strict=True)
+        shares = zip(ROTATIONS, probability, strict=True)
         words = ", ".join(f"{name} {share:.0%}" for name, share in shares)
         lines.append(f"period {period_s:g} +- {sigma_s:g} s at {t_s:g} s: {words}")
     (low, middle, high), (low_before, before, high_before) = (

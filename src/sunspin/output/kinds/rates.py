@@ -11,7 +11,7 @@ import numpy as np
 
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.estimate.model import AS_STATED
-from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, READINGS
+from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, ROTATIONS
 from sunspin.estimate.verdict import upper_text
 from sunspin.output.compared import compared_drawings, compared_summary, compared_tables
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
@@ -176,7 +176,7 @@ def _period_sentence(result: Any, period: dict[str, Any]) -> str:
             f"periods: the samples of pass {period['pass']} contradict {period['period_s']:g} s at {period['t_s']:g} s: solutions "
             f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
-    shares = zip(READINGS, period["shares"], strict=True)
+    shares = zip(ROTATIONS, period["shares"], strict=True)
     words = f"period {period['period_s']:g} +- {period['sigma_s']:g} s at {period['t_s']:g} s: "
     words += ", ".join(f"{name} {share:.0%}" for name, share in shares)
     now = result["probability"].values[k, 0]
