@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import repeat
@@ -155,8 +156,9 @@ def one_pass(
             of_nominal = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
             gain = best_fit(new).log_evidence.max() - of_nominal.log_evidence.max()
             if gain > s.alternatives.doubted:
-                tracks = search_motions(model, noise, s.search, budget)
-                new = merge_fits(new + fit_tracks(model, tracks, noise, s), s.ladder, s.search)
+                with suppress(InputError):  # nothing else may fit
+                    tracks = search_motions(model, noise, s.search, budget)
+                    new = merge_fits(new + fit_tracks(model, tracks, noise, s), s.ladder, s.search)
         fits += new
     # a stated strength of torques, a ladder of one rung, says that the body does not swing
     if nominal.obs.only_sun and best_cost(fits) <= limit and len(s.ladder.rungs) > 1:
