@@ -74,6 +74,9 @@ class Bananas:
     def indices(self, *kinds: str) -> list[int]:
         return [i for i, unknown in enumerate(self.unknowns) if unknown.kind in kinds]
 
+    def prior_cost(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (u**2).sum(axis=1) / 2, np.ones_like(u)
+
     def track(self, motions: LanderMotions) -> np.ndarray:
         return self._off(motions)
 
@@ -281,7 +284,7 @@ def test_a_bent_law_draws_with_the_density_that_it_states():
 def test_all_rounds_propose_with_one_density():
     """A mixture of their laws, in proportion to their draws."""
     target = one()
-    (ridge,) = ridges_of(target, target.fit([0]), None, SAMPLING)
+    (ridge,) = ridges_of(target, target.fit([0]), SAMPLING)
     d = ridge.chart.dimensions
     laws = [OuterLaw(np.ones(1), np.full((1, d), at), np.eye(d)[None]) for at in (0.0, 2.0)]
     ridge.laws = [(1, laws[0]), (3, laws[1])]
@@ -305,9 +308,9 @@ def test_a_motion_fitted_twice_counts_once():
     fits = [target.fit([0], bend) for bend in (0.0, 0.3)]
     motions = LanderMotions.joined([fit.motions for fit in fits])
     twice = ModelFit(None, motions, np.zeros(2))
-    assert len(ridges_of(target, twice, None, SAMPLING)) == 1
+    assert len(ridges_of(target, twice, SAMPLING)) == 1
     apart = replace(SAMPLING, on_ridge=0.0)
-    assert len(ridges_of(target, twice, None, apart)) == 2
+    assert len(ridges_of(target, twice, apart)) == 2
     draws = drawn(target, twice, on_ridge=0.0)
     assert draws.evidence == pytest.approx(target.log_integral, abs=0.05)
     assert len(shares(draws)) == 1

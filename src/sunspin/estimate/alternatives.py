@@ -22,6 +22,9 @@ from sunspin.estimate.terms.inertial import GyroRates
 from sunspin.estimate.terms.panels import TILT, Panels
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
+MISALIGNED = "misaligned panels"
+"""Name of the model of such panels, before that of the panel that shows it most."""
+
 LEAST_STEP = 1e-3
 """Least size of a step, in sigmas of the rate before the data."""
 
@@ -40,7 +43,7 @@ def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) ->
         )
         yield nominal.plus(torque, f"a steady torque in {words}")
     yield from another_zero(nominal, s)
-    yield from turned_panels(nominal, fits, s)
+    yield from misaligned_panels(nominal, fits, s)
     yield from steps_of_the_rate(nominal, fits, s)
 
 
@@ -69,10 +72,12 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
         )
 
 
-def turned_panels(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
+def misaligned_panels(
+    nominal: Model, fits: Sequence[Fit], s: AlternativeSettings
+) -> Iterator[Model]:
     """Yield the model of panels that are turned from the directions that the vehicle file states, if residuals show one of them.
 
-    A panel that stands off reads too much on one side of the Sun and too little on the other. The rates take much of that, and are
+    A misaligned panel reads too much on one side of the Sun and too little on the other. The rates take much of that, and are
     then off by many sigmas: with a panel off by 17 degrees a pass was decided and wrong by 17 sigma. `fits` as in
     :func:`alternatives`.
     """
@@ -95,7 +100,7 @@ def turned_panels(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -
     if max(gains, default=0.0) > s.tilt_shows:
         name = panels.names[int(np.argmax(gains))]
         terms = (replace(panels, tilt_sigma=TILT), *nominal.obs.terms[1:])
-        what = f"panels turned from their directions, {name} most"
+        what = f"{MISALIGNED}, {name} most"
         yield replace(nominal, obs=replace(nominal.obs, terms=terms), what=what)
 
 

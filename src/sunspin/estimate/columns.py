@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.estimate.alternatives import MISALIGNED
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.column_tests import (
     AS_PROBABLE,
@@ -253,11 +254,17 @@ def _with_rivals(
     of_part = replace(of_part, sun_B=result["sun_B"].values[result["pass_of"].values == k])
     if k != _longest(result):
         costs = CostsOfSamples.of(observed.vehicle, part)
-    rivals = rival_exchanges(of_part, part, costs, noise_of(result, observed.vehicle), trials)
+    # a pass that is a part of the file was assessed with the rest, a change is estimated by itself
+    alone = part.sizes["time"] == telemetry.sizes["time"]
+    as_written = float(result.attrs["log_evidence"][k]) if alone else None
+    noise = noise_of(result, observed.vehicle)
+    rivals = rival_exchanges(of_part, part, costs, noise, trials, as_written)
     rivals = [rival for rival in rivals if rival.gain >= least or not least]
     # A small gain does not accuse the file, but the pass is not decided with it. Nor does evidence alone accuse it: of a slow body
     # that was searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
-    most = float(result["cost"].values[k, 0]) - CLEARLY
+    # Misaligned panels may stand for exchanged columns, and then their cost is low: the evidence accuses alone.
+    misaligned = str(result["model"].values[k]).startswith(MISALIGNED)
+    most = np.inf if misaligned else float(result["cost"].values[k, 0]) - CLEARLY
     accusing = [rival for rival in rivals if rival.gain > CLEARLY and rival.cost <= most]
     if accusing:
         best = accusing[0]

@@ -312,10 +312,7 @@ def draw_models(
         if fit.motions.cost.min() > settings.beyond * limit:
             part, s = part * settings.beyond_draws, replace(s, rounds=2)
         s = replace(s, draws=int(part * s.draws), wanted=part * s.wanted)
-        # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one,
-        # over `Unknown.sigma`.
-        fitted_share = 1 / np.sqrt(fit.model.prior_cost(fit.motions.u)[1])
-        draws = sample(LanderTarget(fit.model), fit, streams[h], s, spent, fitted_share)
+        draws = sample(LanderTarget(fit.model), fit, streams[h], s, spent)
         return replace(fit, draws=draws), spent
 
     # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two

@@ -121,8 +121,8 @@ class SearchSettings:
     """The same if panels lie in one plane or share inputs, and bound the Sun so little."""
 
     flat_budget: float = 2.0
-    """Times the usual computing budget for such panels: twice the pairs, and each motion has its mirror image. A search of 40
-    samples with a magnetometer takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
+    """Times the usual computing budget for such panels: more pairs, and each motion has its mirror image. With a magnetometer
+    a search of 40 samples takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
 
     more_places: int = 2
     """Further pairs to start from if the best candidate does not fit."""
@@ -196,8 +196,8 @@ class AlternativeSettings:
     """Turns of the body over a pass by a constant torque: one sigma each, equally likely. It is not known to a power of ten."""
 
     tilt_shows: float = 2.0
-    """Half the square of residuals that two angles of one panel take away, from which turned panels are tried: in 18 right passes
-    it was 0.0 to 1.8, with panels that stand off by 3 degrees 2.4 and more. The evidence decides; this saves time."""
+    """Half the square of residuals that two angles of one panel take away, from which misaligned panels are tried. In 18 right
+    passes it was 0.0 to 1.8, with panels misaligned by 3 degrees 2.4 and more. The evidence decides; this saves time."""
 
     zero_odds: float = float(np.log(0.05 / 0.95))
     """Log odds that the zero of a gyro is off by more than the vehicle file states."""

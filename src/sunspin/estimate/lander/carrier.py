@@ -102,8 +102,8 @@ class Shooting:
         """Return motions fitted to the samples of a window, on several levels: a factor on the noise and steps under it.
 
         Fits that are far too bad after the first level end there. In windows larger than the first one in which body and wheel are
-        free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far
-        along its ridge, and with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
+        free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far along its ridge, and
+        with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
         """
         s = self.s
         problem, held = self._problem(window)
@@ -111,9 +111,8 @@ class Shooting:
         limit = self.cost_limit(window)
         # under the wider noise of the first level only motions that do not fit cost more than this
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
-        fitted = self._fitted(
-            problem, motions, partial(fit_first, hopeless=hopeless, held=held), levels
-        )
+        fit = partial(fit_first, hopeless=hopeless, held=held)
+        fitted = self._fitted(problem, motions, fit, levels)
         if not held and window.stop - window.start > s.held:
             fitted = self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
         self._last_fitted = len(motions)
@@ -167,9 +166,8 @@ class Shooting:
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
-        motions = self._at_most(
-            one_each_box(motions.take(possible), reach_s, s), s.most_boxes, size
-        )
+        motions = one_each_box(motions.take(possible), reach_s, s)
+        motions = self._at_most(motions, s.most_boxes, size)
         if window.stop - window.start < s.held:
             return motions
         return self._at_most(one_each_ridge(motions, s), s.most, size)

@@ -17,7 +17,10 @@ from sunspin.solve.rotations import move_on_sphere
 
 
 def boxes(motions: LanderMotions, reach_s: float, s: ShootingSettings) -> np.ndarray:
-    """Return the index (K, 6) of the box of rate and direction of each motion: in one box motions are alike for `reach_s`."""
+    """Return the index (K, 6) of the box of rate and direction of each motion.
+
+    In one box motions are alike up to `reach_s` from the reference.
+    """
     return np.floor(
         np.concatenate([motions.omega * (reach_s / s.box_rad), motions.sun / s.box_sun_rad], axis=1)
     ).astype(np.int64)

@@ -39,6 +39,10 @@ from sunspin.solve.rotations import move_on_sphere, tangent_basis
 CELLS_AT_ONCE, RUNS_AT_ONCE = 20_000, 4096
 """Cells that one thread searches together, and starts that it propagates back to the first sample together."""
 
+STRETCH, HANDED_OVER = (1.05, 1.5), 1.3
+"""Limits of the factor by which unequal moments may let a rate grow until the reference, and a margin on the rate that wheels hand
+over. The ellipsoid of :class:`Reached` bounds the rates more closely."""
+
 MIDDLES = 0.25 + 0.5 * CORNERS
 """Middles (8, 3) of the eighths of a cell, in parts of its edge."""
 
@@ -166,11 +170,9 @@ def _shortest(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
 
 def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
     """Return whether every wheel still has a good part of its speed at `after_s`, so that motions can be propagated back."""
-    none = np.zeros((1, len(model.unknowns)))
-    first, then = model.wheel_speeds(none), replace(model, after_s=after_s).wheel_speeds(none)
-    commands = batch.one_command(model.vehicle, model.wheel_mode)
-    held = np.array([command == "hold" for command in commands], dtype=bool)
-    return after_s == 0.0 or bool(np.all((np.abs(then) > s.speed_left * np.abs(first)) | held))
+    first, then = (np.abs(model.nominal_speeds(time_s)) for time_s in (0.0, after_s))
+    held = np.array([command == "hold" for command in model.commands], dtype=bool)
+    return after_s == 0.0 or bool(np.all((then > s.speed_left * first) | held))
 
 
 def _balls(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, float]:
@@ -180,15 +182,13 @@ def _balls(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, 
     which holds at the first sample, is widened at the reference. Most motions within the wider limit were too fast at the first
     sample: those that exceed the second limit, which allows for the uncertainty of the friction, are left out.
     """
+    first = s.faster_at_first * model.max_rate
     if after_s == 0.0:
-        return model.max_rate, s.faster_at_first * model.max_rate
+        return model.max_rate, first
     moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
     spun = model.spun_up(after_s)
-    stretch = float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5))
-    return (
-        model.max_rate * stretch + 1.3 * spun,
-        s.faster_at_first * model.max_rate + s.spun_unsure * spun,
-    )
+    stretch = float(np.clip(np.sqrt(moments[-1] / moments[0]), *STRETCH))
+    return model.max_rate * stretch + HANDED_OVER * spun, first + s.spun_unsure * spun
 
 
 def cell_count(limit: float, edge: float) -> float:
@@ -207,10 +207,8 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
     A wheel speed in the wrong unit may be the cause. The sentence names a window that is short enough.
     """
     omega = np.full((1, 3), rate_rad_s / np.sqrt(3))
-    nominal = LanderMotions(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model.unknowns))))
-    rows = model.rows(nominal)
-    commands = batch.one_command(model.vehicle, model.wheel_mode)
-    problem = batch.Problem(model.vehicle, rows, commands, model.acting)
+    rows = model.rows(model.at_centres(omega, np.array([[0.0, 0.0, 1.0]])))
+    problem = batch.Problem(model.vehicle, rows, model.commands, model.acting)
     part = 1.0
     while any(
         batch.steps_needed(problem, part * end)[0] > batch.MAX_STEPS
@@ -253,8 +251,7 @@ def grid_starts(
     )
     rank = np.argsort(first)
     best = order[first[rank]]
-    unknowns = np.zeros((len(best), len(model.unknowns)))
-    motions = LanderMotions(omega[best], sun[best], unknowns, starts=count[rank])
+    motions = replace(model.at_centres(omega[best], sun[best]), starts=count[rank])
     begins = range(0, len(motions), RUNS_AT_ONCE)
     pieces = [motions.take(slice(k, k + RUNS_AT_ONCE)) for k in begins]
     with ThreadPoolExecutor(workers) as pool:
@@ -269,11 +266,11 @@ def settled_starts(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the starts that settle in the cells of a grid: rates (n, 3), directions (n, 3) at the reference, and misfits (n)."""
     nodes, others = cube_nodes(s.nodes), panels.take(reference.others)
-    seen = np.repeat(nodes[:, None], len(reference.others), axis=1)
+    directions = np.repeat(nodes[:, None], len(reference.others), axis=1)
     near, far = (
-        shortfall(others, seen, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
+        shortfall(others, directions, angle + s.node_rad, s).T for angle in (s.near_rad, s.far_rad)
     )
-    light = panels.brightness * others.response.power(seen)
+    light = panels.brightness * others.response.power(directions)
     if others.throttled:
         light = others.best_factor(light)[0] * light
     square = np.minimum(((light - others.power) / others.sigma) ** 2, s.largest_misfit)
@@ -303,5 +300,4 @@ def _anything(model: LanderModel, reference: Reference) -> LanderMotions:
     axes = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     omega = axes * min(0.3, 0.5 * model.max_rate) + 1e-4
     sun = np.tile(reference.suns[0], (len(omega), 1))
-    unknowns, starts = np.zeros((len(omega), len(model.unknowns))), np.ones(len(omega), np.int64)
-    return LanderMotions(omega, sun, unknowns, starts=starts)
+    return replace(model.at_centres(omega, sun), starts=np.ones(len(omega), dtype=np.int64))

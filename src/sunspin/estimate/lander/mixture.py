@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import logsumexp
 
-from sunspin.dynamics import batch
 from sunspin.estimate.lander.fit import FINAL_ERROR
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import RATE, Draws, LanderMotions, ModelFit
@@ -44,16 +43,7 @@ def at_first_sample(model: LanderModel, motions: LanderMotions) -> First:
     rows, steady = model.rows(motions), model.steady_torques(motions.u)
     if not model.after_s:
         return First(motions.omega, motions.sun, rows.wheel_speed_rad_s, steady)
-    back = batch.run(
-        model.vehicle,
-        rows,
-        [-model.after_s],
-        command=model.wheel_mode,
-        error=FINAL_ERROR,
-        acting=model.acting,
-        attitude=True,
-        leave_long=True,
-    )
+    back = model.run(rows, np.array([-model.after_s]), FINAL_ERROR, attitude=True)
     # components, in the body axes of then, of the torque that is constant in space
     steady[:, 1] = np.einsum("nij,nj->ni", back.attitude[:, 0], steady[:, 1])
     return First(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)

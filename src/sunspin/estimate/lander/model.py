@@ -19,7 +19,7 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import Acting, Steady
 from sunspin.dynamics.wheel_modes import friction_limit
-from sunspin.estimate.lander.motions import LanderMotions
+from sunspin.estimate.lander.motions import STATE_SIZE, LanderMotions
 from sunspin.estimate.model import AS_STATED, Observations, Unknown
 from sunspin.estimate.settings import LOOSER_CHANCE
 from sunspin.estimate.terms.given import Given
@@ -96,6 +96,11 @@ class LanderModel:
         return (*self.of_motion, *self.panels.own)
 
     @property
+    def commands(self) -> tuple[str, ...]:
+        """Return the mode of each wheel."""
+        return batch.one_command(self.vehicle, self.wheel_mode)
+
+    @property
     def of_panels(self) -> slice:
         """Return where the unknowns of the panels stand."""
         return slice(len(self.of_motion), None)
@@ -108,7 +113,7 @@ class LanderModel:
     @property
     def dimension(self) -> int:
         """Return the number D of coordinates of a motion."""
-        return 5 + len(self.unknowns)
+        return STATE_SIZE + len(self.unknowns)
 
     def indices(self, *kinds: str) -> list[int]:
         """Return the indices of the unknowns of some kinds."""
@@ -128,6 +133,10 @@ class LanderModel:
         for i in self.indices(kind):
             off[:, self.unknowns[i].index] = self.unknowns[i].sigma * u[:, i]
         return off
+
+    def at_centres(self, omega: np.ndarray, sun: np.ndarray) -> LanderMotions:
+        """Return motions by rates (K, 3) and directions (K, 3) at the reference, all unknowns at their centres."""
+        return LanderMotions(omega, sun, np.zeros((len(omega), len(self.unknowns))))
 
     def seeing(self, samples: slice) -> LanderModel:
         """Return the model of some of the samples."""
@@ -277,8 +286,7 @@ class LanderModel:
         if not self.after_s:
             return speeds
         bodies = self.bodies(u)
-        commands = batch.one_command(self.vehicle, self.wheel_mode)
-        for i, (wheel, command) in enumerate(zip(wheels, commands, strict=True)):
+        for i, (wheel, command) in enumerate(zip(wheels, self.commands, strict=True)):
             if command != "hold":
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 speeds[:, i] = spin_down_speed(
@@ -290,11 +298,14 @@ class LanderModel:
                 )
         return speeds
 
+    def nominal_speeds(self, after_s: float) -> np.ndarray:
+        """Return the speeds (n_wheel) of the nominal wheels `after_s` after the first sample, rad/s."""
+        none = np.zeros((1, len(self.unknowns)))
+        return replace(self, after_s=after_s).wheel_speeds(none)[0]
+
     def spun_up(self, after_s: float) -> float:
         """Return the rate (rad/s), about the axis of the least moment, of the momentum that wheels lose up to `after_s`."""
-        none = np.zeros((1, len(self.unknowns)))
-        then = replace(self, after_s=after_s).wheel_speeds(none)
-        lost = np.abs(then - replace(self, after_s=0.0).wheel_speeds(none))[0]
+        lost = np.abs(self.nominal_speeds(after_s) - self.nominal_speeds(0.0))
         momentum = lost @ np.array([wheel.inertia_kg_m2 for wheel in self.vehicle.wheels])
         return float(momentum / np.linalg.eigvalsh(self.vehicle.require_inertia())[0])
 
@@ -313,8 +324,10 @@ class LanderModel:
             bodies = self.bodies(motions.u)
         return batch.Rows(motions.omega, motions.sun, self.wheel_speeds(motions.u), bodies)
 
-    def run(self, rows: batch.Rows, times_s: np.ndarray, error_rad: float) -> batch.Motion:
-        """Return motions from the reference at times (n) from there, all later or all earlier."""
+    def run(
+        self, rows: batch.Rows, times_s: np.ndarray, error_rad: float, attitude: bool = False
+    ) -> batch.Motion:
+        """Return motions from the reference at times (n) from there, all later or all earlier; with the `attitude` if asked for."""
         return batch.run(
             self.vehicle,
             rows,
@@ -322,6 +335,7 @@ class LanderModel:
             command=self.wheel_mode,
             error=error_rad,
             acting=self.acting,
+            attitude=attitude,
             leave_long=True,  # one motion with too many steps, far out in the priors, must not be an error for all
         )
 

@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.dynamics import batch, gyrostat
+from sunspin.dynamics import gyrostat
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.processor import cached, compiled, digest
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import LanderMotions
 from sunspin.estimate.settings import GridSettings
 from sunspin.solve.rotations import cross, tangent_basis
 from sunspin.vehicle.response.planes import sphere as even_directions
@@ -50,9 +49,9 @@ class Sphere(NamedTuple):
     @classmethod
     def of(cls, model: LanderModel) -> Sphere:
         """Return the sphere of the nominal body, with the mean moment of inertia."""
-        speeds = model.wheel_speeds(np.zeros((1, len(model.unknowns))))
+        speeds = model.nominal_speeds(model.after_s)
         omega = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        momentum = gyrostat.total_momentum(model.vehicle, omega, np.repeat(speeds, 4, axis=0))
+        momentum = gyrostat.total_momentum(model.vehicle, omega, np.tile(speeds, (4, 1)))
         by_rate = (momentum[1:] - momentum[0]).T
         moment = np.trace(by_rate) / 3
         return cls(by_rate / moment, momentum[0] / moment)
@@ -83,14 +82,11 @@ class Reached(NamedTuple):
         began there holds all. Wheels that run down push it aside: about rest it would hold 1.8 times as many rates for Philae.
         """
         first, direction = replace(model, after_s=0.0), even_directions(FIRST_RATES)
-        none = np.zeros((FIRST_RATES, len(model.unknowns)))
-        rows = first.rows(LanderMotions(fastest * direction, direction, none))
+        rows = first.rows(first.at_centres(fastest * direction, direction))
         reached = first.run(rows, np.array([model.after_s]), TRIAL_ERROR).omega_B[:, 0]
         reached = reached[np.isfinite(reached).all(axis=1)]
-        commands = batch.one_command(model.vehicle, model.wheel_mode)
-        inertia = gyrostat.free_inertia(
-            Bodies.of(model.vehicle), [command != "hold" for command in commands]
-        )
+        free = [command != "hold" for command in model.commands]
+        inertia = gyrostat.free_inertia(Bodies.of(model.vehicle), free)
         bare = cls(limit, reached.mean(axis=0), inertia, np.inf)
         return bare._replace(most=BEYOND * float(np.sqrt(bare.energy(reached).max())))
 
@@ -236,15 +232,12 @@ def attitudes(model: LanderModel, omega: np.ndarray, times: np.ndarray) -> np.nd
     A run carries one inertial direction, and the momentum is another: with one across it, a frame before and after.
     """
     omega = omega + 1e-6 * model.max_rate  # no row is exactly at rest
-    none = np.zeros((len(omega), len(model.unknowns)))
-    speeds = model.wheel_speeds(none[:1])
-    momentum = gyrostat.total_momentum(
-        model.vehicle, omega, np.broadcast_to(speeds, (len(omega), speeds.shape[1]))
-    )
+    speeds = np.tile(model.nominal_speeds(model.after_s), (len(omega), 1))
+    momentum = gyrostat.total_momentum(model.vehicle, omega, speeds)
     along = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
     across = tangent_basis(along)[0]
     frame = np.stack([along, across, cross(along, across)], axis=2)
-    rows = model.rows(LanderMotions(omega, across, none))
+    rows = model.rows(model.at_centres(omega, across))
     turn = np.empty((len(omega), len(times), 4))
     for i, t in enumerate(times):
         moved = model.run(rows, np.array([t]), TRIAL_ERROR)

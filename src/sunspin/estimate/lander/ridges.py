@@ -173,11 +173,17 @@ class Proposals(NamedTuple):
     motions: LanderMotions
 
 
-class RidgePoints(NamedTuple):
-    """Points y (N, d) at which the best stiff coordinates (N, q) of a ridge are known, and the derivatives there."""
+class StiffFit(NamedTuple):
+    """Points of a ridge: the best stiff coordinates of motions at fixed outer coordinates y (n, d).
+
+    `best` (n, q), and Cholesky factors `root` (n, q, q) of their covariance; u (n, m) with the best reading unknowns; `slopes`:
+    derivatives there, but for the last step.
+    """
 
     y: np.ndarray
     best: np.ndarray
+    root: np.ndarray
+    u: np.ndarray
     slopes: MotionSlopes
 
     def slopes_near(self, y: np.ndarray, law: OuterLaw) -> MotionSlopes:
@@ -206,7 +212,7 @@ class Ridge:
     log_promise: float
     laws: list[tuple[int, OuterLaw]]
     proposals: Proposals | None = None
-    points: RidgePoints | None = None
+    points: StiffFit | None = None
 
     @property
     def drawn(self) -> int:
@@ -257,28 +263,26 @@ class Peak(NamedTuple):
     covariance: np.ndarray
 
 
-def ridges_of(
-    target: LanderTarget, fit: ModelFit, fitted_share: np.ndarray | None, s: SamplingSettings
-) -> list[Ridge]:
+def ridges_of(target: LanderTarget, fit: ModelFit, s: SamplingSettings) -> list[Ridge]:
     """Return the ridges on which the fitted motions lie, the most probable first.
 
-    A motion on the ridge of a more probable one becomes a component of its outer law. `fitted_share` (K, m): prior sigma of each
-    unknown in the fit, over `Unknown.sigma`, if it has several (:attr:`Unknown.shares`); default: one.
+    A motion on the ridge of a more probable one becomes a component of its outer law.
     """
-    least = np.diag(
-        [target.model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(target.model.unknowns)
-    )
+    model = target.model
+    least = np.diag([model.max_rate**-2] * 3 + [1.0] * 2 + [0.0] * len(model.unknowns))
     covariance = np.linalg.inv(fit.motions.curvature + least)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_mass = -fit.motions.cost + np.linalg.slogdet(covariance)[1] / 2
-    share = np.ones_like(fit.motions.u) if fitted_share is None else fitted_share
+    # An unknown may have several prior sigmas. The weight of its prior in the fit is the inverse square of the effective one, over
+    # `Unknown.sigma`.
+    fitted_share = 1 / np.sqrt(model.prior_cost(fit.motions.u)[1])
     ridges: list[Ridge] = []
     for i in np.argsort(-log_mass, kind="stable"):
         if log_mass[i] < log_mass.max() + np.log(s.least) or len(ridges) >= s.most_ridges:
             break
         motion = fit.motions.bare.take([i])
         as_fitted = Peak(float(log_mass[i]), np.zeros(len(covariance[i])), covariance[i])
-        peaks = over_sizes(target, motion.u[0], as_fitted, share[i], s)
+        peaks = over_sizes(target, motion.u[0], as_fitted, fitted_share[i], s)
         for ridge in ridges:
             y, z = ridge.chart.coordinates(motion)
             off = np.concatenate([y, z], axis=1)[0]
@@ -384,32 +388,15 @@ def _resized(
     return Peak(float(log_mass), peak.step + step, covariance)
 
 
-class StiffFit(NamedTuple):
-    """Best stiff coordinates of motions at fixed outer coordinates.
-
-    `best` (n, q), Cholesky factors `root` (n, q, q) of their covariance, and u (n, m) with the best reading unknowns; `slopes`:
-    derivatives there.
-    """
-
-    best: np.ndarray
-    root: np.ndarray
-    u: np.ndarray
-    slopes: MotionSlopes
-
-
 def fit_stiff(
-    target: LanderTarget,
-    chart: Chart,
-    y: np.ndarray,
-    z: np.ndarray,
-    u: np.ndarray,
-    near: MotionSlopes | None,
+    target: LanderTarget, ridge: Ridge, y: np.ndarray, near: MotionSlopes | None
 ) -> StiffFit:
     """Return the stiff coordinates and reading unknowns of largest posterior density at fixed outer coordinates y (n, d).
 
-    The fit starts at z (n, q) and u (n, m). `near`: derivatives at motions near the starts, if they are known: then few steps are
-    enough, mostly one and the last one, whose cost is not computed. The terms are those of the head of this file.
+    The fit starts on the curve of the ridge. `near`: motions near the starts with their derivatives, if there are any: then few
+    steps are enough, mostly one and the last one, whose cost is not computed. The terms are those of the head of this file.
     """
+    chart = ridge.chart
     reading, q = target.reading_unknowns, chart.stiff
 
     # The state of the fit is y, z, u and the derivatives near by, if there are any. A step has q components of z, then those of the
@@ -438,7 +425,8 @@ def fit_stiff(
         """Return the state with the derivatives of its equations, for the next ones."""
         return *state[:3], system.extras
 
-    state: tuple[Any, ...] = y, z, u, near
+    u = np.tile(chart.centre.u, (len(y), 1)) if near is None else near.u
+    state: tuple[Any, ...] = y, ridge.best(y), u, near
     system: DenseSystem | None = None
     # a far start is first fitted under a larger noise, so that no reading counts as an outlier because of the start
     for noise_factor, steps in WARM if near is not None else COLD:
@@ -469,7 +457,7 @@ def fit_stiff(
     # covariance of z with free reading unknowns, which are drawn too
     of_z = covariance[:, :q, :q]
     root = np.linalg.cholesky((of_z + np.swapaxes(of_z, 1, 2)) / 2)
-    return StiffFit(z, root, u, slopes)
+    return StiffFit(y, z, root, u, slopes)
 
 
 def reading_law(
@@ -554,11 +542,10 @@ def trace_ridge(
         root = np.linalg.cholesky(law.covariance)[which]
         white = rng.standard_normal((count, law.mean.shape[1]))
         y = law.mean[which] + width * np.einsum("nij,nj->ni", root, white)
-        before = [] if ridge.points is None else [ridge.points]
-        near = before[0].slopes_near(y, law) if before else None
-        u = np.tile(ridge.chart.centre.u, (count, 1)) if near is None else near.u
-        stiff = fit_stiff(target, ridge.chart, y, ridge.best(y), u, near)
-        ridge.points = join_problems([*before, RidgePoints(y, stiff.best, stiff.slopes)])
+        points = ridge.points
+        near = None if points is None else points.slopes_near(y, law)
+        stiff = fit_stiff(target, ridge, y, near)
+        ridge.points = stiff if points is None else join_problems([points, stiff])
         fit_ridge_curve(ridge, s)
 
 
@@ -576,8 +563,7 @@ def propose(
     drawn = [(int(n), law) for n, (_, law) in zip(counts, ridge.proposing, strict=True) if n]
     y_all = np.concatenate([law.draw(n, rng, s.freedom) for n, law in drawn])
     for y in np.array_split(y_all, -(-count // s.block)):
-        near = before.slopes_near(y, ridge.learnt)
-        stiff = fit_stiff(target, chart, y, ridge.best(y), near.u, near)
+        stiff = fit_stiff(target, ridge, y, before.slopes_near(y, ridge.learnt))
         step, white = student_draws(s.inner_width * stiff.root, rng, s.freedom)
         volume = np.log(s.inner_width * np.einsum("kii->ki", stiff.root)).sum(axis=1)
         z = stiff.best + step
@@ -585,7 +571,7 @@ def propose(
         motions, log_mass = complete_motions(target, motions, log_volume, rng, s)
         log_inner = student_log_density(white, s.freedom) - volume
         parts.append(Proposals(y, z, log_inner, log_mass, motions))
-        points.append(RidgePoints(y, stiff.best, stiff.slopes))
+        points.append(stiff)
     motions = LanderMotions.joined([part.motions for part in parts])
     ridge.proposals = Proposals(*join_problems([part[:4] for part in parts]), motions)
     ridge.points = join_problems(points)

@@ -33,20 +33,19 @@ def sample(
     rng: np.random.Generator,
     s: SamplingSettings = SAMPLING,
     budget: Budget | None = None,
-    fitted_share: np.ndarray | None = None,
 ) -> Draws:
     """Return weighted draws from the posterior about the fitted motions, their regions numbered by falling probability.
 
-    `fitted_share` as in :func:`ridges_of`. No round begins once the budget is spent.
+    No round begins once the budget is spent; without one there is no limit.
     """
-    ridges = ridges_of(target, fit, fitted_share, s)
+    budget = Budget(np.inf) if budget is None else budget
+    ridges = ridges_of(target, fit, s)
     # Find the course of each ridge, that of improbable ones by fewer points.
     promise = np.array([ridge.log_promise for ridge in ridges])
     points = np.where(promise < promise.max() + np.log(s.small), s.trace_small, s.trace)
     for ridge, count in zip(ridges, points, strict=True):
         trace_ridge(target, ridge, int(count), rng, s)
-    if budget is not None:
-        budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
+    budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
     # Draw in rounds until all draws together are good enough. After each round the proposals of the ridges adapt to their draws.
     draws, log_shares, rounds = None, [], []
     for turn in range(s.rounds):
@@ -54,13 +53,11 @@ def sample(
         for ridge, count in zip(ridges, counts, strict=True):
             if count:
                 propose(target, ridge, count, rng, s)
-        if budget is not None:
-            budget.spend(float(counts.sum()) * s.warm_runs)
+        budget.spend(float(counts.sum()) * s.warm_runs)
         draws, log_shares = pooled(ridges, s)
         rounds.append((draws.evidence, draws.effective / len(draws), draws.tail))
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
-        spent = budget is not None and budget.exhausted()
-        if (turn and good) or spent or turn + 1 == s.rounds:
+        if budget.exhausted() or (turn and good) or turn + 1 == s.rounds:
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
             learn(ridge, own, s)
