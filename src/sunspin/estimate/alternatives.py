@@ -32,9 +32,9 @@ LEAST_STEP = 1e-3
 def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
     """Yield, one at a time, the models that are tried in addition to the nominal one, `nominal`.
 
-    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of the rate.
-    `fits`: all so far. The caller adds the fits of each model to them before it asks for the next one, since a step of the rate is
-    tried only if the one before it raised the evidence.
+    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of
+    the rate. `fits`: all so far. The caller adds the fits of each model to them before it asks for the next one, since a step of
+    the rate is tried only if the one before it raised the evidence.
     """
     duration_s = float(np.ptp(nominal.obs.t_s))
     for frame, words in WORDS.items():
