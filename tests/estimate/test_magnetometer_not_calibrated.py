@@ -106,6 +106,24 @@ def test_a_pass_with_an_uncalibrated_magnetometer_is_decided_and_right(uncalibra
 
 
 @pytest.mark.long
+def test_a_motion_that_is_lost_by_believing_an_uncalibrated_magnetometer_is_searched_again():
+    """The search that believed it left an alias 12 deg/s off, which the alternative model decided."""
+    vehicle, telemetry, truth = pass_and_truth(0, 2, 1)
+    row = pass_against_truth(rates(vehicle, telemetry), truth, 0)
+    assert row["listed"] and not row["wrong"] and np.abs(row["pulls"]).max() < 4
+
+
+def test_a_search_counts_the_middle_size_of_a_zero_and_a_fit_the_largest(uncalibrated):
+    vehicle, telemetry, _ = uncalibrated
+    (other,) = another_zero(nominal_model(vehicle, telemetry), RATES.alternatives)
+    (field,) = (term for term in other.obs.terms if isinstance(term, FieldChange))
+    (of_search,) = field.for_search()
+    (stated,) = replace(field, zero_B=0.3 * field.zero_B, zero_shares=(1.0,)).for_search()
+    assert of_search.sigma == pytest.approx(stated.sigma) and not of_search.unknowns()
+    assert of_search.sigma > 3 * field.sigma
+
+
+@pytest.mark.long
 def test_a_fit_ends_at_the_minimum_of_the_truth_under_the_earths_light():
     """The first guess of the light leads to a second minimum, which costs 11 more."""
     vehicle, telemetry, truth = pass_and_truth(11, 5, 0)

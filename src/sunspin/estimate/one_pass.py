@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import repeat
@@ -36,6 +37,7 @@ from sunspin.estimate.starts import (
     pairs_to_try,
 )
 from sunspin.estimate.swings import swings_by_all_ways
+from sunspin.estimate.terms.field import FieldChange
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,16 @@ def one_pass(
     for model in alternatives(nominal, fits, s.alternatives):
         if budget.exhausted():
             break
-        fits += fits_of_alternative(model, fits, s, budget)
+        new = fits_of_alternative(model, fits, s, budget)
+        if new and doubts_field(model):
+            # The search believed the magnetometer. If it is not calibrated the true motion may be lost, and an alias stands there.
+            of_nominal = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
+            gain = best_fit(new).log_evidence.max() - of_nominal.log_evidence.max()
+            if gain > s.alternatives.doubted:
+                with suppress(InputError):  # nothing else may fit
+                    tracks = search_motions(model, noise, s.search, budget)
+                    new = merge_fits(new + fit_tracks(model, tracks, noise, s), s.ladder, s.search)
+        fits += new
     # a stated strength of torques, a ladder of one rung, says that the body does not swing
     if nominal.obs.only_sun and best_cost(fits) <= limit and len(s.ladder.rungs) > 1:
         fits += swings_by_all_ways(nominal, fits, s.alternatives, s.ladder)
@@ -163,6 +174,12 @@ def one_pass(
         used=budget.used,
         cut=budget.cut,
     )
+
+
+def doubts_field(model: Model) -> bool:
+    """Return whether a model takes a magnetometer whose zero the file does not state for one that is not calibrated."""
+    fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
+    return any(len(term.zero_shares) > 1 for term in fields)
 
 
 def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: float) -> Model:

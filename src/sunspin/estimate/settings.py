@@ -186,6 +186,9 @@ class AlternativeSettings:
     hopeless: float = 6.0
     """Log evidence by which an alternative may be worse than the best model and is followed: beyond it counts for 0.2 %."""
 
+    doubted: float = 1.0
+    """If a magnetometer that is not calibrated raises the log evidence by this, the search is made again without believing it."""
+
     most_steps: int = 4
     """Steps of the rate in a pass, at most."""
 

@@ -241,15 +241,19 @@ class FieldChange(Term):
         yield Residual(value, by_turn, by_previous=by_previous, by_u=by_u, law=gaussian)
 
     def for_search(self) -> list[Self]:
-        """Return the fields without unknowns, whose errors are added to the noise, in a field that turns any way."""
+        """Return the fields without unknowns, whose errors are added to the noise, in a field that turns any way.
+
+        Of the sizes of a zero the middle one counts: with an error of 0.3 of the field the readings would say next to nothing.
+        """
+        zero_B = self.zero_B * float(np.median(self.zero_shares))
         was_read = self.present()
         change = np.diff(self.field_B, axis=0, prepend=np.nan)[was_read]
         sigma = self.sigma
-        if len(change) and self.zero_B.any():
+        if len(change) and zero_B.any():
             # As the body turns, the field changes across the axis of the turn, and only that part of the zero moves neighbours
             # against each other: its variance along the changes, weighed by their squares. The matrix adds its share of a change.
             square = (change**2).sum()
-            variance = ((change @ self.zero_B.T) ** 2).sum() / square
+            variance = ((change @ zero_B.T) ** 2).sum() / square
             variance += self.matrix_sigma**2 * square / len(change)
             sigma = float(np.hypot(sigma, np.sqrt(variance)))
         return [
@@ -258,6 +262,7 @@ class FieldChange(Term):
                 sigma=sigma,
                 turn_rate=FIELD_TURN,
                 zero_B=self.zero_B[:0],
+                zero_shares=(1.0,),
                 matrix_sigma=0.0,
                 drift_N=self.drift_N[:, :0],
             )
