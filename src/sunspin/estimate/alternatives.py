@@ -32,10 +32,9 @@ LEAST_STEP = 1e-3
 def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
     """Yield, one at a time, the models that are tried in addition to the nominal one, `nominal`.
 
-    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of the
-    rate. `fits`: all so far. The caller
-    adds the fits of each model to them before it asks for the next one, since a step of the rate is tried only if the one before
-    it raised the evidence.
+    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of
+    the rate. `fits`: all so far. The caller adds the fits of each model to them before it asks for the next one, since a step of
+    the rate is tried only if the one before it raised the evidence.
     """
     duration_s = float(np.ptp(nominal.obs.t_s))
     for frame, words in WORDS.items():
@@ -49,7 +48,7 @@ def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) ->
 
 
 def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
-    """Yield models of a gyro whose zero is off by more than the file states, and of a magnetometer that is not calibrated.
+    """Yield models of a gyro whose zero is off by more than the file states, and of a magnetometer without a stated zero sigma.
 
     A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.

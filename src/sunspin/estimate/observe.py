@@ -17,12 +17,7 @@ from sunspin.environment import Environment, Surroundings
 from sunspin.estimate.model import Observations
 from sunspin.estimate.settings import PassSettings
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
-from sunspin.estimate.terms.field import (
-    FieldChange,
-    FieldDirection,
-    KnownField,
-    reads_directions,
-)
+from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField, reads_directions
 from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Term
