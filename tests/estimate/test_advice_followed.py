@@ -167,11 +167,11 @@ def test_strong_torques_of_a_body_without_an_inertia_ask_for_it(
     data, _ = seen(t_s=apart_s * np.arange(12))
     model = stated_model(vehicle, data, rate_sigma=0.025)
     result = xr.Dataset(attrs={"wheels_untold": "", "gains_unknown": ""})
-    fits: Any = [SimpleNamespace(cut=False)]
+    fits: Any = [SimpleNamespace(cut=False, nominal=model)]
     solved: Any = [SimpleNamespace(noise=np.array([noise]))]
     rungs = RATES.ladder.rungs[:1] if stated else RATES.ladder.rungs
     settings = replace(RATES, ladder=replace(RATES.ladder, rungs=rungs))
-    words, counts = left_open_by_search(result, [model], fits, solved, 1.0, settings)
+    words, counts = left_open_by_search(result, fits, solved, 1.0, settings)
     assert ("give its inertia" in words[0]) is asked and counts["no_sphere"] == asked
 
 
