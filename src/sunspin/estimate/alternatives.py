@@ -32,9 +32,9 @@ LEAST_STEP = 1e-3
 def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
     """Yield, one at a time, the models that are tried in addition to the nominal one, `nominal`.
 
-    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of the rate. `fits`: all so far. The caller
-    adds the fits of each model to them before it asks for the next one, since a step of the rate is tried only if the one before
-    it raised the evidence.
+    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of
+    the rate. `fits`: all so far. The caller adds the fits of each model to them before it asks for the next one, since a step of
+    the rate is tried only if the one before it raised the evidence.
     """
     duration_s = float(np.ptp(nominal.obs.t_s))
     for frame, words in WORDS.items():
@@ -48,13 +48,14 @@ def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) ->
 
 
 def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
-    """Yield models of a gyro whose zero is off by more than the file states, and of a magnetometer of which it states no zero sigma.
+    """Yield models of a gyro whose zero is off by more than the file states, and of a magnetometer without a stated zero sigma.
 
     A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
     8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
 
-    A magnetometer is another matter: a file that states no sigma of its zero does not say that it is calibrated. So the odds are even,
-    and it fits with the zero that is estimated. Believed, readings with a zero of a tenth of the field decided a pass 8 sigma off.
+    A magnetometer is another matter: a file that states no sigma of its zero does not say that it is calibrated. So the odds are
+    even, and it fits with the zero that is estimated. Believed, readings with a zero of a tenth of the field decided a pass 8 sigma
+    off.
     """
     for number, term in enumerate(nominal.obs.terms):
         if not term.present().any():
