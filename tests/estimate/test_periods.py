@@ -68,7 +68,7 @@ def two_solutions(probability, sigma=1e-6):
     obs = Observations(t_s, momentum, ())
     known = np.full((2, 3), sigma)
     means, rest = (np.array(probability), RATES, known), (np.zeros(2), ({}, {}), 1.0)
-    return Solutions(obs, np.arange(3), track, *means, {}, ("as stated", 1.0), *rest), body
+    return Solutions(obs, track, *means, {}, ("as stated", 1.0), *rest), body
 
 
 def test_periods_of_solutions_agree_with_the_reference_motion():

@@ -29,14 +29,13 @@ MEAN_COUNTS = 0.05
 class Solutions:
     """K solutions of one pass at all its samples (n), the most probable first; of the unknowns only the errors of the inertia.
 
-    `kept`: places of the samples that were fitted. `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged
-    over the pass. `residual`: by sensor (K, n), in sigmas. `model`: the most probable model and its probability. `noise` (K):
-    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `cost_limit`: beyond it no
-    motion fits. `without_periods` (K): the probability before periods that were seen are counted in.
+    `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged over the pass. `residual`: by sensor (K, n), in
+    sigmas. `model`: the most probable model and its probability. `noise` (K): strength of unknown torques, rad/s^1.5. `estimates`:
+    for each solution name -> unit, value, sigma. `cost_limit`: beyond it no motion fits. `without_periods` (K): the probability
+    before periods that were seen are counted in.
     """
 
     obs: Observations
-    kept: np.ndarray
     track: Track
     probability: np.ndarray
     mean: np.ndarray
@@ -219,7 +218,6 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
         variance = variance + shares[k] * (variance_of(fits[k], mean_map) + off**2)
     return Solutions(
         obs=whole,
-        kept=kept,
         track=replace(track, u=motion.u[:, model.inertia_slice]),
         probability=weight.sum(keepdims=True),
         mean=track.omega.mean(axis=1),

@@ -13,6 +13,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
+from sunspin.environment import Surroundings
 from sunspin.environment.ephemeris import Ephemeris, utc_from_jd
 from sunspin.environment.orbit import Orbit, Source, in_orbit
 from sunspin.solve.rotations import matrix_from_quaternion
@@ -184,17 +185,6 @@ class SimulatedPass(NamedTuple):
     environment: Orbit | None
 
 
-class Light(NamedTuple):
-    """Light at n samples: direction to the Sun (n, 3), part of its disc that is seen (n), light of the Earth (n, 3).
-
-    Directions are inertial. The light of the Earth points to it; its length is in parts of full Sun.
-    """
-
-    sun_N: np.ndarray
-    lit: np.ndarray
-    earth_N: np.ndarray
-
-
 def simulate_pass(
     vehicle: Vehicle,
     t_s: npt.ArrayLike,
@@ -236,27 +226,33 @@ def simulate_pass(
     first_B_from_N = matrix_from_quaternion(first_quaternion / np.linalg.norm(first_quaternion))
     B_from_N = matrix_from_quaternion(motion["B_from_N"].values) @ first_B_from_N
     if orbit:
-        environment, light = _light_in_orbit(orbit, t_s, rng)
+        environment, surroundings = _sunlit_orbit(orbit, t_s, rng)
         epoch = environment.epoch_utc
     else:
         environment, epoch = None, vehicle.telemetry.epoch_utc or EPOCH_UTC
         sun, earth = rng.standard_normal((2, 3))
         earth = rng.uniform(*EARTH_LIGHT) * earth / np.linalg.norm(earth)
         n = (len(t_s), 1)
-        light = Light(np.tile(sun / np.linalg.norm(sun), n), np.ones(len(t_s)), np.tile(earth, n))
+        surroundings = Surroundings(
+            sun_N=np.tile(sun / np.linalg.norm(sun), n),
+            lit=np.ones(len(t_s)),
+            albedo_light_N=np.tile(earth, n),
+        )
+    lit, earth_N = surroundings.lit, surroundings.albedo_light_N
+    assert lit is not None and earth_N is not None  # an orbit knows both
     sun_B, earth_B = (
-        np.einsum("nij,nj->ni", B_from_N, vector) for vector in (light.sun_N, light.earth_N)
+        np.einsum("nij,nj->ni", B_from_N, vector) for vector in (surroundings.sun_N, earth_N)
     )
-    of_sun = panel_power(vehicle, sun_B) * light.lit[:, None]
+    of_sun = panel_power(vehicle, sun_B) * lit[:, None]
     power = _readings(vehicle, of_sun, earth_B, bits, rng)
     telemetry = telemetry_dataset(vehicle, t_s, power, sun_B, epoch, {})
     return SimulatedPass(telemetry, motion["omega_B"].values, environment)
 
 
-def _light_in_orbit(
+def _sunlit_orbit(
     sources: tuple[Source, ...], t_s: np.ndarray, rng: np.random.Generator
-) -> tuple[Orbit, Light]:
-    """Return an orbit at a random time of the sources with enough sunlit samples at the times t_s (n) after it, and its light."""
+) -> tuple[Orbit, Surroundings]:
+    """Return an orbit at a random time of the sources, and its surroundings at times t_s (n) after it, enough of them sunlit."""
     first_jd, days = sum(sources[0].epoch_jd), WITHIN_DAYS
     if isinstance(sources[0], Ephemeris):
         first_jd, last_jd = sources[0].span_jd
@@ -270,10 +266,9 @@ def _light_in_orbit(
         except InputError:  # a gap of the table
             continue
         surroundings = orbit.at(t_s)
-        lit, earth_N = surroundings.lit, surroundings.albedo_light_N
-        assert lit is not None and earth_N is not None  # an orbit knows both
-        if (lit > LIT).mean() >= LEAST_SUNLIT:
-            return orbit, Light(surroundings.sun_N, lit, earth_N)
+        assert surroundings.lit is not None  # an orbit knows it
+        if (surroundings.lit > LIT).mean() >= LEAST_SUNLIT:
+            return orbit, surroundings
     raise InputError(
         "no pass of this length is half in sunlight",
         got=f"{t_s[-1]:.0f} s",
