@@ -89,18 +89,10 @@ def one_pass(
         tracks = search_motions(model, noise, s.search, budget, slowest, inertia_held)
         return fit_tracks(nominal, tracks, noise, s)
 
-    # Search with the inertia held: all motions that the readings allow.
-    exact, noise = nominal, s.search.noise
-    loose = replace(s.search, drop=s.search.drop * s.search.drop_if_rounded)
-    first_search = loose if nominal.obs.time_sigma_s else s.search
-    tracks = [begin] if begin is not None else search_motions(nominal, noise, first_search, budget)
-    # How much the errors of rounded times change a reading is known once a motion is. Motions are searched again if that is much.
-    if nominal.obs.time_sigma_s:
-        nominal = with_time_errors(nominal, tracks, s.search.least_drift_rad)
-        far = with_time_errors(exact, tracks, s.search.large_drift_rad) is not exact
-        if far and begin is None:
-            tracks = search_motions(nominal, noise, s.search, budget)
-    fits = fit_tracks(nominal, tracks, noise, s)
+    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
+    exact = nominal
+    nominal, tracks = search_first(exact, begin, s.search, budget)
+    fits = fit_tracks(nominal, tracks, s.search.noise, s)
 
     # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
     # motion is asked, since under the strongest torques nearly everything fits.
@@ -145,21 +137,7 @@ def one_pass(
         fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
         fits = merge_fits(fits, s.ladder, s.search)
 
-    # Alternatives: what else may have moved the body. The generator sees `fits` grow: a second step of the rate is added to the
-    # first.
-    for model in alternatives(nominal, fits, s.alternatives):
-        if budget.exhausted():
-            break
-        new = fits_of_alternative(model, fits, s, budget)
-        if new and doubts_field(model):
-            # The search believed the magnetometer. If it is not calibrated the true motion may be lost, and an alias stands there.
-            of_nominal = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
-            gain = best_fit(new).log_evidence.max() - of_nominal.log_evidence.max()
-            if gain > s.alternatives.doubted:
-                with suppress(InputError):  # nothing else may fit
-                    tracks = search_motions(model, noise, s.search, budget)
-                    new = merge_fits(new + fit_tracks(model, tracks, noise, s), s.ladder, s.search)
-        fits += new
+    fits = with_alternatives(nominal, fits, s, budget)
     # a stated strength of torques, a ladder of one rung, says that the body does not swing
     if nominal.obs.only_sun and best_cost(fits) <= limit and len(s.ladder.rungs) > 1:
         fits += swings_by_all_ways(nominal, fits, s.alternatives, s.ladder)
@@ -174,6 +152,48 @@ def one_pass(
         used=budget.used,
         cut=budget.cut,
     )
+
+
+def search_first(
+    nominal: Model, begin: Track | None, s: SearchSettings, budget: Budget
+) -> tuple[Model, list[Track]]:
+    """Return the nominal model, with the errors of times that were rounded, and the motions that a first search leaves.
+
+    How much the errors of the times change a reading is known once a motion is. Motions are searched again if that is much; else
+    the one search drops less. `begin`: motions that take the place of those of a search.
+    """
+    rounded = nominal.obs.time_sigma_s > 0
+    loose = replace(s, drop=s.drop * s.drop_if_rounded) if rounded else s
+    searched = begin is None
+    tracks = search_motions(nominal, s.noise, loose, budget) if searched else [begin]
+    with_errors = with_time_errors(nominal, tracks, s.least_drift_rad)
+    turns_far = with_time_errors(nominal, tracks, s.large_drift_rad) is not nominal
+    if turns_far and searched:
+        tracks = search_motions(with_errors, s.noise, s, budget)
+    return with_errors, tracks
+
+
+def with_alternatives(
+    nominal: Model, fits: list[Fit], settings: RatesSettings, budget: Budget
+) -> list[Fit]:
+    """Return the fits of the nominal model and of all models of what else may have moved the body."""
+    fits, search = list(fits), settings.search
+    # the generator sees `fits` grow: a second step of the rate is added to the first
+    for model in alternatives(nominal, fits, settings.alternatives):
+        if budget.exhausted():
+            break
+        new = fits_of_alternative(model, fits, settings, budget)
+        if new and doubts_field(model):
+            # The search believed the magnetometer. If it is not calibrated the true motion may be lost, and an alias stands there.
+            of_nominal = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
+            gain = best_fit(new).log_evidence.max() - of_nominal.log_evidence.max()
+            if gain > settings.alternatives.doubted:
+                with suppress(InputError):  # nothing else may fit
+                    tracks = search_motions(model, search.noise, search, budget)
+                    again = fit_tracks(model, tracks, search.noise, settings)
+                    new = merge_fits(new + again, settings.ladder, search)
+        fits += new
+    return fits
 
 
 def doubts_field(model: Model) -> bool:
