@@ -86,14 +86,16 @@ def misaligned_panels(
     :func:`alternatives`.
     """
     panels, own = nominal.terms_with_slices[0] if nominal.obs.only_sun else (None, slice(0))
+    # The panels are the first term. Their tilts must be the last unknowns of the model, as a fit adds new unknowns at the end.
     if not isinstance(panels, Panels) or own.stop < len(nominal.unknowns):
-        return  # other sensors, whose unknowns stand behind those of the panels
+        return
     if best_cost(fits) > nominal.obs.cost_limit:
         return  # exchanged columns, for example, must not pass for panels that are turned far
     best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
     motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
     (residual,) = panels.residuals(motion, motion.u[:, own])
-    weight = residual.law(residual.value)[1][0]
+    _, weights = residual.law(residual.value)
+    weight = weights[0]
     assert residual.by_turn is not None
     gains = []
     for panel, axes in enumerate(panels.tilt_axes()):

@@ -26,9 +26,10 @@ FREEDOM = 4.0
 def link_passes(
     passes: Sequence[Solutions], middle_s: Sequence[float], rate_sigma: float
 ) -> tuple[list[Solutions], float]:
-    """Return the passes with probabilities that count their neighbours in, and the walk (rad/s^1.5), NaN if they are not linked.
+    """Return the passes with the probabilities of their solutions given all passes, and the strength of the walk (rad/s^1.5).
 
-    `middle_s`: the middle of each pass; `rate_sigma` (rad/s): of a rate before the data.
+    The rate between passes is modelled as a random walk. NaN stands for its strength if no walk is more probable than independent
+    passes, which then stay as they are. `middle_s`: the middle of each pass; `rate_sigma` (rad/s): of a rate before the data.
     """
     own = [np.log(np.maximum(of_pass.probability, 1e-300)) for of_pass in passes]
     # log evidence relative to that of independent passes, which is 0

@@ -176,7 +176,10 @@ def _transposed(matrices: np.ndarray) -> np.ndarray:
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors."""
+    """Return cost and normal equations of motions: readings, equations of motion between the samples, and priors.
+
+    The prior of the unknowns is there from the start (:class:`NormalEquations`). The damping is scaled by the readings.
+    """
     system = NormalEquations(motions)
     for residual, unknowns in readings(model, motions):
         system.add_readings(residual, unknowns)

@@ -262,13 +262,13 @@ def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> 
     ]
     as_written = float(cost[0]), evidence_as_written
     for candidates in (of_one_mistake, of_two_mistakes):
-        better = _best_of(observed, telemetry, candidates, as_written, trials)
+        better = _best_of_distinct(observed, telemetry, candidates, as_written, trials)
         if better is not None:
             return better
     return None
 
 
-def _best_of(
+def _best_of_distinct(
     observed: Observed,
     telemetry: xr.Dataset,
     candidates: Sequence[tuple[ColumnChange, float]],
@@ -278,13 +278,15 @@ def _best_of(
     """Return the candidate that fits best, with all that look the same in the telemetry; None if none fits.
 
     `candidates`: changes, each with its cost by :func:`sample_costs`; `as_written`: cost and log evidence of the file as it is
-    written. Of changes that look the same one is tried: by a quick search, and the best few by the whole estimate.
+    written. Of changes that look the same one is tried, and none that looks the same as the file
+    (:func:`_best_of_classes` says how).
     """
     cost_as_written, evidence_as_written = as_written
     # one change of each class that looks the same, the file as it is written first
     distinct = [(AS_WRITTEN, cost_as_written)]
     for change, cost in candidates:
-        # what looks the same costs the same, as its panels show the same: changes of another cost need not be compared
+        # What looks the same costs about the same, as its panels show the same: changes whose costs differ by CLEARLY need not be
+        # compared.
         of_same_cost = (other for other, of_other in distinct if abs(cost - of_other) < CLEARLY)
         if not any(len(equivalence(observed, other, change)) for other in of_same_cost):
             distinct.append((change, cost))

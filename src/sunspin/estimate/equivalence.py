@@ -346,8 +346,8 @@ def _panel_maps(
     """Yield orthogonal matrices that may map the panels of lit columns under the first change onto those under the second.
 
     With each comes the log evidence that it costs the stated errors of gains and normals, at most :data:`CLEARLY`. A column shows
-    one panel, or the sum or the largest of several on a shared input. Then every assignment of these panels to those of the other
-    change is tried.
+    one panel, or the sum or the largest of several on a shared input. Then assignments of these panels to those of the other change
+    are tried, :data:`MOST_ASSIGNMENTS` at most.
     """
     vehicle = observed.vehicle
     if not observed.panels:
@@ -363,7 +363,8 @@ def _panel_maps(
         shared = len(first_panels[k]) > 1
         if shared and shows_largest[first_panels[k]] != shows_largest[second_panels[k]]:
             return
-    # one sigma of each component of a normal: two normals that differ by NORMALS_ALIKE cost CLEARLY
+    # One sigma of each component of a normal: two normals that differ by NORMALS_ALIKE cost CLEARLY. The cost of a difference d is
+    # d^2 / (2 (sigma^2 + sigma^2)), as both normals have errors.
     least_sigma = NORMALS_ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2)
     sigma = np.hypot(misalignment_sigma(vehicle)[0], least_sigma)
     gain_sigma = np.zeros(len(vehicle.panels))

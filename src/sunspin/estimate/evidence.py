@@ -82,8 +82,8 @@ def ladder(
     def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
-        The first begins at the motions of the fit `last`, on the rung `last_rung`. The next fit begins where the one before ended;
-        `summed`, over the sizes of its unknowns, is the one that counts.
+        The first begins at the motions of the fit `last`, on the rung `last_rung`. The next fit begins where the one before ended.
+        What is added to `fits` is `summed`: the same fit with its evidence summed over all sizes that its unknowns may have.
         """
         for rung in path:
             # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is

@@ -54,6 +54,7 @@ def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
     for k in range(len(motions)):
         motion = motions.take(slice(k, k + 1))
         outline = Outline.of(motion, t_s)
+        # copies by their turns alone: without covariances nothing is in one valley, so the allowance in sigmas is zero
         if any(outline.copies(0, family, s.copies_rad, 0.0).any() for family in outlines):
             continue
         family = Track.joined([imaged(motion, image) for image in images])

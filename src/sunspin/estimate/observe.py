@@ -217,7 +217,10 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
 
 
 def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
-    """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps."""
+    """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps.
+
+    Over a gap that nobody stated a pass goes on if a magnetometer was read in it. Pieces of less than three samples are left out.
+    """
     use = readings.usable  # indices
     if len(use) < 3:
         raise InputError(

@@ -190,8 +190,9 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
     head, model, weight = fits[0], fits[0].model, np.array(weights)
     shares = weight / weight.sum()
 
-    # At the kept samples: the covariance of the mixture of all members about the motion of the first, which their differences
-    # `offs` (1, n, 6) from it in turn and rate widen; and the means of the strengths of torques, and of the variance of a swing.
+    # At the kept samples: the covariance of the mixture of all motions of the group about the first one, which their differences
+    # `offs` (1, n, 6) from it in turn and rate widen; the mean strength of torques; and `hidden`, the mean variance (rad/s)^2 of a
+    # rate that oscillates between the samples (:mod:`sunspin.estimate.swings`), which no sample shows.
     dt = np.diff(model.obs.t_s)
     offs, covariance, square, hidden = [], 0.0, 0.0, 0.0
     for fitted, share in zip(fits, shares, strict=True):
@@ -204,9 +205,11 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
         square = square + share * noise.in_intervals(dt) ** 2
         hidden += share * noise.hidden_variance(dt)
     motion = replace(head.motions, covariance=np.asarray(covariance))
+    # `mean_map` gives the mean rate over the pass from errors of turn and rate at the kept samples
     track, mean_map = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
     residual = residuals_by_sensor(whole, model, track, kept)
-    # A swing, and axes of N that follow a field and turn no one knows how, add to the rate at an instant, and hardly to its mean.
+    # Axes of N that follow a field turn in an unknown way, up to `axes_rad_s`: a third of its square for each component. Like an
+    # oscillation that changes the rate at an instant, and hardly its mean.
     hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     track.covariance[..., RATE, RATE] += hidden * np.eye(3)
 

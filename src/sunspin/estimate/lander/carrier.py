@@ -22,7 +22,7 @@ from sunspin.estimate.lander.fit import (
     FINAL_ERROR,
     FitProblem,
     fit_finally,
-    fit_first,
+    fit_window,
     in_pieces,
 )
 from sunspin.estimate.lander.grid import Reference, cell_count
@@ -111,10 +111,10 @@ class Shooting:
         limit = self.cost_limit(window)
         # under the wider noise of the first level only motions that do not fit cost more than this
         hopeless = limit + _explained(problem.model) * (np.log(levels[0][0]) + s.not_yet)
-        fit = partial(fit_first, hopeless=hopeless, held=held)
+        fit = partial(fit_window, hopeless=hopeless, held=held)
         fitted = self._fitted(problem, motions, fit, levels)
         if not held and window.stop - window.start > s.held:
-            fitted = self._fitted(problem, self.kept(fitted, window), fit_first, s.again)
+            fitted = self._fitted(problem, self.kept(fitted, window), fit_window, s.again)
         self._last_fitted = len(motions)
         return fitted
 
@@ -181,14 +181,16 @@ class Shooting:
         return motions.take(np.unique(even))
 
     def widened(self, motions: LanderMotions, window: slice, wider: slice) -> LanderMotions:
-        """Return motions for a wider window: with neighbours of families, without those that the next samples rule out.
+        """Return motions for a wider window: also those next to them along ridges, without those that the next samples rule out.
 
-        The comparison with a sample takes one run of a motion, a fit forty.
+        The comparison with a sample takes one run of a motion, a fit forty. If it rules all motions out, none is dropped: a spoilt
+        sample must not end the search.
         """
         s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
         if window.stop - window.start > s.grid_samples or len(motions) <= s.few_starts:
             motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
+            # the next fit computes curvatures again; only neighbours need those of this window
             motions = replace(motions, curvature=motions.curvature[:0])
         allowed = np.ones(len(motions), dtype=bool)
         for sample in (window.start - 1, window.stop):
@@ -196,7 +198,7 @@ class Shooting:
                 allowed[allowed] = self._allowed(motions.take(allowed), sample)
         if allowed.any():
             motions = motions.take(allowed)
-        # a third of the remaining work, which is counted in motions times samples
+        # A window may take a third of the work that is left, in motions times samples, so that something is left for later windows.
         samples = wider.stop - wider.start
         work = max(s.most_search - self.fitted, s.least_work) // 3
         most = min(s.most_work, work) // samples

@@ -441,17 +441,17 @@ Levels = Sequence[tuple[float, int]]
 """Factors on the noise, each with a number of steps."""
 
 
-def fit_first(
+def fit_window(
     problem: FitProblem,
     motions: LanderMotions,
     levels: Levels,
     hopeless: float = np.inf,
     held: bool = False,
 ) -> LanderMotions:
-    """Return motions fitted to a few samples, with costs and curvatures.
+    """Return motions fitted to the samples of a window of the search, with costs and curvatures; derivatives are computed once.
 
     Motions that cost more than `hopeless` after the first level are not fitted further: they keep the cost under the noise of that
-    level and have zero curvature. `held`: body and wheel are not free.
+    level and have zero curvature. `held`: the problem holds body and wheel, so that the size of the noise takes their errors.
     """
     fitting = Fitting(problem, motions)
     (noise_factor, steps), *others = levels

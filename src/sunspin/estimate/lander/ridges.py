@@ -359,19 +359,22 @@ def over_sizes(
         before = float(fitted_share[indices[0]])
         shares = target.model.unknowns[indices[0]].shares
         resized = (
-            _resized(peak, u, indices, before, share, s) for peak in peaks for share in shares
+            _with_prior_sigmas(peak, u, indices, before, share, s)
+            for peak in peaks
+            for share in shares
         )
         peaks = [peak for peak in resized if peak is not None]
     return peaks
 
 
-def _resized(
+def _with_prior_sigmas(
     peak: Peak, u: np.ndarray, indices: np.ndarray, before: float, share: float, s: SamplingSettings
 ) -> Peak | None:
-    """Return the peak if the prior sigmas of unknowns change from `before` to `share`; None if it moves too far.
+    """Return a peak with other prior sigmas of the unknowns with these `indices`: `share` for `before`; None if it moves too far.
 
-    The curvature by the prior changes by 1 / share^2 - 1 / before^2 for the unknowns with these `indices`. A Newton step leads
-    to the new mean.
+    Their prior costs v^2 / (2 share^2), and its curvature changes by a = 1 / share^2 - 1 / before^2. One Newton step d = C g leads
+    to the new mean, with the new covariance C and the gradient g = -a v. The log mass grows by (g d - a v^2) / 2, by half the
+    change of log det C, and by the density of the prior, -log(share / before) for each unknown.
     """
     at, added = STATE_SIZE + indices, share**-2 - before**-2
     precision, gradient = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))
@@ -381,7 +384,7 @@ def _resized(
     covariance = np.linalg.inv(precision)
     step = covariance @ gradient
     if share > before and np.linalg.norm(value + step[at]) > s.far_torque * share:
-        return None
+        return None  # linear theory does not hold so far away (`over_sizes`)
     gain = (gradient @ step - added * value @ value) / 2
     volume = (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(peak.covariance)[1]) / 2
     log_mass = peak.log_mass + gain + volume - len(indices) * np.log(share / before)
@@ -552,7 +555,10 @@ def trace_ridge(
 def propose(
     target: LanderTarget, ridge: Ridge, count: int, rng: np.random.Generator, s: SamplingSettings
 ) -> None:
-    """Draw `count` motions from the present laws of a ridge, by the three steps of this module, and add them to its proposals."""
+    """Draw `count` motions from the present laws of a ridge, by the three steps of this module, and add them to its proposals.
+
+    The ridge also gets the new points at which its stiff coordinates were fitted, and the laws, each with its number of draws.
+    """
     chart, before = ridge.chart, ridge.points
     assert before is not None
     parts, points = [ridge.proposals] if ridge.proposals is not None else [], [before]

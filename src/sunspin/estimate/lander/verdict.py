@@ -195,7 +195,8 @@ def pass_row(
 ) -> PassRow:
     """Return the solutions at the first sample and the answers to the four checks, as a row of the table of passes.
 
-    `prior_sigma` (rad/s): of a component of the rate in the ball that was searched.
+    `prior_sigma` (rad/s): of a component of the rate in the ball that was searched. `columns_checked`: what the table says of
+    the columns. The search counts as complete only if the draws are good too.
     """
     solutions, posterior, about = group(tree, "solutions"), group(tree, "posterior"), tree.attrs
     draws = posterior["omega_B"].values.reshape(-1, 3)
@@ -210,7 +211,7 @@ def pass_row(
     if not best.any():  # no draw of the result belongs to the likeliest solution
         best[:] = True
     value = float(np.linalg.norm(rate[0]))
-    off = float(np.sqrt(np.mean((speed[best] - value) ** 2)))
+    off = float(np.sqrt(np.mean((speed[best] - value) ** 2)))  # rms of its draws from the speed
     x, y, z = (bool(sigma < NARROWER * prior_sigma) for sigma in draws.std(axis=0))
     answers = Answers(
         unique=findings.unique,

@@ -329,7 +329,7 @@ def noiseless_readings(readings: Readings, right: Predicted, calibration: np.nda
     """Return the readings as they would be without noise if the orbit were right at the one offset of the predictions.
 
     The field gets the predicted strength and angle to the Sun, in the half plane of the Sun and the measured field. Samples in the
-    shadow are dark. `calibration` (12): matrix and zero of the magnetometer.
+    shadow are dark; the light of the others stays as it was read. `calibration` (12): matrix and zero of the magnetometer.
     """
     dark = np.isfinite(readings.light) & (right.lit[0] < 0.5)
     readings = readings._replace(light=np.where(dark, 0.0, readings.light))
@@ -340,7 +340,9 @@ def noiseless_readings(readings: Readings, right: Predicted, calibration: np.nda
     across = read_unit - (read_unit * sun).sum(axis=1, keepdims=True) * sun
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     strength = right.strength[0][:, None]
-    cosine = right.toward[0][:, None] / strength
+    cosine = (
+        right.toward[0][:, None] / strength
+    )  # `toward`: the component of the field toward the Sun
     unit = cosine * sun + np.sqrt(1 - cosine**2) * across  # NaN without a Sun
     field = strength * np.where(np.isfinite(unit), unit, read_unit)
     matrix = calibration[MATRIX].reshape(3, 3)

@@ -95,7 +95,7 @@ def judged_orbit(
     """
     check = check_orbit(orbit, vehicle, telemetry, settings=settings)
     if check.verdict is Verdict.REFUSED:
-        why, _, _ = check.verdict.value.partition(";")
+        why, _, _ = check.verdict.value.partition(";")  # the rest says what to do
         reasons = [why, str(check.sun_in_shadow), clock_words(check)]
         text = "; ".join(reason for reason in reasons if reason)
         text = (
@@ -113,8 +113,8 @@ def judged_orbit(
             f"the orbit is used as it was given, {offset}: the telemetry cannot judge it{remarks}"
         )
         return orbit, check, text
-    # The estimated offset is the error of the elements and that of the clock together: less the variance of the clock, its variance
-    # is that of the elements.
+    # The estimated offset is the sum of the errors of elements and clock. So the variance of the elements is that of the offset
+    # less that of the clock; a clock cannot err by more than the sum does.
     elements_variance = max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)
     known = replace(
         orbit,

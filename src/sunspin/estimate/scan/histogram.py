@@ -76,19 +76,19 @@ def distances_to_target(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def emd_rows(hist, bin_of, low, high, level, emd):
-    """Fill emd (n) with half the integral over [-1, 1] of |C_r - C_n| (paper, eq. 13) for each histogram of hist (n, bins).
+    """Fill emd (row) with half the integral over [-1, 1] of |C_r - C_n| (paper, eq. 13) for each histogram of hist (row, bin).
 
-    C_r, the CDF of a histogram, is linear inside a bin. C_n, that of the target, is level[s] on the segment s, which lies in
+    C_r, the CDF of a histogram, is linear inside a bin. C_n, that of the target n, is level[s] on the segment s, which lies in
     the bin bin_of[s] from the fraction low[s] to high[s] of it. An empty histogram has the EMD 1.
     """
-    n, bins = hist.shape
+    rows, bins = hist.shape
     width = 2.0 / bins
     # LANES rows are transposed, so that the inner loops run over rows with consecutive memory
     tile, share = np.empty((bins, LANES)), np.empty(LANES)
-    for first in range(0, n, LANES):
+    for first in range(0, rows, LANES):
         total, below, area = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
         for i in range(LANES):
-            j = min(first + i, n - 1)  # the last tile repeats the last row
+            j = min(first + i, rows - 1)  # the last tile repeats the last row
             for b in range(bins):
                 tile[b, i] = hist[j, b]
         for b in range(bins):
@@ -105,10 +105,11 @@ def emd_rows(hist, bin_of, low, high, level, emd):
             length = (high[s] - low[s]) * width
             for i in range(LANES):
                 slope = tile[current, i] * share[i]
-                a = below[i] + slope * low[s] - level[s]
-                b = below[i] + slope * high[s] - level[s]
-                # the area under |difference|: a trapezoid, or two triangles if the difference changes its sign
-                straight, crossing = 0.5 * abs(a + b), 0.5 * (a * a + b * b) / abs(b - a)
-                area[i] += (straight if a * b >= 0.0 else crossing) * length
-        for i in range(min(LANES, n - first)):
+                # the differences at both ends; the area under their size is a trapezoid, or two triangles if their sign changes
+                left = below[i] + slope * low[s] - level[s]
+                right = below[i] + slope * high[s] - level[s]
+                straight = 0.5 * abs(left + right)
+                crossing = 0.5 * (left * left + right * right) / abs(right - left)
+                area[i] += (straight if left * right >= 0.0 else crossing) * length
+        for i in range(min(LANES, rows - first)):
             emd[first + i] = 0.5 * area[i] if total[i] != 0.0 else 1.0

@@ -171,7 +171,7 @@ class EarthLight:
                 yield back, trial
 
 
-def pairs_differing(
+def with_pair_differences(
     facing_B: np.ndarray,
     full: np.ndarray,
     readings: tuple[np.ndarray, np.ndarray],
@@ -181,7 +181,7 @@ def pairs_differing(
 
     The darker one reads zero: so does a panel without Earth's light that faces away from the Sun. `facing_B` (p, 3): normals;
     `full` (p): readings of full Sun; `readings`: values (n, p), and their sigmas without the Earth's light; `sigma_light_noise`
-    (n, p): sigmas with that light as noise, for panels of which no opposite one was read.
+    (n, p): sigmas with that light as noise, which stay where the opposite panel was not read.
     """
     share, error = readings[0] / full, readings[1] / full
     power, sigma = readings[0].copy(), sigma_light_noise.copy()

@@ -250,8 +250,9 @@ class FieldChange(Term):
         change = np.diff(self.field_B, axis=0, prepend=np.nan)[was_read]
         sigma = self.sigma
         if len(change) and zero_B.any():
-            # As the body turns, the field changes across the axis of the turn, and only that part of the zero moves neighbours
-            # against each other: its variance along the changes, weighed by their squares. The matrix adds its share of a change.
+            # The search compares neighbouring readings. A zero z that is subtracted from both turns with the body, so that it
+            # changes their difference only along the changes d of the field, which lie across the axis of the turn. So its variance
+            # is the mean of (z d / |d|)^2, weighed by d^2. The matrix adds its share of a change.
             square = (change**2).sum()
             variance = ((change @ zero_B.T) ** 2).sum() / square
             variance += self.matrix_sigma**2 * square / len(change)

@@ -22,7 +22,7 @@ import numpy as np
 from sunspin.environment import Surroundings
 from sunspin.estimate.model import States, Unknown
 from sunspin.estimate.settings import INERTIA_SIGMAS
-from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
+from sunspin.estimate.terms.earth_light import EarthLight, with_pair_differences
 from sunspin.estimate.terms.term import Residual, Term, facing
 from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
@@ -250,9 +250,10 @@ class Panels(Term):
         return np.swapaxes(attitude[..., :2], -1, -2)
 
     def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return attitudes (K, n, 3, 3) and unknowns (K, m) with the Earth's light separated from the Sun's.
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit begins: the Earth's light is separated from the Sun's.
 
-        A search takes both lights together for the Sun. Of some first guesses of the Earth's light the one that fits best counts.
+        A search takes both lights together for the Sun. Of some first guesses of the Earth's light (`EarthLight.begin`) the one
+        that fits best counts. `about_sun` as in `Term.begin`.
         """
         attitude, u = super().begin(states, about_sun)
         if self.earth is None:
@@ -279,7 +280,7 @@ class Panels(Term):
         power, sigma, scale_sigma = self.power, self.sigma_light_noise, self.scale_sigma
         if self.earth is not None:
             modelled = self.power, self.sigma_light_modelled
-            power, sigma = pairs_differing(
+            power, sigma = with_pair_differences(
                 self.response.facing_B, self.full_sun, modelled, self.sigma_light_noise
             )
             scale_sigma = np.hypot(scale_sigma, self.earth_share)
