@@ -163,7 +163,7 @@ def _panel_keys(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Ve
     if vehicle.channels:
         notes.append("gains of panels: an input that panels share does not tell the gain of each")
         return [], vehicle
-    if not np.isfinite(quality.attrs["spread"]):
+    if not np.isfinite(quality.attrs["spread"]):  # the telemetry does not determine the gains
         notes.append(f"gains of panels: {quality.attrs['gains_from']}")
         return [], vehicle
     stated, gain = vehicle.panel_gains, quality["gain"].values
@@ -172,13 +172,14 @@ def _panel_keys(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Ve
     for block in np.array_split(samples, BLOCKS):
         rest = telemetry.isel(time=np.setdiff1d(samples, block))
         gains_without.append(assess(vehicle, rest).quality["gain"].values)
-    off = np.array(gains_without) - np.mean(gains_without, axis=0)
-    jackknife = np.sqrt((1 - 1 / BLOCKS) * (off**2).sum(axis=0))
+    deviation = np.array(gains_without) - np.mean(gains_without, axis=0)
+    jackknife = np.sqrt((1 - 1 / BLOCKS) * (deviation**2).sum(axis=0))
     sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), jackknife)
     prior = prior_sigmas(vehicle) * stated
     name = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     unit, count = vehicle.gain_unit or "1", int((quality["use"].values == 0).sum())
-    numbers = np.stack([stated, gain, sigma, prior], axis=1)[..., None]  # (n_panel, 4, 1)
+    # (n_panel, 4, 1): a key has arrays of its components, here one
+    numbers = np.stack([stated, gain, sigma, prior], axis=1)[..., None]
     keys = [
         Key(("panel", panel.name), name, old, new, error, before, unit, count)
         for panel, (old, new, error, before) in zip(vehicle.panels, numbers, strict=True)
@@ -482,23 +483,25 @@ def _dataset(
     notes: list[str],
     attrs: dict[str, Any],
 ) -> xr.Dataset:
-    """Return the result: all components of all keys, one after another."""
+    """Return the result: a row for each component of each key, in the order of :data:`VARIABLES`, and whether it moved."""
     rows: list[tuple[Any, ...]] = []
     for key in keys:
         determined, name = key.determined, ".".join((*key.where, key.key))
         written = bool(determined.all()) if key.written is None else key.written
         numbers = zip(key.stated, key.value, key.sigma, key.prior, determined, strict=True)
-        for component, (*of_file, shown) in enumerate(numbers):
-            rows.append((*of_file, key.unit, name, component, shown, written, key.samples))
+        for component, (*of_file, is_determined) in enumerate(numbers):
+            row = (*of_file, key.unit, name, component, is_determined, written, key.samples)
+            rows.append(row)
     columns = zip(*rows, strict=True) if rows else [()] * len(VARIABLES)
     values = {name: np.array(part) for name, part in zip(VARIABLES, columns, strict=True)}
     variables = {name: ("quantity", part) for name, part in values.items()}
-    # a number that was not stated is new and has not moved
+    # a number that was not stated is NaN: the comparison is false, it has not moved
     moved = np.abs(values["value"] - values["stated"]) > values["sigma"]
     variables["moved"] = ("quantity", moved)
     epoch, time = str(telemetry.attrs["epoch_utc"]), telemetry["time"].values
     days = dict.fromkeys(utc_after(float(t), epoch)[:10] for t in (time.min(), time.max()))
     file = telemetry.attrs.get("file", "telemetry")
+    # `{samples}` stays in the text: `new_values` fills in the number of each key
     source = f"calibrate-sensors, {{samples}} samples of {file}, {' to '.join(days)}"
     described = provenance("calibration", telemetry, vehicle=vehicle.name) | attrs
     return xr.Dataset(variables, attrs=described | {"source": source, "notes": "\n".join(notes)})

@@ -264,21 +264,24 @@ class Earlier(NamedTuple):
 
 
 def earlier_states(model: Model, obs: Observations, motions: Track) -> Earlier | None:
-    """Return motions as they were when sensors other than the Sun's read, by the equations of motion with the wheels held.
+    """Return motions as they were `late_s` before their samples, when the sensors other than the Sun's were read.
 
-    None if these sensors are read together with the Sun. `obs`: the samples at which the motions are given.
+    They are carried back by the equations of motion; the momentum of the wheels stays that of the sample. None if these sensors are
+    read together with the Sun. `obs`: the samples at which the motions are given.
     """
-    late = [
+    clocks = [
         (term, own.start)
         for term, own in model.terms_with_slices
         if isinstance(term, Latency) and (term.late_s or term.sigma_s)
     ]
-    if not late:
+    if not clocks:
         return None
-    clock, start = late[0]
+    clock, start = clocks[
+        0
+    ]  # a model has one clock; `start`: the place of its latency among the unknowns
     index = start if clock.sigma_s else None
-    off = 0.0 if index is None else clock.sigma_s * motions.u[:, index]
-    late_s = clock.late_s + off + np.zeros(len(motions))
+    error_s = 0.0 if index is None else clock.sigma_s * motions.u[:, index]
+    late_s = clock.late_s + error_s + np.zeros(len(motions))
     momentum = obs.momentum
     inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     back = np.broadcast_to(-late_s[:, None], motions.omega.shape[:2])
@@ -538,17 +541,18 @@ def _step_between(
 def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -> Track:
     """Fit attitude and rate at one sample, all else following by the equations of motion alone (single shooting).
 
-    Where samples are close together a chain is too stiff to move: its steps are straight in the turns of all samples, and the
-    equations of motion bend. Six numbers of one sample bend nothing. The model has no unknowns. `motions` (K): their state at
-    `sample` is where the fit begins; returned at all samples.
+    It is for samples that are close together. A step of a chain is a straight line in the states of all samples, but motions that
+    obey the equations of motion are curved, so that a chain moves by short steps only. Here a step changes six numbers, and the
+    other samples follow exactly: it may be long. The model has no unknowns. `motions` (K): the fit begins at their states at
+    `sample`; they are returned at all samples.
     """
     n = len(model.obs)
-    longest = RATE_LIMIT * model.rate_sigma
+    largest_rate = RATE_LIMIT * model.rate_sigma
 
     def linearise(state: tuple[np.ndarray, np.ndarray]) -> DenseSystem:
         """Return cost and normal equations (K, 6, 6) of attitudes (K, 3, 3) and rates (K, 3) at the sample.
 
-        Rows are turn, then rate. There are no defects: the other samples follow exactly.
+        The six numbers are turn, then rate. There are no defects: the other samples follow exactly.
         """
         omega = state[1]
         k = len(omega)
@@ -563,7 +567,8 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
             for residual in term.residuals(track, track.u):
                 part, weight = residual.law(residual.value)
                 cost += part.sum(axis=1)
-                derivative = sum(  # chain rule
+                # chain rule: the rows of `by_state` are changes of a sample's turn and rate by the six numbers
+                derivative = sum(
                     by @ of_sample[..., rows, :]
                     for of_sample, rows, by in (
                         (by_state, TURN, residual.by_turn),
@@ -585,7 +590,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
         linearise,
         lambda state, change: (
             rotate_attitude(state[0], change[:, TURN]),
-            limit_length(state[1] + change[:, RATE], longest),
+            limit_length(state[1] + change[:, RATE], largest_rate),
         ),
         solve_dense,
         (motions.attitude[:, sample], motions.omega[:, sample]),

@@ -458,7 +458,8 @@ def sample_costs(
     """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
 
     The square of a sample is the least |read - brightness light|^2 over directions, in which panels get `light`, and over a
-    brightness up to :data:`BRIGHTEST`. All are shares of full Sun, in units of :data:`READING_ERROR`.
+    brightness up to :data:`BRIGHTEST`. All are shares of full Sun, in units of `error`: :data:`READING_ERROR` and the noise of the
+    inputs. A square counts up to :data:`MOST_SQUARE`.
     """
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
     stride = -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)
@@ -489,7 +490,7 @@ def sample_costs(
     if not by_sample.size:
         return np.zeros(len(changes))
     # The Earth's light may be more than the error. Then even under the best change most samples have a square above the number of
-    # panels: all squares are made smaller by the same factor.
+    # inputs: all squares are made smaller by the same factor.
     by_sample /= max(1.0, float(np.median(by_sample, axis=1).min()) / len(gains))
     return np.minimum(by_sample, MOST_SQUARE).sum(axis=1) / 2
 
@@ -651,11 +652,12 @@ def _cost(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) 
 
 
 def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> np.ndarray:
-    """Return squared distances, in sigmas, of a sensor's readings from a motion, where both are known.
+    """Return squared distances, in sigmas, of a sensor's readings from a motion: one for each known reading, components summed.
 
     `estimate`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
-    compared from sample to sample of a pass, as their frame in space is not known. The sigmas contain the errors of the motion: of
-    its rate, and of its rotation from sample to sample.
+    compared from one sample to the next of a pass, one number for each pair, as their frame in space is not known. The sigmas
+    contain the errors of the motion: of its rate, and of its rotation from sample to sample. Empty if the vehicle states no error
+    of the sensor.
     """
     from scipy.spatial.transform import Rotation
 
@@ -663,25 +665,30 @@ def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicl
     known = np.asarray(np.isfinite(value).all(axis=1))
     inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
     pairs = inside & known[1:] & known[:-1]
-    spread = np.einsum("nii->ni", estimate["omega_cov_B"].values)  # variances of the rate
+    rate_variance = np.einsum("nii->ni", estimate["omega_cov_B"].values)  # variances of the rate
     if name == "gyro_B" and sensors.gyro is not None:
         gyro = sensors.gyro
         zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
-        own = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
-        return ((value - estimate["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
-    turned = Rotation.from_quat(estimate["B_from_N"].values)
+        sensor_variance = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
+        return ((value - estimate["omega_B"].values) ** 2 / (rate_variance + sensor_variance)).sum(
+            axis=1
+        )[known]
+    attitude = Rotation.from_quat(estimate["B_from_N"].values)
     interval_s = np.diff(estimate["time"].values)
     # variance of the rotation between two samples, rad^2
-    of_turn = spread[:-1].sum(axis=1) * interval_s**2
+    turn_variance = rate_variance[:-1].sum(axis=1) * interval_s**2
     magnetometer = sensors.magnetometer
     if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
-        in_space = turned.inv().apply(np.where(known[:, None], value, 0.0))
+        in_space = attitude.inv().apply(np.where(known[:, None], value, 0.0))
         strength = np.linalg.norm(in_space[:-1], axis=1)
-        of_axes = ((FIELD_TURN * interval_s) ** 2 + of_turn) * strength**2
-        of_pair = 2 * magnetometer.noise**2 + of_axes
-        return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / of_pair)[pairs]
+        # the field itself turns in space along the orbit (FIELD_TURN), and the attitudes have errors
+        motion_variance = ((FIELD_TURN * interval_s) ** 2 + turn_variance) * strength**2
+        pair_variance = 2 * magnetometer.noise**2 + motion_variance
+        return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / pair_variance)[pairs]
     if name == "attitude_B_from_N" and sensors.attitude is not None:
         read = Rotation.from_quat(np.where(known[:, None], value, [0.0, 0.0, 0.0, 1.0]))
-        off = ((read[1:] * read[:-1].inv()).inv() * (turned[1:] * turned[:-1].inv())).magnitude()
-        return (off**2 / (2 * sensors.attitude.sigma_rad**2 + of_turn))[pairs]
+        off = (
+            (read[1:] * read[:-1].inv()).inv() * (attitude[1:] * attitude[:-1].inv())
+        ).magnitude()
+        return (off**2 / (2 * sensors.attitude.sigma_rad**2 + turn_variance))[pairs]
     return np.zeros(0)

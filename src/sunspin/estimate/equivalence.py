@@ -45,7 +45,8 @@ SAME_WAY = 0.01
 """One less the cosine between normals that may be mirror images of each other; `equivalence` decides."""
 
 FLAT = 0.05
-"""Smallest singular value of the normals of lit panels, as a share of the largest, below which they lie in one plane."""
+"""Share of the largest singular value of end^T start (:func:`_procrustes`) below which another one counts as zero. For vectors that
+match, these values are the squares of the singular values of the vectors themselves: there the share is 0.22."""
 
 MOST_ASSIGNMENTS = 1000
 """Assignments of the panels of shared inputs to each other that are tried."""
@@ -243,18 +244,20 @@ def alike(
 def unseen_changes(
     observed: Observed, telemetry: xr.Dataset
 ) -> list[tuple[ColumnChange, np.ndarray]]:
-    """Return changes of columns and panels, with their M (3, 3), that look the same as the file but show another motion.
+    """Return changes of columns and panels, each with its M (3, 3), that look the same as the file but show another motion.
 
-    They are those of one mistake; if there are none, those with the fewest exchanges.
+    First changes of one mistake are tried. If none of them looks the same, exchanges of several columns by a symmetry of the panels
+    are, and those of the fewest pairs are returned.
     """
     of_one_mistake = column_changes(observed.vehicle, telemetry)
-    if not of_one_mistake:
+    if not of_one_mistake:  # no readings of panels, or nothing to change
         return []
     for changes in (of_one_mistake, symmetric_exchanges(observed.vehicle)):
+        # det(M) M maps rates: where it is the identity, the motion is the same
         same = [
             (change, m)
             for change, m in alike(observed, AS_WRITTEN, changes)
-            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE  # det(M) M maps rates
+            if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE
         ]
         if same:
             fewest = min(change.errors for change, _ in same)
@@ -395,8 +398,8 @@ def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Itera
     """Yield orthogonal matrices that map unit vectors `start` (n, 3) best onto `end` (n, 3) in least squares (Procrustes).
 
     With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. There is one if the vectors span
-    space. In a plane a mirror across it is open, which makes two. On a line the turn about the line is open. Then the matrices that
-    map axes of the body onto each other are tried, after they are made to map the line.
+    space. In a plane a mirror across it is open, which makes two. On a line the turn about it is open: each map of axes of the body
+    is tried, bent so that it maps the line.
     """
     u, size, v_T = np.linalg.svd(end.T @ start)
     if size[2] > FLAT * size[0]:
@@ -410,7 +413,8 @@ def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Itera
         across_start = np.eye(3) - start_line @ start_line.T
         for m in _maps_of_axes(observed):
             mapped = end_line @ start_line.T + across_end @ m @ across_start
-            left, sizes, right = np.linalg.svd(mapped)  # the nearest orthogonal matrix
+            # The nearest orthogonal matrix. There is no single one if m flattens the plane across the line: then m is left out.
+            left, sizes, right = np.linalg.svd(mapped)
             if sizes[2] > FLAT:
                 yield left @ right
 

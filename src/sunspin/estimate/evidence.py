@@ -69,15 +69,17 @@ def ladder(
     many motions are kept.
 
     If a rung above makes the first one hopeless, the fit on the first may have ended on its way to a minimum. The path down then
-    begins at the highest rung, and fits all rungs again. A body with products of inertia that its file stated as zero cost 196 on
-    the first rung, 24 on the next, and 229 below the first; its alias, which came down from strong torques, was decided.
+    begins at the highest rung reached, and fits all rungs below it again. Without this a wrong motion was decided. The true one, of
+    a body with products of inertia that its file stated as zero, cost 196 on the first rung, 24 on the next, and 229 below the
+    first; its alias had come down from strong torques, and cost less.
     """
     if not len(motions):
         return []
-    start, of_first = _fit_and_select(
+    first, first_summed = _fit_and_select(
         model.under(first_rung), motions, s.first_steps, s, search_settings
     )
-    fits = {first_rung: of_first} if first_rung in s.rungs and len(start) else {}
+    # the first strength need not be a rung: then its fit is only a beginning
+    fits = {first_rung: first_summed} if first_rung in s.rungs and len(first) else {}
 
     def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
@@ -105,11 +107,11 @@ def ladder(
         return last, last_rung
 
     rungs = sorted(s.rungs)
-    top, rung = follow([rung for rung in rungs if rung > first_rung], start, first_rung)
+    last, last_rung = follow([rung for rung in rungs if rung > first_rung], first, first_rung)
     best = max((float(fitted.log_evidence.max()) for fitted in fits.values()), default=-np.inf)
-    if not len(top) or of_first.log_evidence.max(initial=-np.inf) >= best - s.hopeless:
-        top, rung = start, first_rung
-    follow([below for below in reversed(rungs) if below < rung], top, rung)
+    if not len(last) or first_summed.log_evidence.max(initial=-np.inf) >= best - s.hopeless:
+        last, last_rung = first, first_rung
+    follow([below for below in reversed(rungs) if below < last_rung], last, last_rung)
     return list(fits.values())
 
 

@@ -308,24 +308,26 @@ def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
 
 
 def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
-    """Return the indices of at most `s.kept` of `count` samples, the first and the last among them.
+    """Return the indices of at most `s.kept` of `count` samples.
 
     They are close together at `dense_from`, where the rate is determined first, then ever farther apart to both sides. Each step is
-    at most `s.growth` times the one before, so that what is known of the rate always predicts the next sample. Of all ways to share
-    the samples between the two sides the one whose widest step is smallest is taken.
+    at most `s.growth` times the one before, so that what is known of the rate predicts the next sample. Of all ways to share the
+    samples between the two sides the one whose widest step is smallest is taken. If none reaches both ends, steps grow from the
+    first sample on; in a very long pass they end before the last.
     """
     if count <= s.kept:
         return np.arange(count)
     after, before = np.arange(dense_from, count), np.arange(dense_from, -1, -1)
-    least, best = np.inf, _growing(np.arange(count), s.kept, s.growth)  # from the first sample on
+    # from the first sample on: if `dense_from` is 0, or no shares reach both ends
+    smallest_widest, best = np.inf, _growing(np.arange(count), s.kept, s.growth)
     for kept_before in range(2, s.kept) if dense_from else ():
         kept_after = s.kept + 1 - kept_before  # `dense_from` is on both sides
         sides = _growing(after, kept_after, s.growth), _growing(before, kept_before, s.growth)
         # steps that grow to both sides do not reach the ends of a very long pass
         if sides[0][-1] == count - 1 and sides[1][-1] == 0:
             widest = max(np.abs(np.diff(side)).max(initial=0) for side in sides)
-            if widest < least:
-                least, best = widest, np.unique(np.concatenate(sides))
+            if widest < smallest_widest:
+                smallest_widest, best = widest, np.unique(np.concatenate(sides))
     return best
 
 
@@ -401,10 +403,14 @@ def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> di
 
 
 def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the speeds (n, n_wheel) of wheels that coast, so many seconds after they began, by the frictions of the file."""
+    """Return what coasting wheels may do, in words, with their speeds (n, n_wheel) `after_s` (n) seconds after they began.
+
+    There is one entry for the frictions of the vehicle file and one for each name of alternative frictions. A wheel without that
+    alternative has its usual friction. Without any friction the speeds are those of held wheels: no entry.
+    """
     speeds = {}
     names = dict.fromkeys(name for w in vehicle.wheels for name in w.alternative_frictions)
-    for name in (None, *names):
+    for name in (None, *names):  # None: the usual frictions
         frictions = [
             w.friction if name is None else w.alternative_frictions.get(name, w.friction)
             for w in vehicle.wheels

@@ -203,11 +203,14 @@ def doubts_field(model: Model) -> bool:
 
 
 def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: float) -> Model:
-    """Return the nominal model with the errors of the samples' times among those of the readings.
+    """Return the nominal model with the errors of the samples' times added to those of the readings.
 
-    How much they change a reading depends on the rate. That of the motion of least cost in `tracks` counts for every motion: with
-    errors of its own a fast alias would fit anything. Larger errors make all readings less probable, which `log_prior` holds, so
-    that two wheels or columns of a pass stay comparable. Below `least_drift_rad` the model is returned as it is.
+    A time error changes a reading by the rate times it. The rate is that of the motion of least cost in `tracks`, for all motions:
+    with errors of its own a fast alias would fit anything. The model is returned as it is if one sigma of time turns the body (or
+    the Sun in it, if only the Sun is read) by less than `least_drift_rad` at all samples.
+
+    Costs count residuals in sigmas, without the logs of the sigmas. So `log_prior` is lowered by what these logs grow. Estimates of
+    the pass with other wheels or columns, and so other errors, then stay comparable.
     """
     obs = nominal.obs
     best = [track.take(slice(0, 1)) for track in tracks if len(track)]
@@ -218,11 +221,11 @@ def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: f
     if max(of_sun.max(), 0.0 if obs.only_sun else of_body.max()) < least_drift_rad:
         return nominal
     wider = obs.with_time_errors(motion)
-    price = sum(
+    log_growth = sum(
         after.log_errors() - before.log_errors()
         for before, after in zip(obs.terms, wider.terms, strict=True)
     )
-    return replace(nominal, obs=wider, log_prior=nominal.log_prior - price)
+    return replace(nominal, obs=wider, log_prior=nominal.log_prior - log_growth)
 
 
 def search_motions(

@@ -217,9 +217,9 @@ def weigh_draws(
 
 
 def pass_of_period(passes: Sequence[Solutions], seen: PeriodSeen) -> int | None:
-    """Return the index of the pass in which a period was seen, or from whose ends it is no farther than its widest gap.
+    """Return the index of the pass in which a period was seen. A pass reaches beyond its ends by its widest gap.
 
-    A column may have a period where there is no pass: None. A person may not.
+    Outside all passes: None for a period that was found in a column, InputError for one that a person states.
     """
     times = [of_pass.obs.t_s for of_pass in passes]
     away = [max(t[0] - seen.t_s, seen.t_s - t[-1], 0.0) for t in times]

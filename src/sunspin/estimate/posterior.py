@@ -347,12 +347,12 @@ def nominal_explains(mix: Mixture, settings: PosteriorSettings) -> bool:
 
 
 def _nothing_drawn(model: LanderModel) -> InputError:
-    """Return the error for a nominal model without a possible draw.
+    """Return the error for a nominal model of which no draw has a weight.
 
-    It names the sigma of the inertia if few bodies within it can exist, else the largest rate.
+    It advises a smaller sigma if most inertias within the stated one are those of no real body, else a higher largest rate.
     """
-    share = np.exp(model.log_possible)
-    if share < FEW_BODIES:
+    real_bodies = np.exp(model.log_possible)  # their part of the prior
+    if real_bodies < FEW_BODIES:
 
         def with_inertia_sigma(sigma: float) -> LanderModel:
             """Return the model with moments of this relative sigma."""
@@ -369,7 +369,7 @@ def _nothing_drawn(model: LanderModel) -> InputError:
         )
         return InputError(
             "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
-            got=f"{share:.2g} of the prior",
+            got=f"{real_bodies:.2g} of the prior",
             do=f"give --prior inertia={next(advised, ADVISED_SIGMAS[-1]):g}, or smaller sigmas in the vehicle file",
         )
     return InputError(

@@ -190,9 +190,10 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
     head, model, weight = fits[0], fits[0].model, np.array(weights)
     shares = weight / weight.sum()
 
-    # At the kept samples: the covariance of the mixture of all motions of the group about the first one, which their differences
-    # `offs` (1, n, 6) from it in turn and rate widen; the mean strength of torques; and `hidden`, the mean variance (rad/s)^2 of a
-    # rate that oscillates between the samples (:mod:`sunspin.estimate.swings`), which no sample shows.
+    # At the kept samples, sums over the motions of the group, weighted by `shares`:
+    # `covariance` of the mixture about the first motion, widened by the differences `offs` (each (1, n, 6)) of turn and rate;
+    # `square` (n - 1), the squared strength of the torques in each interval;
+    # `hidden`, the variance (rad/s)^2 of a rate that oscillates between the samples (`swings.py`), which no sample shows.
     dt = np.diff(model.obs.t_s)
     offs, covariance, square, hidden = [], 0.0, 0.0, 0.0
     for fitted, share in zip(fits, shares, strict=True):
@@ -213,7 +214,7 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
     hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     track.covariance[..., RATE, RATE] += hidden * np.eye(3)
 
-    # the variance of the mean rate over the pass, in the same way
+    # The variance of the mean rate: again that of the mixture about the first motion, without members of small share.
     counted = np.flatnonzero((shares >= MEAN_COUNTS) | (np.arange(len(group)) == 0))
     variance = 0.0
     for k in counted:
@@ -226,7 +227,7 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
         mean=track.omega.mean(axis=1),
         mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
         residual=residual,
-        model=(model.what, 1.0),
+        model=(model.what, 1.0),  # `solutions` replaces it, and the limit
         noise=np.sqrt(np.median(square, keepdims=True)),
         estimates=(estimates(head),),
         cost_limit=np.inf,

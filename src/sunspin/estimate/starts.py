@@ -402,20 +402,23 @@ def _rate_grid(size: float, rate_max: float) -> np.ndarray:
 
 
 def fine_up_to(model: Model, s: SearchSettings) -> float:
-    """Return the largest rate (rad/s) up to which the starts of a pass are as near to each other as planned; infinity: any rate.
+    """Return the largest rate (rad/s) for which starts are not too far apart; infinity if that is beyond the model's largest rate.
 
-    They are farther apart where their number is limited: those of a grid of rates (:func:`grid_step`), and the axes of whole turns
-    (:func:`whole_turns`), of which there are any if the Sun is in the same direction at both samples.
+    Where their number is limited, their distance grows with the rate. A grid of rates (:func:`grid_step`) may be `COARSE_RAD`
+    apart, as turns between the two samples. Whole turns (:func:`whole_turns`) may be twice as far apart; they are tried only if the
+    Sun may have nearly the same direction at both samples. The two samples are those nearest in time.
     """
     first = int(np.argmin(np.diff(model.obs.t_s)))
     dt = float(np.diff(model.obs.t_s).min())
     searched = model.for_search(model.noise)[0]
     suns = allowed_directions(searched, first)
     if _constant_rate_holds(model, first):
-        alike = (suns @ allowed_directions(searched, first + 1).T).max() > np.cos(ANY_AXIS_RAD)
-        # axes are two basins apart where those of a grid are one
-        limit = 2 * COARSE_RAD * np.sqrt(MOST_AXES / (4 * np.pi)) / dt if alike else np.inf
+        cosine = (suns @ allowed_directions(searched, first + 1).T).max()
+        # MOST_AXES axes at the angle rate dt are (rate dt) / sqrt(MOST_AXES / 4 pi) apart
+        farthest = 2 * COARSE_RAD * np.sqrt(MOST_AXES / (4 * np.pi)) / dt
+        limit = farthest if cosine > np.cos(ANY_AXIS_RAD) else np.inf
     else:
+        # the rate for which the step of the grid, as a turn, is COARSE_RAD
         limit = COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3 * len(suns))) ** (1 / 3)
     return limit if model.rate_max > limit else np.inf
 

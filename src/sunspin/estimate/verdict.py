@@ -231,19 +231,20 @@ def answers(
     explained: bool,
     left_open: str,
 ) -> tuple[Answers, np.ndarray]:
-    """Return the answers for the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
+    """Return four answers on the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
 
+    The answers: is it unique, is each component constrained, does it fit, was the search complete?
     `rate_sigma` (rad/s): sigma of a component before the data; `misfits`: by sensor. `explained`: whether the best motion's
     cost is at most `cost_limit`. `left_open`: what the search may have left out, in words; empty if nothing.
     """
     probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, sensor_misfit in misfits.items() if not sensor_misfit.fits)
     sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
-    x, y, z = (sigma < NARROWER * rate_sigma).tolist()  # NaN is not constrained
+    known_x, known_y, known_z = (sigma < NARROWER * rate_sigma).tolist()  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)
     four_answers = Answers(
         unique=bool(probability[one_rate].sum() >= DECIDED),
-        constrained=(x, y, z),
+        constrained=(known_x, known_y, known_z),
         fits=bool(explained and not wrong),
         search_complete=not left_open,
         wrong=wrong,

@@ -333,20 +333,23 @@ def add_sample(panels, m, limits, work):
         factor = best_factor(panels, m, work)
     for j in range(len(panels.full)):
         power, read = factor * work.light[j], panels.power[m, j]
+        # an input that is dark, as it should be, adds nothing
         if not panels.used[m, j] or not (power > 0 or read > 0):
             continue
         # errors of interpolated attitudes blur a reading in proportion to the power in full Sun
         precision = 1.0 / (panels.sigma[j] ** 2 + (limits.blur_rad * factor * panels.full[j]) ** 2)
         square = precision * (power - read) ** 2
+        # an outlier counts little: its misfit is capped, its weight in the equations falls
         misfit += min(square, limits.cap)
         weight = precision / (1.0 + square / SOFT_SIGMAS**2)
         if panels.throttled:
+            # the factor falls by the share follows[i] for a unit of coordinate i
             for i in range(COORDINATES):
                 work.change[j, i] = factor * (work.change[j, i] - work.light[j] * work.follows[i])
         for i in range(COORDINATES):
             pull = weight * work.change[j, i]
             work.gradient[i] += pull * (power - read)
-            for k in range(i + 1):
+            for k in range(i + 1):  # the lower half: `solve` reads no more
                 work.normal[i, k] += pull * work.change[j, k]
     return misfit
 
@@ -375,8 +378,9 @@ def solve(normal, gradient, move):
 
 @compiled
 def equations(corners, start, frame, panels, limits, work):
-    """Write the normal equations of a start, and return its misfit.
+    """Write the normal equations of a start into `work.normal` (lower half) and `work.gradient`, and return its misfit.
 
+    Samples are the reference (m = 0), then those of `corners`. `work.slope`: derivatives of a sample's Sun by the five coordinates.
     `start` (5): its place x (3) in its cell, then the step (2) that leads from the direction `frame[0]` to the Sun at the reference
     along the tangents `frame[1:]`.
     """
@@ -385,12 +389,13 @@ def equations(corners, start, frame, panels, limits, work):
         work.gradient[i] = 0.0
         for k in range(i + 1):
             work.normal[i, k] = 0.0
-    here = work.here  # the direction at the reference, and its two changes
+    here = work.here  # the direction at the reference, and its derivatives by the two steps
     for k in range(3):
         here[0, k] = frame[0, k] + step[0] * frame[1, k] + step[1] * frame[2, k]
     length = np.sqrt(here[0, 0] ** 2 + here[0, 1] ** 2 + here[0, 2] ** 2)
     for k in range(3):
         here[0, k] /= length
+    # of a unit vector: the derivatives before it was normalised, over the length, less their part along it
     for i in range(1, 3):
         along = here[0, 0] * frame[i, 0] + here[0, 1] * frame[i, 1] + here[0, 2] * frame[i, 2]
         for k in range(3):

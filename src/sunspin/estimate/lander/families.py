@@ -37,9 +37,10 @@ def one_each_box(motions: LanderMotions, reach_s: float, s: ShootingSettings) ->
 
 
 def one_each_ridge(motions: LanderMotions, s: ShootingSettings) -> LanderMotions:
-    """Return motions (best first) without those on the ridge of a better one, which gets their starts.
+    """Return the best motion of each ridge; its number of starts is that of all motions on the ridge. `motions`: the best first.
 
-    Uncertain inertia, friction and wheel turn each solution into a ridge, which extends over many boxes of rate and direction.
+    Uncertain inertia, friction and wheel speed turn each solution into a ridge. It extends over many boxes of rate and direction,
+    so :func:`one_each_box` leaves many copies.
     """
     reach = _reach(motions.curvature, s.ridge_chi2)
     chosen, starts, remaining = [], [], np.arange(len(motions))
@@ -50,11 +51,11 @@ def one_each_ridge(motions: LanderMotions, s: ShootingSettings) -> LanderMotions
         near = np.all(off <= np.maximum(reach[remaining], reach[best]), axis=1)
         near[0] = True
         candidates = remaining[near]
-        copies = _squared_distances(motions, best, candidates) < s.ridge_chi2
-        copies[0] = True
+        on_ridge = _squared_distances(motions, best, candidates) < s.ridge_chi2
+        on_ridge[0] = True
         chosen.append(best)
-        starts.append(int(motions.starts[candidates[copies]].sum()))
-        near[near] = copies
+        starts.append(int(motions.starts[candidates[on_ridge]].sum()))
+        near[near] = on_ridge  # from here on it marks those on the ridge, which are removed
         remaining = remaining[~near]
     return replace(motions.take(np.array(chosen, dtype=int)), starts=np.array(starts))
 

@@ -448,10 +448,11 @@ def fit_window(
     hopeless: float = np.inf,
     held: bool = False,
 ) -> LanderMotions:
-    """Return motions fitted to the samples of a window of the search, with costs and curvatures; derivatives are computed once.
+    """Return motions fitted to a window of the search, under one level of noise after the other, with costs and curvatures.
 
-    Motions that cost more than `hopeless` after the first level are not fitted further: they keep the cost under the noise of that
-    level and have zero curvature. `held`: the problem holds body and wheel, so that the size of the noise takes their errors.
+    Derivatives are computed once, and corrected after each step. Motions that cost more than `hopeless` after the first level go no
+    further: they keep its result and cost, and have zero curvature. The cost of the others is that under the last level. `held`:
+    `problem` holds body and wheel; then the noise, which stands for their errors, is not fitted below the stated one.
     """
     fitting = Fitting(problem, motions)
     (noise_factor, steps), *others = levels

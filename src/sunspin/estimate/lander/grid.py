@@ -206,10 +206,12 @@ def _require_computable(model: LanderModel, t_s: np.ndarray, rate_rad_s: float) 
 
     A wheel speed in the wrong unit may be the cause. The sentence names a window that is short enough.
     """
-    omega = np.full((1, 3), rate_rad_s / np.sqrt(3))
+    omega = np.full(
+        (1, 3), rate_rad_s / np.sqrt(3)
+    )  # alike about all axes; the Sun does not matter
     rows = model.rows(model.at_centres(omega, np.array([[0.0, 0.0, 1.0]])))
     problem = batch.Problem(model.vehicle, rows, model.commands, model.acting)
-    part = 1.0
+    part = 1.0  # of the samples' span, halved until it is short enough
     while any(
         batch.steps_needed(problem, part * end)[0] > batch.MAX_STEPS
         for end in (t_s.min(), t_s.max())

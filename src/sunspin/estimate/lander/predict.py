@@ -119,30 +119,34 @@ class DrawnMotions:
 
 
 def _bodies_of(vehicle: Vehicle, draws: xr.Dataset) -> Bodies:
-    """Return inertia, wheels, friction and constant torque of each draw; what a posterior took as known is as in the vehicle."""
+    """Return inertia, wheels, friction and constant torque of each draw; what the posterior took as known is the vehicle's.
+
+    Raise InputError if names of wheels, or centres of the inertia's priors, are not those of the vehicle.
+    """
     mean_moment = np.trace(vehicle.require_inertia()) / 3
     bodies = Bodies.of(vehicle, draws.sizes["chain"] * draws.sizes["draw"])
     tensor = np.array(bodies.inertia_kg_m2)
-    alike = [wheel.name for wheel in vehicle.wheels] == draws["wheel"].values.tolist()
+    same_vehicle = [wheel.name for wheel in vehicle.wheels] == draws["wheel"].values.tolist()
     for a, b in combinations_with_replacement(range(3), 2):
         if (name := f"inertia_{'xyz'[a]}{'xyz'[b]}") in draws:
             centre = draws[name].attrs["prior_centre"]
-            alike &= bool(np.isclose(centre, tensor[0, a, b], rtol=1e-9, atol=1e-12))
+            same_vehicle &= bool(np.isclose(centre, tensor[0, a, b], rtol=1e-9, atol=1e-12))
             tensor[:, a, b] = tensor[:, b, a] = draws[name].values.ravel()
-    if not alike:
+    if not same_vehicle:
         raise InputError(
             "the posterior is not of this vehicle",
             got=vehicle.name,
             do="give the vehicle file that it was made with",
         )
-    factors = {}
-    for kind, of_body in WHEEL_FACTORS.items():
-        factors[of_body] = np.array(getattr(bodies, of_body))
+    wheel_numbers = {}
+    for kind, field_name in WHEEL_FACTORS.items():
+        wheel_numbers[field_name] = np.array(getattr(bodies, field_name))
         for i, wheel in enumerate(vehicle.wheels):
             if (name := wheel_unknown(f"log_{kind}", vehicle, wheel)) in draws:
-                factors[of_body][:, i] *= np.exp(draws[name].values.ravel())
+                wheel_numbers[field_name][:, i] *= np.exp(draws[name].values.ravel())
+    # the draws have torques over the mean moment of inertia, rad/s2
     steady = mean_moment * draws["steady_torque"].values.reshape(-1, 2, 3)
-    return replace(bodies, inertia_kg_m2=tensor, steady_N_m=steady, **factors)
+    return replace(bodies, inertia_kg_m2=tensor, steady_N_m=steady, **wheel_numbers)
 
 
 def predict(
@@ -157,7 +161,8 @@ def predict(
     tree : DataTree
         Result of :func:`sunspin.posterior`.
     times_s : (n_t,)
-        s from the epoch of the telemetry. The motion between them and the samples must be free; wheels run down and stop.
+        s from the epoch of the telemetry. From the samples to these times the motion must be free of impacts and thrust; wheels run
+        down and stop.
     workers : int, optional
         Threads; default one per core. The result does not depend on it.
 

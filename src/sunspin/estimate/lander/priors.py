@@ -102,15 +102,18 @@ def with_priors(
     if not (np.isfinite(limit) and limit > 0):
         raise InputError("max_rate_rad_s must be positive", got=limit)
     sources.said["rate"] = f"uniform in a ball of {limit:g} rad/s"
-    most = largest_torque_deg(sources.priors)
+    largest_turn_deg = largest_torque_deg(sources.priors)
+    # only in words here: `constant_torques` makes the models of a torque
     source = GIVEN if "steady_torque" in sources.priors else ASSUMED
     sources.said["steady_torque"] = (
-        f"turns by up to {most:g} deg ({source})" if most else f"none ({source})"
+        f"turns by up to {largest_turn_deg:g} deg ({source})"
+        if largest_turn_deg
+        else f"none ({source})"
     )
     model = LanderModel(
         vehicle,
         with_unknowns(window.obs, of_panels),
-        tuple(x for x in of_motion if x.sigma > 0),
+        tuple(x for x in of_motion if x.sigma > 0),  # a known number is no unknown
         float(limit),
         mode,
     )
@@ -193,22 +196,25 @@ def _stated(vehicle: Vehicle, key: str, value: float) -> float | None:
 
 
 def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPowers:
-    """Return the panels with brightness, noise, gains and tilts as unknowns, those that are known left out."""
-    read = next(term for term in window.obs.terms if isinstance(term, PanelPowers))
+    """Return the panel term with its unknowns: log brightness ("scale"), log noise, log gains, and tilts.
+
+    A sigma of zero means known: that unknown is left out. Throttled panels have a free factor in each sample in place of a scale.
+    """
+    panels = next(term for term in window.obs.terms if isinstance(term, PanelPowers))
     if vehicle.throttled:
         sources.said["scale"] = "free in each sample (throttled)"
-        scale = 0.0
+        sigma_scale = 0.0
     else:
-        free = BRIGHTNESS_FREE if vehicle.gain_unit is None else BRIGHTNESS_KNOWN
-        scale = sources.sigma("scale", None, free)
-    assumed = NOISE_UNSTATED if vehicle.input_noise is None else NOISE_STATED
-    noise = sources.sigma("noise", None, assumed)
-    gain = sources.sigma("gain", None, 0.0)
+        assumed_scale = BRIGHTNESS_FREE if vehicle.gain_unit is None else BRIGHTNESS_KNOWN
+        sigma_scale = sources.sigma("scale", None, assumed_scale)
+    assumed_noise = NOISE_UNSTATED if vehicle.input_noise is None else NOISE_STATED
+    sigma_noise = sources.sigma("noise", None, assumed_noise)
+    sigma_gain = sources.sigma("gain", None, 0.0)
     unknowns = (
-        Unknown("log_scale", "scale", "1", float(np.log(read.brightness)), scale),
-        Unknown("log_noise", "noise", "1", 0.0, noise),
+        Unknown("log_scale", "scale", "1", float(np.log(panels.brightness)), sigma_scale),
+        Unknown("log_noise", "noise", "1", 0.0, sigma_noise),
         *(
-            Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j)
+            Unknown(f"log_gain_{name}", "gain", "1", 0.0, sigma_gain, j)
             for j, name in enumerate(vehicle.input_names)
         ),
     )
@@ -217,7 +223,7 @@ def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPower
     if time_s and vehicle.throttled:
         what = "the posterior does not know errors of times if panels are throttled"
         raise InputError(what, got=f"time_s {time_s:g}", do="leave the prior time_s out")
-    return replace(read, own=own, turns=panel_turns(vehicle, own), time_s=time_s)
+    return replace(panels, own=own, turns=panel_turns(vehicle, own), time_s=time_s)
 
 
 def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:

@@ -370,11 +370,12 @@ def over_sizes(
 def _with_prior_sigmas(
     peak: Peak, u: np.ndarray, indices: np.ndarray, before: float, share: float, s: SamplingSettings
 ) -> Peak | None:
-    """Return a peak with other prior sigmas of the unknowns with these `indices`: `share` for `before`; None if it moves too far.
+    """Return `peak` if the prior sigmas of the unknowns `indices` are `share`, not `before`; None if its mean moves too far.
 
-    Their prior costs v^2 / (2 share^2), and its curvature changes by a = 1 / share^2 - 1 / before^2. One Newton step d = C g leads
-    to the new mean, with the new covariance C and the gradient g = -a v. The log mass grows by (g d - a v^2) / 2, by half the
-    change of log det C, and by the density of the prior, -log(share / before) for each unknown.
+    Both are factors of `Unknown.sigma`. Let v be these unknowns at the old mean. The new prior adds a v^2 / 2 to the cost, with
+    a = 1 / share^2 - 1 / before^2, and a to the curvature. One Newton step d = C g leads to the new mean, with the new covariance C
+    and the gradient g = -a v of the log density. The log mass grows by (g d - a v^2) / 2, by half the change of log det C, and by
+    the norm of the prior, -log(share / before) for each unknown.
     """
     at, added = STATE_SIZE + indices, share**-2 - before**-2
     precision, gradient = np.linalg.inv(peak.covariance), np.zeros(len(peak.covariance))

@@ -47,8 +47,9 @@ def sample(
         trace_ridge(target, ridge, int(count), rng, s)
     budget.spend(float(points.sum()) * len(s.trace_widths) * s.cold_runs)
     # Draw in rounds until all draws together are good enough. After each round the proposals of the ridges adapt to their draws.
+    # `log_shares`: for each ridge the log probabilities of its draws so far
     draws, log_shares, rounds = None, [], []
-    for turn in range(s.rounds):
+    for number in range(s.rounds):
         counts = _draws_of_ridges(ridges, log_shares, s)
         for ridge, count in zip(ridges, counts, strict=True):
             if count:
@@ -57,7 +58,8 @@ def sample(
         draws, log_shares = pooled(ridges, s)
         rounds.append((draws.evidence, draws.effective / len(draws), draws.tail))
         good = draws.effective >= s.wanted and draws.tail < s.good_tail
-        if budget.exhausted() or (turn and good) or turn + 1 == s.rounds:
+        # never after the first round alone, whose proposals have not adapted to any draws yet
+        if budget.exhausted() or (number and good) or number + 1 == s.rounds:
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
             learn(ridge, own, s)

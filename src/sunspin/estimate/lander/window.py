@@ -175,19 +175,22 @@ def _brightness(
 ) -> float:
     """Return a first guess of the brightness, the signal of a panel of gain one at normal incidence, from readings (n, p).
 
-    It is the median over samples that give a direction, else the likeliest one; gains in a unit are believed instead if they can
-    be. A sample gives a direction by panels that are lit beyond noise: half of the dark panels' noise is above a small threshold,
-    and with 2 to 4 % of it one guess in three was off by more than 10 %; then no start settled.
+    1. It is the median over samples that give a direction, if there are any.
+    2. Else, if gains have a unit and the likeliest brightness is near one (`LIKELY_UNIT`), the gains are believed: one.
+    3. Else it is the likeliest brightness.
+
+    For a direction only panels lit clearly beyond the noise count. With a small threshold half of the dark panels would pass as
+    lit: at 2 to 4 % noise one guess in three was off by more than 10 %, and then no start settled.
     """
-    sure = np.maximum(threshold, LIT_SIGMAS * sigma)
+    surely_lit = np.maximum(threshold, LIT_SIGMAS * sigma)
     value = np.where(used, power, 0.0)
-    status = sun_directions(vehicle, value, noise=sigma, lit_threshold=sure)["status"].values
-    direct = is_reconstructed(status) & used.all(axis=1)
-    if direct.any():
-        return float(np.median(panels.brightness(vehicle, value[direct])))
+    status = sun_directions(vehicle, value, noise=sigma, lit_threshold=surely_lit)["status"].values
+    has_direction = is_reconstructed(status) & used.all(axis=1)
+    if has_direction.any():
+        return float(np.median(panels.brightness(vehicle, value[has_direction])))
     likeliest = _likeliest_brightness(vehicle, np.maximum(value, 0.0), used, sigma)
-    in_unit = vehicle.gain_unit is not None and LIKELY_UNIT[0] < likeliest < LIKELY_UNIT[1]
-    return 1.0 if in_unit else likeliest
+    gains_believed = vehicle.gain_unit is not None and LIKELY_UNIT[0] < likeliest < LIKELY_UNIT[1]
+    return 1.0 if gains_believed else likeliest
 
 
 def _likeliest_brightness(

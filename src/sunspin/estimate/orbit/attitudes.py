@@ -125,25 +125,28 @@ class OrbitModel:
         return np.maximum(count - np.where(has_sun & self.readings.has_field, 3, 2), 0)
 
     def residuals(self, unknown: np.ndarray, attitude: np.ndarray) -> Residuals:
-        """Return the residuals at attitudes (n, 3, 3): predicted less read. A rotation t of the body moves a vector v by v x t."""
+        """Return the residuals at attitudes (n, 3, 3): predicted less read, in sigmas.
+
+        A rotation t of the body moves a vector v by v x t.
+        """
         sun, field = self._predicted_vectors(unknown, attitude)
         n, readings = len(sun), self.readings
-        # Sun sensors: scale angle + bias
+        # Sun sensors: reading = scale angle + bias
         true_angle, angle_by_sun = self._sensor_angles(sun)
         scale, bias = self._scale_and_bias(unknown)
         sigma = self._sensor_sigma
         sensors = ((scale * true_angle + bias - readings.angle) / sigma).reshape(n, -1)
         sensors_by_sun = ((scale / sigma)[..., None] * angle_by_sun).reshape(n, -1, 3)
 
-        # panels: the Sun's two components across the direction that was measured
+        # panels: the predicted Sun's two components across the measured direction, zero if both agree
         measured = np.isfinite(readings.panel_sun)
         direction = np.where(measured, readings.panel_sun, ANY_DIRECTION)
         across = np.stack(tangent_basis(direction), axis=1)
-        inverse = 1 / (readings.panel_sigma * self.scatter[1])
-        panels = (across @ sun[..., None])[..., 0] * inverse[:, None]
-        panels_by_turn = across @ cross_matrix(sun) * inverse[:, None, None]
+        inverse_sigma = 1 / (readings.panel_sigma * self.scatter[1])
+        panels = (across @ sun[..., None])[..., 0] * inverse_sigma[:, None]
+        panels_by_turn = across @ cross_matrix(sun) * inverse_sigma[:, None, None]
 
-        # magnetometer: (1 + M) field + zero
+        # magnetometer: reading = (1 + M) field + zero
         matrix = np.eye(3) + unknown[MATRIX].reshape(3, 3)
         magnetometer = (field @ matrix.T + unknown[ZERO] - readings.field) / self.scatter[2]
         magnetometer_by_turn = matrix @ cross_matrix(field) / self.scatter[2]
@@ -310,21 +313,24 @@ class OrbitModel:
         return _triad(field_B, sun_B) @ np.swapaxes(in_N, -1, -2)
 
     def _measured_sun(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the weighted mean direction to the Sun (n, 3) by all sensors of a sample; NaN without any."""
+        """Return the mean unit direction to the Sun (n, 3) by panels and Sun sensors; NaN where none shows it.
+
+        Each has a weight of one over its variance; that of a Sun sensor is taken from its x angle alone.
+        """
         readings, sensors = self.readings, self.vehicle.sensors.sun_sensors
-        total = np.nan_to_num(readings.panel_sun) / readings.panel_sigma[:, None] ** 2
+        weighted_sum = np.nan_to_num(readings.panel_sun) / readings.panel_sigma[:, None] ** 2
         if sensors:
             scale, bias = self._scale_and_bias(unknown)
-            angle = (readings.angle - bias) / scale
+            angle = (readings.angle - bias) / scale  # the inverse of: reading = scale angle + bias
             known = np.isfinite(angle[..., 0])
             # the tangents of a sensor's angles are the Sun's components x and y over that along the normal
             tangent = np.tan(np.nan_to_num(angle))
             direction = self._axes[:, 2] + np.einsum("nfs,fsi->nfi", tangent, self._axes[:, :2])
             direction /= np.linalg.norm(direction, axis=2, keepdims=True)
             weight = known / np.array([sensor.x_sigma_rad for sensor in sensors]) ** 2
-            total = total + (weight[..., None] * direction).sum(axis=1)
-        size = np.linalg.norm(total, axis=1, keepdims=True)
-        return total / np.where(size > 0, size, np.nan)
+            weighted_sum = weighted_sum + (weight[..., None] * direction).sum(axis=1)
+        size = np.linalg.norm(weighted_sum, axis=1, keepdims=True)
+        return weighted_sum / np.where(size > 0, size, np.nan)
 
     @cached_property
     def _axes(self) -> np.ndarray:

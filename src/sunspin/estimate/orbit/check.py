@@ -223,9 +223,11 @@ class Comparison:
         readings: Readings | None = None,
         scatter: np.ndarray | None = None,
     ) -> OffsetFits:
-        """Return an orbit's fits at all offsets, or only at every third one if none of these comes near a rival's cost `reach`.
+        """Return an orbit's fits at all offsets, with the magnetometer fitted at each.
 
-        `readings`, `scatter`: in place of the readings of the file and of their estimated noise.
+        `reach`: the lowest cost of a rival. If it is finite, every third offset is fitted first. If even the best of these costs
+        more than `reach + settings.near`, only these are returned: the orbit is too far behind to win. `readings`, `scatter`: in
+        place of the readings of the file and of their estimated noise.
         """
         readings = self.readings if readings is None else readings
         prior = self.prior(self.shifts)
@@ -368,23 +370,23 @@ def _with_magnetometer(
 ) -> OrbitCheck:
     """Return the answer with the magnetometer's calibration (12), its residuals, and whether its sign is the opposite one.
 
-    `at`: predictions at one offset; `lowest`: the cost that the opposite sign must be clearly below. The sign is also opposite if
-    the calibration itself reverses the readings and the angle to the Sun fits only by this.
+    `at`: predictions at one offset. The sign is opposite in two cases: reversed readings cost clearly less than `lowest`; or the
+    fitted matrix itself reverses them, and without that the angle to the Sun fits much worse.
     """
     readings = comparison.readings
     field = calibrated_field(readings.field, calibration)
-    strength, angle = median_residuals(field, readings.sun, at)
+    strength_residual, angle_residual = median_residuals(field, readings.sun, at)
     sign_turned = comparison.cost_of_opposite_field(at) < lowest - comparison.settings.clearly
     reverses = np.linalg.det(calibration[MATRIX].reshape(3, 3)) < 0
     if reverses and answer.verdict is not Verdict.REFUSED and readings.has_angle.sum() >= FEWEST:
-        _, other = median_residuals(-field, readings.sun, at)
-        sign_turned |= angle < comparison.settings.mirrored * other
+        _, unreversed_residual = median_residuals(-field, readings.sun, at)
+        sign_turned |= angle_residual < comparison.settings.mirrored * unreversed_residual
     return replace(
         answer,
         matrix=calibration[MATRIX].reshape(3, 3),
         zero=calibration[ZERO],
-        strength_residual_T=strength,
-        angle_residual_rad=angle,
+        strength_residual_T=strength_residual,
+        angle_residual_rad=angle_residual,
         sign_turned=bool(sign_turned),
     )
 

@@ -338,11 +338,11 @@ class MagnetometerModel:
     def _distance_of_readings(
         self, state: MagnetometerState, matrix: np.ndarray, field: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distances (K, n) of readings from all readings of the predicted strength, over the scatter, with Jacobian.
+        """Return the distance (K, n) of each reading from the nearest one of the predicted strength, in scatters, with Jacobian.
 
-        With the matrix A (K, 3, 3), the `field` f = A reading - zero (K, n, 3) and its direction e, the strength is off by
-        d = |f| - strength. A change of the reading changes |f| by g = A^T e, so that the distance is d / |g| to first order. Its
-        derivative has that of |g| too: e turns with f, and A stands in g, so that
+        The field is f = A reading - zero (`field`, (K, n, 3)), in the direction e; A is `matrix` (K, 3, 3). Its strength is wrong
+        by off = |f| - strength. |f| rises by at most |g| for a unit of the reading, with g = A^T e. So the distance is off / |g|
+        to first order. |g| depends on the unknowns too: e turns with f, and A stands in g. Therefore
 
             |g| d|g| / df = (A g - |g|^2 e) / |f|        |g| d|g| / dA = e g^T.
         """
@@ -351,9 +351,11 @@ class MagnetometerModel:
         steepest = unit @ matrix  # g
         steepness = np.maximum(np.linalg.norm(steepest, axis=2), 1e-9)
         turning = steepest @ np.swapaxes(matrix, 1, 2) - (steepness**2)[..., None] * unit
+        # |g| times the derivative of off / |g| by f
         by_field = unit - (off / length / steepness**2)[..., None] * turning
-        size = (steepness * state.scatter[:, :1])[..., None]
+        size = (steepness * state.scatter[:, :1])[..., None]  # |g| times the scatter
         by_unknown = _jacobian_along(by_field / size, self.reading)
+        # the part by A that comes from |g| alone
         outer = unit[..., :, None] * steepest[..., None, :]
         of_matrix = (off / steepness**2)[..., None, None] / size[..., None] * outer
         by_unknown[..., MATRIX] -= of_matrix.reshape(*off.shape, 9)

@@ -133,10 +133,11 @@ def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInS
 
 
 def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (n) in s of samples that show whether the Sun is up, and in which of them (n) only sunlight is possible.
+    """Return times (n) in s of samples that show whether the Sun is up, and which of them (n) surely show sunlight.
 
-    Panels show it, or Sun sensors with a column for their light: a direction alone may be computed, or left from before. A bright
-    sample that repeats the one before it may be a frozen reading and shows nothing.
+    Panels show it; without panels, Sun sensors that have a column for their light. A direction without that column does not: it may
+    be computed, or be an old one that was kept. A bright panel reading that repeats an earlier one may be frozen, and is left out;
+    so are repeated readings of Sun sensors and late frames. At most `MOST_SAMPLES` are returned.
     """
     telemetry, sensors = assessment.telemetry, assessment.vehicle.sensors
     shows = clear = np.zeros(telemetry.sizes["time"], dtype=bool)

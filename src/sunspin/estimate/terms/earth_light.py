@@ -36,8 +36,8 @@ AZIMUTHS = 8
 
 CORNERS = np.array(list(product([-1.0, 1.0], repeat=3))) / np.sqrt(3)
 FIRST_DIRECTIONS, FIRST_SHARES = np.vstack([np.eye(3), -np.eye(3), CORNERS]), (0.4, 0.8)
-"""Where a fit begins: the best of these directions in N, those to the faces and corners of a cube, with these parts of the prior's
-sigma."""
+"""Where a fit begins: the best of these directions, those to the faces and corners of a cube in axes with z along the sum of both
+lights, with these parts of the prior's sigma."""
 
 
 @dataclass(frozen=True)
@@ -103,18 +103,20 @@ class EarthLight:
     def on_panels(
         self, response: PanelResponse, gain: np.ndarray, attitude: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the light (K, n, p) on panels with factors `gain`, equation (earthlight) of docs/model.md, and its derivatives.
+        """Return the Earth's light on panels (K, n, p) with factors `gain`, in the unit of the readings, and its derivatives.
 
-        The derivatives (K, n, p, 3 + b + p) are those by a turn of the body, by the unknowns of the vector and by those of the
-        zeros. What the zeros add is not in the light (:meth:`zero`).
+        Equation (earthlight) of docs/model.md. `u` (K, b + p): as in :meth:`unknowns`. The derivatives (K, n, p, 3 + b + p) are by
+        a turn of the body, then by all of u. Those by the zeros are here too, though their value is not: :meth:`zero` gives it, as
+        a zero does not scale with the gain.
         """
-        light_N = np.einsum("km,nmj->knj", u[:, self.light_slice], self.light_N)
-        light_N = light_N if self.known_N is None else light_N + self.known_N
-        light_B = (attitude @ light_N[..., None])[..., 0]
+        vector_N = np.einsum("km,nmj->knj", u[:, self.light_slice], self.light_N)
+        vector_N = vector_N if self.known_N is None else vector_N + self.known_N
+        light_B = (attitude @ vector_N[..., None])[..., 0]
         size = np.maximum(np.linalg.norm(light_B, axis=-1), LEAST_LIGHT)
         power, by_light = response.earthlight(light_B / size[..., None], size)
         power, by_light = power * gain, by_light * gain[..., None]
         by_u = by_light @ np.einsum("knji,nmi->knjm", attitude, self.light_N)
+        # a zero adds to the reading of its own panel alone
         by_zero = np.broadcast_to(np.diag(self.zeros), (*power.shape, len(self.zeros)))
         return power, np.concatenate([by_light @ cross_matrix(light_B), by_u, by_zero], axis=-1)
 
@@ -152,22 +154,24 @@ class EarthLight:
         The rotation takes components in axes with z to the Sun to those in axes with z along the sum of Sun and Earth's light.
         """
         if self.known_N is not None:
-            # the light is known in N; if the turn about the Sun is not, several are tried
+            # The light is known in N, so the unknowns are zero. The turn about the sum of both lights may be open: then several
+            # are tried.
             total = SUN_N + self.known_N.mean(axis=0)
             back = _rotation_by_sine(np.cross(total / np.linalg.norm(total), SUN_N))
             for angle in 2 * np.pi / AZIMUTHS * np.arange(1 if about_sun else AZIMUTHS):
                 yield rotate_attitude(back, -angle * SUN_N), np.zeros(m)
             return
-        sigma = np.linalg.norm(self.light_N[0, 0])
+        sigma_component = np.linalg.norm(self.light_N[0, 0])
         for direction in FIRST_DIRECTIONS:
             for share in FIRST_SHARES:
+                # a component has the sigma of the whole vector over sqrt(3)
                 in_sigmas, trial = share * np.sqrt(3) * direction, np.zeros(m)
-                # Light is guessed in axes with z along the sum. Across z, Sun and light cancel.
-                light = sigma * in_sigmas
+                # The guess is in axes with z along the sum of Sun and light: their components across z cancel.
+                light = sigma_component * in_sigmas
                 across = np.array([light[0], light[1], 0.0])
                 sun = -across + SUN_N * np.sqrt(max(1 - across @ across, 0.0))
                 back = _rotation_by_sine(np.cross(SUN_N, sun))
-                trial[:3] = in_sigmas @ back
+                trial[:3] = in_sigmas @ back  # the same light in axes with z to the Sun
                 yield back, trial
 
 

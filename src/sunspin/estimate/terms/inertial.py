@@ -167,10 +167,9 @@ class RateMagnitudes(Term):
         return (Unknown("rate_size_scale", "rate_size_scale", "1", 0.0, self.scale_sigma),)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the predicted reading, the size of the rate with the error of the scale, less the reading (K, n, 1), in sigmas.
+        """Yield the predicted size of the rate less the reading (K, n, 1), in sigmas. The prediction has the error of the scale.
 
-        The derivative of the size by the rate is the axis of the rate. At rest the size grows alike along every axis; the
-        derivative is taken as zero.
+        Its derivative by the rate is the unit vector along the rate. At rest there is none, and zero is taken.
         """
         was_read = self.present()
         if not was_read.any():
@@ -183,10 +182,10 @@ class RateMagnitudes(Term):
         if not u.size:
             yield Residual(value, by_rate=by_rate)
             return
-        # an error of the scale is in proportion to the size, for which the reading stands
-        column = (self.scale_sigma * reading / self.sigma)[:, None, None]
-        value = value + column[..., 0] * u[:, None, :]
-        yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(column, (*value.shape, 1)))
+        # a scale error changes the prediction in proportion to the size, for which the reading is taken
+        by_scale = (self.scale_sigma * reading / self.sigma)[:, None, None]
+        value = value + by_scale[..., 0] * u[:, None, :]
+        yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(by_scale, (*value.shape, 1)))
 
     def for_search(self) -> list[Self]:
         """Return the sizes without an unknown scale, whose error is added to their noise."""

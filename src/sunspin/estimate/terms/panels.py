@@ -218,7 +218,7 @@ class Panels(Term):
         return self.gain * self.response.power(self.response.facing_B).diagonal()
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the errors of the gains, and those of the Earth's light."""
+        """Return the independent errors of the gains, the Earth's light and the tilts. Gain i is error i, not panel i."""
         sizes = np.linalg.norm(self.gain_errors, axis=1)
         gains = tuple(
             Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, INERTIA_SIGMAS)
@@ -330,16 +330,16 @@ class Panels(Term):
         return float(2 * (log / np.maximum(counted.sum(axis=1), 1)).sum())
 
     def blind_axis(self) -> np.ndarray | None:
-        """Return the normal (3) of the plane in which all panels with readings look, if a mirror there changes no reading.
+        """Return the normal (3) of the plane in which all panels with readings look, if no reading tells on which side the Sun is.
 
-        None if there is no such plane.
+        None if they do not look in one plane, or if a mirror image of the Sun in that plane changes a reading.
         """
         was_read = np.isfinite(self.sigma).any(axis=0)
         size, axes = np.linalg.svd(self.response.facing_B[was_read])[1:]
         if np.count_nonzero(size > FLAT) != 2:  # the normals span a line, or space
             return None
         across = axes[2]
-        # a response need not be that of flat panels: whether the mirror is blind is tried
+        # panels need not be flat: try whether a Sun mirrored in the plane changes a reading
         around = sphere(LOOKS)
         mirrored = around - 2 * (around @ across)[:, None] * across
         change = self.response.power(mirrored) - self.response.power(around)

@@ -190,9 +190,10 @@ class PanelPowers(Term):
     def _powers_with_slopes(
         self, sun: np.ndarray, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the powers (K, n, p), not throttled, under directions to the Sun (K, n, 3), with their derivatives.
+        """Return the powers (K, n, p) for directions to the Sun (K, n, 3), before throttling, and their derivatives.
 
-        These are by rotations of the body (K, n, p, 3) and by the unknowns (K, n, p, m).
+        The derivatives are by a rotation of the body (K, n, p, 3) and by one sigma of each unknown (K, n, p, m). That by the noise
+        is zero.
         """
         slopes = self.response.slopes(sun, gain=self.gain(u)[:, None], tilt=self.tilt(u))
         by_u = np.zeros((*slopes.power.shape, len(self.own)))
@@ -218,10 +219,11 @@ class PanelPowers(Term):
         return np.where(self.used, difference, 0.0) / self.sigma, by_power
 
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best error (K, n; s) of each sample's time, and the curvature (K, n; 1/s2) of its cost without prior.
+        """Return the best error (K, n; s) of each sample's time, positive if taken late, and the curvature (K, n; 1/s2) there.
 
-        Newton steps begin at no error, in two ways, of which the better one is returned: with outliers down-weighted at once, or
-        with all readings at full weight in the first step, since it may be the time that is wrong.
+        The curvature is that of the cost of the readings alone. Gauss-Newton steps start from no error twice: with outliers
+        down-weighted at once, and with all readings at full weight in the first step, since the time may be what is wrong. The
+        better result is returned.
         """
         no_error = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:
@@ -249,7 +251,7 @@ class PanelPowers(Term):
             value, by_time = differences_at(late_s)
             cost, weight = law(value)
             information = np.sum(weight * by_time**2, axis=-1)
-            # The two are compared by the integral over the error (Laplace). The density would prefer narrow peaks.
+            # The two results are compared by the integral over the error (Laplace). The density would prefer narrow peaks.
             cost = cost + 0.5 * (late_s / self.time_s) ** 2
             cost += 0.5 * np.log1p(self.time_s**2 * information)
             better = cost < least

@@ -70,7 +70,7 @@ class ConstantTorque(Term):
     def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray:
         """Return turn and rate (K, n - 1, 6, 3) that one sigma of each component adds over the intervals dt (n - 1).
 
-        Small changes of a motion follow linear equations in time s, in body axes. They are a turn t, a rate r and a torque T:
+        Small deviations from a motion, in body axes, follow linear equations in time s: a turn t, a rate r, under a torque T:
 
             dt/ds = -w x t + r;  I dr/ds = (I w + h) x r - w x (I r) + T;  dT/ds = 0, or -w x T for one constant in space.
 
@@ -90,6 +90,7 @@ class ConstantTorque(Term):
         if self.frame == "N":
             system[..., torque, torque] = -turning
         added = self.sigma * exponential(system * dt[:, None, None])[..., :6, torque]
+        # unknowns in N: the attitude gives the torque in body axes at the start of the interval
         return added if self.frame == "B" else added @ states.attitude[:, :-1]
 
 
