@@ -46,7 +46,7 @@ def test_rates_of_times_in_whole_seconds_are_decided_and_within_their_errors(see
     """A body turns by 4 deg in the error of a time. Without it five of eight such passes are POOR FIT, one is decided and off."""
     made = made_pass(seed, 5.3, rounded=True)
     result = rates(made.vehicle, made.telemetry)
-    assert result["decided"].values[0]
+    assert result["decided"].values[0] and "count as rounded" in result.attrs["verdict"]
     sigma = np.sqrt(np.diagonal(result["omega_cov_B"].values, axis1=1, axis2=2))
     assert (np.abs(result["omega_B"].values - made.omega) / sigma).max() < 4.5
 
@@ -54,8 +54,9 @@ def test_rates_of_times_in_whole_seconds_are_decided_and_within_their_errors(see
 def test_exact_times_have_no_errors():
     """The sigmas of the same pass with exact times are much smaller."""
     made = [made_pass(0, 5.3, rounded) for rounded in (True, False)]
-    sigmas = [rates(a.vehicle, a.telemetry)["sigma_x"].values[0, 0] for a in made]
-    assert sigmas[1] < sigmas[0] / 1.5
+    results = [rates(a.vehicle, a.telemetry) for a in made]
+    sigmas = [result["sigma_x"].values[0, 0] for result in results]
+    assert sigmas[1] < sigmas[0] / 1.5 and "rounded" not in results[1].attrs["verdict"]
 
 
 def test_errors_of_times_turn_directions_across_the_motion_and_cost_the_density_that_they_spread():

@@ -15,6 +15,7 @@ from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import tha
 
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.estimate.model import AS_STATED
+from sunspin.estimate.settings import SearchSettings
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -421,6 +422,13 @@ def rates_words(result: xr.Dataset) -> str:
         notes.append(FIELD_ALONE)
     elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
         notes.append(SUN_ALONE)
+    unit = attrs["times_rounded_to_s"]
+    fastest = float(np.nanmax(np.linalg.norm(result["omega_B"].values, axis=1), initial=0.0))
+    if fastest * unit / np.sqrt(12) > SearchSettings.least_drift_rad:
+        notes.append(
+            f"times are multiples of {unit:.1g} s at uneven intervals: they count as rounded, with an error that every sigma "
+            "includes; times with more digits give smaller sigmas"
+        )
         if count := attrs["no_sphere"]:
             notes.append(
                 f"{count_of_passes(count)}: the search assumed a sphere, which does not fit this motion: GIVE ITS INERTIA "
