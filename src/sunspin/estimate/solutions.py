@@ -209,10 +209,10 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
     # `mean_map` gives the mean rate over the pass from errors of turn and rate at the kept samples
     track, mean_map = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
     residual = residuals_by_sensor(whole, model, track, kept)
-    # Axes of N that follow a field turn in an unknown way, up to `axes_rad_s`: a third of its square for each component. Like an
-    # oscillation that changes the rate at an instant, and hardly its mean.
-    hidden += max(term.axes_rad_s for term in whole.terms) ** 2 / 3
-    track.covariance[..., RATE, RATE] += hidden * np.eye(3)
+    # Axes of N that follow a magnetic field turn in space, at up to `axes_rad_s` about an unknown axis. A third of its square is
+    # the variance of each component, also of the mean rate. An oscillation hardly changes the mean: its variance is divided by n.
+    axes = max(term.axes_rad_s for term in whole.terms) ** 2 / 3
+    track.covariance[..., RATE, RATE] += (hidden + axes) * np.eye(3)
 
     # The variance of the mean rate: again that of the mixture about the first motion, without members of small share.
     counted = np.flatnonzero((shares >= MEAN_COUNTS) | (np.arange(len(group)) == 0))
@@ -225,7 +225,7 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
         track=replace(track, u=motion.u[:, model.inertia_slice]),
         probability=weight.sum(keepdims=True),
         mean=track.omega.mean(axis=1),
-        mean_sigma=np.sqrt(variance / shares[counted].sum() + hidden / len(model.obs)),
+        mean_sigma=np.sqrt(variance / shares[counted].sum() + axes + hidden / len(model.obs)),
         residual=residual,
         model=(model.what, 1.0),  # `solutions` replaces it, and the limit
         noise=np.sqrt(np.median(square, keepdims=True)),
