@@ -422,6 +422,11 @@ def rates_words(result: xr.Dataset) -> str:
         notes.append(FIELD_ALONE)
     elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
         notes.append(SUN_ALONE)
+        if count := attrs["no_sphere"]:
+            notes.append(
+                f"{count_of_passes(count)}: the search assumed a sphere, which does not fit this motion: GIVE ITS INERTIA "
+                "(inertia_kg_m2)"
+            )
     unit = attrs["times_rounded_to_s"]
     fastest = float(np.nanmax(np.linalg.norm(result["omega_B"].values, axis=1), initial=0.0))
     if fastest * unit / np.sqrt(12) > SearchSettings.least_drift_rad:
@@ -429,11 +434,6 @@ def rates_words(result: xr.Dataset) -> str:
             f"times are multiples of {unit:.1g} s at uneven intervals: they count as rounded, with an error that every sigma "
             "includes; times with more digits give smaller sigmas"
         )
-        if count := attrs["no_sphere"]:
-            notes.append(
-                f"{count_of_passes(count)}: the search assumed a sphere, which does not fit this motion: GIVE ITS INERTIA "
-                "(inertia_kg_m2)"
-            )
     return "\n".join(notes)
 
 
